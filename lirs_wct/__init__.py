@@ -1,0 +1,1 @@
+"""LIRS-WCT: a picture or a laser map becomes a World."""

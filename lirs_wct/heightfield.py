@@ -1,0 +1,106 @@
+"""The height field: a picture as a surface in metres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lirs_wct.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class HeightField:
+    """Heights on a regular grid; each cell is two triangles.
+
+    A cell splits along the diagonal from its south-west to its north-east node, as MuJoCo's does.
+
+    Attributes:
+        z: (rows, cols) float32 metres, row 0 = north edge as in the picture, column 0 = west.
+        cell: spacing of the nodes eastward and northward, metres.
+        origin: x, y of the south-west node in the world frame, metres.
+
+    Raises:
+        ConfigError: fewer than 2x2 nodes, a height that is not finite, or a spacing not above 0.
+    """
+
+    z: NDArray[np.float32]
+    cell: tuple[float, float]
+    origin: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        if self.z.ndim != 2 or min(self.z.shape) < 2 or self.z.dtype != np.float32:
+            raise ConfigError(
+                f"a height field needs at least 2x2 float32 heights, got {self.z.dtype} {self.z.shape}"
+            )
+        if not (self.cell[0] > 0 and self.cell[1] > 0):
+            raise ConfigError(f"cell of a height field must be above 0 m, got {self.cell}")
+        if not np.isfinite(self.z).all():
+            raise ConfigError("heights of a height field must be finite")
+
+    @staticmethod
+    def centred(z: NDArray[np.float32], cell: tuple[float, float]) -> HeightField:
+        """Build with the picture's centre at the world's origin."""
+        rows, cols = z.shape
+        return HeightField(z, cell, (-(cols - 1) * cell[0] / 2, -(rows - 1) * cell[1] / 2))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows, columns of nodes."""
+        return self.z.shape[0], self.z.shape[1]
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Extent eastward and northward, metres."""
+        rows, cols = self.z.shape
+        return (cols - 1) * self.cell[0], (rows - 1) * self.cell[1]
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """West, south, east, north, metres."""
+        (x, y), (w, h) = self.origin, self.size
+        return x, y, x + w, y + h
+
+    @property
+    def relief(self) -> float:
+        """Highest minus lowest height, metres."""
+        return float(self.z.max() - self.z.min())
+
+    @property
+    def south_up(self) -> NDArray[np.float32]:
+        """(rows, cols) heights with row 0 = south: the one place where the y axis is flipped."""
+        return np.ascontiguousarray(self.z[::-1])
+
+    def contains(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
+        """Whether points lie on the field, border included."""
+        w, s, e, n = self.bounds
+        px, py = np.asarray(x), np.asarray(y)
+        inside: NDArray[np.bool_] = (px >= w) & (px <= e) & (py >= s) & (py <= n)
+        return inside
+
+    def height_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        """Return the surface height at points (broadcast), metres; NaN off the field.
+
+        Linear on each triangle, so equal to the mesh of the full grid.
+        """
+        rows, cols = self.z.shape
+        px, py = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
+        inside = self.contains(px, py)
+        u = np.where(inside, (px - self.origin[0]) / self.cell[0], 0.0)
+        v = np.where(inside, (py - self.origin[1]) / self.cell[1], 0.0)
+        i = np.clip(u.astype(np.int64), 0, cols - 2)
+        j = np.clip(v.astype(np.int64), 0, rows - 2)
+        u, v = u - i, v - j
+        south, north = rows - 1 - j, rows - 2 - j
+        sw, se = self.z[south, i].astype(np.float64), self.z[south, i + 1].astype(np.float64)
+        nw, ne = self.z[north, i].astype(np.float64), self.z[north, i + 1].astype(np.float64)
+        below = sw + u * (se - sw) + v * (ne - se)
+        above = sw + u * (ne - nw) + v * (nw - sw)
+        return np.where(inside, np.where(u >= v, below, above), np.nan)
+
+    def slope(self) -> NDArray[np.float64]:
+        """Return (rows, cols) the steepest angle at each node, radians (central differences)."""
+        dz_dy, dz_dx = np.gradient(self.z.astype(np.float64), self.cell[1], self.cell[0])
+        angle: NDArray[np.float64] = np.arctan(np.hypot(dz_dx, dz_dy))
+        return angle

@@ -1,0 +1,70 @@
+"""A triangle mesh as plain arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class TriangleMesh:
+    """Triangles in the world frame, counter-clockwise seen from outside.
+
+    Attributes:
+        vertices: (n, 3) float64 metres.
+        faces: (m, 3) int32 vertex indices.
+        uv: (n, 2) float64 texture coordinates, or None.
+        normals: (n, 3) float64 unit vertex normals, or None.
+
+    Raises:
+        ConfigError: an array has the wrong shape.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    uv: NDArray[np.float64] | None = None
+    normals: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.vertices)
+        shapes = {"vertices": self.vertices.shape == (n, 3), "faces": self.faces.shape[1:] == (3,)}
+        shapes["uv"] = self.uv is None or self.uv.shape == (n, 2)
+        shapes["normals"] = self.normals is None or self.normals.shape == (n, 3)
+        wrong = [name for name, ok in shapes.items() if not ok]
+        if wrong:
+            raise ConfigError(f"mesh of {n} vertices has arrays of the wrong shape: {', '.join(wrong)}")
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """(2, 3) lowest and highest corner, metres."""
+        return np.stack((self.vertices.min(axis=0), self.vertices.max(axis=0)))
+
+    @property
+    def face_normals(self) -> NDArray[np.float64]:
+        """(m, 3) unit normals; zero for a triangle without area."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        n = np.cross(b - a, c - a)
+        length = np.linalg.norm(n, axis=1, keepdims=True)
+        unit: NDArray[np.float64] = np.divide(n, length, out=np.zeros_like(n), where=length > 0)
+        return unit
+
+    @property
+    def volume(self) -> float:
+        """Enclosed volume, cubic metres (signed sum of tetrahedra; meaningful where closed)."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+
+    @property
+    def is_watertight(self) -> bool:
+        """Whether every edge joins exactly two triangles that agree on its direction."""
+        f = self.faces.astype(np.int64)
+        edges = np.concatenate((f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]))
+        n = len(self.vertices)
+        forward = np.sort(edges[:, 0] * n + edges[:, 1])
+        backward = np.sort(edges[:, 1] * n + edges[:, 0])
+        unique = len(forward) == 0 or bool(np.all(np.diff(forward) > 0))
+        return unique and bool(np.array_equal(forward, backward))

@@ -1,0 +1,170 @@
+"""Rigid poses in the plane and in space.
+
+`T_ab` maps coordinates in frame b to frame a, so `T_ac = T_ab @ T_bc`. Metres and radians;
+quaternions are wxyz (MuJoCo's order), files of ROS and TUM hold xyzw.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def wrap_angle(angle: float) -> float:
+    """Return the angle in (-pi, pi]."""
+    wrapped = math.remainder(angle, math.tau)
+    return math.pi if wrapped == -math.pi else wrapped
+
+
+@dataclass(frozen=True, slots=True)
+class Pose2:
+    """A rigid pose in the plane: `T_ab` with b's origin at (x, y) in a, turned by yaw."""
+
+    x: float = 0.0
+    y: float = 0.0
+    yaw: float = 0.0
+
+    def __matmul__(self, other: Pose2) -> Pose2:
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return Pose2(
+            self.x + c * other.x - s * other.y,
+            self.y + s * other.x + c * other.y,
+            wrap_angle(self.yaw + other.yaw),
+        )
+
+    def inverse(self) -> Pose2:
+        """Return `T_ba`."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return Pose2(-c * self.x - s * self.y, s * self.x - c * self.y, wrap_angle(-self.yaw))
+
+    def apply(self, points: ArrayLike) -> Array:
+        """Map points (..., 2) from frame b to frame a."""
+        p = np.asarray(points, dtype=np.float64)
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return np.stack(
+            (self.x + c * p[..., 0] - s * p[..., 1], self.y + s * p[..., 0] + c * p[..., 1]), axis=-1
+        )
+
+    def distance(self, other: Pose2) -> float:
+        """Return the Euclidean distance between the two origins, in metres."""
+        return math.hypot(self.x - other.x, self.y - other.y)
+
+    def as_array(self) -> Array:
+        """Return (3,): x, y, yaw."""
+        return np.array((self.x, self.y, self.yaw))
+
+
+@dataclass(frozen=True, slots=True)
+class Pose3:
+    """A rigid pose in space: translation in metres and a unit quaternion (wxyz)."""
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    qw: float = 1.0
+    qx: float = 0.0
+    qy: float = 0.0
+    qz: float = 0.0
+
+    @staticmethod
+    def from_rpy(x: float, y: float, z: float, roll: float, pitch: float, yaw: float) -> Pose3:
+        """Build from translation and fixed-axis roll, pitch, yaw (R = Rz Ry Rx, as in URDF)."""
+        cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+        cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+        cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+        return Pose3(
+            x,
+            y,
+            z,
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        )
+
+    @staticmethod
+    def from_arrays(position: ArrayLike, quaternion: ArrayLike) -> Pose3:
+        """Build from position (3,) and quaternion (4,) wxyz, which is normalised."""
+        p = np.asarray(position, dtype=np.float64)
+        q = np.asarray(quaternion, dtype=np.float64)
+        q = q / np.linalg.norm(q)
+        return Pose3(*(float(v) for v in p), *(float(v) for v in q))
+
+    @staticmethod
+    def from_pose2(pose: Pose2, z: float = 0.0) -> Pose3:
+        """Lift a planar pose to height z, upright."""
+        return Pose3(pose.x, pose.y, z, math.cos(pose.yaw / 2), 0.0, 0.0, math.sin(pose.yaw / 2))
+
+    def __matmul__(self, other: Pose3) -> Pose3:
+        w, x, y, z = self.qw, self.qx, self.qy, self.qz
+        a, b, c, d = other.qw, other.qx, other.qy, other.qz
+        px, py, pz = self.apply((other.x, other.y, other.z)).tolist()
+        return Pose3(
+            px,
+            py,
+            pz,
+            w * a - x * b - y * c - z * d,
+            w * b + x * a + y * d - z * c,
+            w * c - x * d + y * a + z * b,
+            w * d + x * c - y * b + z * a,
+        )
+
+    def inverse(self) -> Pose3:
+        """Return `T_ba`."""
+        px, py, pz = (-np.array((self.x, self.y, self.z)) @ self.rotation).tolist()
+        return Pose3(px, py, pz, self.qw, -self.qx, -self.qy, -self.qz)
+
+    def apply(self, points: ArrayLike) -> Array:
+        """Map points (..., 3) from frame b to frame a."""
+        p = np.asarray(points, dtype=np.float64)
+        mapped: Array = p @ self.rotation.T + np.array((self.x, self.y, self.z))
+        return mapped
+
+    @property
+    def position(self) -> Array:
+        """(3,) translation in metres."""
+        return np.array((self.x, self.y, self.z))
+
+    @property
+    def quaternion(self) -> Array:
+        """(4,) unit quaternion, wxyz."""
+        return np.array((self.qw, self.qx, self.qy, self.qz))
+
+    @property
+    def rotation(self) -> Array:
+        """(3, 3) rotation matrix."""
+        w, x, y, z = self.qw, self.qx, self.qy, self.qz
+        return np.array(
+            (
+                (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+                (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+                (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+            )
+        )
+
+    @property
+    def roll(self) -> float:
+        """Rotation about x, fixed axes, in radians."""
+        w, x, y, z = self.qw, self.qx, self.qy, self.qz
+        return math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+
+    @property
+    def pitch(self) -> float:
+        """Rotation about y, fixed axes, in radians; positive = nose down (REP 103)."""
+        w, x, y, z = self.qw, self.qx, self.qy, self.qz
+        return math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
+
+    @property
+    def yaw(self) -> float:
+        """Rotation about z, fixed axes, in radians."""
+        w, x, y, z = self.qw, self.qx, self.qy, self.qz
+        return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+    def to_pose2(self) -> Pose2:
+        """Project on the plane: x, y, yaw."""
+        return Pose2(self.x, self.y, self.yaw)
