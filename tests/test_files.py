@@ -1,0 +1,83 @@
+"""Atomic writing: all or nothing, at every way out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lirs_wct.errors import OutputError
+from lirs_wct.files import atomic_folder, atomic_write
+
+
+def listing(folder: Path) -> list[str]:
+    return sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*"))
+
+
+def test_a_file_appears_when_the_block_ends(tmp_path: Path) -> None:
+    target = tmp_path / "deep" / "map.pgm"
+    with atomic_write(target) as temporary:
+        assert temporary.suffix == ".pgm"
+        temporary.write_text("new")
+        assert not target.exists()
+    assert target.read_text() == "new"
+    assert listing(tmp_path) == ["deep", "deep/map.pgm"]
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_a_broken_off_file_leaves_the_old_one(tmp_path: Path, error: type[BaseException]) -> None:
+    target = tmp_path / "map.pgm"
+    target.write_text("old")
+
+    def broken_off() -> None:
+        with atomic_write(target) as temporary:
+            temporary.write_text("half")
+            raise error
+
+    with pytest.raises(error):
+        broken_off()
+    assert target.read_text() == "old"
+    assert listing(tmp_path) == ["map.pgm"]
+
+
+def test_a_folder_is_replaced_as_a_whole(tmp_path: Path) -> None:
+    target = tmp_path / "world"
+    for name in ("first", "second"):
+        with atomic_folder(target) as temporary:
+            (temporary / name).write_text(name)
+    assert listing(tmp_path) == ["world", "world/second"]
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_a_broken_off_folder_leaves_the_old_one(tmp_path: Path, error: type[BaseException]) -> None:
+    target = tmp_path / "world"
+    target.mkdir()
+    (target / "old").write_text("old")
+
+    def broken_off() -> None:
+        with atomic_folder(target) as temporary:
+            (temporary / "half").write_text("half")
+            raise error
+
+    with pytest.raises(error):
+        broken_off()
+    assert listing(tmp_path) == ["world", "world/old"]
+
+
+def test_errors_begin_with_the_path(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder").mkdir()
+    below = tmp_path / "file" / "x.stl"
+    with pytest.raises(OutputError) as below_file, atomic_write(below) as temporary:
+        temporary.write_text("")
+    assert str(below_file.value).startswith(f"{below}: cannot be written: ")
+    with pytest.raises(OutputError, match="is a folder"), atomic_write(tmp_path / "folder"):
+        pass
+    with pytest.raises(OutputError, match="is a file"), atomic_folder(tmp_path / "file"):
+        pass
+    assert listing(tmp_path) == ["file", "folder"]
+
+
+def test_a_block_that_writes_nothing_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="cannot be written"), atomic_write(tmp_path / "x.txt"):
+        pass
