@@ -55,8 +55,7 @@ class OccupancyGrid:
     @property
     def probability(self) -> NDArray[np.float32]:
         """(rows, cols) probability of being occupied, NaN = unknown."""
-        p: NDArray[np.float32] = 1 / (1 + np.exp(-self.log_odds))
-        return p
+        return (1 / (1 + np.exp(-self.log_odds))).astype(np.float32)
 
     @property
     def known(self) -> NDArray[np.bool_]:

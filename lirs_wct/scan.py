@@ -47,7 +47,7 @@ class LaserScan:
     @property
     def angles(self) -> NDArray[np.float64]:
         """(n,) beam angles in the sensor frame, radians."""
-        return self.angle_min + self.angle_increment * np.arange(len(self.ranges))
+        return self.angle_min + self.angle_increment * np.arange(len(self.ranges), dtype=np.float64)
 
     @property
     def hits(self) -> NDArray[np.bool_]:

@@ -61,7 +61,8 @@ class Trajectory:
     def yaw(self) -> NDArray[np.float64]:
         """(n,) radians."""
         w, x, y, z = self.quaternions.T
-        return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        yaw: NDArray[np.float64] = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return yaw
 
     @property
     def length(self) -> float:

@@ -1,0 +1,102 @@
+"""A world on disk: `world.json` says what it is, `world.npz` holds its arrays bit by bit."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from dataclasses import astuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import SourceError
+from lirs_wct.files import atomic_write
+from lirs_wct.grid import OccupancyGrid
+from lirs_wct.heightfield import HeightField
+from lirs_wct.pose import Pose2
+from lirs_wct.walls import WallGrid
+
+if TYPE_CHECKING:
+    from lirs_wct.world import World
+
+SCHEMA = 1
+JSON, ARRAYS = "world.json", "world.npz"
+
+
+def write_world(world: World, folder: Path) -> Path:
+    """Write the world's two files into a folder and return it.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    arrays: dict[str, NDArray[Any]] = {"surface": world.surface.z}
+    entry: dict[str, Any] = {
+        "schema": SCHEMA,
+        "name": world.name,
+        "kind": world.kind,
+        "scale": world.scale,
+        "surface": {"cell": world.surface.cell, "origin": world.surface.origin},
+        "starts": [astuple(pose) for pose in world.starts],
+        "arrays": ARRAYS,
+    }
+    if world.walls is not None:
+        arrays["walls"] = world.walls.solid
+        entry["walls"] = _grid_entry(world.walls) | {"height": world.walls.height}
+    if world.truth is not None:
+        arrays["truth"] = world.truth.log_odds
+        entry["truth"] = _grid_entry(world.truth)
+    with atomic_write(folder / ARRAYS) as path:
+        np.savez_compressed(path, **arrays)
+    with atomic_write(folder / JSON) as path:
+        path.write_text(json.dumps(entry, indent=1) + "\n", encoding="utf-8")
+    return folder
+
+
+def read_fields(folder: Path) -> dict[str, Any]:
+    """Read back the fields of a `World`.
+
+    Raises:
+        SourceError: a file is missing or damaged, or of another schema.
+    """
+    path = folder / JSON
+    try:
+        entry = json.loads(path.read_text(encoding="utf-8"))
+        if entry["schema"] != SCHEMA:
+            raise SourceError(
+                f"{path}: schema {entry['schema']} is not the one this version reads ({SCHEMA})"
+            )
+        with np.load(folder / entry["arrays"], allow_pickle=False) as arrays:
+            surface = HeightField(
+                arrays["surface"], _pair(entry["surface"]["cell"]), _pair(entry["surface"]["origin"])
+            )
+            walls, truth = entry.get("walls"), entry.get("truth")
+            return {
+                "name": entry["name"],
+                "kind": entry["kind"],
+                "surface": surface,
+                "walls": walls and WallGrid(arrays["walls"], *_placed(walls), walls["height"]),
+                "truth": truth and OccupancyGrid(arrays["truth"], *_placed(truth)),
+                "starts": tuple(Pose2(*start) for start in entry["starts"]),
+                "scale": entry["scale"],
+            }
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        reason = (
+            f"{error.strerror}"
+            if isinstance(error, OSError) and error.strerror
+            else f"{type(error).__name__}: {error}"
+        )
+        raise SourceError(f"{path}: not a built world, or damaged ({reason})") from error
+
+
+def _grid_entry(grid: WallGrid | OccupancyGrid) -> dict[str, Any]:
+    return {"resolution": grid.resolution, "origin": astuple(grid.origin)}
+
+
+def _placed(entry: dict[str, Any]) -> tuple[float, Pose2]:
+    return entry["resolution"], Pose2(*entry["origin"])
+
+
+def _pair(values: list[float]) -> tuple[float, float]:
+    return float(values[0]), float(values[1])

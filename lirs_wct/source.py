@@ -1,0 +1,62 @@
+"""What a user may call a source: a bundled name, a built folder, a picture or a map's YAML."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+from lirs_wct.bundled import RECIPES
+from lirs_wct.errors import SourceError
+from lirs_wct.options import BuildOptions
+
+
+class SourceKind(Enum):
+    """How a source is read."""
+
+    BUNDLED = "bundled world"
+    FOLDER = "built folder"
+    PICTURE = "picture of a terrain"
+    MAP = "laser map"
+    MAP_PICTURE = "picture of a laser map"
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A source that was found: its kind, its path (or bundled name) and the world's name."""
+
+    kind: SourceKind
+    path: Path
+    name: str
+
+
+def find_source(given: str | Path, options: BuildOptions) -> Source:
+    """Tell what a source is.
+
+    Raises:
+        SourceError: there is no such bundled world, file or built folder.
+    """
+    path = Path(given)
+    if str(given) in RECIPES:
+        return Source(SourceKind.BUNDLED, path, _name(str(given), options))
+    if not path.exists():
+        raise SourceError(
+            f"{given}: no such file or folder, nor a bundled world (bundled: {', '.join(RECIPES)})"
+        )
+    return Source(_kind(path, options), path, _name(path.stem if path.is_file() else path.name, options))
+
+
+def _kind(path: Path, options: BuildOptions) -> SourceKind:
+    if path.is_dir():
+        if not (path / "world.json").is_file():
+            raise SourceError(f"{path}: a folder that was built holds world.json, this one does not")
+        return SourceKind.FOLDER
+    if path.suffix.lower() in {".yaml", ".yml"}:
+        return SourceKind.MAP
+    return SourceKind.MAP_PICTURE if options.kind == "map" else SourceKind.PICTURE
+
+
+def _name(stem: str, options: BuildOptions) -> str:
+    """Return a name that every consumer accepts: Gazebo's URIs take no spaces."""
+    return re.sub(r"[^A-Za-z0-9_.-]+", "_", options.name or stem).strip("_.-") or "world"

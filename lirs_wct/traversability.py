@@ -1,0 +1,142 @@
+"""Where a robot's centre may be: the true ground, seen with the robot's limits."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.grid import OccupancyGrid
+from lirs_wct.heightfield import HeightField
+from lirs_wct.pose import Pose2
+from lirs_wct.walls import WallGrid
+
+BASELINE = 0.3
+"""Metres over which a slope counts: about a wheel. Shorter steps are roughness, not slope."""
+
+Mask = NDArray[np.bool_]
+
+
+def traversable(
+    surface: HeightField,
+    walls: WallGrid | None = None,
+    truth: OccupancyGrid | None = None,
+    *,
+    clearance: float,
+    max_slope: float,
+    resolution: float = 0.1,
+) -> OccupancyGrid:
+    """Return a grid whose free cells are where a robot's centre may be; all others are occupied.
+
+    Args:
+        surface: the ground.
+        walls: what stands on it.
+        truth: the input laser map; where given, only its free cells can be driven.
+        clearance: distance that the centre keeps from steep ground, walls and the border, metres.
+        max_slope: steepest ground that the robot drives, radians, over a baseline of 0.3 m.
+        resolution: metres a cell.
+    """
+    west, south, east, north = surface.bounds
+    shape = (max(1, math.ceil((north - south) / resolution)), max(1, math.ceil((east - west) / resolution)))
+    grid = OccupancyGrid(np.zeros(shape, np.float32), resolution, Pose2(west, south))
+    blocked = _steep_cells(surface, max_slope, grid)
+    if walls is not None:
+        blocked |= _wall_cells(walls, grid)
+    if truth is not None:
+        blocked |= ~_lookup(truth.free, truth.resolution, truth.origin, _centres(grid))
+    distance = _distance_to(blocked, resolution)
+    return OccupancyGrid.from_probability(np.where(distance > clearance, 0.0, 1.0), resolution, grid.origin)
+
+
+def start_poses(free: OccupancyGrid, count: int = 8) -> tuple[Pose2, ...]:
+    """Return up to `count` poses spread over the largest connected free area, the roomiest first.
+
+    Each faces the middle of that area. Farthest-point sampling, so the same grid gives the same poses.
+    """
+    area = largest_area(free.free)
+    cells = np.argwhere(area)
+    if len(cells) == 0:
+        return ()
+    room = _distance_to(~area, free.resolution)[area]
+    points = free.centres(cells)
+    middle = points.mean(axis=0)
+    chosen = [int(np.argmax(np.minimum(room, 3.0) - 0.02 * np.linalg.norm(points - middle, axis=1)))]
+    gap = np.linalg.norm(points - points[chosen[0]], axis=1)
+    while len(chosen) < min(count, len(points)):
+        chosen.append(int(np.argmax(gap + np.minimum(room, 2.0))))
+        gap = np.minimum(gap, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return tuple(_facing(points[i], middle) for i in chosen)
+
+
+def largest_area(mask: Mask) -> Mask:
+    """Return the largest 4-connected area of a mask (all False where there is none)."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    sizes = stats[1:, cv2.CC_STAT_AREA]
+    if len(sizes) == 0:
+        return np.zeros_like(mask)
+    area: Mask = labels == 1 + int(np.argmax(sizes))
+    return area
+
+
+def _facing(point: NDArray[np.float64], target: NDArray[np.float64]) -> Pose2:
+    dx, dy = (target - point).tolist()
+    return Pose2(float(point[0]), float(point[1]), math.atan2(dy, dx) if math.hypot(dx, dy) > 1e-9 else 0.0)
+
+
+def _steep_cells(surface: HeightField, max_slope: float, grid: OccupancyGrid) -> Mask:
+    """Mark cells of the grid that hold ground whose relief over the baseline exceeds the slope."""
+    fine = surface if max(surface.cell) <= grid.resolution else _sampled(surface, grid.resolution)
+    reach = [max(1, round(BASELINE / 2 / c)) for c in fine.cell]
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach[0] + 1, 2 * reach[1] + 1))
+    relief = cv2.dilate(fine.z, kernel) - cv2.erode(fine.z, kernel)
+    baseline = 2 * max(r * c for r, c in zip(reach, fine.cell, strict=True))
+    rows, cols = np.nonzero(relief > baseline * math.tan(max_slope))
+    x = fine.origin[0] + cols * fine.cell[0]
+    y = fine.origin[1] + (fine.z.shape[0] - 1 - rows) * fine.cell[1]
+    return _scatter(np.stack((x, y), axis=-1), grid)
+
+
+def _sampled(surface: HeightField, spacing: float) -> HeightField:
+    """Return the same surface with nodes at most `spacing` apart."""
+    west, south, east, north = surface.bounds
+    cols, rows = math.ceil((east - west) / spacing) + 1, math.ceil((north - south) / spacing) + 1
+    x, y = np.linspace(west, east, cols), np.linspace(north, south, rows)
+    z = surface.height_at(np.clip(x, west, east)[None, :], np.clip(y, south, north)[:, None])
+    cell = ((east - west) / (cols - 1), (north - south) / (rows - 1))
+    return HeightField(z.astype(np.float32), cell, surface.origin)
+
+
+def _wall_cells(walls: WallGrid, grid: OccupancyGrid) -> Mask:
+    """Mark cells of the grid that touch a wall: both grids' centres are looked up in the other."""
+    local = (np.argwhere(walls.solid)[:, ::-1] + 0.5) * walls.resolution
+    inside = _lookup(walls.solid, walls.resolution, walls.origin, _centres(grid))
+    return inside | _scatter(walls.origin.apply(local), grid)
+
+
+def _centres(grid: OccupancyGrid) -> NDArray[np.float64]:
+    rows, cols = grid.shape
+    return grid.centres(np.stack(np.mgrid[:rows, :cols], axis=-1))
+
+
+def _lookup(mask: Mask, resolution: float, origin: Pose2, points: NDArray[np.float64]) -> Mask:
+    """Return the mask's value at points; False outside."""
+    local = np.floor(origin.inverse().apply(points) / resolution).astype(np.int64)
+    col, row = local[..., 0], local[..., 1]
+    inside = (row >= 0) & (row < mask.shape[0]) & (col >= 0) & (col < mask.shape[1])
+    return inside & mask[np.where(inside, row, 0), np.where(inside, col, 0)]
+
+
+def _scatter(points: NDArray[np.float64], grid: OccupancyGrid) -> Mask:
+    marked = np.zeros(grid.shape, np.bool_)
+    cells = np.clip(grid.cells(points), 0, np.array(grid.shape) - 1)
+    marked[cells[..., 0], cells[..., 1]] = True
+    return marked
+
+
+def _distance_to(blocked: Mask, resolution: float) -> NDArray[np.float64]:
+    """Return metres from each cell to the nearest blocked one; beyond the border all is blocked."""
+    padded = np.pad(~blocked, 1).astype(np.uint8)
+    distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return distance[1:-1, 1:-1].astype(np.float64) * resolution

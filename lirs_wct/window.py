@@ -1,0 +1,65 @@
+"""Cutting a square out of a surface or a map, in the world's frame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.grid import OccupancyGrid
+from lirs_wct.heightfield import HeightField
+from lirs_wct.pose import Pose2
+
+Window = tuple[float, float, float]
+"""Centre x, y and side, metres."""
+
+
+def cut_surface(surface: HeightField, window: Window) -> HeightField:
+    """Keep the nodes of a square (rounded outward), its lowest point at z = 0, coordinates unchanged.
+
+    Raises:
+        ConfigError: the window does not overlap the surface.
+    """
+    rows, cols = surface.shape
+    west, south, east, north = surface.bounds
+    (x, y, side), half = window, window[2] / 2
+    if x + half <= west or x - half >= east or y + half <= south or y - half >= north:
+        raise ConfigError(
+            f"window {x:g},{y:g},{side:g} lies outside the terrain: "
+            f"x {west:g} to {east:g}, y {south:g} to {north:g} m"
+        )
+    c0, c1 = _span(x - half - west, x + half - west, surface.cell[0], cols)
+    r0, r1 = _span(y - half - south, y + half - south, surface.cell[1], rows)
+    z = surface.z[rows - 1 - r1 : rows - r0, c0 : c1 + 1]
+    return HeightField(
+        np.ascontiguousarray(z - z.min()),
+        surface.cell,
+        (west + c0 * surface.cell[0], south + r0 * surface.cell[1]),
+    )
+
+
+def cut_map(grid: OccupancyGrid, window: Window) -> OccupancyGrid:
+    """Keep the cells around a square (its bounding box in the grid's own axes).
+
+    Raises:
+        ConfigError: the window does not overlap the map.
+    """
+    x, y, side = window
+    corners = [(x + sx * side / 2, y + sy * side / 2) for sx in (-1, 1) for sy in (-1, 1)]
+    cells = grid.cells(corners)
+    low = np.maximum(cells.min(axis=0), 0)
+    high = np.minimum(cells.max(axis=0) + 1, grid.shape)
+    if np.any(high <= low):
+        raise ConfigError(f"window {x:g},{y:g},{side:g} lies outside the map")
+    part = np.ascontiguousarray(grid.log_odds[low[0] : high[0], low[1] : high[1]])
+    shift = Pose2(float(low[1]) * grid.resolution, float(low[0]) * grid.resolution)
+    return replace(grid, log_odds=part, origin=grid.origin @ shift)
+
+
+def _span(low: float, high: float, cell: float, count: int) -> tuple[int, int]:
+    """Return first and last node that cover [low, high], at least two of them."""
+    first = min(max(math.floor(low / cell + 1e-9), 0), count - 2)
+    last = min(max(math.ceil(high / cell - 1e-9), first + 1), count - 1)
+    return first, last
