@@ -1,0 +1,97 @@
+"""Trajectory errors: what is known without a computer."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lirs_validation.metrics import associated, rigid_alignment, trajectory_errors
+from lirs_wct.errors import ConfigError
+from lirs_wct.pose import Pose2
+from lirs_wct.trajectory import Trajectory
+
+finite = st.floats(-50, 50)
+poses = st.builds(Pose2, finite, finite, st.floats(-math.pi, math.pi))
+
+
+def circle(n: int = 200, radius: float = 3.0, rate: float = 25.0) -> Trajectory:
+    angles = np.linspace(0, 1.5 * math.pi, n)
+    path = [Pose2(radius * math.cos(a), radius * math.sin(a), a + math.pi / 2) for a in angles.tolist()]
+    return Trajectory.from_poses((np.arange(n) / rate).tolist(), path)
+
+
+@given(poses)
+def test_a_moved_copy_has_no_aligned_error(T: Pose2) -> None:
+    truth = circle()
+    errors = trajectory_errors(truth, truth.moved(T))
+    assert errors.ate_rmse < 1e-9
+    assert errors.yaw_rmse < 1e-6
+    assert errors.rpe_metre is not None
+    assert errors.rpe_metre.translation_rmse < 1e-9
+
+
+@given(poses)
+def test_the_start_pose_brings_the_map_frame_home(start: Pose2) -> None:
+    truth = circle()
+    errors = trajectory_errors(truth, truth.moved(start.inverse()), T_world_map=start)
+    assert errors.ate_rmse_unaligned < 1e-9
+    assert errors.final_drift < 1e-9
+
+
+@given(poses, poses)
+def test_moving_both_changes_nothing(T: Pose2, shift: Pose2) -> None:
+    truth, estimate = circle(), circle(radius=3.2)
+    one = trajectory_errors(truth, estimate)
+    both = trajectory_errors(truth.moved(T), estimate.moved(T))
+    assert both.ate_rmse == pytest.approx(one.ate_rmse, abs=1e-9)
+    assert both.ate_rmse_unaligned == pytest.approx(one.ate_rmse_unaligned, abs=1e-9)
+    # The aligned error does not care where the estimate lies, either.
+    elsewhere = trajectory_errors(truth, estimate.moved(shift))
+    assert elsewhere.ate_rmse == pytest.approx(one.ate_rmse, abs=1e-9)
+
+
+@given(poses)
+def test_alignment_finds_the_pose(T: Pose2) -> None:
+    points = np.random.default_rng(3).normal(size=(30, 2))
+    found = rigid_alignment(points, T.apply(points))
+    assert found.distance(T) < 1e-9
+    assert math.cos(found.yaw - T.yaw) == pytest.approx(1.0)
+
+
+def test_alignment_keeps_the_scale() -> None:
+    truth, twice = circle(radius=1.0), circle(radius=2.0)
+    assert trajectory_errors(truth, twice).ate_rmse > 0.3
+
+
+def test_a_constant_offset_is_unaligned_error_only() -> None:
+    truth = circle()
+    errors = trajectory_errors(truth, truth.moved(Pose2(3.0, 4.0, 0.0)))
+    assert errors.ate_rmse_unaligned == pytest.approx(5.0)
+    assert errors.final_drift == pytest.approx(5.0)
+    assert errors.length == pytest.approx(1.5 * math.pi * 3, rel=1e-3)
+    assert errors.poses == len(truth)
+
+
+def test_a_robot_that_stands_still() -> None:
+    still = Trajectory.from_poses([0.0, 0.1, 0.2], [Pose2(1, 2, 3)] * 3)
+    errors = trajectory_errors(still, still)
+    assert (errors.ate_rmse, errors.length, errors.rpe_metre, errors.rpe_second) == (0.0, 0.0, None, None)
+
+
+def test_association_takes_the_nearest_and_drops_the_lonely() -> None:
+    first, second = np.array([0.0, 1.0, 2.0, 9.0]), np.array([0.01, 0.5, 0.99, 1.3, 2.015, 3.0])
+    i, j = associated(first, second, max_gap=0.02)
+    assert i.tolist() == [0, 1, 2]
+    assert j.tolist() == [0, 2, 4]
+    back, forth = associated(second, first, max_gap=0.02)
+    assert (back.tolist(), forth.tolist()) == (j.tolist(), i.tolist())
+
+
+def test_trajectories_of_other_times_are_refused() -> None:
+    late = Trajectory.from_poses([100.0, 101.0], [Pose2(), Pose2(1, 0, 0)])
+    with pytest.raises(ConfigError, match="at least 2 poses within 0.02 s"):
+        trajectory_errors(circle(), late)
