@@ -1,0 +1,124 @@
+"""Every real picture: built, built with a warning, or refused with one clear line."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import pytest
+
+from lirs_wct.errors import SourceError
+from lirs_wct.image import read_height_field
+from lirs_wct.options import BuildOptions
+
+COLOUR = "is in colour"
+HOLES = "pixels have no height"
+PAGES = "pages, the first is taken"
+
+# file: outcome: (rows, cols) and the words of its warning, or the words of its refusal
+OUTCOMES: dict[str, tuple[tuple[int, int], str] | str] = {
+    "height/PX4-SITL_gazebo-classic__terrain.png": ((513, 513), ""),
+    "height/Pillow__16_bit_binary.pgm": ((100, 20), ""),
+    "height/Pillow__16bit.cropped.tif": ((64, 64), ""),
+    "height/TouchTerrain_for_CAGEO__geotiff_example.tif": ((379, 415), ""),
+    "height/TouchTerrain_for_CAGEO__pyramid.tif": ((101, 101), ""),
+    "height/gazebo_models__NAC_DTM_APOLLO15_E261N0036_257x257+7472+2152.png": ((257, 257), ""),
+    "height/gazebo_terrain_generator__prayag_height_map.tif": ((1025, 1025), ""),
+    "height/gz-common__dem_landscape.tif": ((125, 200), ""),
+    "height/gz-common__dem_moon.tif": ((33, 33), ""),
+    "height/gz-common__dem_squared.tif": ((129, 129), ""),
+    "height/gz-common__dem_unfinished.tif": ((33, 33), f"282 of 1089 {HOLES}"),
+    "height/gz-common__heightmap_bowl.png": ((129, 129), ""),
+    "height/gz-common__heightmap_flat_257x257.png": ((257, 257), ""),
+    "height/gz-sim__lookup_slip_heightmap.png": ((129, 129), ""),
+    "height/hmstl__mask.png": ((104, 138), ""),
+    "height/hmstl__scene.png": ((104, 138), ""),
+    "height/mujoco-terrain-based-on-grayscale-images__terrain0.png": ((100, 100), ""),
+    "height/mujoco__hfield.png": COLOUR,
+    "height/mujoco__hfield_240_280.png": ((240, 280), ""),
+    "height/pydelatin__fuji.png": COLOUR,
+    "height/rasterio__RGBA.uint16.tif": ((411, 634), "has 4 bands, the first is taken"),
+    "height/rasterio__float_nan.tif": ((2, 3), f"1 of 6 {HOLES}"),
+    "height/tin-terrain__valid_raster.tif": ((80, 100), f"970 of 8000 {HOLES}"),
+    "height/unicode путь 图.png": ((65, 97), ""),
+    "height/unitree_mujoco__height_field.png": ((128, 128), ""),
+    "height/unitree_mujoco__unitree_robot.jpeg": COLOUR,
+    "height/vrc_driving_heightmap.png": ((129, 129), ""),
+    "broken/Pillow__broken.png": "is damaged: the PNG does not begin with IHDR",
+    "broken/Pillow__broken_exif_dpi.jpg": COLOUR,
+    "broken/Pillow__decompression_bomb.gif": "image is 65535x1321 px = 86571735 pixels, at most",
+    "broken/Pillow__hopper_bw_500.png": ((500, 500), ""),
+    "broken/Pillow__pil_sample_cmyk.jpg": COLOUR,
+    "broken/gen_1x1.png": "image is 1x1 px, a terrain needs at least 2x2",
+    "broken/gen_1x64.png": "image is 1x64 px, a terrain needs at least 2x2",
+    "broken/gen_allblack_129.png": ((129, 129), ""),
+    "broken/gen_animated.gif": ((65, 97), f"has 4 {PAGES}"),
+    "broken/gen_badcrc.png": "is damaged: checksum of PNG chunk IDAT is wrong",
+    "broken/gen_bomb_header_100000x100000.png": "= 10000000000 pixels, at most",
+    "broken/gen_cmyk.jpg": ((65, 97), ""),
+    "broken/gen_empty.png": "is empty",
+    "broken/gen_float32_nan.tif": ((65, 97), f"15 of 6305 {HOLES}"),
+    "broken/gen_float32_nodata-9999.tif": ((65, 97), f"15 of 6305 {HOLES}"),
+    "broken/gen_gray16_97x65.png": ((65, 97), ""),
+    "broken/gen_gray1bit.png": ((64, 64), ""),
+    "broken/gen_gray2bit.png": ((64, 64), ""),
+    "broken/gen_p2_ascii.pgm": ((3, 4), ""),
+    "broken/gen_palette.png": ((65, 97), ""),
+    "broken/gen_palette_trns.png": ((65, 97), ""),
+    "broken/gen_pgm_short.pgm": "is damaged or uses a feature that cannot be decoded",
+    "broken/gen_progressive.jpg": ((65, 97), ""),
+    "broken/gen_text.png": "is not a picture; legal: PNG",
+    "broken/gen_truncated_half.png": "is truncated: the PNG's end is missing",
+    "broken/gen_zero_width.png": "image is 0x10 px, a terrain needs at least 2x2",
+}
+
+SIZES = {  # metres, from the GeoTIFFs' own scale; degrees at the centre's latitude
+    "gz-common__dem_moon.tif": (77.65, 77.65, 6.856),
+    "gz-common__dem_squared.tif": (3123.6, 3946.5, 253.08),
+    "tin-terrain__valid_raster.tif": (387.78, 309.44, 17.493),
+    "TouchTerrain_for_CAGEO__geotiff_example.tif": (15009.05, 13703.92, 415.42),
+}
+
+
+@pytest.mark.shared
+def test_the_table_is_complete(shared_data: Path) -> None:
+    there = {f"{d}/{p.name}" for d in ("height", "broken") for p in (shared_data / d).iterdir()}
+    assert there == set(OUTCOMES)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", OUTCOMES)
+def test_outcome(shared_data: Path, name: str, capfd: pytest.CaptureFixture[str]) -> None:
+    path, outcome = shared_data / name, OUTCOMES[name]
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        if isinstance(outcome, str):
+            with pytest.raises(SourceError) as refused:
+                read_height_field(path, BuildOptions())
+            message = str(refused.value)
+            assert message.startswith(f"{path}: ")
+            assert outcome in message
+            assert "\n" not in message
+            return
+        surface = read_height_field(path, BuildOptions())
+    shape, warning = outcome
+    assert surface.shape == shape
+    assert surface.z.min() == 0
+    assert [warning in str(w.message) for w in said] == [True] * bool(warning)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", [name for name, outcome in OUTCOMES.items() if outcome == COLOUR])
+def test_colour_builds_with_grayscale(shared_data: Path, name: str) -> None:
+    relief = read_height_field(shared_data / name, BuildOptions(grayscale=True)).relief
+    one_colour = name == "broken/Pillow__broken_exif_dpi.jpg"
+    assert relief == pytest.approx(0 if one_colour else 6)
+
+
+@pytest.mark.shared
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("name", SIZES)
+def test_geotiffs_keep_their_own_scale(shared_data: Path, name: str) -> None:
+    surface = read_height_field(shared_data / "height" / name, BuildOptions())
+    assert (*surface.size, surface.relief) == pytest.approx(SIZES[name], rel=1e-4)
