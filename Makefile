@@ -1,0 +1,31 @@
+# make demo   sets up .venv, drives a robot through the three bundled worlds, prints a table; pictures in out/demo/
+# make test   sets up .venv, runs every check
+PYTHON ?= python3
+BIN := .venv/bin
+PYTEST_ARGS ?=
+
+.PHONY: demo test clean
+
+demo: .venv/installed
+	$(BIN)/lirs-wct validate simple medium advanced --robot husky --mapper hector --seconds 120 --seed 1 -o out/demo
+
+test: .venv/installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/pytest $(PYTEST_ARGS)
+
+clean:
+	rm -rf .venv out worlds dist
+
+.venv/bin/python:
+	$(PYTHON) -m venv .venv || { echo "needs Python 3.11 or newer with its venv module (Debian, Ubuntu: apt install python3-venv)"; rm -rf .venv; exit 1; }
+
+.venv/installed: pyproject.toml | .venv/bin/python
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+.venv/installed-dev: pyproject.toml | .venv/bin/python
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@ .venv/installed

@@ -1,0 +1,128 @@
+"""The command line: `lirs-wct build | validate | view`."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from typer.exceptions import TyperException
+
+from lirs_validation.build_options import with_build_options
+from lirs_wct.errors import WctError
+from lirs_wct.options import BuildOptions
+
+RUN_FAILED, BAD_INPUT, INTERRUPTED = 3, 2, 130
+
+app = typer.Typer(
+    name="lirs-wct",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="A picture or a laser map becomes a world; robots drive and map it; figures say how well and how fast.",
+)
+out, err = Console(), Console(stderr=True)
+
+Sources = Annotated[
+    list[str], typer.Argument(help="simple, medium, advanced, a picture, a map YAML or a built folder.")
+]
+Source = Annotated[str, typer.Argument(help=Sources.__metadata__[0].help)]
+
+
+@app.command()
+@with_build_options
+def build(
+    source: Source,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the world's folder.")] = Path("worlds"),
+    *,
+    options: BuildOptions,
+) -> None:
+    """Build a world: Gazebo model and world, MuJoCo MJCF, meshes, texture, world.json."""
+    from lirs_wct.package import write_package
+    from lirs_wct.world import build_world
+
+    with err.status(f"building {source}"):
+        world = build_world(source, options)
+        folder = write_package(world, output)
+    width, depth = world.surface.size
+    out.print(f"{folder}: {world.kind}, {width:g} x {depth:g} m, relief {world.surface.relief:.2f} m")
+
+
+@app.command()
+@with_build_options
+def validate(
+    sources: Sources,
+    robot: Annotated[str, typer.Option(help="Robot that drives.")] = "husky",
+    mapper: Annotated[str, typer.Option(help="SLAM method that maps.")] = "hector",
+    lidar: Annotated[str | None, typer.Option(help="LRF preset; default: the robot's own.")] = None,
+    seconds: Annotated[float, typer.Option(help="Simulated seconds to drive.")] = 120.0,
+    seed: Annotated[int, typer.Option(help="Seed of every random number.")] = 1,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the runs' folders.")] = Path("out"),
+    *,
+    options: BuildOptions,
+) -> None:
+    """Drive a robot through worlds with SLAM running, and judge map, path and speed."""
+    from lirs_validation.progress import run_with_progress
+    from lirs_validation.record import RunConfig
+    from lirs_validation.report.table import results_table
+
+    configs = [
+        RunConfig(
+            source=source, robot=robot, mapper=mapper, lidar=lidar, seconds=seconds, seed=seed, build=options
+        )
+        for source in sources
+    ]
+    runs = run_with_progress(configs, output, err)
+    out.print(results_table([run.record for run in runs]))
+    for run in runs:
+        out.print(f"{run.folder}", soft_wrap=True, highlight=False)
+    if any(run.record.status != "ok" for run in runs):
+        raise typer.Exit(RUN_FAILED)
+
+
+@app.command()
+@with_build_options
+def view(
+    source: Source,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="PNG to write; default: NAME.png here.")
+    ] = None,
+    *,
+    options: BuildOptions,
+) -> None:
+    """Draw a picture of any source: hillshade, walls, start poses. No OpenGL needed."""
+    from lirs_validation.report.hillshade import view_figure
+    from lirs_wct.files import atomic_write
+    from lirs_wct.world import build_world
+
+    world = build_world(source, options)
+    target = output or Path(f"{world.name}.png")
+    with atomic_write(target) as path:
+        view_figure(world).savefig(path)
+    out.print(f"{target}", soft_wrap=True, highlight=False)
+
+
+def main() -> None:
+    """Run the command line; bad input is one line on stderr and exit code 2."""
+    warnings.showwarning = _one_line
+    try:
+        code = app(standalone_mode=False)
+    except WctError as error:
+        _fail(str(error))
+    except TyperException as error:
+        _fail(error.format_message())
+    except (typer.Abort, KeyboardInterrupt):
+        _fail("interrupted; nothing half-written was left", INTERRUPTED)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(message: str, code: int = BAD_INPUT) -> None:
+    err.print(f"lirs-wct: {message}", markup=False, highlight=False, soft_wrap=True, style="red")
+    sys.exit(code)
+
+
+def _one_line(message: Warning | str, *_: Any) -> None:
+    err.print(f"lirs-wct: {message}", markup=False, highlight=False, soft_wrap=True, style="yellow")

@@ -1,0 +1,35 @@
+"""The folder of a run: record, maps, trajectories, RTF over time, overview picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lirs_validation.judge import Maps
+from lirs_validation.loop import DriveLog
+from lirs_validation.record import RunRecord
+from lirs_validation.report.overview import overview_figure
+from lirs_wct.files import atomic_folder
+from lirs_wct.formats.map_server import write_map
+from lirs_wct.formats.tum import write_tum
+from lirs_wct.world import World
+
+
+def write_results(folder: Path, record: RunRecord, log: DriveLog, maps: Maps, world: World) -> Path:
+    """Write a run's folder, whole or not at all, in place of an older one; return it.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    truth, estimate, odometry = log.trajectories()
+    with atomic_folder(folder) as temporary:
+        record.save(temporary)
+        write_map(temporary / "map", maps.built)
+        write_map(temporary / "map_true_pose", maps.true_pose)
+        for name, trajectory in (("truth", truth), ("estimate", estimate), ("odometry", odometry)):
+            write_tum(temporary / f"{name}.tum", trajectory)
+        rows = [f"{second},{rtf:.4f}" for second, rtf in enumerate(record.rtf["series"], start=1)]
+        (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *rows]) + "\n", encoding="utf-8")
+        overview_figure(world, record, truth, estimate, maps.true_pose, maps.built).savefig(
+            temporary / "overview.png"
+        )
+    return folder

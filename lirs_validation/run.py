@@ -1,0 +1,164 @@
+"""One validation run, as in the paper's experiment: build the world, drive, map, judge, write."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from lirs_envs.robots import Robot, make_robot
+from lirs_envs.simulation import Simulation
+from lirs_validation.drivers import CoverageDriver, plan_coverage
+from lirs_validation.judge import Maps, judge_collisions, judge_maps, judge_rtf, judge_trajectory
+from lirs_validation.loop import DriveLog, drive
+from lirs_validation.record import RunConfig, RunRecord, machine, versions
+from lirs_validation.results import write_results
+from lirs_wct.errors import ConfigError
+from lirs_wct.options import BuildOptions
+from lirs_wct.pose import Pose2
+from lirs_wct.traversability import start_poses
+from lirs_wct.world import World, build_world
+from slam_baselines.mapper import make_mapper
+
+LARGE = 200.0
+"""A terrain longer than this (metres) is validated on a window."""
+WINDOW = 50.0
+MARGIN = 0.15
+"""Metres that a plan keeps beyond the robot's radius."""
+WARM_UP = 2.0
+"""Simulated seconds driven before the clock starts, so that compiled kernels are loaded."""
+
+Report = Callable[[str, float], None]
+"""Called with what is going on and the share that is done, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run leaves behind: the record, the log of the drive, the maps, the world."""
+
+    record: RunRecord
+    log: DriveLog
+    maps: Maps
+    world: World
+    folder: Path | None
+
+
+def validate(
+    source: str | Path,
+    *,
+    robot: str = "husky",
+    mapper: str = "hector",
+    lidar: str | None = None,
+    seconds: float = 120.0,
+    seed: int = 1,
+    options: BuildOptions | None = None,
+    out: str | Path | None = None,
+    report: Report | None = None,
+) -> Run:
+    """Drive a robot through a source with a mapper running, and say how well and how fast that went.
+
+    Args:
+        source: a bundled world's name, a built folder, a picture or a map YAML.
+        robot: name of the robot.
+        mapper: name of the mapper.
+        lidar: name of an LRF preset; None = the robot's own.
+        seconds: simulated time to drive.
+        seed: of every random number in the run; same seed, same bytes.
+        options: how the source becomes a world.
+        out: folder that receives the run's folder; None = nothing is written.
+        report: called with the stage and the share done.
+
+    Raises:
+        WctError: the source, a name or an option cannot be used, or results cannot be written.
+    """
+    config = RunConfig(
+        source=str(source),
+        robot=robot,
+        mapper=mapper,
+        lidar=lidar,
+        seconds=seconds,
+        seed=seed,
+        build=options or BuildOptions(),
+    )
+    return run(config, out=None if out is None else Path(out), report=report)
+
+
+def run(config: RunConfig, *, out: Path | None = None, report: Report | None = None) -> Run:
+    """Run a config (see `validate`)."""
+    tell = report or (lambda stage, share: None)
+    machine_robot = make_robot(config.robot)
+    make_mapper(config.mapper)
+    tell("world", 0.0)
+    world = validation_world(config)
+    tell("plan", 0.0)
+    driver = plan(world, machine_robot, config)
+    simulation = Simulation(world, machine_robot, lidar=config.lidar, seed=config.seed)
+    compile_seconds = _warm_up(world, machine_robot, driver.start, config)
+    log = drive(
+        simulation,
+        driver,
+        make_mapper(config.mapper),
+        driver.start,
+        config.seconds,
+        lambda done: tell("drive", done / config.seconds),
+    )
+    tell("judge", 1.0)
+    return judge(config, world, simulation, log, compile_seconds, out)
+
+
+def validation_world(config: RunConfig) -> World:
+    """Build the config's world; of a terrain larger than 200 m, its middle 50 m."""
+    world = build_world(config.source, config.build)
+    if max(world.surface.size) <= LARGE or world.kind != "terrain" or config.build.window is not None:
+        return world
+    west, south, east, north = world.surface.bounds
+    window = ((west + east) / 2, (south + north) / 2, WINDOW)
+    return build_world(config.source, replace(config.build, window=window))
+
+
+def plan(world: World, robot: Robot, config: RunConfig) -> CoverageDriver:
+    """Plan a tour over the true ground; the mapper sees none of it.
+
+    Raises:
+        ConfigError: the robot fits nowhere in this world.
+    """
+    free = world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope)
+    starts = start_poses(free)
+    if not starts:
+        raise ConfigError(
+            f"{config.source}: no place for {robot.name}: it needs {2 * (robot.radius + MARGIN):.1f} m of "
+            f"free ground that is flatter than {np.degrees(robot.max_slope):.0f} deg"
+        )
+    start = starts[(config.seed - 1) % len(starts)]
+    return plan_coverage(free, start, seconds=config.seconds, rng=np.random.default_rng((config.seed, 2)))
+
+
+def judge(
+    config: RunConfig,
+    world: World,
+    simulation: Simulation,
+    log: DriveLog,
+    compile_seconds: float,
+    out: Path | None,
+) -> Run:
+    """Turn a finished drive into a record and, where a folder is given, into files."""
+    maps = judge_maps(world, log)
+    record = RunRecord(
+        config=config,
+        world=_described(world, simulation, config),
+        status=log.status,
+        reason=log.reason,
+        rtf=judge_rtf(log, simulation) | {"compile_seconds": compile_seconds},
+        trajectory=judge_trajectory(log),
+        map=maps.scores,
+        collisions=judge_collisions(simulation),
+        mapper=log.mapper_stats,
+        versions=versions(),
+        machine=machine(),
+    )
+    folder = None if out is None else write_results(out / record.name, record, log, maps, world)
+    return Run(record, log, maps, world, folder)
