@@ -1,0 +1,94 @@
+"""A height field becomes a closed solid: surface, skirt down its border, flat base."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.heightfield import HeightField
+from lirs_wct.mesh import TriangleMesh
+
+MIN_THICKNESS = 0.1
+"""Metres of ground below the lowest point, at least: a robot's wheel must not reach through in a step."""
+
+
+def solid_mesh(surface: HeightField, *, thickness: float | None = None) -> TriangleMesh:
+    """Return the full grid as a closed mesh: two triangles a cell, a skirt, and a base.
+
+    Vertices come in this order: the surface's nodes row by row from the north-west, then the base's
+    border. Cells split from south-west to north-east as `HeightField` says.
+
+    Args:
+        surface: the ground.
+        thickness: metres from the lowest point down to the base; default a tenth of the relief and at
+            least 0.1 m.
+    """
+    rows, cols = surface.shape
+    vertices = np.empty((rows * cols, 3))
+    grid = vertices.reshape(rows, cols, 3)
+    x, y = node_axes(surface)
+    grid[..., 0], grid[..., 1], grid[..., 2] = x, y[:, None], surface.z
+    return close_solid(
+        vertices, _grid_faces(rows, cols), _border(rows, cols), base_height(surface, thickness)
+    )
+
+
+def base_height(surface: HeightField, thickness: float | None = None) -> float:
+    """Return z of the base, metres (see `solid_mesh`)."""
+    if thickness is None:
+        thickness = max(MIN_THICKNESS, surface.relief / 10)
+    return float(surface.z.min()) - thickness
+
+
+def node_axes(surface: HeightField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return x (cols,) from west to east and y (rows,) from north to south of the nodes, metres."""
+    rows, cols = surface.shape
+    west, south, east, north = surface.bounds
+    # linspace: the border lies on the bounds to the last bit.
+    return np.linspace(west, east, cols), np.linspace(north, south, rows)
+
+
+def close_solid(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], border: NDArray[np.int32], z_base: float
+) -> TriangleMesh:
+    """Add a skirt and a base to an open surface over a rectangle.
+
+    The base is a fan around its centre, which the convex outline allows.
+
+    Args:
+        vertices: (n, 3) metres.
+        faces: (m, 3), counter-clockwise from above.
+        border: (k,) vertices along the outline, counter-clockwise from above.
+        z_base: height of the base, metres, below every vertex.
+    """
+    n, k = len(vertices), len(border)
+    base = vertices[border]
+    base[:, 2] = z_base
+    centre = np.array([[*(base[:, :2].min(axis=0) + base[:, :2].max(axis=0)) / 2, z_base]])
+    top, top_next = border, np.roll(border, -1)
+    low = np.arange(n, n + k, dtype=np.int32)
+    low_next = np.roll(low, -1)
+    middle = np.full(k, n + k, dtype=np.int32)
+    skirt = np.concatenate(
+        (np.stack((top, low, low_next), axis=1), np.stack((top, low_next, top_next), axis=1))
+    )
+    bottom = np.stack((low_next, low, middle), axis=1)
+    return TriangleMesh(np.concatenate((vertices, base, centre)), np.concatenate((faces, skirt, bottom)))
+
+
+def _grid_faces(rows: int, cols: int) -> NDArray[np.int32]:
+    """Return (2 * cells, 3) faces; both triangles of a cell stand next to each other."""
+    nw = (np.arange(rows - 1, dtype=np.int32)[:, None] * cols + np.arange(cols - 1, dtype=np.int32)).ravel()
+    faces = np.empty((len(nw), 2, 3), dtype=np.int32)
+    # nw, sw, ne and sw, se, ne share the diagonal sw-ne.
+    for i, offset in enumerate((0, cols, 1)):
+        faces[:, 0, i] = nw + offset
+    for i, offset in enumerate((cols, cols + 1, 1)):
+        faces[:, 1, i] = nw + offset
+    return faces.reshape(-1, 3)
+
+
+def _border(rows: int, cols: int) -> NDArray[np.int32]:
+    """Return the outline's nodes, counter-clockwise from above, from the north-west corner."""
+    node = np.arange(rows * cols, dtype=np.int32).reshape(rows, cols)
+    return np.concatenate((node[:-1, 0], node[-1, :-1], node[:0:-1, -1], node[0, :0:-1]))
