@@ -1,0 +1,83 @@
+"""Where a robot may be: away from walls, steep ground, the border, and the unknown."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from lirs_wct.grid import OccupancyGrid
+from lirs_wct.heightfield import HeightField
+from lirs_wct.pose import Pose2
+from lirs_wct.traversability import start_poses, traversable
+from lirs_wct.walls import WallGrid
+
+SLOPE = math.radians(20)
+
+
+def at(grid: OccupancyGrid, x: float, y: float) -> bool:
+    row, col = grid.cells((x, y))
+    return bool(grid.free[row, col])
+
+
+def flat(side: float = 10.0, cell: float = 0.1) -> np.ndarray:
+    return np.zeros((round(side / cell) + 1,) * 2, np.float32)
+
+
+@pytest.mark.parametrize("cell", [0.05, 0.25, 1.0])
+def test_a_ramp_is_driven_up_to_the_limit(cell: float) -> None:
+    x = np.arange(round(10 / cell) + 1) * cell
+    for degrees, drivable in ((15, True), (25, False)):
+        z = np.tile((x * math.tan(math.radians(degrees))).astype(np.float32), (len(x), 1))
+        field = HeightField.centred(z, (cell, cell))
+        grid = traversable(field, clearance=0.5, max_slope=SLOPE)
+        assert at(grid, 0, 0) is drivable
+        turned = HeightField.centred(np.ascontiguousarray(z.T), (cell, cell))
+        assert at(traversable(turned, clearance=0.5, max_slope=SLOPE), 0, 0) is drivable
+
+
+def test_clearance_is_kept_from_a_block_and_from_the_border() -> None:
+    z = flat()
+    z[45:56, 45:56] = 1.0  # 1 m wide, in the middle
+    grid = traversable(HeightField.centred(z, (0.1, 0.1)), clearance=0.5, max_slope=SLOPE)
+    assert not at(grid, 0.9, 0)
+    assert at(grid, 1.4, 0)
+    assert not at(grid, 4.7, 3)
+    assert at(grid, 4.2, 3)
+
+
+def test_small_steps_are_roughness_not_slope() -> None:
+    z = flat()
+    z[:, 50:] = 0.03
+    assert at(traversable(HeightField.centred(z, (0.1, 0.1)), clearance=0.3, max_slope=SLOPE), 0, 0)
+
+
+def test_walls_and_unknown_cells_of_a_turned_map_block() -> None:
+    origin = Pose2(1.0, 2.0, 0.5)
+    solid = np.zeros((60, 80), np.bool_)
+    solid[:, 40] = True
+    p = np.where(solid, 1.0, 0.0)
+    p[:20] = np.nan
+    truth = OccupancyGrid.from_probability(p, 0.1, origin)
+    walls = WallGrid(solid, 0.1, origin)
+    low, high = walls.corners.min(axis=0), walls.corners.max(axis=0)
+    floor = HeightField(np.zeros((2, 2), np.float32), tuple(high - low), tuple(low))
+    grid = traversable(floor, walls, truth, clearance=0.4, max_slope=SLOPE)
+    for local, drivable in (((2.0, 4.0), True), ((3.7, 4.0), False), ((2.0, 1.0), False), ((6.0, 4.0), True)):
+        assert at(grid, *origin.apply(local)) is drivable
+
+
+def test_starts_lie_in_one_free_area_and_apart() -> None:
+    p = np.ones((100, 100))
+    p[10:90, 10:60] = 0.0
+    p[10:20, 80:90] = 0.0
+    grid = OccupancyGrid.from_probability(p, 0.1)
+    starts = start_poses(grid, 5)
+    assert len(starts) == 5
+    assert all(1.0 <= s.y <= 9.0 and 1.0 <= s.x <= 6.0 for s in starts)
+    assert min(a.distance(b) for a in starts for b in starts if a is not b) > 1.5
+
+
+def test_no_free_ground_gives_no_start() -> None:
+    assert start_poses(OccupancyGrid.from_probability(np.ones((5, 5)), 0.1)) == ()
