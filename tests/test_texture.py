@@ -1,0 +1,107 @@
+"""Cube projection: continuous from ground to skirt, normals right, nothing moved."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.heightfield import HeightField
+from lirs_wct.mesh import TriangleMesh
+from lirs_wct.solid import solid_mesh
+from lirs_wct.texture import cube_uv
+
+
+def hills(rows: int = 20, cols: int = 30, height: float = 1.0) -> HeightField:
+    rng = np.random.default_rng(3)
+    z = np.cumsum(np.cumsum(rng.normal(size=(rows, cols)), 0), 1)
+    z = (z - z.min()) / np.ptp(z) * height
+    return HeightField.centred(z.astype(np.float32), (0.5, 0.5))
+
+
+def box() -> TriangleMesh:
+    cube = trimesh.creation.box(extents=(2, 4, 1))
+    return TriangleMesh(np.asarray(cube.vertices, float), np.asarray(cube.faces, np.int32))
+
+
+def test_the_shape_is_untouched() -> None:
+    mesh = solid_mesh(hills())
+    textured = cube_uv(mesh)
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], textured.vertices[textured.faces])
+    assert trimesh.Trimesh(textured.vertices, textured.faces).is_watertight
+
+
+def test_gentle_ground_is_seen_from_above_and_one_texture_spans_it() -> None:
+    surface = hills()
+    textured = cube_uv(solid_mesh(surface))
+    assert textured.uv is not None
+    ground = textured.normals[:, 2] > 0.5  # type: ignore[index]
+    assert ground.sum() == surface.z.size
+    span = max(surface.size)
+    expected = (textured.vertices[ground, :2] - (surface.bounds[0], surface.bounds[1])) / span
+    np.testing.assert_allclose(textured.uv[ground], expected, atol=1e-12)
+    assert textured.uv[ground].min() == 0
+    assert textured.uv[ground].max() == pytest.approx(1)
+
+
+def test_no_seam_between_ground_and_skirt() -> None:
+    """Every place on the rim has one texture coordinate, but for the four corners' two skirts."""
+    textured = cube_uv(solid_mesh(hills()))
+    assert textured.uv is not None
+    assert textured.normals is not None
+    skirt = np.abs(textured.normals[:, 2]) < 1e-9
+    ground = textured.normals[:, 2] > 0.5
+    uv_of = {tuple(p): uv for p, uv in zip(textured.vertices[ground], textured.uv[ground], strict=True)}
+    rim = [i for i in np.flatnonzero(skirt) if tuple(textured.vertices[i]) in uv_of]
+    assert len(rim) == 2 * (20 + 30 - 2) + 4
+    for i in rim:
+        np.testing.assert_allclose(textured.uv[i], uv_of[tuple(textured.vertices[i])], atol=1e-12)
+
+
+def test_texels_on_the_skirt_are_as_large_as_on_the_ground() -> None:
+    textured = cube_uv(solid_mesh(hills()), size=2.0)
+    assert textured.uv is not None
+    corners, flat = textured.vertices[textured.faces], textured.uv[textured.faces]
+    skirt = np.abs(textured.face_normals[:, 2]) < 1e-9
+    u, v = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    area_uv = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])[skirt] * 2.0**2
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    np.testing.assert_allclose(area_uv.sum(), area[skirt].sum(), rtol=1e-9)
+
+
+def test_steep_ground_is_seen_from_the_side() -> None:
+    textured = cube_uv(solid_mesh(hills(height=30.0)))
+    assert textured.uv is not None
+    corners, flat = textured.vertices[textured.faces], textured.uv[textured.faces]
+    u, v = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    area_uv = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) * np.ptp(textured.bounds, axis=0).max() ** 2
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    ground = textured.face_normals[:, 2] > 1e-6
+    steep = textured.face_normals[:, 2] < 0.5
+    assert (ground & steep).sum() > 100
+    # The dominant axis sees at least 1/sqrt(3) of every face, so nothing is stretched by more.
+    assert (area_uv[ground] >= area[ground] / np.sqrt(3) * (1 - 1e-9)).all()
+
+
+def test_a_box_keeps_its_edges_sharp() -> None:
+    textured = cube_uv(box())
+    assert textured.normals is not None
+    assert len(textured.vertices) == 24
+    np.testing.assert_allclose(np.abs(textured.normals).max(axis=1), 1)
+    np.testing.assert_allclose(textured.normals[textured.faces[:, 0]], textured.face_normals, atol=1e-12)
+
+
+def test_normals_are_those_of_the_surface() -> None:
+    x = np.linspace(0, 0.5, 11, dtype=np.float32)
+    plane = HeightField.centred(np.tile(x, (6, 1)), (0.1, 0.3))
+    textured = cube_uv(solid_mesh(plane))
+    assert textured.normals is not None
+    ground = textured.normals[:, 2] > 0.1
+    np.testing.assert_allclose(textured.normals[ground], [[-(0.2**0.5), 0, 0.8**0.5]] * 66, atol=1e-5)
+
+
+@pytest.mark.parametrize("size", [0.0, -1.0, float("nan")])
+def test_an_impossible_size_is_refused(size: float) -> None:
+    with pytest.raises(ConfigError, match="texture size must be"):
+        cube_uv(box(), size)
