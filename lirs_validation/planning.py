@@ -1,0 +1,215 @@
+"""The coverage planner: an endless tour over the places where a robot may be.
+
+Greedy, like a person who is told to see everything: go to the nearest place not seen yet, rather ahead
+than behind, and now and then back to an old place, which is what closes loops.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_validation.grid_search import Reach, search
+from lirs_validation.path_smoothing import arc_length, smoothed
+from lirs_wct.errors import ConfigError
+from lirs_wct.grid import OccupancyGrid
+from lirs_wct.pose import Pose2
+
+Points = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TourConfig:
+    """How the planner chooses.
+
+    Attributes:
+        radius: a cell is covered once the tour passes within this distance, on free ground, metres.
+        room: distance to blocked cells that a path likes to keep, metres.
+        narrow: how many times longer a metre feels where there is no room at all.
+        turn: metres that a turn by 180 deg is worth when the next goal is chosen.
+        loop: metres of tour between two returns to an old place.
+
+    Raises:
+        ConfigError: a value is not above 0.
+    """
+
+    radius: float = 4.0
+    room: float = 0.6
+    narrow: float = 6.0
+    turn: float = 6.0
+    loop: float = 50.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not value > 0:
+                raise ConfigError(f"{name} of a tour must be above 0, got {value}")
+
+
+class CoveragePlanner:
+    """Plans tours over free cells and remembers what they covered.
+
+    Args:
+        free: free cells = where the robot's centre may be.
+        start: any pose; only what can be reached from there counts.
+        rng: chooses among goals.
+        config: how to choose.
+
+    Raises:
+        ConfigError: no cell is free.
+    """
+
+    def __init__(
+        self,
+        free: OccupancyGrid,
+        start: Pose2,
+        rng: np.random.Generator,
+        config: TourConfig | None = None,
+    ) -> None:
+        self.config = config or TourConfig()
+        self._grid, self._rng = free, rng
+        self._free = _area_round(free, start)
+        padded = np.pad(self._free, 1).astype(np.uint8)
+        distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+        self.room: NDArray[np.float64] = np.where(self._free, distance * free.resolution, 0.0)
+        lack = 1 - np.minimum(self.room / self.config.room, 1.0)
+        self._weight = np.where(self._free, 1 + (self.config.narrow - 1) * lack**2, np.inf)
+        self._plain = np.where(self._free, 1.0, np.inf)
+        self._covered_at = np.full(free.shape, -np.inf)
+        self._driven: Points = np.array([[start.x, start.y]])
+        self._length = 0.0
+        self._next_loop = self.config.loop
+
+    @property
+    def coverage(self) -> float:
+        """Share of the reachable cells that the tours so far pass."""
+        return float((self._covered_at[self._free] > -np.inf).mean())
+
+    def tour(self, start: Pose2, length: float) -> Points:
+        """Return (n, 2) points 0.1 m apart: a free path from a pose, at least `length` metres long.
+
+        The first point is the middle of the free cell nearest to the pose. Shorter only where there
+        is a single free cell.
+        """
+        cell = self._nearest_free(start)
+        heading = start.yaw
+        legs, planned = [self._grid.centres(cell[None])], 0.0
+        self._cover(cell[None])
+        while planned < length:
+            leg = self._leg(cell, heading)
+            if len(leg) < 2:
+                break
+            points = self._grid.centres(leg)
+            legs.append(points[1:])
+            step = float(arc_length(points)[-1])
+            planned += step
+            self._length += step
+            self._driven = np.concatenate((self._driven, points[1:]))
+            self._cover(leg)
+            cell = leg[-1]
+            tail = points[-1] - points[max(0, len(points) - 8)]
+            heading = math.atan2(tail[1], tail[0])
+        return smoothed(np.concatenate(legs), self._grid, self.room, keep=self.config.room)
+
+    def room_at(self, points: Points) -> NDArray[np.float64]:
+        """Return (n,) metres from points (n, 2) to the nearest blocked cell; 0 in one."""
+        cells = np.clip(self._grid.cells(points), 0, np.array(self._free.shape) - 1)
+        return self.room[cells[:, 0], cells[:, 1]]
+
+    def forget(self, undriven: float) -> None:
+        """Take back the last metres of the tour: they were planned and will not be driven."""
+        arc = arc_length(self._driven)
+        self._length = max(0.0, self._length - undriven)
+        self._driven = self._driven[arc <= max(arc[-1] - undriven, 0.0)]
+        self._covered_at[self._covered_at > self._length] = -np.inf
+
+    def avoid(self, point: tuple[float, float], radius: float) -> None:
+        """Make cells round a point in the grid's frame so dear that only the last way leads there."""
+        rows, cols = self._free.shape
+        centres = self._grid.centres(np.stack(np.mgrid[:rows, :cols], axis=-1))
+        near = np.linalg.norm(centres - np.array(point), axis=-1) < radius
+        self._weight[near & self._free] += 50.0
+
+    def _leg(self, cell: NDArray[np.int64], heading: float) -> NDArray[np.int64]:
+        """Return cells (n, 2) from here to the next goal."""
+        goals = self._goals(cell)
+        if not goals.any():
+            return cell[None]
+        slack = self.config.turn + self.config.radius
+        reach = search(self._weight, cell[None], self._grid.resolution, goals=goals, slack=slack)
+        return reach.path(self._choice(reach, goals, cell, heading))
+
+    def _goals(self, cell: NDArray[np.int64]) -> Mask:
+        """Mark where to go next: an old place when a loop is due, else what no tour has covered yet.
+
+        When all is covered, the fifth that was covered longest ago.
+        """
+        other = self._free.copy()
+        other[cell[0], cell[1]] = False
+        if self._length >= self._next_loop:
+            self._next_loop = self._length + self.config.loop * self._rng.uniform(0.7, 1.3)
+            return self._old_place() & other
+        never = other & (self._covered_at == -np.inf)
+        if never.any() or not other.any():
+            return never
+        return other & (self._covered_at <= np.quantile(self._covered_at[other], 0.2))
+
+    def _old_place(self) -> Mask:
+        """Mark the cell of a point of the first half of the tour, the nearest of a few picked by chance."""
+        early = self._driven[: max(1, len(self._driven) // 2)]
+        picks = early[self._rng.integers(len(early), size=4)]
+        distance = np.linalg.norm(picks - self._driven[-1], axis=1)
+        row, col = self._grid.cells(picks[int(np.argmin(distance))])
+        mask = np.zeros(self._free.shape, np.bool_)
+        mask[row, col] = self._free[row, col]
+        return mask if mask.any() else self._free
+
+    def _choice(self, reach: Reach, goals: Mask, cell: NDArray[np.int64], heading: float) -> tuple[int, int]:
+        """Choose among reached goals: near, ahead, and a little by chance."""
+        reached = np.argwhere(goals & np.isfinite(reach.cost))
+        if len(reached) > 300:
+            reached = reached[self._rng.choice(len(reached), 300, replace=False)]
+        offset = self._grid.centres(reached) - self._grid.centres(cell)
+        turn = np.abs(
+            np.remainder(np.arctan2(offset[:, 1], offset[:, 0]) - heading + math.pi, math.tau) - math.pi
+        )
+        cost = reach.cost[reached[:, 0], reached[:, 1]] + self.config.turn * turn / math.pi
+        # A goal at the rim of what is covered brings little: rather one step into the unknown.
+        best = int(np.argmin(cost - self._gain(reached) + self._rng.uniform(0, 0.5, len(reached))))
+        return int(reached[best, 0]), int(reached[best, 1])
+
+    def _gain(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return (n,) metres that going there is worth: 0 to 2 radii by the share of new ground around."""
+        reach = max(1, round(self.config.radius / self._grid.resolution))
+        new = (self._free & (self._covered_at == -np.inf)).astype(np.float32)
+        share = cv2.boxFilter(new, -1, (2 * reach + 1, 2 * reach + 1), borderType=cv2.BORDER_CONSTANT)
+        worth: NDArray[np.float64] = (
+            2 * self.config.radius * share[cells[:, 0], cells[:, 1]].astype(np.float64)
+        )
+        return worth
+
+    def _cover(self, path: NDArray[np.int64]) -> None:
+        """Mark what lies within the radius of a path, measured on free ground and not through walls."""
+        near = search(self._plain, path, self._grid.resolution, limit=self.config.radius)
+        self._covered_at[np.isfinite(near.cost)] = self._length
+
+    def _nearest_free(self, pose: Pose2) -> NDArray[np.int64]:
+        cells = np.argwhere(self._free)
+        here = self._grid.cells((pose.x, pose.y))
+        nearest: NDArray[np.int64] = cells[int(np.argmin(np.sum((cells - here) ** 2, axis=1)))]
+        return nearest
+
+
+def _area_round(grid: OccupancyGrid, start: Pose2) -> Mask:
+    """Return the connected free area nearest to a pose."""
+    _, labels = cv2.connectedComponents(grid.free.astype(np.uint8), connectivity=4)
+    cells = np.argwhere(labels > 0)
+    if len(cells) == 0:
+        raise ConfigError("a tour needs at least one free cell, got a grid without any")
+    row, col = cells[int(np.argmin(np.sum((cells - grid.cells((start.x, start.y))) ** 2, axis=1)))]
+    area: Mask = labels == labels[row, col]
+    return area
