@@ -67,7 +67,9 @@ def table(rows: list[dict[str, Any]]) -> Table:
     """Return the rows for people; milliseconds are per simulated second."""
     shown = Table(*rows[0], title="whole run, Husky, lms111 (parts in ms per simulated second)")
     for entry in rows:
-        shown.add_row(*(f"{v:.3g}" if isinstance(v, float) else "-" if v is None else str(v) for v in entry.values()))
+        shown.add_row(
+            *(f"{v:.3g}" if isinstance(v, float) else "-" if v is None else str(v) for v in entry.values())
+        )
     return shown
 
 

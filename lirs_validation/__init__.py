@@ -9,7 +9,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Run", "RunConfig", "RunRecord", "read_record", "validate"]
 
-_HOMES = {"Run": "run", "validate": "run", "RunConfig": "record", "RunRecord": "record", "read_record": "record"}
+_HOMES = {
+    "Run": "run",
+    "validate": "run",
+    "RunConfig": "record",
+    "RunRecord": "record",
+    "read_record": "record",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -114,7 +114,9 @@ def with_build_options(command: Callable[..., Any]) -> Callable[..., Any]:
         chosen = {key: given.pop(key) for key in shared.parameters}
         return command(**given, options=build_options(**chosen))
 
-    parameters = [p for p in own.parameters.values() if p.name != "options"] + list(shared.parameters.values())
+    parameters = [p for p in own.parameters.values() if p.name != "options"] + list(
+        shared.parameters.values()
+    )
     keywords = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in parameters]
     wrapped.__signature__ = inspect.Signature(keywords)  # type: ignore[attr-defined]
     wrapped.__annotations__ = {p.name: p.annotation for p in keywords}

@@ -22,7 +22,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    help="A picture or a laser map becomes a world; robots drive and map it; figures say how well and how fast.",
+    help="Turn a picture or a laser map into a world, drive it with SLAM running, judge the result.",
 )
 out, err = Console(), Console(stderr=True)
 
@@ -36,7 +36,9 @@ Source = Annotated[str, typer.Argument(help=Sources.__metadata__[0].help)]
 @with_build_options
 def build(
     source: Source,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the world's folder.")] = Path("worlds"),
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the world's folder.")] = Path(
+        "worlds"
+    ),
     *,
     options: BuildOptions,
 ) -> None:
@@ -60,7 +62,9 @@ def validate(
     lidar: Annotated[str | None, typer.Option(help="LRF preset; default: the robot's own.")] = None,
     seconds: Annotated[float, typer.Option(help="Simulated seconds to drive.")] = 120.0,
     seed: Annotated[int, typer.Option(help="Seed of every random number.")] = 1,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the runs' folders.")] = Path("out"),
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the runs' folders.")] = Path(
+        "out"
+    ),
     *,
     options: BuildOptions,
 ) -> None:

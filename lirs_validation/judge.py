@@ -34,9 +34,7 @@ def judge_maps(world: World, log: DriveLog, mapper: Mapper) -> Maps:
         T_map_base = T_world_map.inverse() @ T_world_base.to_pose2()
         reference.update(observation.scan, T_map_base, observation.imu)
     built, true_pose = built.moved(T_world_map), reference.map().moved(T_world_map)
-    scores = map_scores(
-        built, true_pose, surface=world.surface, walls=world.walls, truth=world.truth
-    )
+    scores = map_scores(built, true_pose, surface=world.surface, walls=world.walls, truth=world.truth)
     return Maps(built, true_pose, asdict(scores))
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lirs_envs.simulation import Observation, Simulation
-from lirs_validation.drivers import Driver
+from lirs_validation.drivers import CoverageDriver
 from lirs_validation.record import Status
 from lirs_wct.errors import SimulationError
 from lirs_wct.pose import Pose2, Pose3
@@ -62,22 +62,23 @@ class DriveLog:
 
 def drive(
     simulation: Simulation,
-    driver: Driver,
+    driver: CoverageDriver,
     mapper: Mapper,
-    start: Pose2,
     seconds: float,
     progress: Progress | None = None,
 ) -> DriveLog:
     """Drive for a time, or until something fails; the failure is in the log, not raised."""
     log = DriveLog()
-    observation = simulation.reset(start)
+    observation = simulation.reset(driver.start)
     _map(log, observation, simulation, mapper, time.perf_counter())
     period = simulation.period
     next_report = 1.0
     for tick in range(max(1, math.ceil(seconds / period - 1e-9))):
         begun = time.perf_counter()
         try:
-            observation = simulation.advance(driver.command(simulation.T_world_base.to_pose2(), tick * period))
+            observation = simulation.advance(
+                driver.command(simulation.T_world_base.to_pose2(), tick * period)
+            )
         except SimulationError as error:
             return _ended(log, "diverged", str(error))
         _map(log, observation, simulation, mapper, begun)
@@ -104,7 +105,7 @@ def _map(
     log.walls.append(time.perf_counter() - begun)
 
 
-def _failure(simulation: Simulation, driver: Driver, mapper: Mapper) -> tuple[Status, str] | None:
+def _failure(simulation: Simulation, driver: CoverageDriver, mapper: Mapper) -> tuple[Status, str] | None:
     if simulation.tipped:
         return "tipped", f"the robot tipped over at {simulation.time:.1f} s"
     if simulation.off_world:

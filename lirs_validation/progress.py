@@ -10,7 +10,13 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from lirs_validation.record import RunConfig
 from lirs_validation.run import Run, run
 
-STAGES = {"world": "building", "plan": "planning", "warm up": "compiling", "drive": "driving", "judge": "judging"}
+STAGES = {
+    "world": "building",
+    "plan": "planning",
+    "warm up": "compiling",
+    "drive": "driving",
+    "judge": "judging",
+}
 
 
 def run_with_progress(configs: list[RunConfig], out: Path, console: Console) -> list[Run]:

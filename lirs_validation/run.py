@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,16 +20,17 @@ from lirs_validation.record import RunConfig, RunRecord, machine, versions
 from lirs_validation.results import write_results
 from lirs_wct.errors import ConfigError
 from lirs_wct.options import BuildOptions
-from lirs_wct.pose import Pose2
 from lirs_wct.traversability import start_poses
 from lirs_wct.world import World, build_world
-from slam_baselines.mapper import make_mapper
+from slam_baselines.mapper import Mapper, make_mapper
 
 LARGE = 200.0
 """A terrain longer than this (metres) is validated on a window."""
 WINDOW = 50.0
 MARGIN = 0.15
 """Metres that a plan keeps beyond the robot's radius."""
+PLAN_STREAM = 2
+"""Which of the seed's random streams the tour is drawn from; the simulation has others."""
 WARM_UP = 2.0
 """Simulated seconds driven before the clock starts, so that compiled kernels are loaded."""
 
@@ -90,24 +92,18 @@ def validate(
 def run(config: RunConfig, *, out: Path | None = None, report: Report | None = None) -> Run:
     """Run a config (see `validate`)."""
     tell = report or (lambda stage, share: None)
-    machine_robot = make_robot(config.robot)
-    make_mapper(config.mapper)
-    tell("world", 0.0)
+    robot = make_robot(config.robot)
+    mapper = make_mapper(config.mapper)
+    tell("build", 0.0)
     world = validation_world(config)
     tell("plan", 0.0)
-    driver = plan(world, machine_robot, config)
-    simulation = Simulation(world, machine_robot, lidar=config.lidar, seed=config.seed)
-    compile_seconds = _warm_up(world, machine_robot, driver.start, config)
-    log = drive(
-        simulation,
-        driver,
-        make_mapper(config.mapper),
-        driver.start,
-        config.seconds,
-        lambda done: tell("drive", done / config.seconds),
-    )
+    driver = plan(world, robot, config)
+    tell("compile", 0.0)
+    compile_seconds = _warm_up(world, robot, config)
+    simulation = Simulation(world, robot, lidar=config.lidar, seed=config.seed)
+    log = drive(simulation, driver, mapper, config.seconds, lambda done: tell("drive", done / config.seconds))
     tell("judge", 1.0)
-    return judge(config, world, simulation, log, compile_seconds, out)
+    return judge(config, world, simulation, mapper, log, compile_seconds, out)
 
 
 def validation_world(config: RunConfig) -> World:
@@ -131,22 +127,24 @@ def plan(world: World, robot: Robot, config: RunConfig) -> CoverageDriver:
     if not starts:
         raise ConfigError(
             f"{config.source}: no place for {robot.name}: it needs {2 * (robot.radius + MARGIN):.1f} m of "
-            f"free ground that is flatter than {np.degrees(robot.max_slope):.0f} deg"
+            f"free ground no steeper than {math.degrees(robot.max_slope):.0f} deg"
         )
     start = starts[(config.seed - 1) % len(starts)]
-    return plan_coverage(free, start, seconds=config.seconds, rng=np.random.default_rng((config.seed, 2)))
+    rng = np.random.default_rng((config.seed, PLAN_STREAM))
+    return plan_coverage(free, start, seconds=config.seconds, rng=rng, surface=world.surface)
 
 
 def judge(
     config: RunConfig,
     world: World,
     simulation: Simulation,
+    mapper: Mapper,
     log: DriveLog,
     compile_seconds: float,
     out: Path | None,
 ) -> Run:
     """Turn a finished drive into a record and, where a folder is given, into files."""
-    maps = judge_maps(world, log)
+    maps = judge_maps(world, log, mapper)
     record = RunRecord(
         config=config,
         world=_described(world, simulation, config),
@@ -156,9 +154,32 @@ def judge(
         trajectory=judge_trajectory(log),
         map=maps.scores,
         collisions=judge_collisions(simulation),
-        mapper=log.mapper_stats,
+        mapper=asdict(mapper.stats),
         versions=versions(),
         machine=machine(),
     )
     folder = None if out is None else write_results(out / record.name, record, log, maps, world)
     return Run(record, log, maps, world, folder)
+
+
+def _warm_up(world: World, robot: Robot, config: RunConfig) -> float:
+    """Drive a throw-away simulation for a moment, so that every kernel is compiled; return the seconds."""
+    begun = time.perf_counter()
+    driver = plan(world, robot, config)
+    simulation = Simulation(world, robot, lidar=config.lidar, seed=config.seed)
+    drive(simulation, driver, make_mapper(config.mapper), WARM_UP)
+    return time.perf_counter() - begun
+
+
+def _described(world: World, simulation: Simulation, config: RunConfig) -> dict[str, Any]:
+    return {
+        "name": world.name,
+        "kind": world.kind,
+        "size": world.surface.size,
+        "relief": world.surface.relief,
+        "nodes": world.surface.shape,
+        "scale": world.scale,
+        "bounds": world.surface.bounds,
+        "contact": simulation.contact,
+        "windowed": config.build.window is not None or max(world.surface.size) <= WINDOW * 1.01,
+    }
