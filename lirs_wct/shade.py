@@ -1,0 +1,54 @@
+"""The texture that a world wears unless the user brings one: its own heights and slopes in earth colours."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.heightfield import HeightField
+from lirs_wct.walls import WallGrid
+
+PIXELS = 1024
+EARTH = np.array(((92, 110, 70), (146, 138, 96), (178, 158, 122), (222, 214, 200)), np.float64)
+"""Meadow, dry grass, rock, scree: red, green, blue from the lowest to the highest ground."""
+FLOOR, WALL = np.array((205, 203, 196), np.float64), np.array((120, 116, 112), np.float64)
+SUN = np.array((-0.5, 0.5, 0.7071))
+"""Unit vector towards the light: north-west, 45 deg up."""
+
+
+def ground_texture(surface: HeightField, walls: WallGrid | None = None) -> NDArray[np.uint8]:
+    """Return (1024, 1024, 3) BGR: what cube projection lays on the upper side, row 0 = north.
+
+    The square's lower-left corner is the surface's south-west corner and its edge the longer of
+    the surface's sides, as `cube_uv` unfolds it.
+    """
+    west, south, _, _ = surface.bounds
+    span = max(surface.size)
+    at = (np.arange(PIXELS) + 0.5) * span / PIXELS
+    x, y = np.meshgrid(west + at, south + at[::-1])
+    if walls is None:
+        rgb = _earth(surface, x, y, span / PIXELS)
+    else:
+        rgb = np.where(_on_wall(walls, x, y)[..., None], WALL, FLOOR)
+    return cv2.cvtColor(np.clip(rgb, 0, 255).astype(np.uint8), cv2.COLOR_RGB2BGR).astype(np.uint8)
+
+
+def _earth(
+    surface: HeightField, x: NDArray[np.float64], y: NDArray[np.float64], pixel: float
+) -> NDArray[np.float64]:
+    z = np.nan_to_num(surface.height_at(x, y), nan=float(surface.z.min()))
+    height = (z - z.min()) / max(float(np.ptp(z)), 1e-9)
+    levels = np.linspace(0, 1, len(EARTH))
+    tint = np.stack([np.interp(height, levels, EARTH[:, k]) for k in range(3)], axis=-1)
+    dz_dy, dz_dx = np.gradient(z, pixel)
+    normal = np.stack((-dz_dx, dz_dy, np.ones_like(z)), axis=-1)
+    light = (normal @ SUN) / np.linalg.norm(normal, axis=-1)
+    return tint * (0.55 + 0.6 * np.clip(light, 0, 1))[..., None]
+
+
+def _on_wall(walls: WallGrid, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+    local = walls.origin.inverse().apply(np.stack((x, y), axis=-1)) / walls.resolution
+    col, row = np.floor(local[..., 0]).astype(int), np.floor(local[..., 1]).astype(int)
+    inside = (row >= 0) & (row < walls.shape[0]) & (col >= 0) & (col < walls.shape[1])
+    return inside & walls.solid[np.where(inside, row, 0), np.where(inside, col, 0)]
