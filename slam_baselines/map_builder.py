@@ -1,0 +1,110 @@
+"""The map of levelled scans at known poses: the part that every mapper and the true-pose map share."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.grid import OccupancyGrid
+from lirs_wct.pose import Pose2, wrap_angle
+from slam_baselines.levelling import LevelledScan
+from slam_baselines.occupancy import OccupancyMap, UpdateConfig
+from slam_baselines.relief import Relief, ReliefConfig
+from slam_baselines.scan_matching import MapPyramid
+
+
+@dataclass(frozen=True, kw_only=True)
+class BuilderConfig:
+    """When the map is updated and how fine it is; names as in hector_mapping.
+
+    Attributes:
+        map_resolution: edge of a cell of the finest level, metres.
+        map_multi_res_levels: number of levels, each twice as coarse as the one before.
+        map_update_distance_thresh: metres to drive before the next update.
+        map_update_angle_thresh: radians to turn before the next update.
+        map_update_tilt_thresh: radians to lean, since leaning shows other heights of the same things.
+        update: how a scan changes the map.
+        relief: how ground is told from walls.
+
+    Raises:
+        ConfigError: a resolution, threshold or number of levels that is not above 0.
+    """
+
+    map_resolution: float = 0.05
+    map_multi_res_levels: int = 3
+    map_update_distance_thresh: float = 0.4
+    map_update_angle_thresh: float = 0.9
+    map_update_tilt_thresh: float = math.radians(1.0)
+    update: UpdateConfig = field(default_factory=UpdateConfig)
+    relief: ReliefConfig = field(default_factory=ReliefConfig)
+
+    def __post_init__(self) -> None:
+        if not self.map_resolution > 0:
+            raise ConfigError(f"map_resolution must be above 0 m, got {self.map_resolution}")
+        if self.map_multi_res_levels < 1:
+            raise ConfigError(f"map_multi_res_levels must be at least 1, got {self.map_multi_res_levels}")
+        if min(self.map_update_distance_thresh, self.map_update_angle_thresh, self.map_update_tilt_thresh) < 0:
+            raise ConfigError("thresholds of the map update must not be negative")
+
+
+class MapBuilder:
+    """Grows a pyramid of occupancy maps, and the relief of the ground where attitude is known."""
+
+    def __init__(self, config: BuilderConfig) -> None:
+        self._config = config
+        self.pyramid = MapPyramid(
+            tuple(
+                OccupancyMap(config.map_resolution * 2**level, config.update)
+                for level in range(config.map_multi_res_levels)
+            )
+        )
+        self.relief = Relief(config.relief)
+        self.updates = 0
+        self._bound = 0
+        self._last: Pose2 | None = None
+        self._entered: tuple[Pose2, tuple[float, float]] | None = None
+
+    def follow(self, scan: LevelledScan, pose: Pose2) -> None:
+        """Take note that the base has come to `pose`; keeps the height up to date."""
+        if self._last is not None and scan.levelled:
+            self.relief.move(self._last.inverse() @ pose, scan)
+        self._last = pose
+
+    def due(self, scan: LevelledScan, pose: Pose2) -> bool:
+        """Whether the robot has moved or leaned enough since the last update."""
+        if self._entered is None:
+            return True
+        c = self._config
+        before, slope = self._entered
+        if pose.distance(before) > c.map_update_distance_thresh:
+            return True
+        lean = math.hypot(scan.ground_slope[0] - slope[0], scan.ground_slope[1] - slope[1])
+        turn = abs(wrap_angle(pose.yaw - before.yaw))
+        return turn > c.map_update_angle_thresh or lean > c.map_update_tilt_thresh
+
+    def enter(self, scan: LevelledScan, pose: Pose2) -> None:
+        """Update the map with a scan taken at `pose`."""
+        origin, hits, free = scan.placed(pose, self.relief.height)
+        if scan.levelled:
+            steep = self.relief.observe(origin, hits, free, pose)
+        else:
+            steep = self.relief.unproven(len(hits))
+        if self.relief.bound != self._bound:
+            self._bound = self.relief.bound
+            for level in self.pyramid.maps:
+                level.revalue(self._bound)
+        grew = [level.update(origin, hits, free, steep, self._bound) for level in self.pyramid.maps]
+        if any(grew):
+            self.pyramid.refresh()
+        self.updates += 1
+        self._entered = pose, scan.ground_slope
+
+    def map(self) -> OccupancyGrid:
+        """Return the finest level."""
+        return self.pyramid.maps[0].occupancy_grid(self._bound)
+
+    @property
+    def memory(self) -> int:
+        """Bytes of all maps."""
+        return sum(level.grid.nbytes for level in self.pyramid.maps) + self.relief.grid.nbytes

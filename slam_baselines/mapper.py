@@ -1,0 +1,132 @@
+"""What every SLAM method offers, and how to make one by its name."""
+
+from __future__ import annotations
+
+import importlib
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.grid import OccupancyGrid
+from lirs_wct.pose import Pose2
+from lirs_wct.scan import Imu, LaserScan
+from lirs_wct.trajectory import Trajectory
+
+# By name and not by import: one method must not drag in the others.
+MAPPERS: Mapping[str, tuple[str, str, str]] = {
+    "hector": ("slam_baselines.hector", "HectorConfig", "HectorMapper"),
+}
+"""Name -> module, class of its configuration, class of the method."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapperStats:
+    """What a mapper has done so far.
+
+    Attributes:
+        received: scans given to it.
+        used: scans that moved its estimate.
+        skipped: scans left out, by reason.
+        lost: scans during which it did not know where it was.
+        ms_p50: median wall time of an update, milliseconds; 0 before the first.
+        ms_p95: its 95th percentile.
+        ms_max: the longest.
+        memory: bytes of its maps.
+        counts: what else the method counts (searches, map updates, particles, constraints).
+    """
+
+    received: int = 0
+    used: int = 0
+    skipped: Mapping[str, int] = field(default_factory=dict)
+    lost: int = 0
+    ms_p50: float = 0.0
+    ms_p95: float = 0.0
+    ms_max: float = 0.0
+    memory: int = 0
+    counts: Mapping[str, int] = field(default_factory=dict)
+
+
+class Mapper(Protocol):
+    """Simultaneous localisation and mapping, one scan after the other.
+
+    The map frame is the first base pose. Attitude and odometry help where they are given.
+    """
+
+    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        """Take in a scan and return `T_map_base` at its stamp.
+
+        Args:
+            scan: as the sensor gave it.
+            odometry: absolute `T_odom_base` at the scan's stamp, if there is odometry.
+            imu: attitude at the scan's stamp, if there is one.
+        """
+        ...
+
+    def map(self) -> OccupancyGrid:
+        """Return the map in the map frame."""
+        ...
+
+    def trajectory(self) -> Trajectory:
+        """Return the final pose of every scan."""
+        ...
+
+    @property
+    def stats(self) -> MapperStats:
+        """What was done so far."""
+        ...
+
+    @property
+    def lost(self) -> bool:
+        """Whether the mapper does not know at present where it is."""
+        ...
+
+
+def make_mapper(name: str, **config: Any) -> Mapper:
+    """Make a mapper by its name.
+
+    Args:
+        name: one of MAPPERS.
+        **config: fields of the method's configuration.
+
+    Raises:
+        ConfigError: no mapper has that name, or its configuration no such field or not that value.
+    """
+    if name not in MAPPERS:
+        raise unknown_name("mapper", name, MAPPERS)
+    module, config_name, class_name = MAPPERS[name]
+    method = importlib.import_module(module)
+    config_class = getattr(method, config_name)
+    for key in config:
+        if key not in config_class.__dataclass_fields__:
+            raise unknown_name(f"parameter of {name}", key, config_class.__dataclass_fields__)
+    try:
+        mapper: Mapper = getattr(method, class_name)(config_class(**config))
+    except TypeError as error:
+        raise ConfigError(f"configuration of {name}: {error}") from error
+    return mapper
+
+
+class Stopwatch:
+    """Wall times of updates, kept small: milliseconds as float32."""
+
+    def __init__(self) -> None:
+        self._ms: list[float] = []
+
+    def start(self) -> int:
+        """Return the time now, nanoseconds."""
+        return time.perf_counter_ns()
+
+    def stop(self, started: int) -> None:
+        """Note how long ago `started` was."""
+        self._ms.append((time.perf_counter_ns() - started) * 1e-6)
+
+    def summary(self) -> dict[str, float]:
+        """Return the fields of MapperStats."""
+        if not self._ms:
+            return {}
+        p50, p95, most = np.percentile(self._ms, (50, 95, 100))
+        return {"ms_p50": float(p50), "ms_p95": float(p95), "ms_max": float(most)}

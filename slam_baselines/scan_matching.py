@@ -1,0 +1,197 @@
+"""Scan-to-map matching by Gauss-Newton on the interpolated occupancy, coarse to fine.
+
+Kohlbrecher et al. 2011, "A flexible and scalable SLAM system with full 3D motion estimation",
+eqs. 4-14, with the odometry as a prior: the cost of a pose x is
+
+    sum_i w_i (1 - M(S_i(x)))^2 / sigma^2  +  (x - x_prior)' Lambda (x - x_prior),
+
+so that a direction in which the map says nothing (a long corridor, open terrain) follows the odometry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from slam_baselines.occupancy import FULL, HALF, OccupancyMap
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchConfig:
+    """How hard the matcher tries, and what it believes of its own result.
+
+    Attributes:
+        iterations: most Gauss-Newton steps on each level, finest first.
+        sigma: standard deviation of one beam's 1 - M, with the correlation between beams in it.
+        converged: a level ends when a step is shorter than this many of its cells (and radians / 10).
+
+    Raises:
+        ConfigError: a value that is not above 0.
+    """
+
+    iterations: tuple[int, ...] = (5, 3, 3)
+    sigma: float = 1.0
+    converged: float = 0.02
+
+    def __post_init__(self) -> None:
+        if min(self.iterations) < 1:
+            raise ConfigError(f"iterations must be at least 1 on every level, got {self.iterations}")
+        if not (self.sigma > 0 and self.converged > 0):
+            raise ConfigError(f"sigma and converged must be above 0, got {self.sigma} and {self.converged}")
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """Where a scan fits into a map.
+
+    Attributes:
+        pose: (3,) x, y, yaw of `T_map_base`.
+        information: (3, 3) of the scan alone at that pose.
+        score: mean occupancy at the ends of beams that fall on known cells; 0 where none does.
+        known: share of the beams that fall on known cells.
+    """
+
+    pose: Array
+    information: Array
+    score: float
+    known: float
+
+
+class MapPyramid:
+    """Occupancy maps of growing cell size, finest first, laid out for the matcher's kernel."""
+
+    def __init__(self, maps: tuple[OccupancyMap, ...]) -> None:
+        self.maps = maps
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Take over the maps' arrays; needed whenever one of them grew."""
+        grids = [m.grid for m in self.maps]
+        self.values = tuple(g.layers["value"] for g in grids)
+        self.frames: Array = np.array([(g.row0, g.col0, g.resolution) for g in grids], dtype=np.float64)
+
+
+class ScanMatcher:
+    """Gauss-Newton matching against a pyramid."""
+
+    def __init__(self, config: MatchConfig) -> None:
+        self._iterations = np.array(config.iterations)
+        self._config = config
+        self._out = np.zeros(14)
+
+    def match(
+        self, pyramid: MapPyramid, points: Array, weights: Array, prior: Array, information: Array,
+        start: Array | None = None,
+    ) -> Match:  # fmt: skip
+        """Fit the scan into the map.
+
+        Args:
+            pyramid: the map.
+            points: (n, 2 or more) ends of beams in the levelled base frame, metres.
+            weights: (n,) how much each counts.
+            prior: (3,) expected x, y, yaw.
+            information: (3, 3) inverse covariance of the prior.
+            start: (3,) where to begin, if not at the prior.
+        """
+        out = self._out
+        c = self._config
+        _match(
+            pyramid.values, pyramid.frames, points, weights,
+            prior, information, prior if start is None else start, self._iterations, c.sigma, c.converged, out,
+        )  # fmt: skip
+        return Match(out[:3].copy(), out[3:12].reshape(3, 3).copy(), float(out[12]), float(out[13]))
+
+
+@njit(cache=True)
+def _match(
+    values, frames, points, weights, prior, information, start, iterations, sigma, converged, out
+):  # fmt: skip
+    """Run Gauss-Newton from the coarsest level to the finest; fill `out` (14,)."""
+    pose = start.copy()
+    H, g = np.empty((3, 3)), np.empty(3)
+    score = known = 0.0
+    for level in range(len(values) - 1, -1, -1):
+        cell = frames[level, 2]
+        for _ in range(iterations[level]):
+            score, known = _linearise(values[level], frames[level], points, weights, pose, H, g)
+            A, b = H / sigma**2 + information, g / sigma**2
+            for i in range(3):
+                for j in range(3):
+                    b[i] -= information[i, j] * (pose[j] - prior[j])
+            step = solve3(A, b)
+            limit = 4 * cell / max(4 * cell, np.hypot(step[0], step[1]), abs(step[2]) * 20 * cell)
+            pose += step * limit
+            if np.hypot(step[0], step[1]) < converged * cell and abs(step[2]) < converged * 0.1:
+                break
+    score, known = _linearise(values[0], frames[0], points, weights, pose, H, g)
+    out[:3] = pose
+    out[3:12] = (H / sigma**2).ravel()
+    total = max(weights.sum(), 1e-9)
+    out[12], out[13] = score / max(known, 1e-9), known / total
+
+
+@njit(cache=True)
+def _linearise(value, frame, points, weights, pose, H, g):
+    """Fill Hessian and gradient of the matching cost (eqs. 12-13); return score and known share."""
+    rows, cols = value.shape
+    scale = 1 / frame[2]
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    u0, v0 = pose[0] * scale - 0.5 - frame[1], pose[1] * scale - 0.5 - frame[0]
+    h00 = h01 = h02 = h11 = h12 = h22 = g0 = g1 = g2 = 0.0
+    seen = score = 0.0
+    for i in range(len(points)):
+        px, py = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
+        u, v = u0 + px * scale, v0 + py * scale
+        if not (u >= 0 and v >= 0 and u < cols - 1 and v < rows - 1):
+            continue
+        col, row = int(u), int(v)
+        u -= col
+        v -= row
+        sw, se, nw, ne = value[row, col], value[row, col + 1], value[row + 1, col], value[row + 1, col + 1]
+        south, north = sw + u * (float(se) - sw), nw + u * (float(ne) - nw)
+        m, w = south + v * (north - south), weights[i]
+        if not (sw == HALF and se == HALF and nw == HALF and ne == HALF):
+            seen += w
+            score += w * m
+        dx, dy = (float(se) - sw) * (1 - v) + (float(ne) - nw) * v, north - south
+        dyaw, e = dy * px - dx * py, w * (FULL - m)
+        h00 += w * dx * dx
+        h01 += w * dx * dy
+        h02 += w * dx * dyaw
+        h11 += w * dy * dy
+        h12 += w * dy * dyaw
+        h22 += w * dyaw * dyaw
+        g0 += dx * e
+        g1 += dy * e
+        g2 += dyaw * e
+    unit = scale / FULL
+    H[0, 0], H[0, 1], H[0, 2], H[1, 1], H[1, 2], H[2, 2] = h00, h01, h02, h11, h12, h22
+    H[1, 0], H[2, 0], H[2, 1] = h01, h02, h12
+    H *= unit * unit
+    g[0], g[1], g[2] = g0 * unit / FULL, g1 * unit / FULL, g2 * unit / FULL
+    return score / FULL, seen
+
+
+@njit(cache=True)
+def solve3(A, b):
+    """Solve a symmetric positive definite 3x3 system by Cramer's rule; zero where it is singular."""
+    c00 = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
+    c01 = A[1, 2] * A[2, 0] - A[1, 0] * A[2, 2]
+    c02 = A[1, 0] * A[2, 1] - A[1, 1] * A[2, 0]
+    det = A[0, 0] * c00 + A[0, 1] * c01 + A[0, 2] * c02
+    x = np.zeros(3)
+    if not det > 0:
+        return x
+    x[0] = (c00 * b[0] + c01 * b[1] + c02 * b[2]) / det
+    c11 = A[0, 0] * A[2, 2] - A[0, 2] * A[2, 0]
+    c12 = A[0, 1] * A[2, 0] - A[0, 0] * A[2, 1]
+    c22 = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
+    x[1] = (c01 * b[0] + c11 * b[1] + c12 * b[2]) / det
+    x[2] = (c02 * b[0] + c12 * b[1] + c22 * b[2]) / det
+    return x
