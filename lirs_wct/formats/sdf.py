@@ -1,0 +1,160 @@
+"""Gazebo's files: the model package and a world that includes it (SDF 1.6, read by Gazebo 9 to Harmonic)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from xml.sax.saxutils import escape, quoteattr
+
+from lirs_wct.errors import ConfigError
+
+VERSION = "1.6"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ground:
+    """How a wheel holds on the world's surface.
+
+    Attributes:
+        friction: Coulomb's coefficient.
+
+    Raises:
+        ConfigError: it is not above 0.
+    """
+
+    friction: float = 0.9
+
+    def __post_init__(self) -> None:
+        if not 0 < self.friction < float("inf"):
+            raise ConfigError(f"friction must be a finite number above 0, got {self.friction}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Physics:
+    """How Gazebo steps the world.
+
+    Attributes:
+        timestep: seconds.
+        real_time_factor: simulated seconds a wall second aimed at; 0 = as fast as possible.
+        gravity: metres a second squared along x, y, z.
+
+    Raises:
+        ConfigError: the timestep is not above 0, or the factor is negative.
+    """
+
+    timestep: float = 0.001
+    real_time_factor: float = 1.0
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.80665)
+
+    def __post_init__(self) -> None:
+        if not self.timestep > 0:
+            raise ConfigError(f"timestep must be above 0 s, got {self.timestep}")
+        if not self.real_time_factor >= 0:
+            raise ConfigError(f"real time factor must be at least 0, got {self.real_time_factor}")
+
+
+def model_config(name: str, *, author: str = "LIRS-WCT", description: str = "") -> str:
+    """Return `model.config`, which makes a folder a Gazebo model package."""
+    return f"""<?xml version="1.0"?>
+<model>
+  <name>{escape(name)}</name>
+  <version>1.0</version>
+  <sdf version="{VERSION}">model.sdf</sdf>
+  <author>
+    <name>{escape(author)}</name>
+    <email></email>
+  </author>
+  <description>{escape(description or "Static world built by LIRS-WCT.")}</description>
+</model>
+"""
+
+
+def model_sdf(name: str, *, mesh: str | None = None, ground: Ground | None = None) -> str:
+    """Return `model.sdf`: one static link that is seen and felt as the same mesh.
+
+    Args:
+        name: of the model and of its folder.
+        mesh: path of the mesh inside the package; default `meshes/NAME.dae`.
+        ground: friction of the surface.
+    """
+    uri = model_uri(name, mesh or f"meshes/{name}.dae")
+    friction = (ground or Ground()).friction
+    geometry = f"<geometry><mesh><uri>{escape(uri)}</uri></mesh></geometry>"
+    return f"""<?xml version="1.0"?>
+<sdf version="{VERSION}">
+  <model name={quoteattr(name)}>
+    <static>true</static>
+    <link name="ground">
+      <visual name="visual">
+        {geometry}
+      </visual>
+      <collision name="collision">
+        {geometry}
+        <surface>
+          <friction>
+            <ode><mu>{friction:g}</mu><mu2>{friction:g}</mu2></ode>
+          </friction>
+        </surface>
+      </collision>
+    </link>
+  </model>
+</sdf>
+"""
+
+
+def world_sdf(name: str, *, model: str | None = None, physics: Physics | None = None) -> str:
+    """Return a world file with a sun and the model, which is its only ground.
+
+    Args:
+        name: of the world.
+        model: name of the included model; default the same.
+        physics: timestep, pace, gravity.
+    """
+    step = physics or Physics()
+    # Without a target update rate Gazebo runs as fast as it can.
+    rate = step.real_time_factor / step.timestep
+    x, y, z = step.gravity
+    return f"""<?xml version="1.0"?>
+<sdf version="{VERSION}">
+  <world name={quoteattr(name)}>
+    <gravity>{x:g} {y:g} {z:g}</gravity>
+    <physics name="default" type="ode">
+      <max_step_size>{step.timestep:g}</max_step_size>
+      <real_time_factor>{step.real_time_factor:g}</real_time_factor>
+      <real_time_update_rate>{rate:g}</real_time_update_rate>
+    </physics>
+    <scene>
+      <ambient>0.4 0.4 0.4 1</ambient>
+      <background>0.7 0.8 0.9 1</background>
+      <shadows>true</shadows>
+    </scene>
+    <light name="sun" type="directional">
+      <pose>0 0 100 0 0 0</pose>
+      <cast_shadows>true</cast_shadows>
+      <diffuse>0.8 0.8 0.8 1</diffuse>
+      <specular>0.2 0.2 0.2 1</specular>
+      <attenuation>
+        <range>10000</range>
+        <constant>0.9</constant>
+        <linear>0.01</linear>
+        <quadratic>0.001</quadratic>
+      </attenuation>
+      <direction>-0.5 0.1 -0.9</direction>
+    </light>
+    <include>
+      <uri>{escape(model_uri(model or name))}</uri>
+    </include>
+  </world>
+</sdf>
+"""
+
+
+def model_uri(name: str, inside: str = "") -> str:
+    """Return the URI of a model package or of a file in it.
+
+    Raises:
+        ConfigError: spaces, which Gazebo does not find.
+    """
+    uri = f"model://{name}/{inside}" if inside else f"model://{name}"
+    if any(c.isspace() for c in uri):
+        raise ConfigError(f"Gazebo finds no names with spaces, got {uri!r}")
+    return uri

@@ -1,0 +1,72 @@
+"""STL: triangles without names, materials or units, binary."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from lirs_wct.errors import SourceError
+from lirs_wct.files import atomic_write
+from lirs_wct.mesh import TriangleMesh
+
+_CHUNK = 1 << 16
+_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+
+def write_stl(path: Path, mesh: TriangleMesh) -> None:
+    """Write a mesh as binary STL.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    starts = range(0, len(mesh.faces), _CHUNK)
+    write_triangles(path, len(mesh.faces), (mesh.vertices[mesh.faces[i : i + _CHUNK]] for i in starts))
+
+
+def write_triangles(path: Path, count: int, chunks: Iterable[NDArray[np.float64]]) -> None:
+    """Write triangles as they come, so that a surface larger than the memory can be written.
+
+    Args:
+        path: file.
+        count: triangles in all, below 2**32.
+        chunks: (n, 3, 3) corners in metres each.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        # The header must not begin with "solid", which marks ASCII.
+        file.write(struct.pack("<80sI", b"LIRS-WCT, metres, z up", count))
+        for corners in chunks:
+            record = np.zeros(len(corners), dtype=_RECORD)
+            normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            length = np.linalg.norm(normal, axis=1, keepdims=True)
+            record["normal"] = normal / np.where(length > 0, length, 1)
+            record["corners"] = corners
+            file.write(record.tobytes())
+
+
+def read_mesh(path: Path) -> TriangleMesh:
+    """Read a mesh in any format that trimesh knows, equal vertices merged, as it stands in the file.
+
+    Raises:
+        SourceError: the file is missing, damaged, of an unknown format, or holds no triangles.
+    """
+    if not path.is_file():
+        raise SourceError(f"{path}: no such file")
+    try:
+        loaded = trimesh.load_mesh(path)
+    except Exception as error:  # every loader of trimesh has errors of its own
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise SourceError(f"{path}: cannot be read as a mesh: {reason}") from error
+    vertices, faces = np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int32)
+    if len(faces) == 0:
+        raise SourceError(f"{path}: holds no triangles, at least one is needed")
+    if not np.isfinite(vertices).all():
+        raise SourceError(f"{path}: has vertices that are not finite")
+    return TriangleMesh(vertices, faces)

@@ -1,0 +1,100 @@
+"""Both writers of COLLADA under the same tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import collada
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import cKDTree
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.formats import collada_stream
+from lirs_wct.formats.collada import write_collada
+from lirs_wct.heightfield import HeightField
+from lirs_wct.mesh import TriangleMesh
+from lirs_wct.solid import solid_mesh
+from lirs_wct.texture import cube_uv
+
+WRITERS = {"pycollada": 10**9, "stream": 0, "stream in tiles": 0}
+
+
+def hills(rows: int = 40, cols: int = 60) -> TriangleMesh:
+    z = np.random.default_rng(5).random((rows, cols)).astype(np.float32)
+    return solid_mesh(HeightField.centred(z - z.min(), (1.0, 0.8)))
+
+
+def corners_of(triangles: collada.triangleset.TriangleSet) -> np.ndarray:
+    """(m, 3, 8) position, normal and texture coordinates of each corner."""
+    uv = triangles.texcoordset[0][triangles.texcoord_indexset[0]]
+    position, normal = triangles.vertex[triangles.vertex_index], triangles.normal[triangles.normal_index]
+    return np.concatenate((position, normal, uv), axis=2)
+
+
+@pytest.fixture(params=WRITERS)
+def above(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
+    if request.param == "stream in tiles":
+        monkeypatch.setattr("lirs_wct.formats.collada.TILE", 600)
+    return WRITERS[request.param]
+
+
+def test_closed_and_unmoved(tmp_path: Path, above: int) -> None:
+    mesh = hills()
+    write_collada(tmp_path / "a.dae", mesh, stream_above=above)
+    again = trimesh.load(tmp_path / "a.dae", force="mesh")
+    assert len(again.faces) == len(mesh.faces)
+    joined = trimesh.Trimesh(again.vertices, again.faces)
+    joined.merge_vertices(merge_tex=True, merge_norm=True)
+    assert joined.is_watertight
+    assert joined.volume == pytest.approx(mesh.volume, rel=1e-5)
+    np.testing.assert_allclose(again.bounds, mesh.bounds, atol=1e-4)
+
+
+def test_axis_unit_material_and_inputs(tmp_path: Path, above: int) -> None:
+    write_collada(tmp_path / "a.dae", hills(), "../materials/textures/a.png", stream_above=above)
+    document = collada.Collada(str(tmp_path / "a.dae"), ignore=[collada.common.DaeUnsupportedError])
+    assert document.errors == []
+    assert document.assetInfo.upaxis == "Z_UP"
+    assert document.assetInfo.unitmeter == 1.0
+    assert [image.path for image in document.images] == ["../materials/textures/a.png"]
+    assert isinstance(document.effects[0].diffuse, collada.material.Map)
+    for shape in document.geometries:
+        (triangles,) = shape.primitives
+        offsets = [entry[0] for kind in ("VERTEX", "TEXCOORD") for entry in triangles.sources[kind]]
+        assert len(set(offsets)) == 2
+        bound = list(document.scene.objects("geometry"))
+        assert len(bound) == len(document.geometries)
+
+
+def test_attributes_belong_to_their_corners(tmp_path: Path, above: int) -> None:
+    mesh = cube_uv(hills())
+    assert mesh.uv is not None
+    assert mesh.normals is not None
+    write_collada(tmp_path / "a.dae", mesh, stream_above=above)
+    document = collada.Collada(str(tmp_path / "a.dae"))
+    rows = np.concatenate([corners_of(shape.primitives[0]) for shape in document.geometries])
+    expected = np.concatenate((mesh.vertices, mesh.normals, mesh.uv), axis=1)[mesh.faces]
+    _, where = cKDTree(rows[:, :, :3].reshape(-1, 9)).query(expected[:, :, :3].reshape(-1, 9))
+    assert len(set(where)) == len(expected)
+    np.testing.assert_allclose(rows[where], expected, atol=6e-4)
+
+
+def test_plain_colour_without_texture(tmp_path: Path, above: int) -> None:
+    write_collada(tmp_path / "a.dae", hills(), stream_above=above)
+    document = collada.Collada(str(tmp_path / "a.dae"))
+    assert len(document.images) == 0
+    assert document.effects[0].diffuse == pytest.approx(collada_stream.GROUND)
+
+
+def test_same_mesh_same_bytes(tmp_path: Path, above: int) -> None:
+    for name in ("a.dae", "b.dae"):
+        write_collada(tmp_path / name, hills(), stream_above=above)
+    assert (tmp_path / "a.dae").read_bytes() == (tmp_path / "b.dae").read_bytes()
+
+
+def test_spaces_in_a_texture_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="must not hold spaces"):
+        write_collada(tmp_path / "a.dae", hills(), "../my texture.png")
+    assert list(tmp_path.iterdir()) == []

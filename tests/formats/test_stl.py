@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from lirs_wct.errors import OutputError, SourceError
+from lirs_wct.formats import stl
+from lirs_wct.formats.stl import read_mesh, write_stl
+from lirs_wct.heightfield import HeightField
+from lirs_wct.mesh import TriangleMesh
+from lirs_wct.solid import solid_mesh
+
+
+def hills() -> TriangleMesh:
+    z = np.random.default_rng(5).random((40, 30)).astype(np.float32)
+    return solid_mesh(HeightField.centred(z - z.min(), (0.5, 0.25)))
+
+
+def test_read_by_trimesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stl, "_CHUNK", 1000)
+    mesh = hills()
+    write_stl(tmp_path / "a.stl", mesh)
+    again = trimesh.load_mesh(tmp_path / "a.stl")
+    assert again.is_watertight
+    assert len(again.faces) == len(mesh.faces)
+    assert again.volume == pytest.approx(mesh.volume, rel=1e-6)
+    np.testing.assert_allclose(again.triangles, mesh.vertices[mesh.faces], atol=1e-6)
+    np.testing.assert_allclose(again.face_normals, mesh.face_normals, atol=1e-4)
+    assert (tmp_path / "a.stl").stat().st_size == 84 + 50 * len(mesh.faces)
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    mesh = hills()
+    write_stl(tmp_path / "a.stl", mesh)
+    again = read_mesh(tmp_path / "a.stl")
+    assert again.is_watertight
+    assert len(again.vertices) == len(mesh.vertices)
+
+
+def test_unusable_meshes_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "bad.stl").write_bytes(b"nonsense")
+    (tmp_path / "empty.stl").write_bytes(bytes(84))
+    (tmp_path / "a.xyzzy").write_bytes(b"nonsense")
+    for name in ("no.stl", "bad.stl", "empty.stl", "a.xyzzy"):
+        with pytest.raises(SourceError) as refused:
+            read_mesh(tmp_path / name)
+        assert str(refused.value).startswith(f"{tmp_path / name}: ")
+        assert "\n" not in str(refused.value)
+
+
+def test_unwritable(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_stl(tmp_path / "file" / "a.stl", hills())
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["mujoco__pyramid.stl", "unitree_mujoco__terrain.STL"])
+def test_real_files(shared_data: Path, name: str) -> None:
+    path = shared_data / "stl" / name
+    assert len(read_mesh(path).faces) == (path.stat().st_size - 84) // 50

@@ -1,0 +1,101 @@
+"""Gazebo's own libraries open our files: SDF parser, mesh loader, physics.
+
+The environment variable GAZEBO_CHECK names the folder with the programs sdfchk, meshchk and physchk.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+from pathlib import Path
+
+import collada
+import cv2
+import numpy as np
+import pytest
+
+from lirs_wct.formats.collada import write_collada
+from lirs_wct.formats.sdf import model_config, model_sdf, world_sdf
+from lirs_wct.heightfield import HeightField
+from lirs_wct.solid import solid_mesh
+from lirs_wct.texture import cube_uv
+
+ABOVE = {"pycollada": 10**9, "stream": 0}
+
+
+def hills() -> HeightField:
+    z = cv2.GaussianBlur(np.random.default_rng(2).random((129, 161)).astype(np.float32), (0, 0), 6)
+    return HeightField.centred((z - z.min()) * 20, (0.25, 0.25))
+
+
+@pytest.fixture(scope="session")
+def programs() -> Path:
+    folder = os.environ.get("GAZEBO_CHECK")
+    if not folder:
+        pytest.skip("GAZEBO_CHECK does not name the folder of sdfchk, meshchk, physchk")
+    return Path(folder)
+
+
+@pytest.fixture(params=ABOVE)
+def package(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A textured model package and its world file beside it."""
+    model = tmp_path / "dune"
+    (model / "materials/textures").mkdir(parents=True)
+    cv2.imwrite(str(model / "materials/textures/sand.png"), np.full((4, 4, 3), 99, np.uint8))
+    dae = model / "meshes/dune.dae"
+    write_collada(
+        dae, solid_mesh(hills()), "../materials/textures/sand.png", stream_above=ABOVE[request.param]
+    )
+    (model / "model.config").write_text(model_config("dune"))
+    (model / "model.sdf").write_text(model_sdf("dune"))
+    (model / "dune.world").write_text(world_sdf("dune"))
+    return model
+
+
+def run(*command: object, **env: object) -> str:
+    done = subprocess.run(
+        [str(c) for c in command],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, **{k: str(v) for k, v in env.items()}},
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+def test_strict_parser_has_nothing_to_say(programs: Path, package: Path) -> None:
+    said = run(programs / "sdfchk", package / "dune.world", package / "model.sdf", MODEL_PATH=package.parent)
+    assert "code" not in said
+    assert "Warning" not in said
+    assert "world[dune] models 1 (dune static 1 links 1 coll type" in said
+    assert "model://dune/meshes/dune.dae" in said
+
+
+def test_mesh_loader_counts_ours_and_finds_the_texture(programs: Path, package: Path) -> None:
+    dae = package / "meshes/dune.dae"
+    said = run(programs / "meshchk", dae)
+    document = collada.Collada(str(dae))
+    sets = [shape.primitives[0] for shape in document.geometries]
+    vertices = sum(len(s.vertex) for s in sets)
+    corners = 3 * len(solid_mesh(hills()).faces)
+    assert f" vert {vertices} norm {vertices} idx {corners} uv {vertices} " in said
+    assert len(sets) > 1 or vertices == len(cube_uv(solid_mesh(hills())).vertices)
+    assert str(package) in re.search(r"tex '([^']*)'", said)[1]  # type: ignore[index]
+    assert "Unable to find" not in said
+
+
+def test_a_sphere_rests_on_the_ground(programs: Path, package: Path) -> None:
+    surface = hills()
+    start = np.unravel_index(surface.z[20:-20, 20:-20].argmin(), (89, 121))
+    x = surface.origin[0] + (start[1] + 20) * surface.cell[0]
+    y = surface.bounds[3] - (start[0] + 20) * surface.cell[1]
+    drop = float(surface.height_at(x, y)) + 1.0
+    said = run(programs / "physchk", "dartsim", package / "meshes/dune.dae", x, y, drop, 5000)
+    px, py, pz = map(float, re.search(r"final +(\S+) +(\S+) +(\S+)", said).groups())  # type: ignore[union-attr]
+    around = np.linspace(-0.3, 0.3, 61)
+    gx, gy = np.meshgrid(px + around, py + around)
+    distance = np.sqrt((gx - px) ** 2 + (gy - py) ** 2 + (surface.height_at(gx, gy) - pz) ** 2).min()
+    assert distance == pytest.approx(0.3, abs=0.02)

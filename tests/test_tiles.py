@@ -1,0 +1,55 @@
+"""Tiles: together the mesh, none too large, no cracks."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+
+from lirs_wct.heightfield import HeightField
+from lirs_wct.mesh import TriangleMesh
+from lirs_wct.solid import solid_mesh
+from lirs_wct.texture import cube_uv, shading_groups
+from lirs_wct.tiles import split_tiles
+
+
+def hills() -> TriangleMesh:
+    z = np.random.default_rng(5).random((40, 60)).astype(np.float32)
+    return solid_mesh(HeightField.centred(z, (1.0, 0.8)))
+
+
+def test_tiles_are_the_mesh() -> None:
+    mesh = hills()
+    tiles = list(split_tiles(mesh, aim=400))
+    assert len(tiles) > 8
+    together = np.concatenate([t.vertices[t.faces] for t in tiles])
+    order = np.lexsort(together.reshape(-1, 9).T)
+    corners = mesh.vertices[mesh.faces]
+    np.testing.assert_array_equal(together[order], corners[np.lexsort(corners.reshape(-1, 9).T)])
+    joined = trimesh.util.concatenate([trimesh.Trimesh(t.vertices, t.faces) for t in tiles])
+    joined.merge_vertices()
+    assert joined.is_watertight
+
+
+def test_tiles_hold_no_vertex_twice_or_in_vain() -> None:
+    for tile in split_tiles(hills(), aim=400):
+        assert set(tile.faces.ravel()) == set(range(len(tile.vertices)))
+        assert len(np.unique(tile.vertices, axis=0)) == len(tile.vertices)
+        assert len(tile.faces) < 1200
+
+
+def test_never_more_than_the_cap() -> None:
+    sizes = [len(t.faces) for t in split_tiles(hills(), aim=10**9, most=1000)]
+    assert max(sizes) == 1000
+    assert sum(sizes) == len(hills().faces)
+
+
+def test_groups_are_kept_apart_and_attributes_go_along() -> None:
+    mesh = cube_uv(hills())
+    groups = shading_groups(mesh)
+    assert sorted(set(groups.tolist())) == [0, 1, 2, 3, 4, 6]
+    for tile in split_tiles(mesh, aim=400, groups=groups):
+        assert tile.normals is not None
+        assert tile.uv is not None
+        assert len(set(shading_groups(tile).tolist())) == 1
+        joined = {tuple(p): n for p, n in zip(tile.vertices, tile.normals, strict=True)}
+        assert all((joined[tuple(p)] == n).all() for p, n in zip(tile.vertices, tile.normals, strict=True))
