@@ -97,12 +97,13 @@ def _follow(
 @njit(cache=True)
 def _surface(z: Floats, i: int, j: int, a: float, b: float) -> float:
     """Return the height of the surface in cell (j, i), a to the east and b to the north of its corner."""
-    sw, ne = float(z[j, i]), float(z[j + 1, i + 1])
+    # float() of a float32 stays one in numba, and the differences below would be rounded to it.
+    sw, ne = np.float64(z[j, i]), np.float64(z[j + 1, i + 1])
     # The diagonal runs from south-west to north-east: a = b.
     if a >= b:
-        se = float(z[j, i + 1])
+        se = np.float64(z[j, i + 1])
         return sw + a * (se - sw) + b * (ne - se)
-    nw = float(z[j + 1, i])
+    nw = np.float64(z[j + 1, i])
     return sw + a * (ne - nw) + b * (nw - sw)
 
 
@@ -114,8 +115,8 @@ def _cell_range(z: Floats, i: int, j: int, ray: Ray, side: float, t: float, t_ou
     less at the end of a piece is a hit within it.
     """
     u, v, w, du, dv, dw = ray
-    sw, se = float(z[j, i]), float(z[j, i + 1])
-    nw, ne = float(z[j + 1, i]), float(z[j + 1, i + 1])
+    sw, se = np.float64(z[j, i]), np.float64(z[j, i + 1])
+    nw, ne = np.float64(z[j + 1, i]), np.float64(z[j + 1, i + 1])
     a, b = u - i, v - j
     t_diagonal = (b - a) / (du - dv) if du != dv else t
     pieces = 2 if t < t_diagonal < t_out else 1
@@ -129,10 +130,7 @@ def _cell_range(z: Floats, i: int, j: int, ray: Ray, side: float, t: float, t_ou
             gx, gy = ne - nw, nw - sw
         height = w - side * (sw + a * gx + b * gy)
         slope = dw - side * (du * gx + dv * gy)
-        after = height + end * slope
-        if after <= 0.0:
-            before = height + begin * slope
-            if before <= 0.0:
-                return begin
-            return min(begin + (end - begin) * (before / (before - after)), end)
+        if height + end * slope <= 0.0:
+            # Not falling, it was at 0 or less from the beginning, by rounding.
+            return min(max(-height / slope, begin), end) if slope < 0.0 else begin
     return np.inf

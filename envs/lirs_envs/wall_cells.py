@@ -78,7 +78,7 @@ def _first_wall(
     far_u, far_v = 0.0 if per_u != 0.0 else FAR, 0.0 if per_v != 0.0 else FAR
     i, j = min(max(int(u + t * du), 0), nx - 1), min(max(int(v + t * dv), 0), ny - 1)
     while True:
-        free = int(distance[j, i])
+        free = np.int64(distance[j, i])  # int() of an unsigned stays unsigned in numba
         if free == 0:
             return t
         tx = ((i + free if east else i + 1 - free) - u) * per_u + far_u

@@ -1,0 +1,102 @@
+"""What must hold for any field and any ray."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from lirs_envs.raycast import RayCaster
+from lirs_wct.heightfield import HeightField
+from lirs_wct.pose import Pose2
+from lirs_wct.walls import WallGrid
+from tests.reference.triangle_rays import triangle_ranges, triangles_of
+
+HEIGHTS = st.floats(-2.0, 2.0, width=32)
+"""Also flat, terraced and spiked fields: hypothesis likes 0, 1 and equal values."""
+FIELDS = st.builds(
+    HeightField,
+    hnp.arrays(
+        np.float32,
+        hnp.array_shapes(min_dims=2, max_dims=2, min_side=2, max_side=9),
+        elements=st.one_of(st.sampled_from((0.0, 1.0)), HEIGHTS),
+    ),
+    st.tuples(st.sampled_from((0.25, 1.0, 0.3)), st.sampled_from((0.25, 1.0, 0.7))),
+    st.tuples(st.sampled_from((0.0, -1.3)), st.sampled_from((0.0, 2.1))),
+)
+COORDINATES = st.one_of(st.sampled_from((0.0, 0.25, 0.5, 1.0)), st.floats(-3.0, 3.0))
+POINTS = st.tuples(COORDINATES, COORDINATES, COORDINATES)
+SLOPES = st.one_of(st.sampled_from((0.0, 1.0, -1.0, 0.5, 1e-13, -1e-16)), st.floats(-1.0, 1.0))
+
+
+def normalised(d: tuple[float, float, float]) -> np.ndarray | None:
+    length = float(np.linalg.norm(d))
+    return np.array(d) / length if length > 1e-3 else None
+
+
+DIRECTIONS = st.tuples(SLOPES, SLOPES, SLOPES).map(normalised).filter(lambda d: d is not None)
+
+
+@settings(max_examples=400, deadline=None)
+@given(FIELDS, POINTS, DIRECTIONS)
+def test_a_hit_lies_on_the_surface(surface: HeightField, point, direction) -> None:
+    t = float(RayCaster(surface).cast(point, direction[None])[0])
+    assert t >= 0.0
+    if np.isfinite(t):
+        x, y, z = np.array(point) + t * direction
+        west, south, east, north = surface.bounds
+        x, y = np.clip(x, west, east), np.clip(y, south, north)
+        steepest = 4.0 / min(surface.cell)
+        assert abs(z - float(surface.height_at(x, y))) < 1e-9 * (1 + steepest)
+
+
+@settings(max_examples=400, deadline=None)
+@given(FIELDS, POINTS, DIRECTIONS)
+def test_never_through(surface: HeightField, point, direction) -> None:
+    """Nothing that is well inside a triangle may be missed or passed."""
+    ours = RayCaster(surface).cast(point, direction[None])[0]
+    sure = triangle_ranges(triangles_of(surface), np.array([point]), direction[None], grow=-1e-6)[0]
+    assert ours <= sure + 1e-6
+
+
+@settings(max_examples=200, deadline=None)
+@given(FIELDS, st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.01, 50.0), st.booleans())
+def test_straight_down_and_up_measure_the_height(surface, fx: float, fy: float, gap: float, above) -> None:
+    (west, south, east, north), sign = surface.bounds, 1.0 if above else -1.0
+    x, y = west + fx * (east - west), south + fy * (north - south)
+    z = float(surface.height_at(np.clip(x, west, east), np.clip(y, south, north)))
+    t = RayCaster(surface).cast((x, y, z + sign * gap), [[0.0, 0.0, -sign]])[0]
+    assert abs(t - gap) < 1e-6
+
+
+@settings(max_examples=200, deadline=None)
+@given(FIELDS, POINTS, DIRECTIONS, st.floats(0.0, 2.0))
+def test_moving_along_the_ray_shortens_it(surface: HeightField, point, direction, step: float) -> None:
+    caster = RayCaster(surface)
+    before = caster.cast(point, direction[None])[0]
+    if step < before - 1e-3:
+        after = caster.cast(np.array(point) + step * direction, direction[None])[0]
+        # A ray within the surface may meet it anywhere.
+        assert after >= before - step - 1e-6 or before == np.inf
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=12)),
+    POINTS,
+    DIRECTIONS,
+    st.sampled_from((0.0, np.pi / 2, 0.3)),
+)
+def test_a_wall_hit_touches_a_wall_cell(solid: np.ndarray, point, direction, yaw: float) -> None:
+    walls = WallGrid(solid, 0.25, Pose2(-0.5, 0.25, yaw), 1.5)
+    floor = HeightField(np.full((2, 2), -100.0, np.float32), (1.0, 1.0), (0.0, 0.0))
+    t = RayCaster(floor, walls).cast(point, direction[None], 20.0)[0]
+    assert t >= 0.0
+    if np.isfinite(t):
+        hit = np.array(point) + t * direction
+        assert -1e-9 <= hit[2] <= walls.height + 1e-9
+        u, v = walls.origin.inverse().apply(hit[:2]) / walls.resolution
+        rows, cols = np.nonzero(solid)
+        gap = np.maximum(abs(u - cols - 0.5), abs(v - rows - 0.5)) - 0.5
+        assert gap.min(initial=np.inf) < 1e-9
