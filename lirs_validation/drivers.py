@@ -92,6 +92,7 @@ class CoverageDriver:
         self._seconds = seconds
         self._back_until = 0.0
         self._failures = 0
+        self._mark, self._moved_at = 0.0, 0.0
         self._follow(start, 0.0)
 
     @property

@@ -157,17 +157,34 @@ def sampled(grid: OccupancyGrid, like: OccupancyGrid) -> NDArray[np.float32]:
     return _at(grid, like.centres(cells))
 
 
+def contradicted(
+    asked: OccupancyGrid, other: OccupancyGrid, tolerance: float = TOLERANCE
+) -> NDArray[np.bool_]:
+    """Return (rows, cols) the occupied cells of a map, where the other knows, that it does not confirm."""
+    cells, confirmed = _asked(asked, other, tolerance)
+    wrong = np.zeros(asked.shape, np.bool_)
+    wrong[tuple(cells[~confirmed].T)] = True
+    return wrong
+
+
 def _confirmed(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float) -> float | None:
-    """Return the share of occupied cells, where the other map knows, with one of its own near by."""
-    points, targets = asked.occupied_points(), other.occupied_points()
-    points = points[~np.isnan(_at(other, points))]
-    if len(points) == 0:
-        return None
+    """Return the share of occupied cells, where the other map knows, that it confirms."""
+    _, confirmed = _asked(asked, other, tolerance)
+    return float(confirmed.mean()) if len(confirmed) else None
+
+
+def _asked(
+    asked: OccupancyGrid, other: OccupancyGrid, tolerance: float
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return (n, 2) occupied cells where the other map knows, and whether it has one of its own near by."""
+    cells, targets = np.argwhere(asked.occupied).astype(np.int64), other.occupied_points()
+    points = asked.centres(cells)
+    known = ~np.isnan(_at(other, points))
     if len(targets) == 0:
-        return 0.0
+        return cells[known], np.zeros(int(known.sum()), np.bool_)
     limit = tolerance + ROUNDING
-    distance, _ = cKDTree(targets).query(points, distance_upper_bound=2 * limit)
-    return float(np.mean(distance <= limit))
+    distance, _ = cKDTree(targets).query(points[known], distance_upper_bound=2 * limit)
+    return cells[known], np.asarray(distance <= limit, dtype=np.bool_)
 
 
 def _at(grid: OccupancyGrid, points: Points) -> NDArray[np.float32]:

@@ -129,10 +129,9 @@ class CoveragePlanner:
 
     def avoid(self, point: tuple[float, float], radius: float) -> None:
         """Make cells round a point in the grid's frame so dear that only the last way leads there."""
-        rows, cols = self._free.shape
-        centres = self._grid.centres(np.stack(np.mgrid[:rows, :cols], axis=-1))
-        near = np.linalg.norm(centres - np.array(point), axis=-1) < radius
-        self._weight[near & self._free] += 50.0
+        cells = np.argwhere(self._free)
+        near = cells[np.linalg.norm(self._grid.centres(cells) - np.array(point), axis=1) < radius]
+        self._weight[near[:, 0], near[:, 1]] += 50.0
 
     def _leg(self, cell: NDArray[np.int64], heading: float) -> NDArray[np.int64]:
         """Return cells (n, 2) from here to the next goal."""
@@ -152,11 +151,14 @@ class CoveragePlanner:
         other[cell[0], cell[1]] = False
         if self._length >= self._next_loop:
             self._next_loop = self._length + self.config.loop * self._rng.uniform(0.7, 1.3)
-            return self._old_place() & other
-        never = other & (self._covered_at == -np.inf)
+            old: Mask = self._old_place() & other
+            if old.any():
+                return old
+        never: Mask = other & (self._covered_at == -np.inf)
         if never.any() or not other.any():
             return never
-        return other & (self._covered_at <= np.quantile(self._covered_at[other], 0.2))
+        long_ago: Mask = other & (self._covered_at <= np.quantile(self._covered_at[other], 0.2))
+        return long_ago
 
     def _old_place(self) -> Mask:
         """Mark the cell of a point of the first half of the tour, the nearest of a few picked by chance."""

@@ -85,7 +85,8 @@ def _accelerated(speed: Array, acceleration: float) -> Array:
         squared[k] = min(squared[k], squared[k - 1] + gain)
     for k in range(len(squared) - 2, -1, -1):
         squared[k] = min(squared[k], squared[k + 1] + gain)
-    return np.sqrt(squared)
+    profile: Array = np.sqrt(squared)
+    return profile
 
 
 class Pursuit:

@@ -1,0 +1,84 @@
+"""The table of runs: on the screen and as Markdown; failures first and plainly named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from rich import box
+from rich.table import Table
+
+from lirs_validation.report.words import NOTHING, Entry, as_entry, figure_at, status_of, told
+
+if TYPE_CHECKING:
+    from lirs_validation.record import RunRecord
+
+COLUMNS: tuple[tuple[str, str, str], ...] = (
+    ("world", "world.name", "{}"),
+    ("robot", "config.robot", "{}"),
+    ("mapper", "config.mapper", "{}"),
+    ("seed", "config.seed", "{}"),
+    ("status", "status", "{}"),
+    ("RTF", "rtf.mean", "{:.1f}"),
+    ("driven [m]", "trajectory.length", "{:.1f}"),
+    ("ATE [m]", "trajectory.ate_rmse", "{:.3f}"),
+    ("F1", "map.f1", "{:.3f}"),
+    ("F1 input", "map.f1_input", "{:.3f}"),
+    ("IoU", "map.iou", "{:.3f}"),
+    ("false occ.", "map.false_occupied", "{:.3f}"),
+)
+"""Heading, place in the record, format."""
+WORDS = ("world", "robot", "mapper", "status")
+"""Columns that are aligned to the left."""
+
+
+def results_table(records: Sequence[RunRecord | Entry]) -> Table:
+    """Return the runs as a rich table; below it, in words, why runs failed."""
+    entries = ordered(records)
+    columns = _shown(entries)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=_reasons(entries), caption_justify="left")
+    for heading, _, _ in columns:
+        table.add_column(heading, justify="left" if heading in WORDS else "right", no_wrap=True)
+    for entry in entries:
+        failed = status_of(entry) != "ok"
+        cells = [told(entry, place, form) for _, place, form in columns]
+        table.add_row(*cells, style="bold red" if failed else "")
+    return table
+
+
+def markdown_table(records: Sequence[RunRecord | Entry]) -> str:
+    """Return the same table as Markdown, as it stands in a README."""
+    entries = ordered(records)
+    columns = _shown(entries)
+    lines = [
+        "| " + " | ".join(heading for heading, _, _ in columns) + " |",
+        "|" + "|".join("---" if heading in WORDS else "---:" for heading, _, _ in columns) + "|",
+    ]
+    for entry in entries:
+        cells = (told(entry, place, form).replace("|", "\\|") for _, place, form in columns)
+        lines.append("| " + " | ".join(cells) + " |")
+    reasons = _reasons(entries)
+    return "\n".join(lines) + "\n" + (f"\n{reasons}\n" if reasons else "")
+
+
+def ordered(records: Sequence[RunRecord | Entry]) -> list[Entry]:
+    """Return the records as nested dicts: failures first, else as they came."""
+    return sorted((as_entry(r) for r in records), key=lambda entry: status_of(entry) == "ok")
+
+
+def _shown(entries: Sequence[Entry]) -> list[tuple[str, str, str]]:
+    """Leave out the comparison with an input map where no run had one."""
+    with_input = any(figure_at(entry, "map.f1_input") is not None for entry in entries)
+    return [c for c in COLUMNS if c[0] != "F1 input" or with_input]
+
+
+def _reasons(entries: Sequence[Entry]) -> str | None:
+    """Say in words what failed and why, one line each; None where nothing did."""
+    failed = [entry for entry in entries if status_of(entry) != "ok"]
+    if not failed:
+        return None
+    return "\n".join(
+        f"{told(e, 'world.name', '{}')}, {told(e, 'config.robot', '{}')}, {told(e, 'config.mapper', '{}')}, "
+        f"seed {told(e, 'config.seed', '{}')} failed: {e.get('reason') or status_of(e) or NOTHING}"
+        for e in failed
+    )
