@@ -92,7 +92,7 @@ def validate(
 def view(
     source: Source,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="PNG to write; default: NAME.png here.")
+        Path | None, typer.Option("-o", "--output", help="PNG to write; default: NAME-view.png here.")
     ] = None,
     *,
     options: BuildOptions,
@@ -103,7 +103,7 @@ def view(
     from lirs_wct.world import build_world
 
     world = build_world(source, options)
-    target = output or Path(f"{world.name}.png")
+    target = output or Path(f"{world.name}-view.png")
     with atomic_write(target) as path:
         view_figure(world).savefig(path)
     out.print(f"{target}", soft_wrap=True, highlight=False)

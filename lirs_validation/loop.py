@@ -17,6 +17,9 @@ from lirs_wct.pose import Pose2, Pose3
 from lirs_wct.trajectory import Trajectory
 from slam_baselines.mapper import Mapper
 
+LOST_SECONDS = 5.0
+"""A mapper that does not know its place for so long has lost it."""
+
 Progress = Callable[[float], None]
 """Called with the simulated seconds so far, about once a simulated second."""
 
@@ -73,6 +76,7 @@ def drive(
     _map(log, observation, simulation, mapper, time.perf_counter())
     period = simulation.period
     next_report = 1.0
+    lost_since: float | None = None
     for tick in range(max(1, math.ceil(seconds / period - 1e-9))):
         begun = time.perf_counter()
         try:
@@ -82,7 +86,8 @@ def drive(
         except SimulationError as error:
             return _ended(log, "diverged", str(error))
         _map(log, observation, simulation, mapper, begun)
-        failure = _failure(simulation, driver, mapper)
+        lost_since = (lost_since or simulation.time) if mapper.lost else None
+        failure = _failure(simulation, driver, lost_since)
         if failure is not None:
             return _ended(log, *failure)
         if progress is not None and (tick + 1) * period >= next_report:
@@ -105,15 +110,17 @@ def _map(
     log.walls.append(time.perf_counter() - begun)
 
 
-def _failure(simulation: Simulation, driver: CoverageDriver, mapper: Mapper) -> tuple[Status, str] | None:
+def _failure(
+    simulation: Simulation, driver: CoverageDriver, lost_since: float | None
+) -> tuple[Status, str] | None:
     if simulation.tipped:
         return "tipped", f"the robot tipped over at {simulation.time:.1f} s"
     if simulation.off_world:
         return "off world", f"the robot left the world at {simulation.time:.1f} s"
     if driver.stuck:
         return "stuck", f"the robot made no progress and gave up at {simulation.time:.1f} s"
-    if mapper.lost:
-        return "lost", f"the mapper lost its place at {simulation.time:.1f} s"
+    if lost_since is not None and simulation.time - lost_since >= LOST_SECONDS:
+        return "lost", f"the mapper lost its place at {lost_since:.1f} s"
     return None
 
 

@@ -1,0 +1,96 @@
+"""The command line as a user meets it: one line and exit code 2 for bad input, nothing left behind."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+
+def wct(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", "from lirs_validation.cli import main; main()", *map(str, arguments)]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    """A folder of things that a user may get wrong."""
+    good = np.tile(np.arange(65, dtype=np.uint8) * 3, (65, 1))
+    cv2.imwrite(str(tmp_path / "good.png"), good)
+    data = (tmp_path / "good.png").read_bytes()
+    (tmp_path / "empty.png").write_bytes(b"")
+    (tmp_path / "cut.png").write_bytes(data[: len(data) // 2])
+    cv2.imwrite(str(tmp_path / "dot.png"), good[:1, :1])
+    cv2.imwrite(str(tmp_path / "nan.tif"), np.full((9, 9), np.nan, np.float32))
+    (tmp_path / "lost.yaml").write_text(
+        "image: nowhere.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n"
+        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    (tmp_path / "a_file").write_text("in the way")
+    return tmp_path
+
+
+BAD = {
+    "missing": (("build", "nowhere.png"), "nowhere.png: no such file"),
+    "empty": (("build", "empty.png"), "empty.png: "),
+    "truncated": (("build", "cut.png"), "cut.png: "),
+    "1x1": (("build", "dot.png"), "1x1"),
+    "all NaN": (("build", "nan.tif"), "nan.tif: "),
+    "no image": (("build", "lost.yaml"), "lost.yaml: "),
+    "no robot": (("validate", "simple", "--robot", "huksy"), "unknown robot 'huksy'; legal: husky"),
+    "no mapper": (("validate", "simple", "--mapper", "slam"), "unknown mapper 'slam'; legal: hector"),
+    "no lidar": (("validate", "simple", "--lidar", "sick"), "lms111"),
+    "no world": (("validate", "smple"), "simple, medium, advanced"),
+    "no seconds": (("validate", "simple", "--seconds", "0"), "seconds must be a finite number above 0, got 0"),
+    "words": (("validate", "simple", "--seconds", "ten"), "ten"),
+    "no option": (("build", "good.png", "--sizes", "3"), "--sizes"),
+    "no folder": (("build", "good.png", "-o", "a_file"), "a_file"),
+    "both sizes": (("build", "good.png", "--size", "3", "--pixel-size", "1"), "--size, --pixel-size"),
+    "size": (("build", "good.png", "--size", "3,4,5"), "--size must be W or W,H"),
+    "as": (("build", "good.png", "--as", "mesh"), "--as must be picture or map"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_and_code_2(case: str, files: Path) -> None:
+    arguments, expected = BAD[case]
+    before = sorted(files.rglob("*"))
+    done = wct(*arguments, cwd=files)
+    assert done.returncode == 2, done.stderr
+    assert expected in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    assert sorted(files.rglob("*")) == before
+
+
+def test_build_writes_the_package(files: Path) -> None:
+    done = wct("build", "good.png", "-o", "worlds", "--size", "20", "--height", "2", cwd=files)
+    assert done.returncode == 0, done.stderr
+    folder = files / "worlds" / "good"
+    expected = {
+        "model.config", "model.sdf", "good.world", "good.xml", "world.json",
+        "meshes/good.dae", "meshes/good.stl", "materials/textures/good.png",
+    }  # fmt: skip
+    assert expected <= {p.relative_to(folder).as_posix() for p in folder.rglob("*")}
+    assert [p.name for p in (files / "worlds").iterdir()] == ["good"]
+
+
+def test_build_spares_a_folder_that_is_not_its_own(files: Path) -> None:
+    other = files / "worlds" / "good"
+    other.mkdir(parents=True)
+    (other / "thesis.tex").write_text("years of work")
+    done = wct("build", "good.png", "-o", "worlds", cwd=files)
+    assert done.returncode == 2
+    assert (other / "thesis.tex").read_text() == "years of work"
+
+
+def test_view_draws_any_source_beside_it(files: Path) -> None:
+    before = (files / "good.png").read_bytes()
+    done = wct("view", "good.png", cwd=files)
+    assert done.returncode == 0, done.stderr
+    assert cv2.imread(str(files / "good-view.png")) is not None
+    assert (files / "good.png").read_bytes() == before

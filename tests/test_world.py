@@ -1,0 +1,123 @@
+"""A source becomes a world, and a folder gives the same world back."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from lirs_wct import BuildOptions, World, build_world
+from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.pose import Pose2
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> Path:
+    """A ramp that rises to the north-east, 16 bit, wider than high."""
+    z = np.add.outer(np.arange(40)[::-1], np.arange(60)).astype(np.uint16) * 500
+    path = tmp_path / "ramp.png"
+    cv2.imwrite(str(path), z)
+    return path
+
+
+@pytest.fixture
+def floor(tmp_path: Path) -> Path:
+    """A room of 6 x 4 m with a wall inside, as map_server has it."""
+    pixels = np.full((80, 120), 254, np.uint8)
+    pixels[[0, -1], :] = pixels[:, [0, -1]] = 0
+    pixels[30:50, 60] = 0
+    cv2.imwrite(str(tmp_path / "room.pgm"), pixels)
+    path = tmp_path / "room.yaml"
+    path.write_text(
+        "image: room.pgm\nresolution: 0.05\norigin: [-1.0, -2.0, 0.3]\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.196\nnegate: 0\n"
+    )
+    return path
+
+
+def same(a: World, b: World) -> bool:
+    return (
+        (a.name, a.kind, a.starts, a.scale) == (b.name, b.kind, b.starts, b.scale)
+        and np.array_equal(a.surface.z, b.surface.z)
+        and (a.surface.cell, a.surface.origin) == (b.surface.cell, b.surface.origin)
+        and (a.walls is None) == (b.walls is None)
+        and (a.walls is None or np.array_equal(a.walls.solid, b.walls.solid) and a.walls.origin == b.walls.origin)
+        and (a.truth is None or np.array_equal(a.truth.log_odds, b.truth.log_odds, equal_nan=True))
+    )
+
+
+def test_a_picture_stands_upright(picture: Path) -> None:
+    world = build_world(picture, BuildOptions(size=12, height=3))
+    assert world.surface.size == pytest.approx((12, 12 * 39 / 59))
+    west, south, east, north = world.surface.bounds
+    assert (west + east, south + north) == pytest.approx((0, 0))
+    assert world.surface.height_at(east, north) == pytest.approx(3)
+    assert world.surface.height_at(west, south) == pytest.approx(0)
+
+
+def test_a_map_keeps_its_own_frame(floor: Path) -> None:
+    world = build_world(floor, BuildOptions(wall_height=1.5))
+    assert world.kind == "map"
+    assert world.walls is not None
+    assert world.walls.origin == Pose2(-1.0, -2.0, 0.3)
+    inner = world.walls.origin.apply((60.5 * 0.05, 40 * 0.05))
+    assert world.truth is not None
+    row, col = world.truth.cells(inner)
+    assert world.walls.solid[row, col]
+    assert world.walls.height == 1.5
+    assert all(world.surface.contains(*corner) for corner in world.walls.corners * 0.999)
+
+
+@pytest.mark.parametrize("source", ["picture", "floor"])
+def test_a_saved_world_comes_back_exactly(
+    source: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    world = build_world(request.getfixturevalue(source))
+    assert same(World.load(world.save(tmp_path / "saved")), world)
+    assert same(build_world(tmp_path / "saved"), world)
+
+
+def test_a_map_picture_without_yaml_needs_a_resolution(floor: Path) -> None:
+    image = floor.with_suffix(".pgm")
+    with pytest.raises(ConfigError, match="--resolution"):
+        build_world(image, BuildOptions(kind="map"))
+    world = build_world(image, BuildOptions(kind="map", resolution=0.05, origin=Pose2(-1.0, -2.0, 0.3)))
+    reference = build_world(floor)
+    assert np.array_equal(world.walls.solid, reference.walls.solid)  # type: ignore[union-attr]
+
+
+def test_a_window_keeps_coordinates(picture: Path) -> None:
+    whole = build_world(picture, BuildOptions(size=12, height=3))
+    part = build_world(picture, BuildOptions(size=12, height=3, window=(2.0, 1.0, 3.0)))
+    west, south, east, north = part.surface.bounds
+    assert west <= 0.5 <= 3.5 <= east
+    assert south <= -0.5 <= 2.5 <= north
+    lift = whole.surface.height_at(2.0, 1.0) - part.surface.height_at(2.0, 1.0)
+    assert whole.surface.height_at(1.0, 0.3) - part.surface.height_at(1.0, 0.3) == pytest.approx(lift, abs=1e-6)
+    assert part.surface.z.min() == 0
+    with pytest.raises(ConfigError, match="outside"):
+        build_world(picture, BuildOptions(size=12, window=(100.0, 0.0, 3.0)))
+
+
+def test_damaged_folders_are_named(picture: Path, tmp_path: Path) -> None:
+    folder = build_world(picture).save(tmp_path / "w")
+    entry = json.loads((folder / "world.json").read_text())
+    for text in ("", "{", "[]", "{}", json.dumps(entry | {"schema": 99}), json.dumps(entry | {"surface": {}})):
+        (folder / "world.json").write_text(text)
+        with pytest.raises(SourceError, match=r"^.*world\.json: "):
+            World.load(folder)
+    (folder / "world.json").write_text(json.dumps(entry))
+    data = (folder / "world.npz").read_bytes()
+    (folder / "world.npz").write_bytes(data[: len(data) // 2])
+    with pytest.raises(SourceError, match="damaged"):
+        World.load(folder)
+
+
+def test_what_is_no_source_is_told_so(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match="no such file.*simple, medium, advanced"):
+        build_world("smple")
+    with pytest.raises(SourceError, match=r"world\.json"):
+        build_world(tmp_path)
