@@ -98,7 +98,7 @@ def view(
     options: BuildOptions,
 ) -> None:
     """Draw a picture of any source: hillshade, walls, start poses. No OpenGL needed."""
-    from lirs_validation.report.hillshade import view_figure
+    from lirs_validation.report.view import view_figure
     from lirs_wct.files import atomic_write
     from lirs_wct.world import build_world
 
@@ -128,5 +128,5 @@ def _fail(message: str, code: int = BAD_INPUT) -> None:
     sys.exit(code)
 
 
-def _one_line(message: Warning | str, *_: Any) -> None:
+def _one_line(message: Warning | str, *_: Any, **__: Any) -> None:
     err.print(f"lirs-wct: {message}", markup=False, highlight=False, soft_wrap=True, style="yellow")

@@ -107,12 +107,15 @@ def _hills(recipe: Recipe, rng: np.random.Generator) -> Array:
 
     sigma = float(optimize.brentq(excess, 1.0, 15.0, xtol=1e-3))
     at = np.linspace(0, PIXELS // coarse, PIXELS)
-    z = ndimage.map_coordinates(terrain(sigma), np.meshgrid(at, at, indexing="ij"), order=3, mode="nearest")
+    z: Array = ndimage.map_coordinates(
+        terrain(sigma), np.meshgrid(at, at, indexing="ij"), order=3, mode="nearest"
+    )
     return recipe.relief * _unit(z)
 
 
 def _unit(z: Array) -> Array:
-    return (z - z.min()) / (z.max() - z.min())
+    unit: Array = (z - z.min()) / (z.max() - z.min())
+    return unit
 
 
 def _with_obstacles(hills: Array, recipe: Recipe, rng: np.random.Generator) -> Array:
@@ -130,6 +133,8 @@ def _with_obstacles(hills: Array, recipe: Recipe, rng: np.random.Generator) -> A
             continue
         mask = np.zeros_like(keep_out)
         cv2.fillPoly(mask, [np.round(outline).astype(np.int32)], 1)
+        # No tip of a single pixel: a contact grid of twice the spacing can have every corner.
+        mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).astype(np.uint8)
         if (keep_out & mask).any():
             continue
         z[mask > 0] = hills[mask > 0].max() + rng.uniform(1.2, 2.4)
@@ -161,4 +166,5 @@ def _outline(rng: np.random.Generator) -> Array:
     corners = np.array(((-w, -h), (w, -h), (w, h), (-w, h))) / 2
     turn = rng.uniform(0, math.pi)
     c, s = math.cos(turn), math.sin(turn)
-    return corners @ np.array(((c, s), (-s, c)))
+    turned: Array = corners @ np.array(((c, s), (-s, c)))
+    return turned

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,7 +30,7 @@ def ground_texture(surface: HeightField, walls: WallGrid | None = None) -> NDArr
         rgb = _earth(surface, x, y, span / PIXELS)
     else:
         rgb = np.where(_on_wall(walls, x, y)[..., None], WALL, FLOOR)
-    return cv2.cvtColor(np.clip(rgb, 0, 255).astype(np.uint8), cv2.COLOR_RGB2BGR).astype(np.uint8)
+    return np.ascontiguousarray(np.clip(rgb, 0, 255).astype(np.uint8)[..., ::-1])
 
 
 def _earth(
@@ -44,7 +43,8 @@ def _earth(
     dz_dy, dz_dx = np.gradient(z, pixel)
     normal = np.stack((-dz_dx, dz_dy, np.ones_like(z)), axis=-1)
     light = (normal @ SUN) / np.linalg.norm(normal, axis=-1)
-    return tint * (0.55 + 0.6 * np.clip(light, 0, 1))[..., None]
+    lit: NDArray[np.float64] = tint * (0.55 + 0.6 * np.clip(light, 0, 1))[..., None]
+    return lit
 
 
 def _on_wall(walls: WallGrid, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -117,7 +117,7 @@ def _wall_cells(walls: WallGrid, grid: OccupancyGrid) -> Mask:
 
 def _centres(grid: OccupancyGrid) -> NDArray[np.float64]:
     rows, cols = grid.shape
-    return grid.centres(np.stack(np.mgrid[:rows, :cols], axis=-1))
+    return grid.centres(np.moveaxis(np.indices((rows, cols)), 0, -1))
 
 
 def _lookup(mask: Mask, resolution: float, origin: Pose2, points: NDArray[np.float64]) -> Mask:
@@ -125,7 +125,8 @@ def _lookup(mask: Mask, resolution: float, origin: Pose2, points: NDArray[np.flo
     local = np.floor(origin.inverse().apply(points) / resolution).astype(np.int64)
     col, row = local[..., 0], local[..., 1]
     inside = (row >= 0) & (row < mask.shape[0]) & (col >= 0) & (col < mask.shape[1])
-    return inside & mask[np.where(inside, row, 0), np.where(inside, col, 0)]
+    found: Mask = inside & mask[np.where(inside, row, 0), np.where(inside, col, 0)]
+    return found
 
 
 def _scatter(points: NDArray[np.float64], grid: OccupancyGrid) -> Mask:
@@ -139,4 +140,5 @@ def _distance_to(blocked: Mask, resolution: float) -> NDArray[np.float64]:
     """Return metres from each cell to the nearest blocked one; beyond the border all is blocked."""
     padded = np.pad(~blocked, 1).astype(np.uint8)
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return distance[1:-1, 1:-1].astype(np.float64) * resolution
+    metres: NDArray[np.float64] = distance[1:-1, 1:-1].astype(np.float64) * resolution
+    return metres

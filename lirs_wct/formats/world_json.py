@@ -48,7 +48,7 @@ def write_world(world: World, folder: Path) -> Path:
         arrays["truth"] = world.truth.log_odds
         entry["truth"] = _grid_entry(world.truth)
     with atomic_write(folder / ARRAYS) as path:
-        np.savez_compressed(path, **arrays)
+        np.savez_compressed(path, allow_pickle=False, **arrays)
     with atomic_write(folder / JSON) as path:
         path.write_text(json.dumps(entry, indent=1) + "\n", encoding="utf-8")
     return folder
