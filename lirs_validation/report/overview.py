@@ -60,9 +60,11 @@ def overview_figure(
     """
     canvas = Canvas.over(shown_bounds(world, truth, true_pose))
     rows, cols = canvas.shape
-    side = 4.9
-    figure = new_figure(2 * side + 0.6, 1.2 + 2 * side * min(max(rows / cols, 0.5), 1.5))
-    grid = figure.add_gridspec(2, 2)
+    width = 4.9
+    tall = width * min(max(rows / cols, 0.35), 1.5)
+    upper = max(tall, 4.2)
+    figure = new_figure(2 * width + 0.6, 1.2 + upper + tall)
+    grid = figure.add_gridspec(2, 2, height_ratios=(upper, tall))
     figure.suptitle(_headline(record), fontsize=TITLE + 1.5, x=0.012, ha="left", color=BLACK)
     _terrain(figure.add_subplot(grid[0, 0]), world, canvas, truth, estimate)
     speed = grid[0, 1].subgridspec(2, 1, height_ratios=(1.0, 1.05))
@@ -98,6 +100,7 @@ def _headline(record: RunRecord) -> str:
 
 def _terrain(axes: Axes, world: World, canvas: Canvas, truth: Trajectory, estimate: Trajectory) -> None:
     map_axes(axes, canvas, coloured_relief(world, canvas))
+    axes.set_anchor("N")
     axes.plot(*truth.xy.T, color=BLUE, linewidth=2.6, solid_capstyle="round", zorder=4)
     axes.plot(*estimate.xy.T, color=VERMILLION, linewidth=1.1, zorder=5)
     axes.plot(*truth.xy[0], "o", color="white", markeredgecolor=BLACK, markersize=6, zorder=6)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich import box
 from rich.table import Table
+from rich.text import Text
 
 from lirs_validation.report.words import NOTHING, Entry, as_entry, figure_at, status_of, told
 
@@ -24,25 +25,45 @@ COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("ATE [m]", "trajectory.ate_rmse", "{:.3f}"),
     ("F1", "map.f1", "{:.3f}"),
     ("F1 input", "map.f1_input", "{:.3f}"),
-    ("IoU", "map.iou", "{:.3f}"),
     ("false occ.", "map.false_occupied", "{:.3f}"),
 )
 """Heading, place in the record, format."""
 WORDS = ("world", "robot", "mapper", "status")
 """Columns that are aligned to the left."""
+COMMON = ("robot", "mapper", "seed")
+"""Columns that move into the title where all runs have the same."""
 
 
 def results_table(records: Sequence[RunRecord | Entry]) -> Table:
-    """Return the runs as a rich table; below it, in words, why runs failed."""
+    """Return the runs as a rich table; below it, in words, why runs failed.
+
+    What all runs have in common stands above it, so that the table fits a terminal of 80 characters.
+    """
     entries = ordered(records)
-    columns = _shown(entries)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=_reasons(entries), caption_justify="left")
-    for heading, _, _ in columns:
-        table.add_column(heading, justify="left" if heading in WORDS else "right", no_wrap=True)
+    reasons = _reasons(entries)
+    common = [c for c in COLUMNS if c[0] in COMMON and len({told(e, c[1], c[2]) for e in entries}) == 1]
+    table = Table(
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+        title=Text(", ".join(_named(entries[0], c) for c in common)) if common else None,
+        title_justify="left",
+        caption=None if reasons is None else Text(reasons),
+        caption_justify="left",
+    )
+    columns = [c for c in _shown(entries) if c not in common]
+    for heading, place, form in columns:
+        width = max(len(told(entry, place, form)) for entry in entries)
+        table.add_column(
+            Text(heading.replace(" ", "\n")),
+            justify="left" if heading in WORDS else "right",
+            min_width=min(width, 10),
+            overflow="fold",
+        )
     for entry in entries:
         failed = status_of(entry) != "ok"
-        cells = [told(entry, place, form) for _, place, form in columns]
-        table.add_row(*cells, style="bold red" if failed else "")
+        # As plain text: a name may hold brackets, which rich would take for its markup.
+        table.add_row(*(Text(told(entry, c[1], c[2])) for c in columns), style="bold red" if failed else "")
     return table
 
 
@@ -64,6 +85,11 @@ def markdown_table(records: Sequence[RunRecord | Entry]) -> str:
 def ordered(records: Sequence[RunRecord | Entry]) -> list[Entry]:
     """Return the records as nested dicts: failures first, else as they came."""
     return sorted((as_entry(r) for r in records), key=lambda entry: status_of(entry) == "ok")
+
+
+def _named(entry: Entry, column: tuple[str, str, str]) -> str:
+    value = told(entry, column[1], column[2])
+    return f"seed {value}" if column[0] == "seed" else value
 
 
 def _shown(entries: Sequence[Entry]) -> list[tuple[str, str, str]]:

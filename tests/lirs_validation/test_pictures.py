@@ -1,0 +1,169 @@
+"""Pictures: north is up, light comes from the north-west, all panels show the same square metres."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from lirs_validation.record import RunConfig, RunRecord
+from lirs_validation.report.hillshade import hillshade, shading
+from lirs_validation.report.oblique import oblique_view
+from lirs_validation.report.overview import overview_figure, shown_bounds
+from lirs_validation.report.raster import Canvas, bounds_of
+from lirs_validation.report.view import view_figure
+from lirs_wct.grid import OccupancyGrid
+from lirs_wct.heightfield import HeightField
+from lirs_wct.pose import Pose2
+from lirs_wct.trajectory import Trajectory
+from lirs_wct.walls import WallGrid
+from lirs_wct.world import World
+
+
+def hill(n: int = 65, size: float = 20.0) -> HeightField:
+    at = np.linspace(-1, 1, n)
+    x, y = np.meshgrid(at, at[::-1])
+    return HeightField.centred((3 * np.exp(-4 * (x**2 + y**2))).astype(np.float32), (size / (n - 1),) * 2)
+
+
+def room() -> World:
+    """6 x 4 m of floor with walls all round and a block in the north-east corner."""
+    p = np.zeros((40, 60))
+    p[[0, -1]], p[:, [0, -1]] = 1.0, 1.0
+    p[30:36, 45:55] = 1.0
+    truth = OccupancyGrid.from_probability(p, 0.1, Pose2(-1.0, -2.0))
+    walls = WallGrid(truth.occupied, 0.1, truth.origin)
+    floor = HeightField(np.zeros((2, 2), np.float32), (6.0, 4.0), (-1.0, -2.0))
+    return World("room", "map", floor, walls, truth, (Pose2(1, 0, 0.5),))
+
+
+def test_light_comes_from_the_north_west() -> None:
+    canvas = Canvas.over(hill().bounds, 200)
+    rgb = hillshade(hill(), canvas=canvas)
+    assert rgb.shape == (200, 200, 3)
+    quarter, three = 75, 125
+    assert rgb[quarter, quarter, 0] > rgb[5, 5, 0] > rgb[three, three, 0]
+
+
+def test_level_ground_is_even() -> None:
+    assert np.ptp(shading(np.zeros((20, 30)), 0.1)) == 0.0
+    assert shading(np.zeros((20, 30)), 0.1)[0, 0] == pytest.approx(math.sin(math.radians(45)))
+
+
+def test_north_is_up_and_walls_are_dark() -> None:
+    world = room()
+    canvas = Canvas.over(world.surface.bounds, 120)
+    rgb = hillshade(world.surface, world.walls, canvas)
+    dark = rgb[..., 0] < 0.3
+    # The block: x 3.5..4.5, y 1.0..1.6 in the world; row 0 of the picture is north (y = 2).
+    assert dark[int((2 - 1.3) / canvas.pixel), int((4.0 + 1) / canvas.pixel)]
+    assert not dark[int((2 + 1.3) / canvas.pixel), int((4.0 + 1) / canvas.pixel)]
+
+
+def test_thin_walls_survive_in_coarse_pixels() -> None:
+    solid = np.zeros((400, 400), np.bool_)
+    solid[:, 133] = True
+    canvas = Canvas.over((0.0, 0.0, 20.0, 20.0), 50)
+    assert canvas.marked(solid, 0.05, Pose2()).any(axis=1).all()
+
+
+def test_a_turned_map_lies_where_its_points_lie() -> None:
+    p = np.full((20, 30), 0.1)
+    p[4, 25] = 0.9
+    grid = OccupancyGrid.from_probability(p, 0.1, Pose2(1.0, 2.0, 0.8))
+    canvas = Canvas.over((-3.0, 0.0, 5.0, 8.0), 400)
+    rows, cols = np.nonzero(canvas.occupied(grid))
+    seen = canvas.centres[rows, cols].mean(axis=0)
+    assert seen == pytest.approx(grid.centres((4, 25)), abs=0.02)
+    bounds = bounds_of(grid)
+    assert bounds is not None
+    assert bounds[0] < seen[0] < bounds[2]
+    assert bounds[1] < seen[1] < bounds[3]
+
+
+def test_oblique_view_of_a_tower() -> None:
+    canvas = Canvas.over((0.0, 0.0, 10.0, 10.0), 100)
+    z = np.zeros((100, 100))
+    grass, stone = np.full((100, 100, 3), 0.4), np.full((100, 100, 3), 0.8)
+    flat = oblique_view(z, grass, stone, canvas, width=300)
+    z[45:55, 45:55] = 4.0
+    tower = oblique_view(z, grass, stone, canvas, width=300)
+    assert flat.shape[1] == 300
+    assert np.isfinite(tower).all()
+    assert flat[0, 0, 3] == 0.0  # transparent around the block
+    assert not (flat[..., 0] == 0.8).any()  # nothing rises on level ground
+    faces = tower[..., 0] == 0.8
+    # A face 1 m wide and 4 m tall, foreshortened by cos(35 deg), turned by 28 deg: two faces seen.
+    width = math.cos(math.radians(28)) + math.sin(math.radians(28))
+    unit = 10 * width / 300
+    assert faces.sum() * unit**2 == pytest.approx(4 * math.cos(math.radians(35)) * width, rel=0.1)
+
+
+@pytest.mark.parametrize("kind", ["terrain", "map"])
+def test_a_world_becomes_a_picture(kind: str, tmp_path: Path) -> None:
+    world = room() if kind == "map" else World("hill", "terrain", hill(), starts=(Pose2(5, 5, 1),))
+    view_figure(world).savefig(tmp_path / "view.png")
+    image = cv2.imread(str(tmp_path / "view.png"))
+    assert image is not None
+    assert image.shape[1] == 1800
+    assert 0.05 < (image.min(axis=2) < 240).mean() < 0.95
+
+
+def record(status: str = "ok", series: tuple[float, ...] = (40.0, 50.0, 60.0)) -> RunRecord:
+    return RunRecord(
+        config=RunConfig(source="room", seconds=3.0),
+        world={"name": "room"},
+        status=status,  # type: ignore[arg-type]
+        reason="" if status == "ok" else "it fell",
+        rtf={"mean": 48.0, "std": 8.0, "series": list(series)},
+        trajectory={"ate_rmse": 0.02, "length": 2.0},
+        map={"f1": None},
+        collisions={},
+        mapper={},
+        versions={},
+        machine={},
+    )
+
+
+def drive() -> tuple[World, Trajectory, OccupancyGrid]:
+    world = room()
+    path = [Pose2(0.1 * k, 0.2 * math.sin(k), 0.0) for k in range(20)]
+    assert world.truth is not None
+    return world, Trajectory.from_poses([0.1 * k for k in range(20)], path), world.truth
+
+
+@pytest.mark.parametrize("status", ["ok", "tipped"])
+def test_an_overview_shows_the_same_metres_in_all_panels(status: str, tmp_path: Path) -> None:
+    world, truth, grid = drive()
+    figure = overview_figure(world, record(status), truth, truth, grid, grid)
+    panels = {axes.get_title(loc="left"): axes for axes in figure.axes}
+    names = ["Input map and paths", "Map at the true poses", "Built map"]
+    assert len({(*panels[n].get_xlim(), *panels[n].get_ylim()) for n in names}) == 1
+    texts = {t.get_text() for axes in figure.axes for t in axes.texts}
+    assert "0.020 m" in texts
+    assert ("it fell" in figure.get_suptitle()) == (status != "ok")
+    figure.savefig(tmp_path / "overview.png")
+    assert (tmp_path / "overview.png").stat().st_size > 20_000
+
+
+def test_an_overview_of_a_run_that_hardly_began() -> None:
+    world, truth, _ = drive()
+    nothing = OccupancyGrid(np.full((4, 4), np.nan, np.float32), 0.05)
+    one = Trajectory(truth.stamps[:1], truth.positions[:1], truth.quaternions[:1])
+    figure = overview_figure(world, record("diverged", ()), one, one, nothing, nothing)
+    figure.canvas.draw()
+    west, south, east, north = shown_bounds(world, one, nothing)
+    assert east - west >= 2.0
+    assert north - south >= 2.0
+
+
+def test_what_is_off_stands_out() -> None:
+    world, truth, grid = drive()
+    wrong = grid.moved(Pose2(0.3, 0.0, 0.0))
+    figure = overview_figure(world, record(), truth, truth, grid, wrong)
+    built = next(a for a in figure.axes if a.get_title(loc="left") == "Built map")
+    picture = np.asarray(built.images[0].get_array())
+    assert (np.abs(picture - (0.835, 0.369, 0.0)).max(axis=-1) < 0.01).sum() > 100
