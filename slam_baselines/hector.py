@@ -22,7 +22,7 @@ from slam_baselines.correlative import SearchConfig, search
 from slam_baselines.levelling import LevelledScan, ScanLeveller
 from slam_baselines.map_builder import BuilderConfig, MapBuilder
 from slam_baselines.mapper import MapperStats, Stopwatch
-from slam_baselines.odometry import MotionConfig
+from slam_baselines.odometry import MotionConfig, yaw_rate
 from slam_baselines.scan_matching import Match, MatchConfig, ScanMatcher
 
 Array = NDArray[np.float64]
@@ -56,6 +56,7 @@ class HectorConfig(BuilderConfig):
     lost_score: float = 0.4
     lost_after: int = 10
     known_share: float = 0.3
+    least_beams: int = 15
 
     def __post_init__(self) -> None:
         super(HectorConfig, self).__post_init__()
@@ -80,6 +81,8 @@ class HectorMapper:
         self._pose = Pose2()
         self._covariance = np.zeros((3, 3))
         self._odometry: Pose2 | None = None
+        self._stamp = 0.0
+        self._rate: float | None = None
         self._poses: dict[float, Pose2] = {}
         self._received = self._matched = self._searches = self._lost_scans = self._poor_in_a_row = 0
         self._stopwatch = Stopwatch()
@@ -88,8 +91,8 @@ class HectorMapper:
         """Match the scan to the map, enter it, return `T_map_base`."""
         started = self._stopwatch.start()
         level = self._leveller.level(scan, imu)
-        prior, covariance = self._predict(odometry)
-        match = self._match(level, prior, covariance)
+        prior, covariance = self._predict(odometry, imu, scan.stamp)
+        match = self.last = self._match(level, prior, covariance)
         self._builder.follow(level, self._pose)
         if self._judge(match) and self._builder.due(level, self._pose):
             self._builder.enter(level, self._pose)
@@ -123,14 +126,17 @@ class HectorMapper:
             **self._stopwatch.summary(),
         )
 
-    def _predict(self, odometry: Pose2 | None) -> tuple[Pose2, Array]:
+    def _predict(self, odometry: Pose2 | None, imu: Imu | None, stamp: float) -> tuple[Pose2, Array]:
         """Return the pose that the odometry expects, and its covariance."""
         before, self._odometry = self._odometry, odometry
+        seconds, self._stamp = stamp - self._stamp, stamp
+        rate, self._rate = self._rate, None if imu is None else yaw_rate(imu)
         self._received += 1
         if self._received == 1:
             return self._pose, self._covariance
         delta = None if before is None or odometry is None else before.inverse() @ odometry
-        return self.config.motion.predict(self._pose, self._covariance, delta)
+        turned = None if rate is None or self._rate is None else (rate + self._rate) / 2 * seconds
+        return self.config.motion.predict(self._pose, self._covariance, delta, seconds, turned)
 
     def _match(self, scan: LevelledScan, prior: Pose2, covariance: Array) -> Match | None:
         """Move the estimate to where the scan fits; to the prior, if there is nothing to fit."""
@@ -138,8 +144,10 @@ class HectorMapper:
         if len(scan.hits) == 0 or self._builder.updates == 0:
             return None
         pyramid, expected, information = self._builder.pyramid, prior.as_array(), np.linalg.inv(covariance)
-        weights = np.ones(len(scan.hits))
+        weights = self.lastw = self._builder.weights(scan, prior)
         match = self._matcher.match(pyramid, scan.hits, weights, expected, information)
+        if match.beams < self.config.least_beams:
+            return None
         if match.known >= self.config.known_share and match.score < self.config.poor_score:
             self._searches += 1
             start = search(pyramid.maps[-1].grid, scan.hits, weights, expected, self.config.search)

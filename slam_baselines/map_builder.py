@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lirs_wct.errors import ConfigError
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.pose import Pose2, wrap_angle
@@ -67,9 +70,17 @@ class MapBuilder:
 
     def follow(self, scan: LevelledScan, pose: Pose2) -> None:
         """Take note that the base has come to `pose`; keeps the height up to date."""
-        if self._last is not None and scan.levelled:
-            self.relief.move(self._last.inverse() @ pose, scan)
+        if scan.levelled:
+            self.relief.move(Pose2() if self._last is None else self._last.inverse() @ pose, scan)
         self._last = pose
+
+    def weights(self, scan: LevelledScan, pose: Pose2) -> NDArray[np.float64]:
+        """Return (n,) 1 for hits on what is known to be a wall, 0 for those that may be ground."""
+        if self._bound == 0:
+            return np.ones(len(scan.hits))
+        origin, hits, _ = scan.placed(pose, self.relief.height)
+        proven = np.maximum(self.relief.steepness(origin, hits, pose), self.pyramid.maps[-1].steepness(hits))
+        return (proven >= self._bound).astype(np.float64)
 
     def due(self, scan: LevelledScan, pose: Pose2) -> bool:
         """Whether the robot has moved or leaned enough since the last update."""
@@ -90,8 +101,8 @@ class MapBuilder:
             steep = self.relief.observe(origin, hits, free, pose)
         else:
             steep = self.relief.unproven(len(hits))
-        if self.relief.bound != self._bound:
-            self._bound = self.relief.bound
+        if self.relief.match_bound != self._bound:
+            self._bound = self.relief.match_bound
             for level in self.pyramid.maps:
                 level.revalue(self._bound)
         grew = [level.update(origin, hits, free, steep, self._bound) for level in self.pyramid.maps]
@@ -102,7 +113,7 @@ class MapBuilder:
 
     def map(self) -> OccupancyGrid:
         """Return the finest level."""
-        return self.pyramid.maps[0].occupancy_grid(self._bound)
+        return self.pyramid.maps[0].occupancy_grid(self.relief.bound)
 
     @property
     def memory(self) -> int:

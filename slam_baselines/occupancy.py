@@ -125,6 +125,13 @@ class OccupancyMap:
         np.take(_VALUE, steps.astype(np.int16) + 128, out=value)
         value[(steps > 0) & (layers["steep"] < bound)] = HALF
 
+    def steepness(self, points: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """Return (n,) what is proven of the cells under points (n, 2 or more), in STEEP_STEP."""
+        g = self.grid
+        out = np.zeros(len(points), np.uint8)
+        _look_up(g.layers["steep"], g.row0, g.col0, g.resolution, points, out)
+        return out
+
     def occupancy_grid(self, bound: int) -> OccupancyGrid:
         """Return what is known; hits not proven to be steeper than `bound` are unknown, not occupied."""
         steps, steep = self.grid.layers["log_odds"], self.grid.layers["steep"]
@@ -191,3 +198,13 @@ def _pass(log_odds, value, steepness, top, row0, col0, resolution, touched, wind
         after = max(-limit, (0 if before == UNKNOWN else before) + miss)
         log_odds[r, c] = after
         value[r, c] = HALF if after > 0 and steepness[r, c] < bound else _VALUE[after + 128]
+
+
+@njit(cache=True)
+def _look_up(layer, row0, col0, resolution, points, out):
+    """Read a layer at points; what lies outside keeps the value in `out`."""
+    rows, cols = layer.shape
+    for i in range(len(points)):
+        r, c = int(np.floor(points[i, 1] / resolution)) - row0, int(np.floor(points[i, 0] / resolution)) - col0
+        if 0 <= r < rows and 0 <= c < cols:
+            out[i] = layer[r, c]

@@ -9,60 +9,87 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.pose import Pose2
+from lirs_wct.pose import Pose2, wrap_angle
+from lirs_wct.scan import Imu
 
 Array = NDArray[np.float64]
 
 
+def yaw_rate(imu: Imu) -> float:
+    """Return how fast yaw changes, rad/s: the body's rates turned into that of R = Rz Ry Rx."""
+    _, y, z = imu.angular_velocity
+    return (y * math.sin(imu.roll) + z * math.cos(imu.roll)) / max(math.cos(imu.pitch), 0.1)
+
+
 @dataclass(frozen=True, kw_only=True)
 class MotionConfig:
-    """Standard deviations of the motion since the last scan, after Thrun et al. 2005, table 5.6.
+    """Errors of the odometry, each as a random walk: the variance grows with way, turn and time.
+
+    So a step in ten parts is as uncertain as the step in one, whatever the rate of the scans.
 
     Attributes:
-        translation_per_metre: metres per metre driven.
-        translation_per_radian: metres per radian turned.
-        rotation_per_radian: radians per radian turned.
-        rotation_per_metre: radians per metre driven.
-        translation_floor: metres, of any step.
-        rotation_floor: radians, of any step.
-        blind_translation: metres per step when there is no odometry.
-        blind_rotation: radians per step when there is no odometry.
+        translation_per_metre: standard deviation after one metre, metres.
+        translation_per_radian: after turning one radian, metres.
+        translation_per_second: after one second, metres.
+        rotation_per_metre: after one metre, radians.
+        rotation_per_radian: after turning one radian, radians.
+        rotation_per_second: after one second, radians.
+        gyro_per_second: of a gyro's yaw after one second, radians.
+        blind_translation: after one second without odometry, metres.
+        blind_rotation: after one second without odometry, radians.
 
     Raises:
-        ConfigError: a negative value, or a floor that is not above 0.
+        ConfigError: a value is not above 0.
     """
 
-    translation_per_metre: float = 0.1
-    translation_per_radian: float = 0.05
-    rotation_per_radian: float = 0.1
-    rotation_per_metre: float = 0.05
-    translation_floor: float = 0.005
-    rotation_floor: float = 0.005
-    blind_translation: float = 0.3
-    blind_rotation: float = 0.2
+    translation_per_metre: float = 0.04
+    translation_per_radian: float = 0.02
+    translation_per_second: float = 0.005
+    rotation_per_metre: float = 0.03
+    rotation_per_radian: float = 0.05
+    rotation_per_second: float = 0.005
+    gyro_per_second: float = 0.001
+    blind_translation: float = 0.5
+    blind_rotation: float = 0.5
 
     def __post_init__(self) -> None:
-        if min(self.translation_floor, self.rotation_floor) <= 0:
-            raise ConfigError("translation_floor and rotation_floor must be above 0")
-        if min(getattr(self, name) for name in self.__dataclass_fields__) < 0:
-            raise ConfigError("standard deviations of motion must not be negative")
+        for name in self.__dataclass_fields__:
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name} of the motion must be above 0, got {getattr(self, name)}")
 
-    def predict(self, pose: Pose2, covariance: Array, delta: Pose2 | None) -> tuple[Pose2, Array]:
-        """Return the expected pose after a step `T_before_now` and its (3, 3) covariance.
+    def predict(
+        self, pose: Pose2, covariance: Array, delta: Pose2 | None, seconds: float, turned: float | None = None
+    ) -> tuple[Pose2, Array]:
+        """Return the expected pose after a step and its (3, 3) covariance.
 
-        Without odometry (`delta` None) the robot is expected to stay, with little confidence.
+        Args:
+            pose: before the step.
+            covariance: (3, 3) of x, y, yaw there.
+            delta: `T_before_now` by odometry; without it the robot is expected to stay, with little
+                confidence.
+            seconds: duration of the step.
+            turned: change of yaw by the gyro, if there is one, radians. Two witnesses that agree are
+                believed as a gyro deserves; the more they disagree, the less the odometry's yaw is.
         """
+        seconds = max(seconds, 1e-3)
         if delta is None:
-            noise = self.blind_translation, self.blind_rotation
-            delta = Pose2()
+            delta = Pose2(yaw=turned or 0.0)
+            shift, turn = self.blind_translation**2 * seconds, self.blind_rotation**2 * seconds
         else:
             metres, radians = math.hypot(delta.x, delta.y), abs(delta.yaw)
-            noise = (
-                self.translation_per_metre * metres + self.translation_per_radian * radians + self.translation_floor,
-                self.rotation_per_radian * radians + self.rotation_per_metre * metres + self.rotation_floor,
+            shift = (
+                self.translation_per_metre**2 * metres
+                + self.translation_per_radian**2 * radians
+                + self.translation_per_second**2 * seconds
             )
+            turn = (
+                self.rotation_per_metre**2 * metres
+                + self.rotation_per_radian**2 * radians
+                + self.rotation_per_second**2 * seconds
+            )
+        if turned is not None:
+            turn = min(turn, self.gyro_per_second**2 * seconds + wrap_angle(turned - delta.yaw) ** 2)
         after = pose @ delta
         G = np.eye(3)
         G[0, 2], G[1, 2] = pose.y - after.y, after.x - pose.x
-        Q = np.diag((noise[0] ** 2, noise[0] ** 2, noise[1] ** 2))
-        return after, G @ covariance @ G.T + Q
+        return after, G @ covariance @ G.T + np.diag((shift, shift, turn))

@@ -45,6 +45,9 @@ class ReliefConfig:
         flat_tilt: ground on which the robot never leaned more is a floor: every hit is a wall. Radians.
         slope_factor: ground is at most so many times as steep as the robot has leaned ...
         slope_margin: ... plus this, radians ...
+        match_margin: for matching, steeper than the robot has leaned plus this is a wall, radians.
+        first_margin: at the start, when little ground has been met, ground may be steeper by this, radians.
+        first_metres: way over which this falls to 1/e, metres.
         slope_limit: ... and never steeper than this, radians.
 
     Raises:
@@ -58,9 +61,12 @@ class ReliefConfig:
     drift: float = 0.003
     base_height: float = 0.13
     footprint: float = 0.3
-    flat_tilt: float = math.radians(1.0)
+    flat_tilt: float = math.radians(0.6)
     slope_factor: float = 2.0
     slope_margin: float = math.radians(3.0)
+    match_margin: float = math.radians(3.0)
+    first_margin: float = math.radians(15.0)
+    first_metres: float = 5.0
     slope_limit: float = math.radians(40.0)
 
     def __post_init__(self) -> None:
@@ -84,22 +90,34 @@ class Relief:
         self.height = 0.0
         self.travelled = 0.0
         self.tilt = 0.0
+        self._lean: tuple[float, float] | None = None
         self._offsets = _neighbours(self.config.resolution)
 
     def move(self, delta: Pose2, scan: LevelledScan) -> None:
         """Follow the ground over a step `T_before_now` of the base, as steep as the robot leans."""
         self.height += scan.ground_slope[0] * delta.x + scan.ground_slope[1] * delta.y
         self.travelled += math.hypot(delta.x, delta.y)
-        self.tilt = max(self.tilt, scan.tilt)
+        first = self._lean is None
+        self._lean = scan.ground_slope if first else tuple(0.8 * a + 0.2 * b for a,b in zip(self._lean, scan.ground_slope))
+        self.tilt = max(self.tilt, math.atan(math.hypot(*self._lean)))
 
     @property
     def bound(self) -> int:
         """Rise over run, in STEEP_STEP, from which on a hit is a wall; 0 on a floor."""
+        return self._steps(self.config.slope_factor, self.config.slope_margin)
+
+    @property
+    def match_bound(self) -> int:
+        """The same, for matching: ground is hardly steeper than where the robot has been."""
+        return self._steps(1.0, self.config.match_margin)
+
+    def _steps(self, factor: float, margin: float) -> int:
         c = self.config
         if self.tilt <= c.flat_tilt:
             return 0
-        angle = min(c.slope_factor * self.tilt + c.slope_margin, c.slope_limit)
-        return round(math.tan(math.ceil(math.degrees(angle)) * math.pi / 180) / STEEP_STEP)
+        unknown = c.first_margin * math.exp(-self.travelled / c.first_metres)
+        angle = math.degrees(min(factor * self.tilt + margin + unknown, c.slope_limit))
+        return round(math.tan(math.radians(math.ceil(angle))) / STEEP_STEP)
 
     def observe(self, origin: Array, hits: Array, free: Array, base: Pose2) -> NDArray[np.uint8]:
         """Lower the ceiling by what a scan has seen; return the proven steepness of its hits.
@@ -120,11 +138,23 @@ class Relief:
         frame = np.array((g.row0, g.col0, g.resolution))
         _lower(ceiling, frame, origin, hits, True, near - old, far)
         _lower(ceiling, frame, origin, free, False, near - old, far)
-        ground = np.array((base.x, base.y, self.height - c.base_height + near))
-        _stand(ceiling, frame, ground, c.footprint, old)
-        steep = np.empty(len(hits), np.uint8)
-        _steepness(ceiling, frame, origin, hits, ground, old, near, far, self._offsets, steep)
+        _stand(ceiling, frame, self._ground(base), c.footprint, old)
+        return self.steepness(origin, hits, base)
+
+    def steepness(self, origin: Array, hits: Array, base: Pose2) -> NDArray[np.uint8]:
+        """Return the proven steepness of hits, in STEEP_STEP, from what was observed so far."""
+        c, g = self.config, self.grid
+        steep = np.zeros(len(hits), np.uint8)
+        near, far = c.confidence * c.height_error, c.confidence * c.attitude_error
+        frame = np.array((g.row0, g.col0, g.resolution))
+        ground, old = self._ground(base), c.drift * self.travelled
+        _steepness(g.layers["ceiling"], frame, origin, hits, ground, old, near, far, self._offsets, steep)
         return steep
+
+    def _ground(self, base: Pose2) -> Array:
+        """Return (3,) the highest that the ground under the robot may be."""
+        c = self.config
+        return np.array((base.x, base.y, self.height - c.base_height + c.confidence * c.height_error))
 
     @staticmethod
     def unproven(n: int) -> NDArray[np.uint8]:
@@ -172,14 +202,17 @@ def _stand(ceiling, frame, ground, footprint, old):
 def _steepness(ceiling, frame, origin, hits, ground, old, near, far, offsets, steep):
     """Fill `steep` with the largest proven rise over run towards each hit."""
     res = frame[2]
+    rows, cols = ceiling.shape
     for i in range(len(hits)):
         x, y, z = hits[i]
         reach = np.sqrt((x - origin[0]) ** 2 + (y - origin[1]) ** 2 + (z - origin[2]) ** 2)
         z -= near + far * reach
         best = (z - ground[2]) / (np.hypot(x - ground[0], y - ground[1]) + res)
         z -= old
-        row, col = int(y / res - frame[0]), int(x / res - frame[1])
+        row, col = int(np.floor(y / res - frame[0])), int(np.floor(x / res - frame[1]))
         for k in range(len(offsets)):
             r, c = row + int(offsets[k, 0]), col + int(offsets[k, 1])
+            if r < 0 or c < 0 or r >= rows or c >= cols:
+                continue
             best = max(best, (z - ceiling[r, c]) / (offsets[k, 2] + res))
         steep[i] = np.uint8(min(max(best / STEEP_STEP, 0.0), 255.0))

@@ -54,12 +54,14 @@ class Match:
         pose: (3,) x, y, yaw of `T_map_base`.
         information: (3, 3) of the scan alone at that pose.
         score: mean occupancy at the ends of beams that fall on known cells; 0 where none does.
+        beams: sum of the weights of beams on known cells.
         known: share of the beams that fall on known cells.
     """
 
     pose: Array
     information: Array
     score: float
+    beams: float
     known: float
 
 
@@ -83,7 +85,7 @@ class ScanMatcher:
     def __init__(self, config: MatchConfig) -> None:
         self._iterations = np.array(config.iterations)
         self._config = config
-        self._out = np.zeros(14)
+        self._out = np.zeros(15)
 
     def match(
         self, pyramid: MapPyramid, points: Array, weights: Array, prior: Array, information: Array,
@@ -105,14 +107,14 @@ class ScanMatcher:
             pyramid.values, pyramid.frames, points, weights,
             prior, information, prior if start is None else start, self._iterations, c.sigma, c.converged, out,
         )  # fmt: skip
-        return Match(out[:3].copy(), out[3:12].reshape(3, 3).copy(), float(out[12]), float(out[13]))
+        return Match(out[:3].copy(), out[3:12].reshape(3, 3).copy(), *out[12:].tolist())
 
 
 @njit(cache=True)
 def _match(
     values, frames, points, weights, prior, information, start, iterations, sigma, converged, out
 ):  # fmt: skip
-    """Run Gauss-Newton from the coarsest level to the finest; fill `out` (14,)."""
+    """Run Gauss-Newton from the coarsest level to the finest; fill `out` (15,)."""
     pose = start.copy()
     H, g = np.empty((3, 3)), np.empty(3)
     score = known = 0.0
@@ -133,7 +135,7 @@ def _match(
     out[:3] = pose
     out[3:12] = (H / sigma**2).ravel()
     total = max(weights.sum(), 1e-9)
-    out[12], out[13] = score / max(known, 1e-9), known / total
+    out[12], out[13], out[14] = score / max(known, 1e-9), known, known / total
 
 
 @njit(cache=True)
