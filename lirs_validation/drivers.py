@@ -119,11 +119,12 @@ class CoverageDriver:
                 return self._backwards()
             self._replan(T_world_base, time)
         twist = self._pursuit.twist(T_world_base)
+        if self._pursuit.distance > self.config.off_path or self._pursuit.remaining < self.config.step:
+            self._replan(T_world_base, time)
+            return self._pursuit.twist(T_world_base)
         if self._pursuit.progress >= self._mark + self.config.step:
             self._mark, self._moved_at = self._pursuit.progress, time
             self._failures = 0 if self._mark > 10 * self.config.step else self._failures
-        elif self._pursuit.remaining < self.config.step or self._pursuit.distance > self.config.off_path:
-            self._replan(T_world_base, time)
         elif time - self._moved_at > self.config.patience:
             return self._give_way(T_world_base, time)
         return twist

@@ -1,0 +1,239 @@
+"""The coverage driver on a robot without physics: it covers ground, hits nothing, knows when it is stuck."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from lirs_validation.drivers import CoverageDriver, Driver, DriverConfig, plan_coverage
+from lirs_validation.planning import CoveragePlanner, TourConfig
+from lirs_validation.pursuit import PursuitConfig
+from lirs_wct.errors import ConfigError
+from lirs_wct.grid import OccupancyGrid
+from lirs_wct.pose import Pose2
+from lirs_wct.traversability import start_poses
+from lirs_wct.world import build_world
+
+ROBOT, MARGIN = 0.61, 0.15
+DT = 0.04
+"""Seconds a tick."""
+
+
+@dataclass(frozen=True)
+class Ride:
+    """What a ride left behind: (n, 3) poses and the metres driven."""
+
+    poses: np.ndarray
+    length: float
+
+    def on_free(self, grid: OccupancyGrid) -> np.ndarray:
+        """(n,) whether the robot's centre was in a free cell."""
+        cells = np.clip(grid.cells(self.poses[:, :2]), 0, np.array(grid.shape) - 1)
+        return grid.free[cells[:, 0], cells[:, 1]]
+
+
+def ride(
+    driver: Driver,
+    start: Pose2,
+    seconds: float,
+    *,
+    yaw_gain: float = 1.0,
+    slip: float = 0.03,
+    seed: int = 0,
+    blocked: Callable[[Pose2], bool] = lambda pose: False,
+) -> Ride:
+    """Drive a Husky without physics: 3 m/s^2, 6 rad/s^2, a yaw gain, random slip; it stops where blocked."""
+    rng = np.random.default_rng(seed)
+    pose, v, w, length = start, 0.0, 0.0, 0.0
+    poses = [start.as_array()]
+    for tick in range(round(seconds / DT)):
+        twist = driver.command(pose, tick * DT)
+        assert abs(twist.v) <= 1.0
+        assert abs(twist.omega) <= 2.0
+        v += float(np.clip(twist.v - v, -3.0 * DT, 3.0 * DT))
+        w += float(np.clip(yaw_gain * twist.omega - w, -6.0 * DT, 6.0 * DT))
+        noise = rng.normal(1.0, slip, 2)
+        moved = pose @ Pose2(v * DT * float(noise[0]), 0.0, w * DT * float(noise[1]))
+        if blocked(moved):
+            moved, v = Pose2(pose.x, pose.y, moved.yaw), 0.0
+        length += pose.distance(moved)
+        pose = moved
+        poses.append(pose.as_array())
+    return Ride(np.array(poses), length)
+
+
+def field(seed: int, obstacles: int = 100, side: float = 50.0) -> tuple[OccupancyGrid, OccupancyGrid]:
+    """Random obstacles: where the centre may be with margin, and where the robot touches nothing."""
+    rng = np.random.default_rng(seed)
+    n = int(side / 0.1)
+    solid = np.zeros((n, n), np.uint8)
+    for _ in range(obstacles):
+        corner = rng.uniform(0, side, 2) / 0.1
+        size, angle = rng.uniform(4, 20, 2), float(rng.uniform(0, 180))
+        box = cv2.boxPoints(((corner[0], corner[1]), (size[0], size[1]), angle))
+        cv2.fillPoly(solid, [box.astype(np.int32)], 1)
+    distance = (
+        cv2.distanceTransform(1 - np.pad(solid, 1, constant_values=1), cv2.DIST_L2, 5)[1:-1, 1:-1] * 0.1
+    )
+    origin = Pose2(-side / 2, -side / 2)
+    near, far = (np.where(distance > c, 0.0, 1.0) for c in (ROBOT, ROBOT + MARGIN))
+    return tuple(OccupancyGrid.from_probability(p, 0.1, origin) for p in (far, near))  # type: ignore[return-value]
+
+
+def corridor(length: float = 20.0, width: float = 1.0) -> OccupancyGrid:
+    p = np.ones((int(width / 0.1) + 2, int(length / 0.1) + 2))
+    p[1:-1, 1:-1] = 0.0
+    return OccupancyGrid.from_probability(p, 0.1)
+
+
+def driver_on(free: OccupancyGrid, seed: int = 1, seconds: float = 120.0, **config: float) -> CoverageDriver:
+    start = start_poses(free)[0]
+    return plan_coverage(
+        free, start, seconds=seconds, rng=np.random.default_rng(seed), config=DriverConfig(**config)
+    )  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_it_covers_ground_among_obstacles_and_hits_none(seed: int) -> None:
+    free, touching = field(seed)
+    driver = driver_on(free, seed)
+    result = ride(driver, driver.start, 120.0, seed=seed)
+    assert result.length >= 60.0
+    assert result.on_free(touching).all()
+    assert not driver.stuck
+
+
+@pytest.mark.parametrize("yaw_gain", [0.6, 1.4])
+def test_it_stays_clear_with_a_robot_that_turns_too_little_or_too_much(yaw_gain: float) -> None:
+    free, touching = field(7)
+    driver = driver_on(free)
+    result = ride(driver, driver.start, 120.0, yaw_gain=yaw_gain)
+    assert result.length >= 40.0
+    assert result.on_free(touching).all()
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["navigation2/depot.yaml", "mir_robot/maze.yaml"])
+def test_it_drives_through_real_maps(name: str, shared_data: Path) -> None:
+    world = build_world(shared_data / "maps" / name)
+    free = world.traversable(clearance=ROBOT + MARGIN, max_slope=0.35)
+    touching = world.traversable(clearance=ROBOT - 0.05, max_slope=0.35)
+    driver = driver_on(free)
+    result = ride(driver, driver.start, 120.0)
+    assert result.length >= 60.0
+    assert result.on_free(touching).all()
+    assert driver.coverage > 0.8
+
+
+def test_the_same_seed_gives_the_same_tour_and_another_another() -> None:
+    free, _ = field(3)
+    one, same, other = (driver_on(free, seed).path for seed in (1, 1, 2))
+    assert np.array_equal(one, same)
+    assert not (one.shape == other.shape and np.allclose(one, other))
+
+
+def test_a_tour_is_long_enough_evenly_spaced_and_free() -> None:
+    free, _ = field(5)
+    start = start_poses(free)[0]
+    planner = CoveragePlanner(free, start, np.random.default_rng(0))
+    points = planner.tour(start, 200.0)
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    assert steps.max() < 0.101
+    assert 150.0 < steps.sum() < 260.0
+    assert (planner.room_at(points) > 0).all()
+
+
+def test_a_small_world_is_covered_completely_and_then_driven_again() -> None:
+    free, _ = field(1, obstacles=6, side=15.0)
+    driver = driver_on(free)
+    ride(driver, driver.start, 60.0)
+    assert driver.coverage == 1.0
+    tour = driver.path
+    assert np.linalg.norm(np.diff(tour, axis=0), axis=1).sum() > 60.0
+
+
+def test_coverage_does_not_see_through_walls() -> None:
+    p = np.zeros((60, 60))
+    p[:, 30] = 1.0
+    p[55:, 30] = 0.0  # two rooms, joined at the north end
+    free = OccupancyGrid.from_probability(p, 0.1)
+    start = Pose2(2.6, 1.0, math.pi / 2)
+    planner = CoveragePlanner(free, start, np.random.default_rng(0), TourConfig(radius=2.0))
+    assert planner.coverage == 0.0
+    planner.tour(start, 0.5)
+    assert 0.1 < planner.coverage <= 0.5
+
+
+def test_a_command_costs_little() -> None:
+    free, _ = field(2)
+    driver = driver_on(free)
+    ride(driver, driver.start, 5.0)
+    points = driver.path[50:150]
+    begun = time.perf_counter()
+    for x, y in points:
+        driver.command(Pose2(float(x), float(y), 0.0), 5.0)
+    # 0.1 ms is the budget; leave room for a busy machine.
+    assert (time.perf_counter() - begun) / len(points) < 1e-3
+
+
+def test_a_robot_that_cannot_move_is_stuck_and_says_so() -> None:
+    driver = driver_on(corridor(width=3.0))
+    result = ride(driver, driver.start, 120.0, blocked=lambda pose: True)
+    assert driver.stuck
+    assert result.length == 0.0
+    assert driver.command(driver.start, 121.0).v == 0.0
+
+
+def test_it_backs_off_from_an_unknown_obstacle_and_goes_another_way() -> None:
+    free, _ = field(1, obstacles=0, side=20.0)
+    driver = driver_on(free)
+    # A post that the grid does not know, on the tour about 4 m ahead.
+    x, y = driver.path[40].tolist()
+    result = ride(driver, driver.start, 90.0, blocked=lambda pose: math.hypot(pose.x - x, pose.y - y) < 0.4)
+    assert not driver.stuck
+    assert result.length > 30.0
+    assert np.hypot(result.poses[:, 0] - x, result.poses[:, 1] - y).min() >= 0.4
+
+
+def test_a_robot_that_was_pushed_aside_plans_anew() -> None:
+    free, _ = field(1, obstacles=0, side=20.0)
+    driver = driver_on(free)
+    away = Pose2(driver.start.x + 4.0, driver.start.y - 3.0, 0.0)
+    driver.command(away, 0.04)
+    assert np.linalg.norm(driver.path[0] - (away.x, away.y)) < 0.2
+
+
+def test_a_start_outside_the_free_ground_leads_back_to_it() -> None:
+    free = corridor(length=10.0, width=2.0)
+    outside = Pose2(-0.5, 1.0, math.pi)
+    driver = plan_coverage(free, outside, seconds=20.0, rng=np.random.default_rng(0))
+    result = ride(driver, outside, 20.0)
+    assert result.on_free(free)[-1]
+
+
+def test_no_free_ground_is_named() -> None:
+    full = OccupancyGrid.from_probability(np.ones((5, 5)), 0.1)
+    with pytest.raises(ConfigError, match="at least one free cell"):
+        plan_coverage(full, Pose2(), seconds=10.0, rng=np.random.default_rng(0))
+
+
+def test_one_free_cell_is_a_place_to_stand() -> None:
+    p = np.ones((5, 5))
+    p[2, 2] = 0.0
+    free = OccupancyGrid.from_probability(p, 0.1)
+    driver = plan_coverage(free, Pose2(0.25, 0.25), seconds=10.0, rng=np.random.default_rng(0))
+    assert ride(driver, Pose2(0.25, 0.25), 5.0).length < 0.5
+
+
+@pytest.mark.parametrize("make", [PursuitConfig, TourConfig, DriverConfig])
+def test_configs_refuse_what_is_not_above_zero(make: type) -> None:
+    name = {PursuitConfig: "speed", TourConfig: "radius", DriverConfig: "patience"}[make]
+    with pytest.raises(ConfigError, match=f"{name} of a .* must be above 0"):
+        make(**{name: 0.0})
