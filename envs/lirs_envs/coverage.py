@@ -1,0 +1,73 @@
+"""Which ground a laser has seen: the reward of mapping."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lirs_wct.heightfield import HeightField
+from lirs_wct.pose import Pose3
+from lirs_wct.scan import LaserScan
+
+
+class SeenArea:
+    """Cells of the world that some beam has passed over or ended in, from true poses.
+
+    Args:
+        surface: its bounds are the grid's.
+        resolution: metres a cell.
+    """
+
+    def __init__(self, surface: HeightField, resolution: float = 0.25) -> None:
+        west, south, east, north = surface.bounds
+        self.resolution = resolution
+        self._corner = (west, south)
+        shape = math.ceil((north - south) / resolution), math.ceil((east - west) / resolution)
+        self.seen: NDArray[np.bool_] = np.zeros(shape, np.bool_)
+
+    @property
+    def area(self) -> float:
+        """Square metres seen so far."""
+        return float(self.seen.sum()) * self.resolution**2
+
+    def add(self, scan: LaserScan, T_world_base: Pose3) -> float:
+        """Mark what a scan saw; return the area that was new, square metres.
+
+        A beam without return has seen its whole range; one that is too near or invalid nothing.
+        """
+        ranges = np.where(np.isposinf(scan.ranges), np.float32(scan.range_max), scan.ranges)
+        ranges = np.where(np.isfinite(ranges), ranges, np.float32(0)).astype(np.float64)
+        T = T_world_base @ scan.T_base_laser
+        angles = scan.angles
+        beams = np.stack((np.cos(angles), np.sin(angles), np.zeros_like(angles)), axis=1) @ T.rotation.T
+        start = (T.x - self._corner[0], T.y - self._corner[1])
+        new = _mark(self.seen, beams, ranges, start, self.resolution)
+        return float(new) * self.resolution**2
+
+
+@njit(cache=True)
+def _mark(
+    seen: NDArray[np.bool_],
+    beams: NDArray[np.float64],
+    ranges: NDArray[np.float64],
+    start: tuple[float, float],
+    resolution: float,
+) -> int:
+    """Mark cells along beams at steps of half a cell; return how many were new."""
+    rows, cols = seen.shape
+    new = 0
+    for k in range(len(ranges)):
+        steps = int(2 * ranges[k] / resolution) + 1 if ranges[k] > 0 else 0
+        for i in range(steps):
+            t = 0.5 * i * resolution
+            c = math.floor((start[0] + t * beams[k, 0]) / resolution)
+            r = math.floor((start[1] + t * beams[k, 1]) / resolution)
+            if r < 0 or c < 0 or r >= rows or c >= cols:
+                break
+            if not seen[r, c]:
+                seen[r, c] = True
+                new += 1
+    return new

@@ -1,0 +1,96 @@
+"""The inertial unit: attitude, rates and specific force of the base, with noise and slow bias.
+
+Figures of a small MEMS unit that was zeroed while the robot stood still.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.pose import Pose3
+from lirs_wct.scan import Imu
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImuConfig:
+    """Noise of an inertial unit; standard deviations.
+
+    Attributes:
+        attitude_sigma: white noise of roll and pitch in each reading, radians.
+        attitude_bias: slowly varying error of roll and pitch, radians.
+        attitude_time: time over which it varies, seconds (first-order Gauss-Markov process).
+        rate_sigma: white noise of each rate in each update, rad/s.
+        rate_bias: constant error of each rate, drawn at a reset, rad/s.
+        acceleration_sigma: white noise of each acceleration in each reading, m/s^2.
+        acceleration_bias: constant error of each acceleration, drawn at a reset, m/s^2.
+
+    Raises:
+        ConfigError: a figure is negative or not finite, or `attitude_time` is 0.
+    """
+
+    attitude_sigma: float = math.radians(0.1)
+    attitude_bias: float = math.radians(0.1)
+    attitude_time: float = 10.0
+    rate_sigma: float = math.radians(0.1)
+    rate_bias: float = math.radians(0.02)
+    acceleration_sigma: float = 0.05
+    acceleration_bias: float = 0.02
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not 0 <= value < math.inf:
+                raise ConfigError(f"IMU: {item.name} must be a finite number of at least 0, got {value}")
+        if self.attitude_time == 0:
+            raise ConfigError("IMU: attitude_time must be above 0 s, got 0")
+
+
+class ImuSensor:
+    """Turns true motion into readings. Its biases are drawn when it is made."""
+
+    def __init__(self, config: ImuConfig, rng: np.random.Generator) -> None:
+        self.config = config
+        self._rng = rng
+        bias = rng.standard_normal(8)
+        self._rate_bias = bias[:3] * config.rate_bias
+        self._acceleration_bias = bias[3:6] * config.acceleration_bias
+        self._attitude_bias = bias[6:] * config.attitude_bias
+
+    def rates(self, true_rates: Vector) -> Vector:
+        """Return the measured rates about x, y, z of the base, rad/s."""
+        x, y, z = (self._rate_bias + self.config.rate_sigma * self._rng.standard_normal(3)).tolist()
+        return true_rates[0] + x, true_rates[1] + y, true_rates[2] + z
+
+    def read(
+        self, T_world_base: Pose3, rates: Vector, specific_force: Vector, stamp: float, dt: float
+    ) -> Imu:
+        """Return a reading.
+
+        Args:
+            T_world_base: true pose of the base.
+            rates: as `rates` returned them, rad/s.
+            specific_force: true, along x, y, z of the base, m/s^2.
+            stamp: seconds.
+            dt: seconds since the last reading.
+        """
+        config = self.config
+        keep = math.exp(-dt / config.attitude_time)
+        noise = self._rng.standard_normal(7)
+        self._attitude_bias = (
+            keep * self._attitude_bias + math.sqrt(1 - keep * keep) * config.attitude_bias * noise[:2]
+        )
+        roll, pitch = (self._attitude_bias + config.attitude_sigma * noise[2:4]).tolist()
+        x, y, z = (self._acceleration_bias + config.acceleration_sigma * noise[4:]).tolist()
+        return Imu(
+            roll=T_world_base.roll + roll,
+            pitch=T_world_base.pitch + pitch,
+            angular_velocity=rates,
+            linear_acceleration=(specific_force[0] + x, specific_force[1] + y, specific_force[2] + z),
+            stamp=stamp,
+        )

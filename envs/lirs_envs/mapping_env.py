@@ -1,0 +1,158 @@
+"""LIRS/Mapping-v0: drive so that the laser sees as much of the world as possible."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from lirs_envs.coverage import SeenArea
+from lirs_envs.drive import Twist
+from lirs_envs.robots import make_robot
+from lirs_envs.simulation import Observation, Simulation
+from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.world import World, build_world
+
+Observed = dict[str, Any]
+PICTURE = (480, 640)
+"""Height and width of a rendered picture, pixels."""
+
+
+class MappingEnv(gym.Env[Observed, NDArray[np.float32]]):
+    """One robot that maps one world; a step is one period of its laser range finder (LRF).
+
+    Observation:
+        scan: (beams,) float32 metres. The space is a finite box: nothing in range (+inf in the LaserScan) is
+            `range_max`, too near or invalid (-inf, NaN) is 0. `simulation.advance` returns it unabridged.
+        odometry: (3,) float64 x, y, yaw of `T_odom_base`; metres, radians.
+        attitude: (2,) float64 roll and pitch as the IMU says, radians.
+
+    Action: (2,) in [-1, 1]: speed ahead and turn rate, of the robot's largest.
+
+    Reward: square metres of a 0.25 m grid that a beam passed over for the first time; from true poses, and
+    without regard to what a mapper makes of it.
+
+    Terminated: the robot tipped over, left the world, or the simulation diverged: `info["reason"]`.
+
+    Args:
+        world: a bundled name, any other source's path, or a `World`.
+        robot: name of the robot.
+        lidar: name of an LRF preset; default: the robot's own.
+        render_mode: `rgb_array` or None.
+
+    A reset sets the robot on one of the world's start poses, drawn at random.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012  Gymnasium's contract
+
+    def __init__(
+        self,
+        world: str | World = "simple",
+        robot: str = "husky",
+        *,
+        lidar: str | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ConfigError(f"unknown render mode {render_mode!r}; legal: rgb_array, None")
+        self.render_mode = render_mode
+        place = world if isinstance(world, World) else _built(str(world), _stamp(str(world)))
+        self.simulation = Simulation(place, make_robot(robot), lidar=lidar)
+        preset, limit = self.simulation.preset, np.inf
+        self.metadata = self.metadata | {"render_fps": round(preset.rate)}
+        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self.observation_space = spaces.Dict(
+            {
+                "scan": spaces.Box(0.0, preset.range_max, (preset.beams,), np.float32),
+                "odometry": spaces.Box(-limit, limit, (3,), np.float64),
+                "attitude": spaces.Box(-np.pi, np.pi, (2,), np.float64),
+            }
+        )
+        self._renderer: mujoco.Renderer | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observed, dict[str, Any]]:
+        """Set the robot down; `options["start"]` may hold a Pose2."""
+        super().reset(seed=seed)
+        start = (options or {}).get("start")
+        starts = self.simulation.world.starts
+        if start is None and starts:
+            start = starts[int(self.np_random.integers(len(starts)))]
+        observation = self.simulation.reset(start, seed=int(self.np_random.integers(2**31)))
+        self._seen = SeenArea(self.simulation.world.surface)
+        self._seen.add(observation.scan, self.simulation.T_world_base)
+        self._last = observation
+        return _arrays(observation), self._info()
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
+        """Drive for one LRF period."""
+        robot = self.simulation.robot
+        ahead, turn = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0).tolist()
+        command = Twist(ahead * robot.max_speed, turn * robot.max_turn_rate)
+        try:
+            observation = self.simulation.advance(command)
+        except SimulationError as error:
+            # The last sane observation: a diverged state has none.
+            return _arrays(self._last), 0.0, True, False, self._info(str(error))
+        reward = self._seen.add(observation.scan, self.simulation.T_world_base)
+        reason = self._reason()
+        self._last = observation
+        return _arrays(observation), reward, bool(reason), False, self._info(reason)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture (480, 640, 3) from the chase camera; needs OpenGL (EGL without a screen)."""
+        if self.render_mode is None:
+            return None
+        body = self.simulation.body
+        if self._renderer is None:
+            self._renderer = mujoco.Renderer(body.model, *PICTURE)
+        view = mujoco.MjvOption()
+        view.geomgroup[:] = (1, 1, 1, 1, 0, 0)
+        mujoco.mj_forward(body.model, body.data)
+        self._renderer.update_scene(body.data, camera="chase", scene_option=view)
+        picture: NDArray[np.uint8] = self._renderer.render()
+        return picture
+
+    def close(self) -> None:
+        """Free the renderer."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def _reason(self) -> str:
+        if self.simulation.tipped:
+            return "tipped over"
+        return "left the world" if self.simulation.off_world else ""
+
+    def _info(self, reason: str = "") -> dict[str, Any]:
+        T = self.simulation.T_world_base.to_pose2()
+        return {"T_world_base": T.as_array(), "seen_area": self._seen.area, "reason": reason}
+
+
+def _arrays(observation: Observation) -> Observed:
+    scan, imu = observation.scan, observation.imu
+    ranges = np.nan_to_num(scan.ranges, nan=0.0, posinf=scan.range_max, neginf=0.0)
+    return {
+        "scan": np.clip(ranges, 0.0, np.float32(scan.range_max)).astype(np.float32),
+        "odometry": observation.odometry.as_array(),
+        "attitude": np.array((imu.roll, imu.pitch)),
+    }
+
+
+def _stamp(source: str) -> int:
+    """Return when a source was written, so that a changed file is built again."""
+    path = Path(source)
+    return path.stat().st_mtime_ns if path.exists() else 0
+
+
+@lru_cache(maxsize=4)
+def _built(source: str, stamp: int) -> World:
+    """Build a source once for all environments of a process."""
+    return build_world(source)

@@ -1,0 +1,126 @@
+"""A robot and a world as one compiled MuJoCo model, and its state in our own values."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_envs.imu import Vector
+from lirs_envs.robots import Robot
+from lirs_wct.contact_grid import ContactGrid, contact_grid
+from lirs_wct.mjcf import world_spec
+from lirs_wct.pose import Pose3
+from lirs_wct.world import World
+
+FULL = mujoco.mjtState.mjSTATE_INTEGRATION
+"""All that the next step depends on, warm start included."""
+
+
+class RobotModel:
+    """MuJoCo's model and data of one robot in one world.
+
+    Attributes:
+        model: compiled.
+        data: its state.
+        contact: the grid that wheels touch.
+        timestep: seconds; the largest part of the period that is at most the robot's own.
+        pieces: steps between control updates, over one period.
+        wheel_geoms: ids of the geoms that are meant to touch the ground.
+
+    Args:
+        world: ground and walls.
+        robot: its MJCF file and figures.
+        period: time from scan to scan, seconds: a whole number of steps.
+        control_period: longest time between control updates, seconds.
+    """
+
+    def __init__(self, world: World, robot: Robot, period: float, control_period: float) -> None:
+        self.contact: ContactGrid = contact_grid(world.surface)
+        spec = mujoco.MjSpec.from_file(str(robot.mjcf))
+        steps = math.ceil(period / spec.option.timestep - 1e-9)
+        self.timestep = period / steps
+        spec.option.timestep = self.timestep
+        self.model = world_spec(world, contact=self.contact, robot=spec).compile()
+        self.data = mujoco.MjData(self.model)
+        piece = max(1, int(control_period / self.timestep + 1e-9))
+        self.pieces = tuple(min(piece, steps - done) for done in range(0, steps, piece))
+        self._left = [self.model.actuator(name).id for name in robot.left_wheels]
+        self._right = [self.model.actuator(name).id for name in robot.right_wheels]
+        wheels = (*robot.left_wheels, *robot.right_wheels)
+        self._angles = [int(self.model.joint(name).qposadr[0]) for name in wheels]
+        bodies = {int(self.model.joint(name).bodyid[0]) for name in wheels}
+        self.wheel_geoms = frozenset(
+            g for g in range(self.model.ngeom) if int(self.model.geom_bodyid[g]) in bodies
+        )
+        self._force = self.data.sensor("accelerometer").data
+        # Views into the data, made once: making one costs as much as reading it.
+        self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
+
+    def pose(self) -> Pose3:
+        """Return `T_world_base`."""
+        x, y, z, qw, qx, qy, qz = self._qpos[:7].tolist()
+        norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
+        return Pose3(x, y, z, qw / norm, qx / norm, qy / norm, qz / norm)
+
+    def rates(self) -> Vector:
+        """Return the true rates about x, y, z of the base, rad/s.
+
+        From the state, as the pose is: MuJoCo's sensors lie one step behind it.
+        """
+        x, y, z = self._qvel[3:6].tolist()
+        return x, y, z
+
+    def specific_force(self) -> Vector:
+        """Return the accelerometer's true reading along x, y, z of the base, m/s^2."""
+        x, y, z = self._force.tolist()
+        return x, y, z
+
+    def wheel_angle(self) -> float:
+        """Return the mean angle by which all wheels have turned, radians."""
+        qpos = self._qpos
+        return sum([float(qpos[i]) for i in self._angles]) / len(self._angles)
+
+    def step(self, control: tuple[float, float], steps: int) -> None:
+        """Hold the speeds of left and right wheels, rad/s, for some steps."""
+        ctrl = self._ctrl
+        for i in self._left:
+            ctrl[i] = control[0]
+        for i in self._right:
+            ctrl[i] = control[1]
+        mujoco.mj_step(self.model, self.data, steps)
+
+    def settle(self, T_world_base: Pose3, seconds: float) -> None:
+        """Let the robot go in a pose with its wheels held, and wait; the time then is 0."""
+        mujoco.mj_resetData(self.model, self.data)
+        self._qpos[:7] = (*T_world_base.position, *T_world_base.quaternion)
+        self.step((0.0, 0.0), math.ceil(seconds / self.timestep))
+        self.data.time = 0.0
+
+    def state(self) -> NDArray[np.float64]:
+        """Return the whole state."""
+        state = np.empty(mujoco.mj_stateSize(self.model, FULL))
+        mujoco.mj_getState(self.model, self.data, state, FULL)
+        return state
+
+    def replay(
+        self, initial: NDArray[np.float64], controls: Sequence[tuple[float, float]]
+    ) -> tuple[float, Pose3]:
+        """Step from a state with given controls, one each control update; put the present state back.
+
+        Returns:
+            Wall-clock seconds, and the last pose.
+        """
+        present = self.state()
+        mujoco.mj_setState(self.model, self.data, initial, FULL)
+        begun = time.perf_counter()
+        for k, control in enumerate(controls):
+            self.step(control, self.pieces[k % len(self.pieces)])
+        seconds = time.perf_counter() - begun
+        pose = self.pose()
+        mujoco.mj_setState(self.model, self.data, present, FULL)
+        return seconds, pose

@@ -1,0 +1,92 @@
+"""Where a robot can be set down, and how it then stands."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_envs.robots import Robot
+from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.pose import Pose2, Pose3
+from lirs_wct.walls import WallGrid
+from lirs_wct.world import World
+
+Array = NDArray[np.float64]
+CLEARANCE = 0.01
+"""Metres between the robot and the highest ground under it when it is let go."""
+
+
+def start_of(world: World, start: Pose2 | None) -> Pose2:
+    """Return the pose where a robot is to start: the one given, or the world's first.
+
+    Raises:
+        ConfigError: the pose is not finite.
+        SimulationError: none is given and the world has none.
+    """
+    if start is None:
+        if not world.starts:
+            raise SimulationError(f"world {world.name!r} has no free place to start from; give a start pose")
+        return world.starts[0]
+    if not all(math.isfinite(v) for v in (start.x, start.y, start.yaw)):
+        raise ConfigError(f"a start pose must be finite, got {start}")
+    return start
+
+
+def standing_pose(world: World, robot: Robot, start: Pose2) -> Pose3:
+    """Return the pose just above the ground in which a robot can be let go to stand at `start`.
+
+    Raises:
+        SimulationError: the robot would not stand there: off the world, in a wall, on an obstacle, too steep.
+    """
+    where = f"{robot.name} cannot start at ({start.x:.2f}, {start.y:.2f})"
+    west, south, east, north = world.surface.bounds
+    inside = west <= start.x - robot.radius and start.x + robot.radius <= east
+    if not (inside and south <= start.y - robot.radius and start.y + robot.radius <= north):
+        raise SimulationError(
+            f"{where}: it needs {robot.radius:g} m to the border of the world, which reaches from "
+            f"({west:g}, {south:g}) to ({east:g}, {north:g})"
+        )
+    if world.walls is not None and _touches_wall(world.walls, start, robot.radius):
+        raise SimulationError(f"{where}: a wall is within {robot.radius:g} m")
+    x, y = _disc(start, robot.radius)
+    z = world.surface.height_at(x, y)
+    plane, *_ = np.linalg.lstsq(np.stack((x - start.x, y - start.y, np.ones_like(x)), axis=1), z)
+    a, b, height = plane.tolist()
+    rough = float(np.max(z - (a * (x - start.x) + b * (y - start.y) + height)))
+    if rough > robot.base_height:
+        raise SimulationError(f"{where}: an obstacle stands {rough:.2f} m out of the ground there")
+    slope = math.atan(math.hypot(a, b))
+    if slope > robot.max_slope:
+        raise SimulationError(
+            f"{where}: the ground slopes by {math.degrees(slope):.0f} deg, "
+            f"legal: up to {math.degrees(robot.max_slope):.0f}"
+        )
+    ahead = a * math.cos(start.yaw) + b * math.sin(start.yaw)
+    left = b * math.cos(start.yaw) - a * math.sin(start.yaw)
+    pitch = -math.atan(ahead)
+    roll = math.atan(left * math.cos(pitch))
+    lift = robot.base_height / math.cos(slope) + max(rough, 0.0) + CLEARANCE
+    return Pose3.from_rpy(start.x, start.y, height + lift, roll, pitch, start.yaw)
+
+
+def _disc(centre: Pose2, radius: float) -> tuple[Array, Array]:
+    """Return x and y of points about 5 cm apart in a disc."""
+    n = max(9, 2 * math.ceil(radius / 0.05) + 1)
+    x, y = np.meshgrid(*2 * (np.linspace(-radius, radius, n),))
+    within = np.hypot(x, y) <= radius
+    return centre.x + x[within], centre.y + y[within]
+
+
+def _touches_wall(walls: WallGrid, start: Pose2, radius: float) -> bool:
+    """Whether a wall cell has a point within `radius`."""
+    x, y = walls.origin.inverse().apply((start.x, start.y)).tolist()
+    rows, cols = walls.shape
+    reach = np.array((-radius, radius)) / walls.resolution
+    r0, r1 = np.clip(np.floor(y / walls.resolution + reach), 0, rows - 1).astype(int).tolist()
+    c0, c1 = np.clip(np.floor(x / walls.resolution + reach), 0, cols - 1).astype(int).tolist()
+    solid = np.argwhere(walls.solid[r0 : r1 + 1, c0 : c1 + 1]) + np.array((r0, c0))
+    low = solid * walls.resolution
+    nearest = np.clip((y, x), low, low + walls.resolution)
+    return bool((np.hypot(*(nearest - (y, x)).T) <= radius).any())

@@ -1,0 +1,87 @@
+"""All that a robot perceives: laser range finder, inertial unit and odometry, each with noise of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lirs_envs.drive import Odometry, OdometryConfig
+from lirs_envs.imu import ImuConfig, ImuSensor
+from lirs_envs.lidar import Lidar, LidarPreset
+from lirs_envs.model import RobotModel
+from lirs_envs.raycast import RayCaster
+from lirs_envs.robots import Robot
+from lirs_wct.errors import ConfigError
+from lirs_wct.pose import Pose2
+from lirs_wct.scan import Imu, LaserScan
+
+LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM = 11, 12, 13
+"""Each sensor draws from a stream of its own, so that another preset leaves the others' noise as it was."""
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What the robot knows at a scan's stamp: the scan, `T_odom_base`, and the inertial reading."""
+
+    scan: LaserScan
+    odometry: Pose2
+    imu: Imu
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """Noise of all sensors but the LRF, which has its own in its preset."""
+
+    imu: ImuConfig = field(default_factory=ImuConfig)
+    odometry: OdometryConfig = field(default_factory=OdometryConfig)
+
+
+class Sensors:
+    """The sensors of a robot that stands still; odometry begins here.
+
+    Raises:
+        ConfigError: the seed is negative.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        body: RobotModel,
+        preset: LidarPreset,
+        caster: RayCaster,
+        noise: Noise,
+        seed: int,
+    ) -> None:
+        if seed < 0:
+            raise ConfigError(f"seed must be 0 or above, got {seed}")
+        lidar, odometry, imu = (
+            np.random.default_rng((seed, stream)) for stream in (LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM)
+        )
+        self._body = body
+        self._lidar = Lidar(preset, caster, robot.T_base_laser, lidar)
+        self._imu = ImuSensor(noise.imu, imu)
+        self._odometry = Odometry(robot, noise.odometry, odometry)
+        self._wheel_angle = body.wheel_angle()
+        self._rates = self._imu.rates(body.rates())
+        pose = body.pose()
+        self._attitude = (pose.roll, pose.pitch)
+
+    @property
+    def yaw_rate(self) -> float:
+        """The gyro's last reading about z, rad/s."""
+        return self._rates[2]
+
+    def dead_reckon(self, dt: float) -> None:
+        """Read gyro and wheels after a piece of way."""
+        angle = self._body.wheel_angle()
+        self._rates = self._imu.rates(self._body.rates())
+        self._odometry.update(angle - self._wheel_angle, self._rates, *self._attitude, dt)
+        self._wheel_angle = angle
+
+    def observe(self, stamp: float, dt: float) -> Observation:
+        """Scan and read; `dt` is the time since the last observation, seconds."""
+        T_world_base = self._body.pose()
+        imu = self._imu.read(T_world_base, self._rates, self._body.specific_force(), stamp, dt)
+        self._attitude = (imu.roll, imu.pitch)
+        return Observation(self._lidar.scan(T_world_base, stamp), self._odometry.pose, imu)

@@ -1,0 +1,209 @@
+"""One robot in one world, stepped from laser scan to laser scan. No Gymnasium in here."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_envs.collisions import Collisions, ContactWatch, check_sane
+from lirs_envs.drive import Drive, Twist
+from lirs_envs.lidar import make_lidar_preset
+from lirs_envs.model import RobotModel
+from lirs_envs.placement import standing_pose, start_of
+from lirs_envs.raycast import RayCaster
+from lirs_envs.robots import Robot
+from lirs_envs.sensors import Noise, Observation, Sensors
+from lirs_wct.contact_grid import ContactGrid
+from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.pose import Pose2, Pose3
+from lirs_wct.world import World
+
+__all__ = ["Observation", "Replay", "Simulation", "Timing"]
+
+CONTROL_PERIOD = 0.008
+"""Longest time between two updates of the wheel speeds, seconds."""
+SETTLING = 0.6
+"""Time that a robot is given to come to rest after it was set down, seconds."""
+STAYS = 0.1
+"""A robot that moves farther than this while it settles cannot stand there, metres."""
+
+
+@dataclass
+class Timing:
+    """Wall-clock seconds of each `advance`: in MuJoCo's step, and in all sensors."""
+
+    physics: list[float] = field(default_factory=list)
+    sensors: list[float] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Replay:
+    """The recorded controls through MuJoCo's step alone, in `seconds` of wall clock."""
+
+    seconds: float
+    simulated: float
+    T_world_base: Pose3
+
+
+class Simulation:
+    """A robot with its sensors in a world; `reset` comes first.
+
+    Attributes:
+        period: time between two scans, seconds; one `advance`.
+        preset: figures of the LRF.
+        body: MuJoCo's model of robot and world.
+        timing: wall-clock seconds since the reset.
+
+    Args:
+        world: where.
+        robot: who.
+        lidar: name of an LRF preset; default: the robot's own.
+        seed: of every random number; same seed and same commands, same bytes.
+        noise: of the other sensors.
+
+    Raises:
+        ConfigError: no LRF has that name, or the seed is negative.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        robot: Robot,
+        *,
+        lidar: str | None = None,
+        seed: int = 0,
+        noise: Noise | None = None,
+    ) -> None:
+        self.world = world
+        self.robot = robot
+        self.preset = make_lidar_preset(lidar or robot.lidar)
+        self.period = self.preset.period
+        self.body = RobotModel(world, robot, self.period, CONTROL_PERIOD)
+        self._noise = noise or Noise()
+        self._caster = RayCaster(world.surface, world.walls)
+        self._seed = seed
+        self._start_over(None)
+
+    def _start_over(self, seed: int | None) -> None:
+        """Forget all that was recorded; draw noise anew."""
+        self._seed = self._seed if seed is None else seed
+        self._sensors = Sensors(self.robot, self.body, self.preset, self._caster, self._noise, self._seed)
+        self._drive = Drive(self.robot)
+        self._watch = ContactWatch(self.body.wheel_geoms)
+        self._controls: list[tuple[float, float]] = []
+        self._initial: NDArray[np.float64] | None = None
+        self.timing = Timing()
+
+    def reset(self, start: Pose2 | None = None, *, seed: int | None = None) -> Observation:
+        """Set the robot at rest on the ground; time, records and odometry begin anew.
+
+        Args:
+            start: where; None = the world's first start pose.
+            seed: of the noise; None = as before, so that the same run comes again.
+
+        Raises:
+            ConfigError: the pose is not finite, or the seed is negative.
+            SimulationError: the robot cannot stand there.
+        """
+        self._initial = None
+        start = start_of(self.world, start)
+        self.body.settle(standing_pose(self.world, self.robot, start), SETTLING)
+        there = self.body.pose()
+        check_sane(self.body.data)
+        if math.hypot(there.x - start.x, there.y - start.y) > STAYS or self.tipped:
+            raise SimulationError(
+                f"{self.robot.name} does not stay at ({start.x:.2f}, {start.y:.2f}): "
+                f"it slid or tipped to ({there.x:.2f}, {there.y:.2f})"
+            )
+        self._start_over(seed)
+        self._initial = self.body.state()
+        return self._sensors.observe(0.0, self.period)
+
+    def advance(self, command: Twist) -> Observation:
+        """Drive for one LRF period; return what the robot then knows.
+
+        Raises:
+            ConfigError: the command is not finite.
+            SimulationError: the simulation diverged, or was never reset.
+        """
+        if self._initial is None:
+            raise SimulationError("a simulation must be reset before it is advanced")
+        if not (math.isfinite(command.v) and math.isfinite(command.omega)):
+            raise ConfigError(f"a command must be finite, got {command}")
+        body, clock, physics, sensors = self.body, time.perf_counter, 0.0, 0.0
+        for steps in body.pieces:
+            dt = steps * body.timestep
+            control = self._drive.update(command, self._sensors.yaw_rate, dt)
+            self._controls.append(control)
+            begun = clock()
+            body.step(control, steps)
+            stepped = clock()
+            self._watch.look(body.data, dt)
+            watched = clock()
+            self._sensors.dead_reckon(dt)
+            physics += stepped - begun
+            sensors += clock() - watched
+        check_sane(body.data)
+        begun = clock()
+        observation = self._sensors.observe(self.time, self.period)
+        self.timing.physics.append(physics)
+        self.timing.sensors.append(sensors + clock() - begun)
+        return observation
+
+    @property
+    def T_world_base(self) -> Pose3:  # noqa: N802  a frame pair
+        """True pose of base_link."""
+        return self.body.pose()
+
+    @property
+    def time(self) -> float:
+        """Seconds since the reset."""
+        return len(self._controls) // len(self.body.pieces) * self.period
+
+    @property
+    def tipped(self) -> bool:
+        """Whether the robot leans by more than 60 deg or lies on its back."""
+        p = self.body.pose()
+        return 1 - 2 * (p.qx * p.qx + p.qy * p.qy) < 0.5
+
+    @property
+    def off_world(self) -> bool:
+        """Whether base_link is beyond the world's border."""
+        p = self.body.pose()
+        west, south, east, north = self.world.surface.bounds
+        return not (west <= p.x <= east and south <= p.y <= north)
+
+    @property
+    def contact(self) -> ContactGrid:
+        """The grid that wheels touch, and by how much it differs from the surface that the LRF sees."""
+        return self.body.contact
+
+    @property
+    def collisions(self) -> Collisions:
+        """Contacts since the reset."""
+        return self._watch.summary()
+
+    @property
+    def controls(self) -> NDArray[np.float64]:
+        """(n, 2) speeds of left and right wheels since the reset, rad/s, one row a control update."""
+        return np.array(self._controls, dtype=np.float64).reshape(-1, 2)
+
+    def replay(self) -> Replay:
+        """Send the recorded controls through MuJoCo's step alone; the simulation stays as it is.
+
+        Raises:
+            SimulationError: nothing was driven since the reset.
+        """
+        if self._initial is None or not self._controls:
+            raise SimulationError("nothing was driven since the reset: there is nothing to replay")
+        seconds, pose = self.body.replay(self._initial, self._controls)
+        return Replay(seconds, self.time, pose)
+
+    def replay_rtf(self) -> float:
+        """Return simulated seconds over wall-clock seconds of the replay."""
+        replay = self.replay()
+        return replay.simulated / replay.seconds

@@ -1,0 +1,167 @@
+"""A world as MuJoCo's model: the only file of this package that knows MuJoCo.
+
+MuJoCo's height field has row 0 at -y, where ours has it in the north; the flip is `HeightField.south_up`.
+Its heights are scaled to [0, 1] by their own lowest and highest, so that the geom carries both: the lowest as
+its z, the relief as its elevation.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Protocol
+from xml.etree import ElementTree
+from zlib import crc32
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.contact_grid import ContactGrid
+from lirs_wct.files import atomic_write
+from lirs_wct.heightfield import HeightField
+from lirs_wct.occupancy import merged_boxes
+from lirs_wct.walls import WallGrid
+
+TERRAIN_GROUP = 3
+"""Geom group of ground and walls in a simulation: rays for robots and props leave it out."""
+BASE = 1.0
+"""Metres that the ground reaches below its lowest point; contacts push out the shorter way: up."""
+GROUND_COLOUR = (0.62, 0.57, 0.48, 1.0)
+WALL_COLOUR = (0.45, 0.5, 0.55, 1.0)
+
+
+class Scene(Protocol):
+    """What of a world has a body: `World` does."""
+
+    @property
+    def name(self) -> str:
+        """Name of the model."""
+
+    @property
+    def surface(self) -> HeightField:
+        """The ground."""
+
+    @property
+    def walls(self) -> WallGrid | None:
+        """What stands on it."""
+
+
+def world_spec(
+    world: Scene,
+    *,
+    contact: ContactGrid | None = None,
+    robot: mujoco.MjSpec | None = None,
+    group: int = TERRAIN_GROUP,
+) -> mujoco.MjSpec:
+    """Return the world as a specification to compile.
+
+    Args:
+        world: ground and walls.
+        contact: the grid that is touched; default: the surface itself.
+        robot: specification that the world is added to; its options and defaults stay as they are.
+        group: geom group of ground and walls.
+    """
+    spec = robot if robot is not None else mujoco.MjSpec()
+    spec.modelname = world.name
+    surface = world.surface if contact is None else contact.heights(world.surface)
+    _add_ground(spec, surface, group)
+    if world.walls is not None:
+        _add_walls(spec, world.walls, group)
+    spec.worldbody.add_light(pos=(0, 0, 50), dir=(0.3, 0.2, -1), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    return spec
+
+
+def write_mjcf(world: Scene, folder: str | Path) -> Path:
+    """Write NAME.xml and the surface's heights as float32, to the bit; return the path of NAME.xml.
+
+    The heights' file has their checksum in its name: MuJoCo caches assets by name, and would give the old
+    ground to a program that builds a world twice.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    path = Path(folder) / f"{world.name}.xml"
+    # Seen in the viewer as it opens: it hides group 3.
+    spec = world_spec(world, group=0)
+    for hfield in spec.hfields:
+        data = hfield_bytes(world.surface)
+        hfield.file = f"{world.name}-{crc32(data):08x}.hfield"
+        hfield.userdata = []
+        hfield.nrow = hfield.ncol = 0
+        spec.assets = {hfield.file: data}
+        with atomic_write(path.with_name(hfield.file)) as temporary:
+            temporary.write_bytes(data)
+    with atomic_write(path) as temporary:
+        temporary.write_text(_exact_xml(spec), encoding="utf-8")
+    return path
+
+
+def hfield_bytes(surface: HeightField) -> bytes:
+    """Return MuJoCo's height-field file: rows and columns as int32, then heights, row 0 at -y, in metres."""
+    return np.array(surface.shape, "<i4").tobytes() + surface.south_up.astype("<f4").tobytes()
+
+
+def box_geoms(walls: WallGrid) -> NDArray[np.float64]:
+    """Return (n, 4) the walls' boxes: centre x, y in the world, half extents along the grid's axes."""
+    boxes = np.asarray(merged_boxes(walls), dtype=np.float64).reshape(-1, 4) * walls.resolution
+    centre = walls.origin.apply((boxes[:, [1, 0]] + boxes[:, [3, 2]]) / 2)
+    half = (boxes[:, [3, 2]] - boxes[:, [1, 0]]) / 2
+    return np.concatenate((centre, half), axis=1)
+
+
+def _exact_xml(spec: mujoco.MjSpec) -> str:
+    """Return the specification's XML with sizes and positions in full; MuJoCo writes six digits."""
+    spec.compile()
+    root = ElementTree.fromstring(spec.to_xml())
+    for element, item in (
+        *zip(root.iterfind("asset/hfield"), spec.hfields, strict=True),
+        *zip(root.iterfind("worldbody/geom"), spec.worldbody.geoms, strict=True),
+    ):
+        for attribute in ("pos", "size", "quat"):
+            if attribute in element.attrib:
+                element.set(attribute, " ".join(f"{v:.12g}" for v in getattr(item, attribute)))
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _add_ground(spec: mujoco.MjSpec, surface: HeightField, group: int) -> None:
+    west, south, east, north = surface.bounds
+    low, relief = float(surface.z.min()), surface.relief
+    half = ((east - west) / 2, (north - south) / 2)
+    common = {
+        "name": "ground",
+        "pos": ((west + east) / 2, (south + north) / 2, low),
+        "group": group,
+        "rgba": GROUND_COLOUR,
+    }
+    if relief == 0.0:
+        # A plane costs a contact test, a flat height field all the prisms under a wheel.
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(*half, 1.0), **common)
+        return
+    rows, cols = surface.shape
+    spec.add_hfield(
+        name="ground",
+        nrow=rows,
+        ncol=cols,
+        size=(*half, relief, BASE),
+        userdata=surface.south_up.ravel(),
+    )
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="ground", **common)
+
+
+def _add_walls(spec: mujoco.MjSpec, walls: WallGrid, group: int) -> None:
+    """Add boxes to the world's body itself: a body of their own would be updated with them at every step."""
+    half_yaw = walls.origin.yaw / 2
+    quat = (math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw))
+    for x, y, hx, hy in box_geoms(walls).tolist():
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=(x, y, walls.height / 2),
+            size=(hx, hy, walls.height / 2),
+            quat=quat,
+            group=group,
+            rgba=WALL_COLOUR,
+        )
+    # With sleeping enabled MuJoCo leaves out what never moves: 2,372 boxes cost 5 us a step instead of 19.
+    spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
