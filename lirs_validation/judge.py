@@ -66,6 +66,7 @@ def judge_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
         "physics_only": simulation.replay_rtf(),
         "simulated_seconds": len(log.walls) * period,
         "wall_seconds": sum(log.walls),
+        "series": series.tolist(),
     }
 
 

@@ -21,6 +21,7 @@ from lirs_validation.results import write_results
 from lirs_wct.errors import ConfigError
 from lirs_wct.options import BuildOptions
 from lirs_wct.traversability import start_poses
+from lirs_wct.window import Window
 from lirs_wct.world import World, build_world
 from slam_baselines.mapper import Mapper, make_mapper
 
@@ -36,6 +37,15 @@ WARM_UP = 2.0
 
 Report = Callable[[str, float], None]
 """Called with what is going on and the share that is done, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A config and its world; `window` is the square that was cut out of a larger one, if any."""
+
+    config: RunConfig
+    world: World
+    window: Window | None
 
 
 @dataclass(frozen=True)
@@ -92,28 +102,30 @@ def validate(
 def run(config: RunConfig, *, out: Path | None = None, report: Report | None = None) -> Run:
     """Run a config (see `validate`)."""
     tell = report or (lambda stage, share: None)
-    robot = make_robot(config.robot)
-    mapper = make_mapper(config.mapper)
+    robot, mapper = make_robot(config.robot), make_mapper(config.mapper)
     tell("build", 0.0)
-    world = validation_world(config)
+    stage = set_stage(config)
     tell("plan", 0.0)
-    driver = plan(world, robot, config)
+    driver = plan(stage.world, robot, config)
     tell("compile", 0.0)
-    compile_seconds = _warm_up(world, robot, config)
-    simulation = Simulation(world, robot, lidar=config.lidar, seed=config.seed)
+    compile_seconds = warm_up(stage, robot)
+    simulation = Simulation(stage.world, robot, lidar=config.lidar, seed=config.seed)
     log = drive(simulation, driver, mapper, config.seconds, lambda done: tell("drive", done / config.seconds))
     tell("judge", 1.0)
-    return judge(config, world, simulation, mapper, log, compile_seconds, out)
+    maps = judge_maps(stage.world, log, mapper)
+    record = judge(stage, simulation, mapper, log, maps, compile_seconds)
+    folder = None if out is None else write_results(out / record.name, record, log, maps, stage.world)
+    return Run(record, log, maps, stage.world, folder)
 
 
-def validation_world(config: RunConfig) -> World:
+def set_stage(config: RunConfig) -> Stage:
     """Build the config's world; of a terrain larger than 200 m, its middle 50 m."""
     world = build_world(config.source, config.build)
     if max(world.surface.size) <= LARGE or world.kind != "terrain" or config.build.window is not None:
-        return world
+        return Stage(config, world, config.build.window)
     west, south, east, north = world.surface.bounds
     window = ((west + east) / 2, (south + north) / 2, WINDOW)
-    return build_world(config.source, replace(config.build, window=window))
+    return Stage(config, build_world(config.source, replace(config.build, window=window)), window)
 
 
 def plan(world: World, robot: Robot, config: RunConfig) -> CoverageDriver:
@@ -134,20 +146,27 @@ def plan(world: World, robot: Robot, config: RunConfig) -> CoverageDriver:
     return plan_coverage(free, start, seconds=config.seconds, rng=rng, surface=world.surface)
 
 
+def warm_up(stage: Stage, robot: Robot) -> float:
+    """Drive a throw-away simulation for a moment, so that every kernel is compiled; return the seconds."""
+    begun = time.perf_counter()
+    config = replace(stage.config, seconds=WARM_UP)
+    simulation = Simulation(stage.world, robot, lidar=config.lidar, seed=config.seed)
+    drive(simulation, plan(stage.world, robot, config), make_mapper(config.mapper), WARM_UP)
+    return time.perf_counter() - begun
+
+
 def judge(
-    config: RunConfig,
-    world: World,
+    stage: Stage,
     simulation: Simulation,
     mapper: Mapper,
     log: DriveLog,
+    maps: Maps,
     compile_seconds: float,
-    out: Path | None,
-) -> Run:
-    """Turn a finished drive into a record and, where a folder is given, into files."""
-    maps = judge_maps(world, log, mapper)
-    record = RunRecord(
-        config=config,
-        world=_described(world, simulation, config),
+) -> RunRecord:
+    """Turn a finished drive into a record."""
+    return RunRecord(
+        config=stage.config,
+        world=_described(stage, simulation),
         status=log.status,
         reason=log.reason,
         rtf=judge_rtf(log, simulation) | {"compile_seconds": compile_seconds},
@@ -158,28 +177,18 @@ def judge(
         versions=versions(),
         machine=machine(),
     )
-    folder = None if out is None else write_results(out / record.name, record, log, maps, world)
-    return Run(record, log, maps, world, folder)
 
 
-def _warm_up(world: World, robot: Robot, config: RunConfig) -> float:
-    """Drive a throw-away simulation for a moment, so that every kernel is compiled; return the seconds."""
-    begun = time.perf_counter()
-    driver = plan(world, robot, config)
-    simulation = Simulation(world, robot, lidar=config.lidar, seed=config.seed)
-    drive(simulation, driver, make_mapper(config.mapper), WARM_UP)
-    return time.perf_counter() - begun
-
-
-def _described(world: World, simulation: Simulation, config: RunConfig) -> dict[str, Any]:
+def _described(stage: Stage, simulation: Simulation) -> dict[str, Any]:
+    world, surface = stage.world, stage.world.surface
     return {
         "name": world.name,
         "kind": world.kind,
-        "size": world.surface.size,
-        "relief": world.surface.relief,
-        "nodes": world.surface.shape,
         "scale": world.scale,
-        "bounds": world.surface.bounds,
-        "contact": simulation.contact,
-        "windowed": config.build.window is not None or max(world.surface.size) <= WINDOW * 1.01,
+        "size": surface.size,
+        "bounds": surface.bounds,
+        "relief": surface.relief,
+        "nodes": surface.shape,
+        "window": stage.window,
+        "contact": asdict(simulation.contact),
     }
