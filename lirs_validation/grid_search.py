@@ -6,9 +6,14 @@ import heapq
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.grid import OccupancyGrid
+from lirs_wct.pose import Pose2
 
 Cells = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -62,6 +67,49 @@ def search(
         np.ascontiguousarray(weight, dtype=np.float64), sources, resolution, wanted, slack, limit
     )
     return Reach(cost, parent)
+
+
+def area_round(grid: OccupancyGrid, start: Pose2) -> Mask:
+    """Return (rows, cols) the connected free area nearest to a pose.
+
+    Raises:
+        ConfigError: no cell is free.
+    """
+    _, labels = cv2.connectedComponents(grid.free.astype(np.uint8), connectivity=4)
+    if not labels.any():
+        raise ConfigError("a tour needs at least one free cell, got a grid without any")
+    row, col = nearest(labels > 0, grid.cells((start.x, start.y)))
+    area: Mask = labels == labels[row, col]
+    return area
+
+
+def nearest(mask: Mask, cell: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return (2,) row and column of the marked cell nearest to a cell, which may lie outside."""
+    cells = np.argwhere(mask).astype(np.int64)
+    found: NDArray[np.int64] = cells[int(np.argmin(np.sum((cells - cell) ** 2, axis=1)))]
+    return found
+
+
+def dear_behind(
+    weight: NDArray[np.float64], cell: NDArray[np.int64], heading: float, radius: float
+) -> NDArray[np.float64]:
+    """Return weights with the ground just behind a robot made dear: a path then turns round in an arc.
+
+    Args:
+        weight: (rows, cols) cost of a metre in each cell.
+        cell: (2,) row and column of the robot.
+        heading: in the grid's own frame (columns along x), radians.
+        radius: of the half disc behind it, cells.
+    """
+    reach = math.ceil(radius)
+    low, high = np.maximum(cell - reach, 0), np.minimum(cell + reach + 1, weight.shape)
+    box = (slice(low[0], high[0]), slice(low[1], high[1]))
+    row, col = np.ogrid[box]
+    distance = np.hypot(col - cell[1], row - cell[0])
+    ahead = (col - cell[1]) * math.cos(heading) + (row - cell[0]) * math.sin(heading)
+    changed = weight.copy()
+    changed[box][(distance <= radius) & (ahead < -0.2 * distance)] *= 10.0
+    return changed
 
 
 @njit(cache=True)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_validation.grid_search import Reach, search
+from lirs_validation.grid_search import Reach, area_round, dear_behind, nearest, search
 from lirs_validation.path_smoothing import arc_length, smoothed
 from lirs_wct.errors import ConfigError
 from lirs_wct.grid import OccupancyGrid
@@ -33,6 +33,7 @@ class TourConfig:
         narrow: how many times longer a metre feels where there is no room at all.
         turn: metres that a turn by 180 deg is worth when the next goal is chosen.
         loop: metres of tour between two returns to an old place.
+        arc: radius in which it turns round where there is room, metres.
 
     Raises:
         ConfigError: a value is not above 0.
@@ -43,6 +44,7 @@ class TourConfig:
     narrow: float = 6.0
     turn: float = 6.0
     loop: float = 50.0
+    arc: float = 1.2
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -72,7 +74,7 @@ class CoveragePlanner:
     ) -> None:
         self.config = config or TourConfig()
         self._grid, self._rng = free, rng
-        self._free = _area_round(free, start)
+        self._free = area_round(free, start)
         padded = np.pad(self._free, 1).astype(np.uint8)
         distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
         self.room: NDArray[np.float64] = np.where(self._free, distance * free.resolution, 0.0)
@@ -95,7 +97,7 @@ class CoveragePlanner:
         The first point is the middle of the free cell nearest to the pose. Shorter only where there
         is a single free cell.
         """
-        cell = self._nearest_free(start)
+        cell = nearest(self._free, self._grid.cells((start.x, start.y)))
         heading = start.yaw
         legs, planned = [self._grid.centres(cell[None])], 0.0
         self._cover(cell[None])
@@ -113,7 +115,7 @@ class CoveragePlanner:
             cell = leg[-1]
             tail = points[-1] - points[max(0, len(points) - 8)]
             heading = math.atan2(tail[1], tail[0])
-        return smoothed(np.concatenate(legs), self._grid, self.room, keep=self.config.room)
+        return smoothed(np.concatenate(legs), self._grid, self.room, keep=self.config.room / 2)
 
     def room_at(self, points: Points) -> NDArray[np.float64]:
         """Return (n,) metres from points (n, 2) to the nearest blocked cell; 0 in one."""
@@ -139,7 +141,10 @@ class CoveragePlanner:
         if not goals.any():
             return cell[None]
         slack = self.config.turn + self.config.radius
-        reach = search(self._weight, cell[None], self._grid.resolution, goals=goals, slack=slack)
+        # Turning in place grinds all wheels sideways, and on a slope the robot slides down meanwhile.
+        arc, local = self.config.arc / self._grid.resolution, heading - self._grid.origin.yaw
+        weight = dear_behind(self._weight, cell, local, arc)
+        reach = search(weight, cell[None], self._grid.resolution, goals=goals, slack=slack)
         return reach.path(self._choice(reach, goals, cell, heading))
 
     def _goals(self, cell: NDArray[np.int64]) -> Mask:
@@ -151,7 +156,7 @@ class CoveragePlanner:
         other[cell[0], cell[1]] = False
         if self._length >= self._next_loop:
             self._next_loop = self._length + self.config.loop * self._rng.uniform(0.7, 1.3)
-            old: Mask = self._old_place() & other
+            old: Mask = self._old_places() & other
             if old.any():
                 return old
         never: Mask = other & (self._covered_at == -np.inf)
@@ -160,15 +165,14 @@ class CoveragePlanner:
         long_ago: Mask = other & (self._covered_at <= np.quantile(self._covered_at[other], 0.2))
         return long_ago
 
-    def _old_place(self) -> Mask:
-        """Mark the cell of a point of the first half of the tour, the nearest of a few picked by chance."""
+    def _old_places(self) -> Mask:
+        """Mark the cells of a few points, picked by chance, of the first half of the tour."""
         early = self._driven[: max(1, len(self._driven) // 2)]
-        picks = early[self._rng.integers(len(early), size=4)]
-        distance = np.linalg.norm(picks - self._driven[-1], axis=1)
-        row, col = self._grid.cells(picks[int(np.argmin(distance))])
+        cells = self._grid.cells(early[self._rng.integers(len(early), size=8)])
+        cells = np.clip(cells, 0, np.array(self._free.shape) - 1)
         mask = np.zeros(self._free.shape, np.bool_)
-        mask[row, col] = self._free[row, col]
-        return mask if mask.any() else self._free
+        mask[cells[:, 0], cells[:, 1]] = True
+        return mask & self._free
 
     def _choice(self, reach: Reach, goals: Mask, cell: NDArray[np.int64], heading: float) -> tuple[int, int]:
         """Choose among reached goals: near, ahead, and a little by chance."""
@@ -198,20 +202,3 @@ class CoveragePlanner:
         """Mark what lies within the radius of a path, measured on free ground and not through walls."""
         near = search(self._plain, path, self._grid.resolution, limit=self.config.radius)
         self._covered_at[np.isfinite(near.cost)] = self._length
-
-    def _nearest_free(self, pose: Pose2) -> NDArray[np.int64]:
-        cells = np.argwhere(self._free)
-        here = self._grid.cells((pose.x, pose.y))
-        nearest: NDArray[np.int64] = cells[int(np.argmin(np.sum((cells - here) ** 2, axis=1)))]
-        return nearest
-
-
-def _area_round(grid: OccupancyGrid, start: Pose2) -> Mask:
-    """Return the connected free area nearest to a pose."""
-    _, labels = cv2.connectedComponents(grid.free.astype(np.uint8), connectivity=4)
-    cells = np.argwhere(labels > 0)
-    if len(cells) == 0:
-        raise ConfigError("a tour needs at least one free cell, got a grid without any")
-    row, col = cells[int(np.argmin(np.sum((cells - grid.cells((start.x, start.y))) ** 2, axis=1)))]
-    area: Mask = labels == labels[row, col]
-    return area
