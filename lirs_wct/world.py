@@ -15,16 +15,19 @@ from numpy.typing import NDArray
 
 from lirs_wct.bundled import SIZE, bundled_picture
 from lirs_wct.errors import ConfigError
+from lirs_wct.formats.map_server import read_map, read_map_picture
 from lirs_wct.formats.world_json import read_fields, write_world
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.heightfield import HeightField
 from lirs_wct.image import read_height_field
 from lirs_wct.mesh import TriangleMesh
+from lirs_wct.occupancy import walls_of
 from lirs_wct.options import BuildOptions
 from lirs_wct.pose import Pose2
 from lirs_wct.solid import solid_mesh
 from lirs_wct.source import Source, SourceKind, find_source
 from lirs_wct.traversability import start_poses, traversable
+from lirs_wct.wall_solid import wall_mesh
 from lirs_wct.walls import WallGrid
 from lirs_wct.window import cut_map, cut_surface
 
@@ -58,8 +61,6 @@ class World:
     @cached_property
     def mesh(self) -> TriangleMesh:
         """The whole world as one closed solid: surface or floor with walls, skirt, base."""
-        from lirs_wct.occupancy import wall_mesh  # TODO top
-
         return solid_mesh(self.surface) if self.walls is None else wall_mesh(self.walls)
 
     def traversable(self, *, clearance: float, max_slope: float, resolution: float = 0.1) -> OccupancyGrid:
@@ -129,15 +130,12 @@ def _bundled_surface(name: str, options: BuildOptions) -> HeightField:
 
 
 def _map_world(source: Source, options: BuildOptions) -> World:
-    from lirs_wct.formats.map_server import read_map, read_map_picture  # TODO top
-    from lirs_wct.occupancy import walls_of  # TODO top
-
     if source.kind is SourceKind.MAP:
-        truth = read_map(source.path)
+        truth = read_map(source.path, options.max_pixels)
     elif options.resolution is None:
         raise ConfigError(f"{source.path}: a map picture without YAML needs --resolution (metres a pixel)")
     else:
-        truth = read_map_picture(source.path, options.resolution, options.origin)
+        truth = read_map_picture(source.path, options.resolution, options.origin, options.max_pixels)
     if options.window is not None:
         truth = cut_map(truth, options.window)
     walls = walls_of(truth, options.wall_height)

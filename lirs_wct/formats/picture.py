@@ -30,7 +30,7 @@ class Picture:
     """A decoded picture, orientation applied.
 
     Attributes:
-        pixels: (rows, cols) gray or (rows, cols, 3) BGR, in the file's own type.
+        pixels: (rows, cols) gray or (rows, cols, 3 or 4) BGR(A), in the file's own type.
         tags: a TIFF's tags, else empty.
     """
 
@@ -38,8 +38,10 @@ class Picture:
     tags: tiff.Tags
 
 
-def read_picture(path: Path, max_pixels: int) -> Picture:
+def read_picture(path: Path, max_pixels: int, *, alpha: bool = False) -> Picture:
     """Decode the first page of a picture file; warns when there are more pages or bands.
+
+    With `alpha` a transparent picture keeps its fourth channel, and EXIF orientation is not applied.
 
     Raises:
         SourceError: the file is missing, damaged, not a picture, smaller than 2x2 or larger than
@@ -54,7 +56,7 @@ def read_picture(path: Path, max_pixels: int) -> Picture:
         raise SourceError(f"{path}: is truncated: the file ends inside its header") from error
     except ValueError as error:
         raise SourceError(f"{path}: {error}") from error
-    pixels = _decode(np.frombuffer(data, dtype=np.uint8))
+    pixels = _decode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED if alpha else _AS_STORED)
     if pixels is None:
         raise SourceError(f"{path}: is damaged or uses a feature that cannot be decoded")
     if header.pages > 1:
@@ -84,10 +86,10 @@ def _check_size(path: Path, header: PictureHeader, max_pixels: int) -> None:
                           "(--max-pixels)")  # fmt: skip
 
 
-def _decode(data: NDArray[np.uint8]) -> NDArray[Any] | None:
+def _decode(data: NDArray[np.uint8], flags: int) -> NDArray[Any] | None:
     with _quiet_codecs():
         try:
-            pixels: NDArray[Any] | None = cv2.imdecode(data, _AS_STORED)
+            pixels: NDArray[Any] | None = cv2.imdecode(data, flags)
         except cv2.error:
             return None
     return pixels

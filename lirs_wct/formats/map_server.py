@@ -1,0 +1,176 @@
+"""ROS maps: a YAML and a picture, read and written as map_server and nav2 do."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import SourceError
+from lirs_wct.files import atomic_write
+from lirs_wct.formats import flat_yaml
+from lirs_wct.formats.picture import read_picture
+from lirs_wct.grid import FREE, OCCUPIED, OccupancyGrid
+from lirs_wct.options import BuildOptions
+from lirs_wct.pose import Pose2
+
+MODES = ("trinary", "scale", "raw")
+BLACK, WHITE, UNKNOWN = 0, 254, 205
+"""Pixels of occupied, free and unknown cells, as map_saver writes them."""
+WRITTEN_FREE = 0.196
+"""`free_thresh` that keeps a pixel of 205 (p = 0.19608) unknown."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapMetadata:
+    """What a map's YAML says; see the ROS package map_server."""
+
+    image: Path
+    resolution: float
+    origin: Pose2
+    occupied_thresh: float = OCCUPIED
+    free_thresh: float = WRITTEN_FREE
+    negate: bool = False
+    mode: str = "trinary"
+
+
+def read_map(path: Path, max_pixels: int | None = None) -> OccupancyGrid:
+    """Read a map YAML and its picture.
+
+    Raises:
+        SourceError: one of the two is missing or cannot be used.
+    """
+    metadata = read_metadata(path)
+    if not metadata.image.is_file():
+        raise SourceError(f"{path}: its image {metadata.image} is not there")
+    return _grid(metadata, max_pixels)
+
+
+def read_map_picture(
+    path: Path, resolution: float, origin: Pose2 | None = None, max_pixels: int | None = None
+) -> OccupancyGrid:
+    """Read a map's picture without YAML, by map_server's default thresholds.
+
+    Raises:
+        SourceError: the picture cannot be used.
+    """
+    return _grid(MapMetadata(image=path, resolution=resolution, origin=origin or Pose2()), max_pixels)
+
+
+def read_metadata(path: Path) -> MapMetadata:
+    """Read a map YAML.
+
+    Raises:
+        SourceError: missing, no YAML of a map, or a value that is not legal.
+    """
+    try:
+        entry = flat_yaml.parse(path.read_text(encoding="utf-8"))
+        missing = [key for key in ("image", "resolution", "origin") if key not in entry]
+        if missing:
+            raise ValueError(f"a map needs image, resolution and origin, this has no {', '.join(missing)}")
+        origin = _numbers(entry, "origin", (2, 3))
+        return _checked(
+            MapMetadata(
+                image=path.parent / str(entry["image"]),
+                resolution=_number(entry, "resolution", math.nan),
+                origin=Pose2(*origin),
+                occupied_thresh=_number(entry, "occupied_thresh", OCCUPIED),
+                free_thresh=_number(entry, "free_thresh", WRITTEN_FREE),
+                negate=bool(_number(entry, "negate", 0.0)),
+                mode=str(entry.get("mode", "trinary")),
+            )
+        )
+    except OSError as error:
+        raise SourceError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise SourceError(f"{path}: is not text") from error
+    except ValueError as error:
+        raise SourceError(f"{path}: {error}") from error
+
+
+def write_map(stem: Path, grid: OccupancyGrid) -> None:
+    """Write `stem.pgm` and `stem.yaml`, trinary; the same grid gives the same bytes.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    p = grid.probability
+    pixels = np.full(grid.shape, UNKNOWN, np.uint8)
+    pixels[p > OCCUPIED] = BLACK
+    pixels[p < FREE] = WHITE
+    pgm, yaml = stem.with_name(f"{stem.name}.pgm"), stem.with_name(f"{stem.name}.yaml")
+    with atomic_write(pgm) as path:
+        cv2.imwrite(str(path), pixels[::-1])
+    with atomic_write(yaml) as path:
+        path.write_text(
+            f"image: {pgm.name}\nmode: trinary\nresolution: {grid.resolution!r}\n"
+            f"origin: [{grid.origin.x!r}, {grid.origin.y!r}, {grid.origin.yaw!r}]\n"
+            f"negate: 0\noccupied_thresh: {OCCUPIED}\nfree_thresh: {WRITTEN_FREE}\n",
+            encoding="utf-8",
+        )
+
+
+def _grid(metadata: MapMetadata, max_pixels: int | None) -> OccupancyGrid:
+    pixels = read_picture(metadata.image, max_pixels or BuildOptions().max_pixels, alpha=True).pixels
+    p = _probability(pixels, metadata)
+    return OccupancyGrid.from_probability(p[::-1], metadata.resolution, metadata.origin)
+
+
+def _probability(pixels: NDArray[Any], metadata: MapMetadata) -> Array:
+    """Return (rows, cols) probabilities, row 0 = north, NaN = unknown.
+
+    Trinary and raw maps average alpha with the colours; scaled ones take any transparency as unknown.
+    """
+    full = float(np.iinfo(pixels.dtype).max) if np.issubdtype(pixels.dtype, np.integer) else 1.0
+    shade = pixels.astype(np.float64) / full
+    clear = np.zeros(shade.shape[:2], np.bool_)
+    if shade.ndim == 3:
+        if shade.shape[2] == 4 and metadata.mode == "scale":
+            clear = shade[..., 3] < 1
+            shade = shade[..., :3]
+        shade = shade.mean(axis=2)
+    if metadata.mode == "raw":
+        value = np.round(shade * 255)
+        return np.where(value <= 100, value / 100, np.nan)
+    p = shade if metadata.negate else 1 - shade
+    occupied, free = p > metadata.occupied_thresh, p < metadata.free_thresh
+    between = np.full(p.shape, np.nan)
+    if metadata.mode == "scale":
+        span = metadata.occupied_thresh - metadata.free_thresh
+        between = (p - metadata.free_thresh) / span if span > 0 else between
+    graded = np.where(occupied, 1.0, np.where(free, 0.0, between))
+    return np.where(clear, np.nan, graded)
+
+
+def _checked(metadata: MapMetadata) -> MapMetadata:
+    if not 0 < metadata.resolution < math.inf:
+        raise ValueError(f"resolution must be a finite number above 0, got {metadata.resolution}")
+    if metadata.mode not in MODES:
+        raise ValueError(f"unknown mode {metadata.mode!r}; legal: {', '.join(MODES)}")
+    if not 0 <= metadata.free_thresh <= metadata.occupied_thresh <= 1:
+        raise ValueError(
+            f"thresholds must be 0 <= free_thresh <= occupied_thresh <= 1, "
+            f"got {metadata.free_thresh} and {metadata.occupied_thresh}"
+        )
+    return metadata
+
+
+def _number(entry: dict[str, flat_yaml.Value], key: str, default: float) -> float:
+    value = entry.get(key, default)
+    if not isinstance(value, float):
+        raise ValueError(f"{key} must be a number, got {value!r}")
+    return value
+
+
+def _numbers(entry: dict[str, flat_yaml.Value], key: str, counts: tuple[int, ...]) -> list[float]:
+    value = entry[key]
+    if not isinstance(value, list) or len(value) not in counts or not all(map(math.isfinite, value)):
+        raise ValueError(f"{key} must be [x, y, yaw], got {value!r}")
+    return value
