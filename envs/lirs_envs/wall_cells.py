@@ -62,7 +62,7 @@ def wall_ranges(walls: WallCells, origin: Array, directions: Array, max_range: f
             ranges[k] = _first_wall(distance, (u, v, du, dv, per_u, per_v), t, t_end)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _first_wall(
     distance: NDArray[np.uint8], ray: tuple[float, float, float, float, float, float], t: float, t_end: float
 ) -> float:
