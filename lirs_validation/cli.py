@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -16,6 +16,9 @@ from lirs_wct.errors import WctError
 from lirs_wct.options import BuildOptions
 
 RUN_FAILED, BAD_INPUT, INTERRUPTED = 3, 2, 130
+
+if TYPE_CHECKING:
+    from lirs_validation.run import Run
 
 app = typer.Typer(
     name="lirs-wct",
@@ -79,10 +82,14 @@ def validate(
         )
         for source in sources
     ]
-    runs = run_with_progress(configs, output, err)
-    out.print(results_table([run.record for run in runs]))
-    for run in runs:
-        out.print(f"{run.folder}", soft_wrap=True, highlight=False)
+    runs: list[Run] = []
+    try:
+        runs.extend(run_with_progress(configs, output, err))
+    finally:
+        if runs:
+            out.print(results_table([run.record for run in runs]))
+        for run in runs:
+            out.print(f"{run.folder}", soft_wrap=True, highlight=False)
     if any(run.record.status != "ok" for run in runs):
         raise typer.Exit(RUN_FAILED)
 

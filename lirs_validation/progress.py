@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from rich.console import Console
@@ -11,15 +12,15 @@ from lirs_validation.record import RunConfig
 from lirs_validation.run import Run, run
 
 STAGES = {
-    "world": "building",
+    "build": "building",
     "plan": "planning",
-    "warm up": "compiling",
+    "compile": "compiling",
     "drive": "driving",
     "judge": "judging",
 }
 
 
-def run_with_progress(configs: list[RunConfig], out: Path, console: Console) -> list[Run]:
+def run_with_progress(configs: list[RunConfig], out: Path, console: Console) -> Iterator[Run]:
     """Run configs one after the other, since a shared processor spoils the RTF.
 
     Raises:
@@ -34,7 +35,6 @@ def run_with_progress(configs: list[RunConfig], out: Path, console: Console) -> 
         console=console,
         transient=True,
     )
-    runs = []
     with bar:
         task = bar.add_task("", total=float(len(configs)))
         for done, config in enumerate(configs):
@@ -42,5 +42,4 @@ def run_with_progress(configs: list[RunConfig], out: Path, console: Console) -> 
             def tell(stage: str, share: float, config: RunConfig = config, done: int = done) -> None:
                 bar.update(task, description=f"{config.source}: {STAGES[stage]}", completed=done + share)
 
-            runs.append(run(config, out=out, report=tell))
-    return runs
+            yield run(config, out=out, report=tell)

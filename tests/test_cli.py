@@ -46,7 +46,7 @@ BAD = {
     "no lidar": (("validate", "simple", "--lidar", "sick"), "lms111"),
     "no world": (("validate", "smple"), "simple, medium, advanced"),
     "no seconds": (("validate", "simple", "--seconds", "0"), "seconds must be a finite number above 0, got 0"),
-    "words": (("validate", "simple", "--seconds", "ten"), "ten"),
+    "words": (("validate", "simple", "--seconds", "ten"), "--seconds"),
     "no option": (("build", "good.png", "--sizes", "3"), "--sizes"),
     "no folder": (("build", "good.png", "-o", "a_file"), "a_file"),
     "both sizes": (("build", "good.png", "--size", "3", "--pixel-size", "1"), "--size, --pixel-size"),
