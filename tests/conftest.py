@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+import lirs_envs  # noqa: F401  before mujoco, so that it renders without a screen
+
 # Kernels compile inside the first example; a shared machine is slow at times.
 settings.register_profile("local", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True)

@@ -1,6 +1,29 @@
 """Gymnasium environments of LIRS-WCT; importing this package registers them."""
 
+import ctypes
+import os
+import sys
+
 from gymnasium.envs.registration import register
+
+
+def _choose_opengl() -> None:
+    """Let MuJoCo render without a screen where EGL is installed; it looks once, when it is imported.
+
+    Where EGL is missing nothing is set: with EGL asked for, MuJoCo could not even be imported.
+    """
+    screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if "MUJOCO_GL" in os.environ or screen or not sys.platform.startswith("linux"):
+        return
+    try:
+        for library in ("libEGL.so.1", "libOpenGL.so.0"):
+            ctypes.CDLL(library)
+    except OSError:
+        return
+    os.environ["MUJOCO_GL"] = "egl"
+
+
+_choose_opengl()
 
 register(
     id="LIRS/Mapping-v0",

@@ -112,7 +112,7 @@ class MappingEnv(gym.Env[Observed, NDArray[np.float32]]):
             return None
         body = self.simulation.body
         if self._renderer is None:
-            self._renderer = mujoco.Renderer(body.model, *PICTURE)
+            self._renderer = _renderer(body.model)
         view = mujoco.MjvOption()
         view.geomgroup[:] = (1, 1, 1, 1, 0, 0)
         mujoco.mj_forward(body.model, body.data)
@@ -134,6 +134,17 @@ class MappingEnv(gym.Env[Observed, NDArray[np.float32]]):
     def _info(self, reason: str = "") -> dict[str, Any]:
         T = self.simulation.T_world_base.to_pose2()
         return {"T_world_base": T.as_array(), "seen_area": self._seen.area, "reason": reason}
+
+
+def _renderer(model: mujoco.MjModel) -> mujoco.Renderer:
+    try:
+        return mujoco.Renderer(model, *PICTURE)
+    except Exception as error:
+        # MuJoCo and PyOpenGL raise whatever the platform gives them.
+        raise SimulationError(
+            "render_mode 'rgb_array' needs OpenGL: a screen, or libegl1 libegl-mesa0 libgl1-mesa-dri "
+            f"libopengl0 and lirs_envs imported before mujoco (or MUJOCO_GL=egl): {error}"
+        ) from error
 
 
 def _arrays(observation: Observation) -> Observed:

@@ -1,0 +1,222 @@
+"""The simulation's contract: repeatable, replayable, honest about what it cannot do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from lirs_envs.drive import Odometry, OdometryConfig, Twist
+from lirs_envs.imu import ImuConfig
+from lirs_envs.lidar import LIDARS
+from lirs_envs.robots import Robot, make_robot
+from lirs_envs.sensors import Noise
+from lirs_envs.simulation import Observation, Simulation
+from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.pose import Pose2
+from lirs_wct.world import World
+
+SILENT = Noise(
+    imu=ImuConfig(
+        attitude_sigma=0,
+        attitude_bias=0,
+        rate_sigma=0,
+        rate_bias=0,
+        acceleration_sigma=0,
+        acceleration_bias=0,
+    ),
+    odometry=OdometryConfig(scale_sigma=0),
+)
+
+
+def drive(sim: Simulation, ticks: int = 60) -> list[Observation]:
+    seen = [sim.reset()]
+    rng = np.random.default_rng(1)
+    for k in range(ticks):
+        if k % 20 == 0:
+            command = Twist(rng.uniform(-1, 1), rng.uniform(-2, 2))
+        seen.append(sim.advance(command))
+    return seen
+
+
+def fingerprint(seen: list[Observation]) -> bytes:
+    return b"".join(o.scan.ranges.tobytes() + repr((o.odometry, o.imu, o.scan.stamp)).encode() for o in seen)
+
+
+def test_same_seed_same_bytes(rough: World, husky: Robot) -> None:
+    first, second, other = (Simulation(rough, husky, seed=s) for s in (7, 7, 8))
+    a, b, c = (fingerprint(drive(s)) for s in (first, second, other))
+    assert a == b
+    assert a != c
+    assert first.T_world_base == second.T_world_base
+    # A second run of the same object is the same run, too.
+    assert fingerprint(drive(first)) == a
+
+
+def test_replay_ends_where_the_run_ended(rough: World, husky: Robot) -> None:
+    sim = Simulation(rough, husky)
+    drive(sim)
+    before = sim.T_world_base
+    replay = sim.replay()
+    assert replay.T_world_base == before
+    assert sim.T_world_base == before
+    assert replay.simulated == pytest.approx(2.4)
+    assert sim.replay_rtf() > 1
+    assert sim.controls.shape == (60 * len(sim.body.pieces), 2)
+
+
+def test_a_tick_is_one_lrf_period(plane: World, husky: Robot) -> None:
+    for preset in LIDARS.values():
+        sim = Simulation(plane, husky, lidar=preset.name)
+        sim.reset()
+        stamps = [sim.advance(Twist()).scan.stamp for _ in range(3)]
+        np.testing.assert_allclose(stamps, np.arange(1, 4) / preset.rate, atol=1e-9)
+        assert sim.body.data.time == pytest.approx(3 / preset.rate, abs=1e-6)
+        assert sim.body.timestep <= 0.005
+        assert sum(sim.body.pieces) * sim.body.timestep == pytest.approx(1 / preset.rate)
+
+
+def test_timing_is_kept_for_every_tick(plane: World, husky: Robot) -> None:
+    sim = Simulation(plane, husky)
+    drive(sim, 5)
+    assert len(sim.timing.physics) == len(sim.timing.sensors) == 5
+    assert min(sim.timing.physics) > 0
+
+
+def test_silent_sensors_tell_the_truth(make_world: Callable[..., World], husky: Robot) -> None:
+    world = make_world(lambda x, y: 0.1 * x + 0.05 * y)
+    sim = Simulation(world, husky, noise=SILENT)
+    seen = drive(sim)
+    T = sim.T_world_base
+    assert (seen[-1].imu.roll, seen[-1].imu.pitch) == pytest.approx((T.roll, T.pitch), abs=1e-9)
+    rest = sim.reset()
+    g = rest.imu.linear_acceleration
+    assert math.hypot(*g) == pytest.approx(9.81, abs=0.01)
+    # Leaning back and to the left: gravity pulls along -x and -y, so that the support points to +x and +y.
+    assert g[0] == pytest.approx(-9.81 * math.sin(rest.imu.pitch), abs=0.02)
+    assert g[0] > 0
+    assert g[1] > 0
+
+
+def test_odometry_without_noise_is_the_way_driven(make_world: Callable[..., World], husky: Robot) -> None:
+    world = make_world(lambda x, y: 0.2 * np.sin(x) * np.cos(y))
+    sim = Simulation(world, husky, noise=SILENT)
+    sim.reset(Pose2(1.0, -1.0, 0.5))
+    T_world_odom = sim.T_world_base.to_pose2()
+    for k in range(500):
+        odometry = sim.advance(Twist(0.6, 0.5 * math.sin(k / 40))).odometry
+    T = sim.T_world_base.to_pose2()
+    guess = T_world_odom @ odometry
+    assert guess.distance(T) < 0.03 * 12
+    assert abs(math.remainder(guess.yaw - T.yaw, math.tau)) < math.radians(2)
+    assert T_world_odom.distance(T) > 2
+
+
+def test_placed_upright_on_a_slope(make_world: Callable[..., World], husky: Robot) -> None:
+    world = make_world(lambda x, y: 0.3 * x)
+    sim = Simulation(world, husky)
+    for yaw in (0.0, math.pi / 2, 2.5):
+        sim.reset(Pose2(1.0, 1.0, yaw))
+        T = sim.T_world_base
+        normal = T.rotation[:, 2]
+        assert np.degrees(np.arccos(normal @ (-0.3, 0, 1) / math.hypot(0.3, 1))) < 0.5
+        assert T.yaw == pytest.approx(yaw, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("start", "words"),
+    [
+        (Pose2(50.0, 0.0), "border of the world"),
+        (Pose2(9.8, 0.0), "border of the world"),
+        (Pose2(4.0, 0.0), "slopes by 45 deg, legal: up to 25"),
+        (Pose2(-4.0, 0.0), "obstacle stands"),
+    ],
+)
+def test_bad_start_poses(start: Pose2, words: str, make_world: Callable[..., World], husky: Robot) -> None:
+    world = make_world(lambda x, y: np.maximum(0, x - 2) + 1.0 * (np.hypot(x + 4, y) < 0.25))
+    sim = Simulation(world, husky)
+    with pytest.raises(SimulationError, match=words):
+        sim.reset(start)
+    with pytest.raises(SimulationError, match="must be reset"):
+        sim.advance(Twist())
+
+
+def test_start_against_a_wall_of_boxes(walled: World, husky: Robot, T_world_wall: Pose2) -> None:
+    sim = Simulation(walled, husky)
+    sim.reset(T_world_wall @ Pose2(2.35, 0.0))
+    for x in (2.5, 3.05):
+        with pytest.raises(SimulationError, match="a wall is within"):
+            sim.reset(T_world_wall @ Pose2(x, 0.0))
+
+
+def test_bad_input(plane: World, husky: Robot) -> None:
+    with pytest.raises(ConfigError, match=r"unknown robot 'huksy'; legal: .*husky"):
+        make_robot("huksy")
+    with pytest.raises(ConfigError, match=r"unknown lidar 'nope'; legal: .*lms111"):
+        Simulation(plane, husky, lidar="nope")
+    with pytest.raises(ConfigError, match="seed must be 0 or above"):
+        Simulation(plane, husky, seed=-1)
+    sim = Simulation(plane, husky)
+    with pytest.raises(ConfigError, match="finite"):
+        sim.reset(Pose2(math.nan, 0.0))
+    sim.reset()
+    with pytest.raises(ConfigError, match="finite"):
+        sim.advance(Twist(math.nan, 0.0))
+    with pytest.raises(SimulationError, match="nothing was driven"):
+        sim.replay()
+
+
+def test_a_divergence_stops_with_its_reason(plane: World, husky: Robot, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file where it stands
+    sim = Simulation(plane, husky)
+    sim.reset()
+    sim.body.data.qvel[0] = 1e20
+    with pytest.raises(SimulationError, match=r"diverged at .* s: "):
+        sim.advance(Twist())
+    sim.reset()
+    sim.advance(Twist())
+
+
+def test_tipped_and_off_the_world_are_told(plane: World, husky: Robot) -> None:
+    sim = Simulation(plane, husky)
+    sim.reset()
+    assert not sim.tipped
+    assert not sim.off_world
+    sim.body.data.qpos[3:7] = (math.cos(0.55), math.sin(0.55), 0, 0)
+    assert sim.tipped
+    sim.reset(Pose2(9.3, 0.0, 0.0))
+    for _ in range(40):
+        sim.advance(Twist(1.0))
+    assert sim.off_world
+
+
+def test_imu_noise_is_what_it_claims(plane: World, husky: Robot) -> None:
+    rolls, rates, forces = [], [], []
+    for seed in range(40):
+        sim = Simulation(plane, husky, seed=seed)
+        sim.reset()
+        readings = [sim.advance(Twist()).imu for _ in range(25)]
+        rolls.append([r.roll for r in readings])
+        rates.append([r.angular_velocity[0] for r in readings])
+        forces.append([r.linear_acceleration[1] for r in readings])
+    config = ImuConfig()
+    for values, white, bias in (
+        (rolls, config.attitude_sigma, config.attitude_bias),
+        (rates, config.rate_sigma, config.rate_bias),
+        (forces, config.acceleration_sigma, config.acceleration_bias),
+    ):
+        array = np.array(values)
+        assert array.std() == pytest.approx(math.hypot(white, bias), rel=0.15)
+        assert abs(array.mean()) < 4 * math.hypot(bias / math.sqrt(40), white / math.sqrt(1000))
+
+
+def test_odometry_scale_is_what_it_claims(plane: World, husky: Robot) -> None:
+    config = OdometryConfig()
+    lengths = []
+    for seed in range(400):
+        odometry = Odometry(husky, config, np.random.default_rng(seed))
+        odometry.update(0.1 / husky.wheel_radius, (0.0, 0.0, 0.0), 0.0, 0.0, 0.1)
+        lengths.append(odometry.pose.x / 0.1 - 1)
+    assert np.std(lengths) == pytest.approx(config.scale_sigma, rel=0.1)

@@ -1,0 +1,142 @@
+"""A world in MuJoCo is the same world: heights, walls, the right way up and round."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from lirs_wct.contact_grid import contact_grid
+from lirs_wct.heightfield import HeightField
+from lirs_wct.mjcf import box_geoms, world_spec, write_mjcf
+from lirs_wct.pose import Pose2
+from lirs_wct.walls import WallGrid
+from lirs_wct.world import World
+
+
+@pytest.fixture
+def slanted() -> World:
+    """Higher in the north-east, lowest in the south-west, and nowhere 0: nothing in it is symmetrical."""
+    rng = np.random.default_rng(3)
+    z = rng.random((7, 11)) + 0.5 * np.arange(11)[None, :] + 2.0 * np.arange(7)[::-1, None] - 4.3
+    return World("slanted", "terrain", HeightField(z.astype(np.float32), (0.5, 0.25), (100.0, -30.0)))
+
+
+@pytest.fixture
+def walled() -> World:
+    solid = np.zeros((12, 20), np.bool_)
+    solid[0, :] = solid[3:9, 5:7] = solid[11, 3] = True
+    walls = WallGrid(solid, 0.1, Pose2(-1.5, 2.25, 0.7), 1.7)
+    floor = HeightField(np.zeros((2, 2), np.float32), (8.0, 8.0), (-4.0, -1.0))
+    return World("walled", "map", floor, walls)
+
+
+def height_under(model: mujoco.MjModel, x: float, y: float) -> float:
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    hit = np.zeros(1, np.int32)
+    top = np.array((x, y, 50.0))
+    distance = mujoco.mj_ray(model, data, top, np.array((0.0, 0.0, -1.0)), None, 1, -1, hit)
+    return math.nan if distance < 0 else 50.0 - distance
+
+
+def heights(model: mujoco.MjModel) -> np.ndarray:
+    low, relief = model.geom("ground").pos[2], model.hfield_size[0, 2]
+    return low + relief * model.hfield_data.reshape(model.hfield_nrow[0], model.hfield_ncol[0])
+
+
+def test_the_written_file_is_exact_to_the_bit(slanted: World, tmp_path: Path) -> None:
+    path = write_mjcf(slanted, tmp_path)
+    assert path == tmp_path / "slanted.xml"
+    (binary,) = tmp_path.glob("*.hfield")
+    raw = binary.read_bytes()
+    assert tuple(np.frombuffer(raw, "<i4", 2)) == slanted.surface.shape
+    stored = np.frombuffer(raw, "<f4", offset=8).reshape(slanted.surface.shape)
+    assert stored.tobytes() == slanted.surface.z[::-1].tobytes()
+    model = mujoco.MjModel.from_xml_path(str(path))
+    np.testing.assert_allclose(heights(model), slanted.surface.z[::-1], atol=2e-6)
+
+
+def test_upright_and_in_place(slanted: World, tmp_path: Path) -> None:
+    written = mujoco.MjModel.from_xml_path(str(write_mjcf(slanted, tmp_path)))
+    passed = world_spec(slanted).compile()
+    west, south, east, north = slanted.surface.bounds
+    rng = np.random.default_rng(0)
+    for x, y in zip(rng.uniform(west, east, 20), rng.uniform(south, north, 20), strict=True):
+        true = float(slanted.surface.height_at(x, y))
+        assert height_under(written, x, y) == pytest.approx(true, abs=1e-5)
+        assert height_under(passed, x, y) == pytest.approx(true, abs=1e-5)
+    assert height_under(passed, east - 0.1, north - 0.1) > height_under(passed, west + 0.1, south + 0.1) + 5
+
+
+def test_same_name_other_world_is_not_taken_from_the_cache(slanted: World, tmp_path: Path) -> None:
+    flipped = World(
+        "slanted", "terrain", HeightField(slanted.surface.z[::-1].copy(), (0.5, 0.25), (0.0, 0.0))
+    )
+    for world in (slanted, flipped):
+        model = mujoco.MjModel.from_xml_path(str(write_mjcf(world, tmp_path)))
+        np.testing.assert_allclose(heights(model), world.surface.z[::-1], atol=2e-6)
+
+
+def test_a_flat_field_keeps_its_height(tmp_path: Path) -> None:
+    flat = World("flat", "terrain", HeightField(np.full((5, 5), 3.25, np.float32), (1.0, 1.0), (0.0, 0.0)))
+    for model in (
+        world_spec(flat).compile(),
+        world_spec(flat, contact=contact_grid(flat.surface)).compile(),
+        mujoco.MjModel.from_xml_path(str(write_mjcf(flat, tmp_path))),
+    ):
+        assert height_under(model, 1.3, 2.1) == pytest.approx(3.25)
+
+
+def test_a_contact_grid_is_what_is_touched(slanted: World) -> None:
+    axis = np.linspace(0, 3, 61)
+    surface = HeightField.centred(np.sin(axis)[None, :].repeat(61, axis=0).astype(np.float32), (0.05, 0.05))
+    smooth = World("smooth", "terrain", surface)
+    grid = contact_grid(surface)
+    model = world_spec(smooth, contact=grid).compile()
+    assert grid.stride > 1
+    assert model.hfield_ncol[0] == math.ceil(60 / grid.stride) + 1
+    for x in np.linspace(-1.4, 1.4, 15):
+        assert height_under(model, x, 0.2) == pytest.approx(float(surface.height_at(x, 0.2)), abs=0.0101)
+
+
+@pytest.mark.parametrize("source", ["spec", "file"])
+def test_walls_stand_where_the_map_has_them(source: str, walled: World, tmp_path: Path) -> None:
+    if source == "spec":
+        model = world_spec(walled).compile()
+    else:
+        model = mujoco.MjModel.from_xml_path(str(write_mjcf(walled, tmp_path)))
+    walls = walled.walls
+    assert walls is not None
+    rows, cols = np.mgrid[: walls.shape[0], : walls.shape[1]]
+    centres = walls.origin.apply(np.stack((cols + 0.5, rows + 0.5), axis=-1) * walls.resolution)
+    for solid, (x, y) in zip(walls.solid.ravel(), centres.reshape(-1, 2), strict=True):
+        assert height_under(model, x, y) == pytest.approx(1.7 if solid else 0.0, abs=1e-6)
+    area = 4 * box_geoms(walls)[:, 2] @ box_geoms(walls)[:, 3]
+    assert area == pytest.approx(walls.solid.sum() * 0.01)
+
+
+def test_terrain_is_one_geom_group(walled: World) -> None:
+    model = world_spec(walled).compile()
+    assert set(model.geom_group.tolist()) == {3}
+    assert set(world_spec(walled, group=0).compile().geom_group.tolist()) == {0}
+
+
+def test_sleeping_leaves_the_motion_as_it_is(walled: World) -> None:
+    ends = []
+    for sleep in (True, False):
+        spec = world_spec(walled)
+        if not sleep:
+            spec.option.enableflags = 0
+        ball = spec.worldbody.add_body(pos=(0.3, 2.9, 1.0), sleep=mujoco.mjtSleepPolicy.mjSLEEP_NEVER)
+        ball.add_freejoint()
+        ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(0.1, 0, 0))
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        data.qvel[:2] = (-1.5, 0.4)
+        mujoco.mj_step(model, data, 600)
+        ends.append(data.qpos.copy())
+    np.testing.assert_array_equal(ends[0], ends[1])
