@@ -1,0 +1,160 @@
+"""Few triangles within a budget, held at every pixel."""
+
+from __future__ import annotations
+
+import itertools
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.heightfield import HeightField
+from lirs_wct.mesh import TriangleMesh
+from lirs_wct.simplify import simplified_solid, triangulate
+from lirs_wct.solid import solid_mesh
+
+
+def hills(rows: int, cols: int, seed: int = 0, blur: float = 3.0) -> HeightField:
+    z = np.random.default_rng(seed).random((rows, cols)).astype(np.float32)
+    z = cv2.GaussianBlur(z, (0, 0), blur) if blur else z
+    return HeightField.centred(z - z.min(), (0.5, 0.25))
+
+
+def errors(surface: HeightField, points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(rows, cols) difference at every pixel, NaN where no triangle is: plain barycentric coordinates."""
+    out = np.full(surface.shape, np.nan)
+    for triangle in points[faces].astype(float):
+        (r0, c0), (r1, c1) = triangle.min(axis=0).astype(int), triangle.max(axis=0).astype(int)
+        r, c = np.mgrid[r0 : r1 + 1, c0 : c1 + 1]
+        (ar, ac), (br, bc), (cr, cc) = triangle
+        area = (br - ar) * (cc - ac) - (bc - ac) * (cr - ar)
+        v = ((r - ar) * (cc - ac) - (c - ac) * (cr - ar)) / area
+        w = ((br - ar) * (c - ac) - (bc - ac) * (r - ar)) / area
+        inside = (v >= -1e-12) & (w >= -1e-12) & (v + w <= 1 + 1e-12)
+        za, zb, zc = (float(surface.z[int(i), int(j)]) for i, j in triangle)
+        plane = za + v * (zb - za) + w * (zc - za)
+        out[r[inside], c[inside]] = (plane - surface.z[r, c])[inside]
+    return out
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.integers(2, 40),
+    st.integers(2, 40),
+    st.integers(0, 9),
+    st.sampled_from([0.0, 2.0]),
+    st.sampled_from([0.5, 0.1, 0.01, 1e-5]),
+)
+def test_the_budget_holds_at_every_pixel(rows: int, cols: int, seed: int, blur: float, share: float) -> None:
+    surface = hills(rows, cols, seed, blur)
+    budget = max(share * surface.relief, 1e-9)
+    points, faces = triangulate(surface, max_error=budget)
+    off = errors(surface, points, faces)
+    assert not np.isnan(off).any()
+    assert np.abs(off).max() <= max(budget, 2e-6 * surface.relief)
+    mesh = simplified_solid(surface, max_error=budget)
+    assert mesh.is_watertight
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).is_volume
+
+
+def test_faces_look_up_and_cover_the_rectangle_once() -> None:
+    surface = hills(60, 80)
+    points, faces = triangulate(surface, max_error=0.02 * surface.relief)
+    (a, b, c) = (points[faces[:, k]].astype(float) for k in range(3))
+    # East is +column, north is -row.
+    doubled = (b[:, 1] - a[:, 1]) * (a[:, 0] - c[:, 0]) - (a[:, 0] - b[:, 0]) * (c[:, 1] - a[:, 1])
+    assert (doubled > 0).all()
+    assert doubled.sum() / 2 == 59 * 79
+
+
+def test_triangles_are_delaunay() -> None:
+    surface = hills(40, 50)
+    points, faces = triangulate(surface, max_error=0.05 * surface.relief)
+    for triangle in points[faces].astype(float):
+        a = np.column_stack((2 * triangle, np.ones(3)))
+        *centre, k = np.linalg.solve(a, (triangle**2).sum(axis=1))
+        radius2 = k + np.dot(centre, centre)
+        assert (((points - centre) ** 2).sum(axis=1) >= radius2 - 1e-6 * radius2).all()
+
+
+def test_edges_are_straight_and_the_box_is_the_fields() -> None:
+    surface = hills(60, 80)
+    mesh = simplified_solid(surface, max_error=0.02 * surface.relief)
+    whole = solid_mesh(surface)
+    np.testing.assert_array_equal(mesh.bounds[:, :2], whole.bounds[:, :2])
+    assert mesh.bounds[0, 2] == whole.bounds[0, 2]
+    sides = np.abs(mesh.face_normals[:, 2]) < 1e-9
+    for a, b in zip(mesh.vertices[mesh.faces[sides]], mesh.face_normals[sides], strict=True):
+        axis = int(np.abs(b).argmax())
+        assert (a[:, axis] == whole.bounds[int(b[axis] > 0), axis]).all()
+
+
+def test_volume_within_the_budget() -> None:
+    surface = hills(60, 80)
+    budget = 0.03 * surface.relief
+    mesh, whole = simplified_solid(surface, max_error=budget), solid_mesh(surface)
+    assert len(mesh.faces) < len(whole.faces) / 3
+    assert abs(mesh.volume - whole.volume) <= budget * surface.size[0] * surface.size[1]
+
+
+@pytest.mark.parametrize("most", [14, 15, 100, 1001])
+def test_never_more_triangles_than_asked(most: int) -> None:
+    mesh = simplified_solid(hills(60, 80), max_triangles=most)
+    assert most - 4 < len(mesh.faces) <= most
+    assert mesh.is_watertight
+
+
+def test_more_triangles_less_error() -> None:
+    surface = hills(60, 80)
+    worst = [
+        np.abs(errors(surface, *triangulate(surface, max_triangles=n))).max() for n in (50, 200, 800, 3200)
+    ]
+    assert all(a > 1.3 * b for a, b in itertools.pairwise(worst))
+
+
+def test_a_plane_needs_two_triangles() -> None:
+    x = np.linspace(0, 3, 50, dtype=np.float32)
+    plane = HeightField.centred(x + x[:40, None], (1, 1))
+    assert len(triangulate(plane, max_error=1e-9)[1]) == 2
+    assert len(simplified_solid(plane, max_triangles=1000).faces) == 14
+
+
+def test_a_single_pixel_is_not_missed() -> None:
+    z = np.zeros((300, 200), np.float32)
+    z[123, 77] = 1
+    points, faces = triangulate(HeightField.centred(z, (1, 1)), max_error=0.1)
+    assert (points == (123, 77)).all(axis=1).any()
+    assert np.abs(errors(HeightField.centred(z, (1, 1)), points, faces)).max() <= 0.1
+
+
+def test_budgets_are_checked() -> None:
+    surface = hills(5, 5)
+    for budgets in ({}, {"max_error": 1.0, "max_triangles": 20}):
+        with pytest.raises(ConfigError, match=r"--max-error, --max-triangles"):
+            triangulate(surface, **budgets)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="max error must be"):
+        triangulate(surface, max_error=0.0)
+    with pytest.raises(ConfigError, match="max triangles must be at least 14"):
+        triangulate(surface, max_triangles=13)
+
+
+@pytest.mark.parametrize("share", [2e-3, 5e-4])
+def test_as_few_as_the_best_peer(share: float) -> None:
+    pydelatin = pytest.importorskip("pydelatin")
+    surface = hills(257, 257, blur=6.0)
+    z = surface.z / surface.z.max()
+    _, faces = triangulate(HeightField.centred(z, (1, 1)), max_error=share)
+    peer = pydelatin.Delatin(z, max_error=share).triangles
+    assert len(faces) <= 1.05 * len(peer)
+
+
+def test_meshes_are_plain_values() -> None:
+    mesh = simplified_solid(hills(20, 20), max_error=0.01)
+    again = simplified_solid(hills(20, 20), max_error=0.01)
+    assert isinstance(mesh, TriangleMesh)
+    np.testing.assert_array_equal(mesh.vertices, again.vertices)
+    np.testing.assert_array_equal(mesh.faces, again.faces)
