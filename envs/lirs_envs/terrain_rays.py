@@ -19,6 +19,8 @@ Ray = tuple[float, float, float, float, float, float]
 """u, v, w: start, in cells from the south-west node and metres up; du, dv, dw: its change per metre."""
 START_LEVEL = 6
 """Squares of 64 cells: the fastest start, measured from 257^2 to 4097^2."""
+BORDER = 1e-9
+"""Cells by which the border reaches out, so that rounding puts no ray on it outside."""
 
 
 @njit(cache=True)
@@ -33,8 +35,8 @@ def terrain_ranges(
     for k in range(len(directions)):
         du, dv, dw = directions[k, 0] / frame[2], directions[k, 1] / frame[3], directions[k, 2]
         per_u, per_v = inverse(du), inverse(dv)
-        t, t_end = clip(u, per_u, 0.0, float(nx), 0.0, min(max_range, ranges[k]))
-        t, t_end = clip(v, per_v, 0.0, float(ny), t, t_end)
+        t, t_end = clip(u, per_u, -BORDER, nx + BORDER, 0.0, min(max_range, ranges[k]))
+        t, t_end = clip(v, per_v, -BORDER, ny + BORDER, t, t_end)
         t, t_end = clip(w, inverse(dw), low, high, t, t_end)
         if t <= t_end:
             hit = _follow(z, bound, start, width, (u, v, w, du, dv, dw), (per_u, per_v), t, t_end)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -61,6 +61,7 @@ def test_never_through(surface: HeightField, point, direction) -> None:
 
 
 @settings(max_examples=200, deadline=None)
+@example(HeightField(np.zeros((2, 8), np.float32), (0.3, 0.25), (0.0, 0.0)), 1.0, 0.0, 1.0, False)
 @given(FIELDS, st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.01, 50.0), st.booleans())
 def test_straight_down_and_up_measure_the_height(surface, fx: float, fy: float, gap: float, above) -> None:
     (west, south, east, north), sign = surface.bounds, 1.0 if above else -1.0
