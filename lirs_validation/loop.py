@@ -72,8 +72,10 @@ def drive(
 ) -> DriveLog:
     """Drive for a time, or until something fails; the failure is in the log, not raised."""
     log = DriveLog()
-    observation = simulation.reset(driver.start)
-    _map(log, observation, simulation, mapper, time.perf_counter())
+    _map(log, simulation.reset(driver.start), simulation, mapper, time.perf_counter())
+    # The first scan comes before anything moves: no simulated time passes, so none is counted.
+    log.walls.clear()
+    log.mapper_seconds.clear()
     period = simulation.period
     next_report = 1.0
     lost_since: float | None = None

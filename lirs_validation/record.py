@@ -11,6 +11,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.files import atomic_write
 from lirs_wct.options import BuildOptions
@@ -94,7 +96,7 @@ class RunRecord:
     def to_json(self) -> str:
         """Return the record as JSON; figures that do not exist are null."""
         entry = {"schema": SCHEMA, "seed": self.config.seed, "name": self.name} | asdict(self)
-        return json.dumps(entry, indent=1, default=str, allow_nan=False) + "\n"
+        return json.dumps(entry, indent=1, default=_plain, allow_nan=False) + "\n"
 
     def save(self, folder: Path) -> None:
         """Write `record.json`.
@@ -131,6 +133,12 @@ def versions() -> dict[str, str]:
 def machine() -> dict[str, Any]:
     """Return what the run's times depend on."""
     return {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"a record holds numbers, words and lists, got {type(value).__name__}")
 
 
 def _processor() -> str:

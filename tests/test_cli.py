@@ -45,7 +45,10 @@ BAD = {
     "no mapper": (("validate", "simple", "--mapper", "slam"), "unknown mapper 'slam'; legal: hector"),
     "no lidar": (("validate", "simple", "--lidar", "sick"), "lms111"),
     "no world": (("validate", "smple"), "simple, medium, advanced"),
-    "no seconds": (("validate", "simple", "--seconds", "0"), "seconds must be a finite number above 0, got 0"),
+    "no seconds": (
+        ("validate", "simple", "--seconds", "0"),
+        "seconds must be a finite number above 0, got 0",
+    ),
     "words": (("validate", "simple", "--seconds", "ten"), "--seconds"),
     "no option": (("build", "good.png", "--sizes", "3"), "--sizes"),
     "no folder": (("build", "good.png", "-o", "a_file"), "a_file"),

@@ -79,7 +79,7 @@ def test_a_written_map_reads_back(
     tmp_path_factory: pytest.TempPathFactory, p: list[list[float]], resolution: float, yaw: float
 ) -> None:
     stem = tmp_path_factory.mktemp("map") / "room.v2"
-    grid = OccupancyGrid.from_probability(p, resolution, Pose2(-1.5, 2.25, yaw))
+    grid = OccupancyGrid.from_probability(p, np.float64(resolution), Pose2(-1.5, np.float64(2.25), yaw))
     write_map(stem, grid)
     again = read_map(stem.with_name("room.v2.yaml"))
     assert (again.resolution, again.origin) == (grid.resolution, grid.origin)

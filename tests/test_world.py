@@ -44,7 +44,10 @@ def same(a: World, b: World) -> bool:
         and np.array_equal(a.surface.z, b.surface.z)
         and (a.surface.cell, a.surface.origin) == (b.surface.cell, b.surface.origin)
         and (a.walls is None) == (b.walls is None)
-        and (a.walls is None or np.array_equal(a.walls.solid, b.walls.solid) and a.walls.origin == b.walls.origin)
+        and (
+            a.walls is None
+            or (np.array_equal(a.walls.solid, b.walls.solid) and a.walls.origin == b.walls.origin)
+        )
         and (a.truth is None or np.array_equal(a.truth.log_odds, b.truth.log_odds, equal_nan=True))
     )
 
@@ -96,7 +99,9 @@ def test_a_window_keeps_coordinates(picture: Path) -> None:
     assert west <= 0.5 <= 3.5 <= east
     assert south <= -0.5 <= 2.5 <= north
     lift = whole.surface.height_at(2.0, 1.0) - part.surface.height_at(2.0, 1.0)
-    assert whole.surface.height_at(1.0, 0.3) - part.surface.height_at(1.0, 0.3) == pytest.approx(lift, abs=1e-6)
+    assert whole.surface.height_at(1.0, 0.3) - part.surface.height_at(1.0, 0.3) == pytest.approx(
+        lift, abs=1e-6
+    )
     assert part.surface.z.min() == 0
     with pytest.raises(ConfigError, match="outside"):
         build_world(picture, BuildOptions(size=12, window=(100.0, 0.0, 3.0)))
@@ -105,7 +110,14 @@ def test_a_window_keeps_coordinates(picture: Path) -> None:
 def test_damaged_folders_are_named(picture: Path, tmp_path: Path) -> None:
     folder = build_world(picture).save(tmp_path / "w")
     entry = json.loads((folder / "world.json").read_text())
-    for text in ("", "{", "[]", "{}", json.dumps(entry | {"schema": 99}), json.dumps(entry | {"surface": {}})):
+    for text in (
+        "",
+        "{",
+        "[]",
+        "{}",
+        json.dumps(entry | {"schema": 99}),
+        json.dumps(entry | {"surface": {}}),
+    ):
         (folder / "world.json").write_text(text)
         with pytest.raises(SourceError, match=r"^.*world\.json: "):
             World.load(folder)
@@ -117,7 +129,7 @@ def test_damaged_folders_are_named(picture: Path, tmp_path: Path) -> None:
 
 
 def test_what_is_no_source_is_told_so(tmp_path: Path) -> None:
-    with pytest.raises(SourceError, match="no such file.*simple, medium, advanced"):
+    with pytest.raises(SourceError, match=r"no such file.*simple, medium, advanced"):
         build_world("smple")
     with pytest.raises(SourceError, match=r"world\.json"):
         build_world(tmp_path)

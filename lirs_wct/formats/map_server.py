@@ -110,8 +110,8 @@ def write_map(stem: Path, grid: OccupancyGrid) -> None:
         cv2.imwrite(str(path), pixels[::-1])
     with atomic_write(yaml) as path:
         path.write_text(
-            f"image: {pgm.name}\nmode: trinary\nresolution: {grid.resolution!r}\n"
-            f"origin: [{grid.origin.x!r}, {grid.origin.y!r}, {grid.origin.yaw!r}]\n"
+            f"image: {pgm.name}\nmode: trinary\nresolution: {float(grid.resolution)!r}\n"
+            f"origin: [{', '.join(map(repr, grid.origin.as_array().tolist()))}]\n"
             f"negate: 0\noccupied_thresh: {OCCUPIED}\nfree_thresh: {WRITTEN_FREE}\n",
             encoding="utf-8",
         )
