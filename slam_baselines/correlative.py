@@ -87,8 +87,6 @@ def _search(value, row0, col0, res, points, weights, start, reach, turns, step, 
                     r, q = at_row[i] + dr, at_col[i] + dc
                     if 0 <= r < rows and 0 <= q < cols:
                         score += weights[i] * value[r, q]
-                    else:
-                        score += weights[i] * (FULL // 2)
                 loss = per_metre * np.hypot(dr, dc) * res + per_radian * abs(k * step)
                 score = score / total - loss
                 if score > best_score:

@@ -52,11 +52,13 @@ class HectorConfig(BuilderConfig):
     motion: MotionConfig = field(default_factory=MotionConfig)
     laser_max_dist: float = math.inf
     laser_clear_dist: float = 0.0
-    poor_score: float = 0.5
-    lost_score: float = 0.4
+    poor_score: float = 0.4
+    lost_score: float = 0.25
     lost_after: int = 10
     known_share: float = 0.3
     least_beams: int = 15
+    least_share: float = 0.02
+    fresh_distance: float = 0.4
 
     def __post_init__(self) -> None:
         super(HectorConfig, self).__post_init__()
@@ -140,18 +142,23 @@ class HectorMapper:
 
     def _match(self, scan: LevelledScan, prior: Pose2, covariance: Array) -> Match | None:
         """Move the estimate to where the scan fits; to the prior, if there is nothing to fit."""
+        self._before = self._pose
         self._pose, self._covariance = prior, covariance
         if len(scan.hits) == 0 or self._builder.updates == 0:
             return None
         pyramid, expected, information = self._builder.pyramid, prior.as_array(), np.linalg.inv(covariance)
         weights = self.lastw = self._builder.weights(scan, prior)
-        match = self._matcher.match(pyramid, scan.hits, weights, expected, information)
-        if match.beams < self.config.least_beams:
+        moved = prior.distance(self._before) + 0.5 * abs(wrap_angle(prior.yaw - self._before.yaw))
+        share = min(1.0, max(self.config.least_share, moved / self.config.fresh_distance))
+        weights *= share
+        levels = self._matcher.levels(pyramid, covariance)
+        match = self._matcher.match(pyramid, scan.hits, weights, expected, information, levels)
+        if match.beams < self.config.least_beams * share:
             return None
         if match.known >= self.config.known_share and match.score < self.config.poor_score:
             self._searches += 1
             start = search(pyramid.maps[-1].grid, scan.hits, weights, expected, self.config.search)
-            wider = self._matcher.match(pyramid, scan.hits, weights, expected, information, start)
+            wider = self._matcher.match(pyramid, scan.hits, weights, expected, information, len(pyramid.maps), start)
             match = max(match, wider, key=lambda m: m.score)
         x, y, yaw = match.pose.tolist()
         self._pose = Pose2(x, y, wrap_angle(yaw))

@@ -27,12 +27,14 @@ STEEP_STEP = 0.01
 TOP_STEP = 0.01
 """Metres of one step of the layer `top`."""
 
-FULL = 254
-"""A `value` of this means p = 1; half of it means that nothing is known."""
-HALF = 127
+FULL = 255
+"""A `value` of this is a wall for sure."""
+UNSEEN = 0
+"""A `value` of this says nothing; any other that the cell is known."""
 
-_VALUE = np.round(FULL / (1 + np.exp(-STEP * np.arange(-128, 128)))).astype(np.uint8)
-_VALUE[0] = HALF
+_odds = np.exp(STEP * np.arange(-128, 128))
+_VALUE = np.maximum(1, np.round(FULL * (_odds - 1) / (_odds + 1))).astype(np.uint8)
+_VALUE[0] = UNSEEN
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +81,7 @@ class OccupancyMap:
     """
 
     def __init__(self, resolution: float, config: UpdateConfig | None = None) -> None:
-        layers = {"log_odds": (np.int8, UNKNOWN), "value": (np.uint8, HALF), "steep": (np.uint8, 0)}
+        layers = {"log_odds": (np.int8, UNKNOWN), "value": (np.uint8, UNSEEN), "steep": (np.uint8, 0)}
         self.grid = GrowingGrid(resolution, layers | {"top": (np.int16, -32768)})
         self._steps = (config or UpdateConfig()).steps
         self._touched: NDArray[np.uint8] = np.zeros(0, np.uint8)
@@ -123,7 +125,7 @@ class OccupancyMap:
         layers = self.grid.layers
         steps, value = layers["log_odds"], layers["value"]
         np.take(_VALUE, steps.astype(np.int16) + 128, out=value)
-        value[(steps > 0) & (layers["steep"] < bound)] = HALF
+        value[(steps > 0) & (layers["steep"] < bound)] = UNSEEN
 
     def steepness(self, points: NDArray[np.float64]) -> NDArray[np.uint8]:
         """Return (n,) what is proven of the cells under points (n, 2 or more), in STEEP_STEP."""
@@ -164,7 +166,7 @@ def _enter_scan(
             before = log_odds[r, c]
             after = min(limit, (0 if before == UNKNOWN else before) + hit)
             log_odds[r, c] = after
-            value[r, c] = HALF if after > 0 and steepness[r, c] < bound else _VALUE[after + 128]
+            value[r, c] = UNSEEN if after > 0 and steepness[r, c] < bound else _VALUE[after + 128]
     for i in range(len(hits)):
         _pass(log_odds, value, steepness, top, row0, col0, resolution, touched, window, origin, hits[i], False, bound, miss, limit)
     for i in range(len(free)):
@@ -183,7 +185,7 @@ def _pass(log_odds, value, steepness, top, row0, col0, resolution, touched, wind
     last_row, last_col = int(np.floor(y + dy)), int(np.floor(x + dx))
     steps = int(max(abs(dx), abs(dy))) + 1
     dx, dy, dz = dx / steps, dy / steps, (end[2] - origin[2]) / steps
-    for k in range(steps + 1):
+    for k in range(steps + 1 if to_end else steps - 1):
         row, col = int(np.floor(y + k * dy)), int(np.floor(x + k * dx))
         if row == last_row and col == last_col and not to_end:
             break
@@ -197,7 +199,7 @@ def _pass(log_odds, value, steepness, top, row0, col0, resolution, touched, wind
             continue
         after = max(-limit, (0 if before == UNKNOWN else before) + miss)
         log_odds[r, c] = after
-        value[r, c] = HALF if after > 0 and steepness[r, c] < bound else _VALUE[after + 128]
+        value[r, c] = UNSEEN if after > 0 and steepness[r, c] < bound else _VALUE[after + 128]
 
 
 @njit(cache=True)

@@ -10,6 +10,7 @@ so that a direction in which the map says nothing (a long corridor, open terrain
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError
-from slam_baselines.occupancy import FULL, HALF, OccupancyMap
+from slam_baselines.occupancy import FULL, UNSEEN, OccupancyMap
 
 Array = NDArray[np.float64]
 
@@ -30,14 +31,16 @@ class MatchConfig:
         iterations: most Gauss-Newton steps on each level, finest first.
         sigma: standard deviation of one beam's 1 - M, with the correlation between beams in it.
         converged: a level ends when a step is shorter than this many of its cells (and radians / 10).
+        lever: distance at which an error of yaw is felt, metres.
 
     Raises:
         ConfigError: a value that is not above 0.
     """
 
     iterations: tuple[int, ...] = (5, 3, 3)
-    sigma: float = 1.0
+    sigma: float = 0.3
     converged: float = 0.02
+    lever: float = 5.0
 
     def __post_init__(self) -> None:
         if min(self.iterations) < 1:
@@ -89,7 +92,7 @@ class ScanMatcher:
 
     def match(
         self, pyramid: MapPyramid, points: Array, weights: Array, prior: Array, information: Array,
-        start: Array | None = None,
+        levels: int, start: Array | None = None,
     ) -> Match:  # fmt: skip
         """Fit the scan into the map.
 
@@ -99,15 +102,25 @@ class ScanMatcher:
             weights: (n,) how much each counts.
             prior: (3,) expected x, y, yaw.
             information: (3, 3) inverse covariance of the prior.
+            levels: how many levels to use, the finest last.
             start: (3,) where to begin, if not at the prior.
         """
         out = self._out
         c = self._config
         _match(
             pyramid.values, pyramid.frames, points, weights,
-            prior, information, prior if start is None else start, self._iterations, c.sigma, c.converged, out,
+            prior, information, prior if start is None else start, self._iterations[:levels], c.sigma, c.converged, out,
         )  # fmt: skip
         return Match(out[:3].copy(), out[3:12].reshape(3, 3).copy(), *out[12:].tolist())
+
+    def levels(self, pyramid: MapPyramid, covariance: Array) -> int:
+        """Return how many levels it takes to catch an error of two standard deviations.
+
+        A level is needed where the error exceeds the cell of the next finer one; coarse levels that are
+        not needed would only carry the estimate away from a good start.
+        """
+        reach = 2 * (math.sqrt(max(covariance[0, 0], covariance[1, 1])) + self._config.lever * math.sqrt(covariance[2, 2]))
+        return 1 + int((reach > pyramid.frames[:-1, 2]).sum())
 
 
 @njit(cache=True)
@@ -118,7 +131,7 @@ def _match(
     pose = start.copy()
     H, g = np.empty((3, 3)), np.empty(3)
     score = known = 0.0
-    for level in range(len(values) - 1, -1, -1):
+    for level in range(len(iterations) - 1, -1, -1):
         cell = frames[level, 2]
         for _ in range(iterations[level]):
             score, known = _linearise(values[level], frames[level], points, weights, pose, H, g)
@@ -158,7 +171,7 @@ def _linearise(value, frame, points, weights, pose, H, g):
         sw, se, nw, ne = value[row, col], value[row, col + 1], value[row + 1, col], value[row + 1, col + 1]
         south, north = sw + u * (float(se) - sw), nw + u * (float(ne) - nw)
         m, w = south + v * (north - south), weights[i]
-        if not (sw == HALF and se == HALF and nw == HALF and ne == HALF):
+        if not (sw == UNSEEN and se == UNSEEN and nw == UNSEEN and ne == UNSEEN):
             seen += w
             score += w * m
         dx, dy = (float(se) - sw) * (1 - v) + (float(ne) - nw) * v, north - south
