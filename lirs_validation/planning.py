@@ -28,7 +28,8 @@ class TourConfig:
     """How the planner chooses.
 
     Attributes:
-        radius: a cell is covered once the tour passes within this distance, on free ground, metres.
+        radius: a cell is covered once the tour passes within this distance, on free ground, metres;
+            at most a fifth of the free ground's side.
         room: distance to blocked cells that a path likes to keep, metres.
         narrow: how many times longer a metre feels where there is no room at all.
         turn: metres that a turn by 180 deg is worth when the next goal is chosen.
@@ -75,6 +76,9 @@ class CoveragePlanner:
         self.config = config or TourConfig()
         self._grid, self._rng = free, rng
         self._free = area_round(free, start)
+        # In a small place as large a radius would cover all from anywhere, and the robot would only turn.
+        side = math.sqrt(float(self._free.sum())) * free.resolution
+        self.radius = min(self.config.radius, max(0.8, 0.2 * side))
         padded = np.pad(self._free, 1).astype(np.uint8)
         distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
         self.room: NDArray[np.float64] = np.where(self._free, distance * free.resolution, 0.0)
@@ -140,7 +144,7 @@ class CoveragePlanner:
         goals = self._goals(cell)
         if not goals.any():
             return cell[None]
-        slack = self.config.turn + self.config.radius
+        slack = self.config.turn + self.radius
         # Turning in place grinds all wheels sideways, and on a slope the robot slides down meanwhile.
         arc, local = self.config.arc / self._grid.resolution, heading - self._grid.origin.yaw
         weight = dear_behind(self._weight, cell, local, arc)
@@ -159,11 +163,20 @@ class CoveragePlanner:
             old: Mask = self._old_places() & other
             if old.any():
                 return old
-        never: Mask = other & (self._covered_at == -np.inf)
-        if never.any() or not other.any():
-            return never
-        long_ago: Mask = other & (self._covered_at <= np.quantile(self._covered_at[other], 0.2))
-        return long_ago
+        # Where there is room to turn round first: a dead end is mostly covered from its mouth.
+        roomy: Mask = other & (self.room >= self.config.room)
+        for candidates in (roomy, other):
+            never: Mask = candidates & (self._covered_at == -np.inf)
+            if never.any():
+                return never
+        return self._long_ago(roomy if roomy.any() else other)
+
+    def _long_ago(self, candidates: Mask) -> Mask:
+        """Mark the fifth of the candidates that was covered longest ago."""
+        if not candidates.any():
+            return candidates
+        oldest: Mask = candidates & (self._covered_at <= np.quantile(self._covered_at[candidates], 0.2))
+        return oldest
 
     def _old_places(self) -> Mask:
         """Mark the cells of a few points, picked by chance, of the first half of the tour."""
@@ -190,15 +203,13 @@ class CoveragePlanner:
 
     def _gain(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return (n,) metres that going there is worth: 0 to 2 radii by the share of new ground around."""
-        reach = max(1, round(self.config.radius / self._grid.resolution))
+        reach = max(1, round(self.radius / self._grid.resolution))
         new = (self._free & (self._covered_at == -np.inf)).astype(np.float32)
         share = cv2.boxFilter(new, -1, (2 * reach + 1, 2 * reach + 1), borderType=cv2.BORDER_CONSTANT)
-        worth: NDArray[np.float64] = (
-            2 * self.config.radius * share[cells[:, 0], cells[:, 1]].astype(np.float64)
-        )
+        worth: NDArray[np.float64] = 2 * self.radius * share[cells[:, 0], cells[:, 1]].astype(np.float64)
         return worth
 
     def _cover(self, path: NDArray[np.int64]) -> None:
         """Mark what lies within the radius of a path, measured on free ground and not through walls."""
-        near = search(self._plain, path, self._grid.resolution, limit=self.config.radius)
+        near = search(self._plain, path, self._grid.resolution, limit=self.radius)
         self._covered_at[np.isfinite(near.cost)] = self._length
