@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from lirs_wct.deterrace import deterrace
 from lirs_wct.errors import SourceError
+from lirs_wct.filters import apply_filters
 from lirs_wct.formats import tiff
 from lirs_wct.formats.picture import read_picture
 from lirs_wct.heightfield import HeightField
@@ -28,21 +30,54 @@ def read_height_field(path: Path, options: BuildOptions) -> HeightField:
     """Read a picture as a terrain: bright is high, the lowest point is z = 0, the centre is the origin.
 
     A GeoTIFF keeps its own pixel size and heights unless the options say otherwise; any other picture
-    is scaled to the options or their defaults. The pixels are the nodes.
+    is scaled to the options or their defaults. The pixels are the nodes. Options act in this order: crop,
+    nodata, invert, deterrace, denoise, smoothing, sharpness, resize, metres, scale.
 
     Raises:
         SourceError: the file cannot be used, is in colour without `grayscale`, or is more than half
             nodata.
     """
     picture = read_picture(path, options.max_pixels)
-    values = _fill(path, _gray(path, picture.pixels, options.grayscale), tiff.nodata(picture.tags))
+    pixels = _cropped(path, picture.pixels, options.crop)
+    values = _fill(path, _gray(path, pixels, options.grayscale), tiff.nodata(picture.tags))
+    above = _above_lowest(-values if options.invert else values)
+    if options.deterrace:
+        above = deterrace(above, _level_step(path, pixels))
+    above = apply_filters(above, options)
     try:
         pixel = tiff.metric_pixel(picture.tags)
     except ValueError as error:
         raise SourceError(f"{path}: {error}") from error
     unit = None if pixel is None else tiff.height_unit(picture.tags)
-    z = _heights(-values if options.invert else values, unit, options.height)
-    return HeightField.centred(z, _cell(z.shape, pixel, options))
+    width, depth = _extent(pixels.shape, pixel, options)
+    sx, sy, sz = options.scale or (1.0, 1.0, 1.0)
+    z = _heights(above, unit, options.height) * np.float32(sz * (options.z_scale or 1.0))
+    rows, cols = z.shape
+    return HeightField.centred(z, (width * sx / (cols - 1), depth * sy / (rows - 1)))
+
+
+def _cropped(path: Path, pixels: NDArray[Any], crop: tuple[int, int, int, int] | None) -> NDArray[Any]:
+    if crop is None:
+        return pixels
+    (col, row, width, height), (rows, cols) = crop, pixels.shape[:2]
+    if col + width > cols or row + height > rows:
+        raise SourceError(
+            f"{path}: image is {cols}x{rows} px, a crop of {width}x{height} at {col},{row} lies not within it"
+        )
+    return pixels[row : row + height, col : col + width]
+
+
+def _level_step(path: Path, pixels: NDArray[Any]) -> float:
+    """Return the distance of neighbouring gray levels: 257 for 8 bits stored as 16."""
+    if pixels.dtype.kind not in "iu":
+        raise SourceError(f"{path}: holds floating-point heights, --deterrace needs gray levels")
+    steps = np.diff(np.unique(pixels))
+    return float(np.gcd.reduce(steps)) if len(steps) else 1.0
+
+
+def _above_lowest(values: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
+    above: NDArray[np.float32] = (values - values.min()).astype(np.float32)
+    return above
 
 
 def _gray(path: Path, pixels: NDArray[Any], grayscale: bool) -> NDArray[np.floating[Any]]:
@@ -84,32 +119,29 @@ def _fill(path: Path, values: NDArray[np.floating[Any]], nodata: float | None) -
     return filled
 
 
-def _heights(
-    values: NDArray[np.floating[Any]], unit: float | None, height: float | None
-) -> NDArray[np.float32]:
+def _heights(values: NDArray[np.float32], unit: float | None, height: float | None) -> NDArray[np.float32]:
     """Return (rows, cols) metres above the lowest point; a flat picture stays flat."""
-    above = values - values.min()
+    above: NDArray[np.float32] = values - values.min()
     relief = float(above.max())
     if relief > 0 and (unit is None or height is not None):
         # The division first: the top comes out as exactly `height`.
-        above = above / relief * (height or DEFAULT_HEIGHT)
-    elif unit is not None and unit != 1.0:
-        above = above * unit
-    z: NDArray[np.float32] = above.astype(np.float32)
-    return z
+        above = above / np.float32(relief) * np.float32(height or DEFAULT_HEIGHT)
+    elif unit is not None:
+        above = above * np.float32(unit)
+    return above
 
 
-def _cell(
+def _extent(
     shape: tuple[int, ...], pixel: tuple[float, float] | None, options: BuildOptions
 ) -> tuple[float, float]:
-    """Return the spacing of the nodes eastward and northward, metres."""
-    rows, cols = shape
-    if options.pixel_size is not None:
-        return options.pixel_size, options.pixel_size
-    if isinstance(options.size, tuple):
-        return options.size[0] / (cols - 1), options.size[1] / (rows - 1)
-    if pixel is not None and options.size is None:
-        return pixel
+    """Return width and depth of the ground, metres: the pixels are nodes, so one less than pixels."""
+    rows, cols = shape[:2]
     sx, sy = pixel or (1.0, 1.0)
-    factor = (options.size or DEFAULT_SIZE) / max((cols - 1) * sx, (rows - 1) * sy)
-    return sx * factor, sy * factor
+    if isinstance(options.size, tuple):
+        return options.size
+    if options.pixel_size is not None:
+        sx = sy = options.pixel_size
+    elif options.size is not None or pixel is None:
+        factor = (options.size or DEFAULT_SIZE) / max((cols - 1) * sx, (rows - 1) * sy)
+        sx, sy = sx * factor, sy * factor
+    return (cols - 1) * sx, (rows - 1) * sy

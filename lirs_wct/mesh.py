@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,3 +69,10 @@ class TriangleMesh:
         backward = np.sort(edges[:, 1] * n + edges[:, 0])
         unique = len(forward) == 0 or bool(np.all(np.diff(forward) > 0))
         return unique and bool(np.array_equal(forward, backward))
+
+    def rotated_x(self, degrees: float) -> TriangleMesh:
+        """Return the mesh turned about the x axis, from y towards z; normals turn with it."""
+        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+        turn = np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
+        normals = None if self.normals is None else self.normals @ turn
+        return replace(self, vertices=self.vertices @ turn, normals=normals)

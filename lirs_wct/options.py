@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.pose import Pose2
 
 DEFAULT_SIZE = 50.0
 """Longer side in metres of a picture that brings no scale."""
 DEFAULT_HEIGHT = 6.0
 """Relief in metres of a picture that brings no scale."""
+
+DENOISE_METHODS = ("median", "bilateral")
+MAX_SIDE = 32_000
+"""Pixels along a side to which a picture may be resized."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +36,17 @@ class BuildOptions:
         wall_height: height of a laser map's walls, metres.
         window: keep only a square: centre x, y and side, metres, in the world's frame.
         max_pixels: refuse pictures with more, read from the header.
+        crop: keep only a rectangle of the picture: column, row, width and height, pixels.
+        resize: resample the picture to this width and height, pixels; its metres stay.
+        deterrace: remove the stairs of a coarse gray scale (within half a level of every pixel).
+        denoise: filter against single wrong pixels (`median`) or noise beside edges (`bilateral`).
+        smoothing: standard deviation of a Gaussian blur, pixels.
+        sharpness: amount of an unsharp mask, applied after smoothing.
+        z_scale: multiplies the heights that the rest gives.
+        scale: multiplies the width, depth and height that the rest gives.
+        rotate_x: turn of the mesh files about the x axis, degrees; 0 is upright in every consumer.
+        max_error: largest vertical deviation of the mesh from the surface, metres.
+        max_triangles: most triangles of the mesh, instead of `max_error`.
 
     Raises:
         ConfigError: a value is not legal, or two options contradict.
@@ -48,6 +64,17 @@ class BuildOptions:
     wall_height: float = 2.5
     window: tuple[float, float, float] | None = None
     max_pixels: int = 5000 * 5000
+    crop: tuple[int, int, int, int] | None = None
+    resize: tuple[int, int] | None = None
+    deterrace: bool = False
+    denoise: Literal["median", "bilateral"] | None = None
+    smoothing: float | None = None
+    sharpness: float | None = None
+    z_scale: float | None = None
+    scale: tuple[float, float, float] | None = None
+    rotate_x: float = 0.0
+    max_error: float | None = None
+    max_triangles: int | None = None
 
     def __post_init__(self) -> None:
         sizes = self.size if isinstance(self.size, tuple) else (self.size,)
@@ -59,8 +86,24 @@ class BuildOptions:
             ("wall height", self.wall_height),
             ("window side", self.window[2] if self.window else None),
             ("max pixels", self.max_pixels),
+            ("smoothing", self.smoothing),
+            ("sharpness", self.sharpness),
+            ("z scale", self.z_scale),
+            *(("scale", s) for s in self.scale or ()),
+            ("max error", self.max_error),
+            ("max triangles", self.max_triangles),
         ):
             if value is not None and not 0 < value < float("inf"):
                 raise ConfigError(f"{option} must be a finite number above 0, got {value}")
         if self.size is not None and self.pixel_size is not None:
             raise ConfigError("size and pixel size both set the extent: give one of --size, --pixel-size")
+        if self.max_error is not None and self.max_triangles is not None:
+            raise ConfigError("both limit the mesh: give one of --max-error, --max-triangles")
+        if self.denoise not in (None, *DENOISE_METHODS):
+            raise unknown_name("denoise method", self.denoise, DENOISE_METHODS)
+        if self.crop is not None and (min(self.crop[:2]) < 0 or min(self.crop[2:]) < 2):
+            raise ConfigError(f"crop needs a corner at 0,0 or beyond and at least 2x2 px, got {self.crop}")
+        if self.resize is not None and not all(2 <= n <= MAX_SIDE for n in self.resize):
+            raise ConfigError(f"resize needs 2 to {MAX_SIDE} px a side, got {self.resize}")
+        if not math.isfinite(self.rotate_x):
+            raise ConfigError(f"x rotation must be finite, got {self.rotate_x} degrees")

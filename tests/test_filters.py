@@ -1,0 +1,164 @@
+"""The options that change a picture before it becomes a terrain."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.filters import denoised, resized, sharpened, smoothed
+from lirs_wct.heightfield import HeightField
+from lirs_wct.image import read_height_field
+from lirs_wct.options import BuildOptions
+from lirs_wct.solid import solid_mesh
+
+RAMP = np.tile(np.arange(40, dtype=np.float32), (30, 1))
+
+
+def png(folder: Path, pixels: np.ndarray) -> Path:
+    path = folder / "a.png"
+    assert cv2.imwrite(str(path), pixels)
+    return path
+
+
+def read(path: Path, **options: object) -> HeightField:
+    return read_height_field(path, BuildOptions(**options))  # type: ignore[arg-type]
+
+
+def noise(rows: int = 60, cols: int = 80) -> np.ndarray:
+    return np.random.default_rng(0).integers(0, 65535, (rows, cols), np.uint16)
+
+
+def test_median_takes_single_wrong_pixels_away() -> None:
+    holed = RAMP.copy()
+    holed[10, 10] = 500
+    np.testing.assert_allclose(denoised(holed, "median")[3:-3, 3:-3], RAMP[3:-3, 3:-3], atol=1)
+
+
+def test_bilateral_keeps_edges_and_smooths_noise() -> None:
+    step = np.zeros((40, 40), np.float32)
+    step[:, 20:] = 100
+    noisy = step + np.random.default_rng(1).normal(0, 1, step.shape).astype(np.float32)
+    clean = denoised(noisy, "bilateral")
+    assert (clean - step).std() < 0.5
+    assert (clean[:, 20] - clean[:, 19]).min() > 95
+
+
+def test_smoothing_and_sharpness_pull_against_each_other() -> None:
+    rough = noise().astype(np.float32)
+    assert smoothed(rough, 2.0).std() < rough.std() / 4
+    assert sharpened(rough, 1.0, 1.0).std() > 1.5 * rough.std()
+    np.testing.assert_allclose(sharpened(RAMP, 2.0, 1.0)[:, 9:-9], RAMP[:, 9:-9], atol=1e-4)
+
+
+PLANE = RAMP + np.arange(30, dtype=np.float32)[:, None]
+
+
+@pytest.mark.parametrize("size", [(79, 59), (41, 30), (400, 31)])
+def test_enlarged_keeps_a_plane_to_its_corners(size: tuple[int, int]) -> None:
+    expected = np.linspace(0, 39, size[0]) + np.linspace(0, 29, size[1])[:, None]
+    np.testing.assert_allclose(resized(PLANE, *size), expected, atol=1e-4)
+    np.testing.assert_array_equal(resized(PLANE, 40, 30), PLANE)
+
+
+def test_shrunk_folds_nothing_fine_into_the_coarse() -> None:
+    small = resized(PLANE, 14, 30)
+    # The blur is level beyond the border: a plane bends there and nowhere else.
+    np.testing.assert_allclose(small[5, 2:-2], PLANE[5, ::3][2:-2], atol=1e-2)
+    stripes = np.tile(np.float32([0, 1]), (30, 60))
+    assert np.ptp(resized(stripes, 20, 30)[:, 2:-2]) < 0.2
+    assert resized(PLANE, 2, 2).shape == (2, 2)
+
+
+def test_crop_is_the_same_ground(tmp_path: Path) -> None:
+    pixels = noise()
+    whole, part = (
+        read(png(tmp_path, pixels), pixel_size=0.5),
+        read(png(tmp_path, pixels), pixel_size=0.5, crop=(10, 20, 31, 21), height=1.0),
+    )
+    assert part.size == pytest.approx((15, 10))
+    assert part.cell == pytest.approx(whole.cell)
+    cut = pixels[20:41, 10:41].astype(float)
+    np.testing.assert_allclose(part.z, (cut - cut.min()) / np.ptp(cut), atol=1e-6)
+
+
+def test_crop_beyond_the_picture_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match=r"a\.png: image is 80x60 px, a crop of 30x30 at 60,0"):
+        read(png(tmp_path, noise()), crop=(60, 0, 30, 30))
+
+
+def test_resize_keeps_the_metres(tmp_path: Path) -> None:
+    surface = read(png(tmp_path, noise()), pixel_size=0.5, resize=(20, 30))
+    assert surface.shape == (30, 20)
+    assert surface.size == pytest.approx((79 * 0.5, 59 * 0.5))
+    assert surface.relief == pytest.approx(6)
+
+
+def test_scales_multiply_what_the_rest_gives(tmp_path: Path) -> None:
+    path = png(tmp_path, noise())
+    plain, scaled = (
+        read(path, size=10.0, height=2.0),
+        read(path, size=10.0, height=2.0, scale=(2.0, 3.0, 4.0), z_scale=0.5),
+    )
+    assert scaled.size == pytest.approx((plain.size[0] * 2, plain.size[1] * 3))
+    np.testing.assert_allclose(scaled.z, plain.z * 2, rtol=1e-6)
+
+
+@pytest.mark.parametrize("factor", [1, 257, 256])
+def test_deterrace_knows_8_bits_stored_as_16(tmp_path: Path, factor: int) -> None:
+    levels = np.tile((np.arange(200) // 20), (50, 1)).astype(np.uint16)
+    surface = read(png(tmp_path, levels * factor), deterrace=True, height=9.0)
+    # Ten stairs of one level become a ramp: no step is left of more than a tenth of a level.
+    assert np.abs(np.diff(surface.z[25])).max() < 0.1 * 1.2
+
+
+def test_deterrace_needs_levels(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.tif"), RAMP)
+    with pytest.raises(SourceError, match="holds floating-point heights, --deterrace needs gray levels"):
+        read(tmp_path / "a.tif", deterrace=True)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"denoise": "median"},
+        {"denoise": "bilateral"},
+        {"smoothing": 3.0},
+        {"smoothing": 2.0, "sharpness": 1.0},
+    ],
+)
+def test_filters_keep_shape_size_and_relief(tmp_path: Path, options: dict[str, object]) -> None:
+    path = png(tmp_path, noise())
+    surface = read(path, **options)
+    assert surface.cell == read(path).cell
+    assert (surface.z.min(), surface.z.max()) == (0, 6)
+    assert np.abs(surface.z - read(path).z).max() > 0.1
+
+
+def test_rotate_x_lays_the_upright_mesh_down() -> None:
+    mesh = solid_mesh(HeightField.centred(RAMP, (1, 1)))
+    turned = mesh.rotated_x(90)
+    np.testing.assert_allclose(turned.vertices, mesh.vertices[:, [0, 2, 1]] * (1, -1, 1), atol=1e-12)
+    assert turned.is_watertight
+    assert turned.volume == pytest.approx(mesh.volume)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"max_error": 0.1, "max_triangles": 100}, "--max-error, --max-triangles"),
+        ({"denoise": "magic"}, "unknown denoise method 'magic'; legal: bilateral, median"),
+        ({"crop": (-1, 0, 5, 5)}, "crop needs"),
+        ({"resize": (1, 5)}, "resize needs"),
+        ({"smoothing": 0.0}, "smoothing must be"),
+        ({"scale": (1.0, -1.0, 1.0)}, "scale must be"),
+        ({"rotate_x": float("nan")}, "x rotation must be finite"),
+    ],
+)
+def test_illegal_options_are_refused(options: dict[str, object], words: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        BuildOptions(**options)  # type: ignore[arg-type]
+    assert words in str(refused.value)
