@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,6 +12,9 @@ from lirs_wct.mesh import TriangleMesh
 
 MIN_THICKNESS = 0.1
 """Metres of ground below the lowest point, at least: a robot's wheel must not reach through in a step."""
+
+_BLOCK = 1 << 13
+"""Nodes whose triangles are made at a time."""
 
 
 def solid_mesh(surface: HeightField, *, thickness: float | None = None) -> TriangleMesh:
@@ -31,6 +36,34 @@ def solid_mesh(surface: HeightField, *, thickness: float | None = None) -> Trian
     return close_solid(
         vertices, _grid_faces(rows, cols), _border(rows, cols), base_height(surface, thickness)
     )
+
+
+def solid_triangles(
+    surface: HeightField, *, thickness: float | None = None
+) -> tuple[int, Iterator[NDArray[np.float64]]]:
+    """Return how many triangles `solid_mesh` has, and their corners (n, 3, 3) a few rows at a time.
+
+    For surfaces whose mesh would fill the memory.
+    """
+    rows, cols = surface.shape
+    count = 2 * (rows - 1) * (cols - 1) + 6 * (rows + cols - 2)
+    return count, _rows_and_rim(surface, base_height(surface, thickness))
+
+
+def _rows_and_rim(surface: HeightField, z_base: float) -> Iterator[NDArray[np.float64]]:
+    rows, cols = surface.shape
+    x, y = node_axes(surface)
+    step = max(1, _BLOCK // cols)
+    for start in range(0, rows - 1, step):
+        part = slice(start, min(start + step, rows - 1) + 1)
+        strip = surface.z[part]
+        nodes = np.empty((*strip.shape, 3))
+        nodes[..., 0], nodes[..., 1], nodes[..., 2] = x, y[part, None], strip
+        yield nodes.reshape(-1, 3)[_grid_faces(len(strip), cols)]
+    row, col = np.divmod(_border(rows, cols), cols)
+    rim = np.column_stack((x[col], y[row], surface.z[row, col].astype(np.float64)))
+    rest = close_solid(rim, np.empty((0, 3), np.int32), np.arange(len(rim), dtype=np.int32), z_base)
+    yield rest.vertices[rest.faces]
 
 
 def base_height(surface: HeightField, thickness: float | None = None) -> float:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lirs_wct.heightfield import HeightField
-from lirs_wct.solid import base_height, solid_mesh
+from lirs_wct.solid import base_height, solid_mesh, solid_triangles
 
 
 def hills(rows: int, cols: int, seed: int = 0) -> HeightField:
@@ -70,3 +70,15 @@ def test_flat_ground_still_has_a_body() -> None:
     mesh = solid_mesh(HeightField.centred(np.zeros((2, 2), np.float32), (1, 1)))
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(0.1)
+
+
+def test_triangles_row_by_row_are_the_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lirs_wct.solid._BLOCK", 50)
+    surface = hills(23, 17)
+    mesh = solid_mesh(surface)
+    count, chunks = solid_triangles(surface)
+    triangles = list(chunks)
+    assert len(triangles) > 5
+    together = np.concatenate(triangles)
+    assert count == len(together) == len(mesh.faces)
+    np.testing.assert_array_equal(together, mesh.vertices[mesh.faces])

@@ -8,14 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from numba import njit
 from numpy.typing import NDArray
 
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
 from lirs_wct.mesh import TriangleMesh
 
-_CHUNK = 1 << 16
-_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_CHUNK = 1 << 14
+_RECORD = np.dtype([("floats", "<f4", 12), ("attribute", "<u2")])
 
 
 def write_stl(path: Path, mesh: TriangleMesh) -> None:
@@ -44,11 +45,25 @@ def write_triangles(path: Path, count: int, chunks: Iterable[NDArray[np.float64]
         file.write(struct.pack("<80sI", b"LIRS-WCT, metres, z up", count))
         for corners in chunks:
             record = np.zeros(len(corners), dtype=_RECORD)
-            normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-            length = np.linalg.norm(normal, axis=1, keepdims=True)
-            record["normal"] = normal / np.where(length > 0, length, 1)
-            record["corners"] = corners
-            file.write(record.tobytes())
+            record["floats"] = _facets(np.ascontiguousarray(corners))
+            file.write(record.data)
+
+
+@njit(cache=True)
+def _facets(corners: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return (n, 12) unit normal and corners of each triangle; zero normal without area."""
+    out = np.empty((len(corners), 12), np.float32)
+    for i in range(len(corners)):
+        a, b, c = corners[i]
+        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        length = np.sqrt(nx * nx + ny * ny + nz * nz)
+        scale = 1 / length if length > 0 else 0.0
+        out[i, 0], out[i, 1], out[i, 2] = nx * scale, ny * scale, nz * scale
+        for k in range(3):
+            out[i, 3 + k], out[i, 6 + k], out[i, 9 + k] = a[k], b[k], c[k]
+    return out
 
 
 def read_mesh(path: Path) -> TriangleMesh:

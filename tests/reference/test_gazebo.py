@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from lirs_wct.formats.collada import write_collada
+from lirs_wct.formats.heightmap import heightmap_sdf, write_heightmap
 from lirs_wct.formats.sdf import model_config, model_sdf, world_sdf
 from lirs_wct.heightfield import HeightField
 from lirs_wct.solid import solid_mesh
@@ -99,3 +100,17 @@ def test_a_sphere_rests_on_the_ground(programs: Path, package: Path) -> None:
     gx, gy = np.meshgrid(px + around, py + around)
     distance = np.sqrt((gx - px) ** 2 + (gy - py) ** 2 + (surface.height_at(gx, gy) - pz) ** 2).min()
     assert distance == pytest.approx(0.3, abs=0.02)
+
+
+def test_heightmap_model(programs: Path, tmp_path: Path) -> None:
+    surface, model = hills(), tmp_path / "dune"
+    write_heightmap(model / "materials/textures/heights.png", surface)
+    (model / "model.config").write_text(model_config("dune"))
+    (model / "model.sdf").write_text(heightmap_sdf("dune", surface, "materials/textures/heights.png"))
+    (model / "dune.world").write_text(world_sdf("dune"))
+    said = run(programs / "sdfchk", model / "dune.world", MODEL_PATH=tmp_path)
+    assert "code" not in said
+    assert "hm model://dune/materials/textures/heights.png size 40 32 " in said
+    said = run(programs / "meshchk", model / "materials/textures/heights.png")
+    assert "load 0 w 257 h 257" in said
+    assert " min 0 max 2" in said

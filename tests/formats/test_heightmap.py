@@ -1,0 +1,54 @@
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import cv2
+import numpy as np
+import pytest
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.formats.heightmap import heightmap_pixels, heightmap_sdf, heightmap_side, write_heightmap
+from lirs_wct.heightfield import HeightField
+
+
+def hills(rows: int, cols: int) -> HeightField:
+    z = cv2.GaussianBlur(np.random.default_rng(4).random((rows, cols)).astype(np.float32), (0, 0), 4)
+    return HeightField.centred(z - z.min(), (0.5, 0.25))
+
+
+@pytest.mark.parametrize(("longest", "side"), [(2, 17), (129, 129), (130, 257), (5000, 4097)])
+def test_side(longest: int, side: int) -> None:
+    assert heightmap_side(HeightField.centred(np.zeros((2, longest), np.float32), (1, 1))) == side
+
+
+def test_pixels_are_the_surface(tmp_path: Path) -> None:
+    surface = hills(60, 100)
+    write_heightmap(tmp_path / "a.png", surface)
+    pixels = cv2.imread(str(tmp_path / "a.png"), cv2.IMREAD_UNCHANGED)
+    assert pixels.shape == (129, 129)
+    assert pixels.dtype == np.uint8
+    w, s, e, n = surface.bounds
+    x, y = np.meshgrid(np.linspace(w, e, 129), np.linspace(n, s, 129))
+    assert np.abs(pixels / 255 * surface.relief - surface.height_at(x, y)).max() < surface.relief / 100
+
+
+def test_level_ground() -> None:
+    assert not heightmap_pixels(HeightField.centred(np.zeros((3, 3), np.float32), (1, 1))).any()
+
+
+def test_an_impossible_side_is_refused() -> None:
+    with pytest.raises(ConfigError, match="got 128; legal"):
+        heightmap_pixels(hills(60, 100), 128)
+
+
+def test_sdf_has_the_metres() -> None:
+    surface = hills(60, 101)
+    model = ET.fromstring(heightmap_sdf("dune", surface, "materials/textures/dune_heights.png"))
+    for kind in ("visual", "collision"):
+        heightmap = model.find(f".//{kind}/geometry/heightmap")
+        assert heightmap is not None
+        assert heightmap.findtext("uri") == "model://dune/materials/textures/dune_heights.png"
+        size = [float(v) for v in (heightmap.findtext("size") or "").split()]
+        assert size == pytest.approx([50.0, 14.75, surface.relief])
+        assert heightmap.findtext("pos") == "0 0 0"
