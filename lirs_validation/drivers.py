@@ -42,6 +42,7 @@ class DriverConfig:
         back_speed: m/s while doing so.
         tries: how often in a row it backs off before it gives up.
         off_path: distance from the path at which it plans anew, metres.
+        straight: metres that it drives straight ahead at the very beginning, where they are free.
 
     Raises:
         ConfigError: a value is not above 0.
@@ -55,9 +56,10 @@ class DriverConfig:
     back_speed: float = 0.3
     tries: int = 4
     off_path: float = 1.0
+    straight: float = 1.2
 
     def __post_init__(self) -> None:
-        for name in ("patience", "step", "back_off", "back_speed", "tries", "off_path"):
+        for name in ("patience", "step", "back_off", "back_speed", "tries", "off_path", "straight"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} of a driver must be above 0, got {getattr(self, name)}")
 
@@ -93,6 +95,7 @@ class CoverageDriver:
         self._back_until = 0.0
         self._failures = 0
         self._mark, self._moved_at = 0.0, 0.0
+        self._v, self._commanded_at = 0.0, 0.0
         self._follow(start, 0.0)
 
     @property
@@ -111,7 +114,14 @@ class CoverageDriver:
         return self._points
 
     def command(self, T_world_base: Pose2, time: float) -> Twist:
-        """Return the command for the next tick."""
+        """Return the command for the next tick: wheels that start with a jerk would spin."""
+        wanted = self._wanted(T_world_base, time)
+        gain = self.config.pursuit.acceleration * max(0.0, time - self._commanded_at)
+        self._v = min(wanted.v, max(0.0, self._v) + gain)
+        self._commanded_at = time
+        return Twist(self._v, wanted.omega)
+
+    def _wanted(self, T_world_base: Pose2, time: float) -> Twist:
         if self.state == "stuck":
             return Twist(0.0, 0.0)
         if self.state == "backing off":
@@ -155,7 +165,9 @@ class CoverageDriver:
         self.state = "driving"
         # Smoothing shortens the tour, and planning again in the middle of a run would cost a tick.
         length = 10.0 + 1.3 * max(0.0, self._seconds - time) * self.config.pursuit.speed
-        self._points = self._planner.tour(pose, length)
+        # From rest straight ahead: turning wheels slip most while a mapper knows least.
+        straight = self.config.straight if time == 0.0 else 0.0
+        self._points = self._planner.tour(pose, length, straight=straight)
         room = self._planner.room_at(self._points)
         speed = speed_profile(self._points, room, self.config.pursuit, self._surface)
         self._pursuit = Pursuit(self._points, speed, self.config.pursuit)

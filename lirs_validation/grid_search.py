@@ -90,6 +90,26 @@ def nearest(mask: Mask, cell: NDArray[np.int64]) -> NDArray[np.int64]:
     return found
 
 
+def cells_ahead(grid: OccupancyGrid, free: Mask, start: Pose2, distance: float) -> Cells:
+    """Return (n, 2) rows and columns on a straight line: the free cell nearest to a pose, then on.
+
+    Args:
+        grid: the frame of the cells.
+        free: (rows, cols); the line ends before the first cell that is not free.
+        start: pose in the grid's frame; its yaw gives the direction.
+        distance: metres.
+    """
+    first = nearest(free, grid.cells((start.x, start.y)))
+    x, y = grid.centres(first).tolist()
+    steps = np.arange(1, int(distance / grid.resolution) + 1) * grid.resolution
+    line = Pose2(x, y, start.yaw).apply(np.column_stack((steps, np.zeros_like(steps))))
+    cells = np.concatenate((first[None], grid.cells(line)))
+    inside = np.all((cells >= 0) & (cells < np.array(grid.shape)), axis=1)
+    held = np.where(inside[:, None], cells, 0)
+    blocked = np.flatnonzero(~(inside & free[held[:, 0], held[:, 1]]))
+    return cells[: blocked[0]] if len(blocked) else cells
+
+
 def dear_behind(
     weight: NDArray[np.float64], cell: NDArray[np.int64], heading: float, radius: float
 ) -> NDArray[np.float64]:

@@ -17,7 +17,13 @@ SPACING = 0.1
 
 
 def smoothed(
-    points: Points, grid: OccupancyGrid, room: NDArray[np.float64], *, keep: float, sweeps: int = 250
+    points: Points,
+    grid: OccupancyGrid,
+    room: NDArray[np.float64],
+    *,
+    keep: float,
+    hold: int = 0,
+    sweeps: int = 250,
 ) -> Points:
     """Pull a path tight like a rubber band that keeps its distance from what is blocked.
 
@@ -29,13 +35,15 @@ def smoothed(
         grid: the cells.
         room: (rows, cols) metres to the nearest blocked cell, 0 where blocked.
         keep: room in metres beyond which a point may move freely.
+        hold: points at the beginning that stay where they are.
         sweeps: how long to pull.
     """
+    held = float(arc_length(points)[min(hold, len(points) - 1)])
     path = resampled(points, SPACING)
     if len(path) < 3:
         return path
     local = grid.origin.inverse().apply(path) / grid.resolution
-    tight = _pull(np.ascontiguousarray(local), room, keep, sweeps)
+    tight = _pull(np.ascontiguousarray(local), room, keep, 1 + round(held / SPACING), sweeps)
     return resampled(grid.origin.apply(tight * grid.resolution), SPACING)
 
 
@@ -69,12 +77,12 @@ def curvature(points: Points, baseline: int = 3) -> NDArray[np.float64]:
 
 
 @njit(cache=True)
-def _pull(points, room, keep, sweeps):  # type: ignore[no-untyped-def]
-    """Smooth points given in cells (column, row); ends stay."""
+def _pull(points, room, keep, first, sweeps):  # type: ignore[no-untyped-def]
+    """Smooth points given in cells (column, row) from the first one on; the last stays."""
     rows, cols = room.shape
     p = points.copy()
     for _ in range(sweeps):
-        for k in range(1, len(p) - 1):
+        for k in range(first, len(p) - 1):
             x = p[k, 0] + 0.5 * (0.5 * (p[k - 1, 0] + p[k + 1, 0]) - p[k, 0])
             y = p[k, 1] + 0.5 * (0.5 * (p[k - 1, 1] + p[k + 1, 1]) - p[k, 1])
             c, r = math.floor(x), math.floor(y)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_validation.grid_search import Reach, area_round, dear_behind, nearest, search
+from lirs_validation.grid_search import Reach, area_round, cells_ahead, dear_behind, search
 from lirs_validation.path_smoothing import arc_length, smoothed
 from lirs_wct.errors import ConfigError
 from lirs_wct.grid import OccupancyGrid
@@ -95,16 +95,20 @@ class CoveragePlanner:
         """Share of the reachable cells that the tours so far pass."""
         return float((self._covered_at[self._free] > -np.inf).mean())
 
-    def tour(self, start: Pose2, length: float) -> Points:
-        """Return (n, 2) points 0.1 m apart: a free path from a pose, at least `length` metres long.
+    def tour(self, start: Pose2, length: float, *, straight: float = 0.0) -> Points:
+        """Return (n, 2) points 0.1 m apart: a free path from a pose, about `length` metres long.
 
-        The first point is the middle of the free cell nearest to the pose. Shorter only where there
-        is a single free cell.
+        The first point is the middle of the free cell nearest to the pose.
+
+        Args:
+            start: where the robot is.
+            length: metres, before smoothing.
+            straight: begin with so many metres straight ahead, or as many as are free.
         """
-        cell = nearest(self._free, self._grid.cells((start.x, start.y)))
-        heading = start.yaw
-        legs, planned = [self._grid.centres(cell[None])], 0.0
-        self._cover(cell[None])
+        ahead = cells_ahead(self._grid, self._free, start, straight)
+        cell, heading = ahead[-1], start.yaw
+        legs, planned = [self._grid.centres(ahead)], 0.0
+        self._cover(ahead)
         while planned < length:
             leg = self._leg(cell, heading)
             if len(leg) < 2:
@@ -119,7 +123,8 @@ class CoveragePlanner:
             cell = leg[-1]
             tail = points[-1] - points[max(0, len(points) - 8)]
             heading = math.atan2(tail[1], tail[0])
-        return smoothed(np.concatenate(legs), self._grid, self.room, keep=self.config.room / 2)
+        points = np.concatenate(legs)
+        return smoothed(points, self._grid, self.room, keep=self.config.room / 2, hold=len(ahead) - 1)
 
     def room_at(self, points: Points) -> NDArray[np.float64]:
         """Return (n,) metres from points (n, 2) to the nearest blocked cell; 0 in one."""

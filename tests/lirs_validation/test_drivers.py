@@ -159,6 +159,25 @@ def test_a_small_world_is_covered_completely_and_then_driven_again() -> None:
     assert np.linalg.norm(np.diff(tour, axis=0), axis=1).sum() > 60.0
 
 
+def test_it_starts_from_rest_and_straight_ahead() -> None:
+    free, _ = field(4)
+    driver = driver_on(free)
+    result = ride(driver, driver.start, 3.0, slip=0.0)
+    speeds = np.linalg.norm(np.diff(result.poses[:, :2], axis=0), axis=1) / DT
+    assert speeds[0] < 0.05
+    assert np.diff(speeds).max() <= 0.6 * DT + 1e-6
+    turned = np.abs(result.poses[:, 2] - driver.start.yaw)
+    assert turned[np.cumsum(speeds * DT).searchsorted(0.5)] < 0.1
+
+
+def test_a_straight_beginning_ends_before_an_obstacle() -> None:
+    free = corridor(length=5.0, width=2.0)
+    planner = CoveragePlanner(free, Pose2(4.5, 1.0, 0.0), np.random.default_rng(0))
+    points = planner.tour(Pose2(4.5, 1.0, 0.0), 10.0, straight=2.0)
+    assert (planner.room_at(points) > 0).all()
+    assert points[:, 0].max() > 4.6
+
+
 def test_coverage_does_not_see_through_walls() -> None:
     p = np.zeros((60, 60))
     p[:, 30] = 1.0
