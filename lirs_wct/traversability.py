@@ -16,6 +16,9 @@ from lirs_wct.walls import WallGrid
 BASELINE = 0.3
 """Metres over which a slope counts: about a wheel. Shorter steps are roughness, not slope."""
 
+EDGE = 0.15
+"""Share of the free area's extent, on each side, where no robot starts."""
+
 Mask = NDArray[np.bool_]
 
 
@@ -53,12 +56,18 @@ def traversable(
 def start_poses(free: OccupancyGrid, count: int = 8) -> tuple[Pose2, ...]:
     """Return up to `count` poses spread over the largest connected free area, the roomiest first.
 
-    Each faces the middle of that area. Farthest-point sampling, so the same grid gives the same poses.
+    Each faces the middle of that area and lies in its inner part: at the edge of the world a robot
+    sees little of it. Farthest-point sampling, so the same grid gives the same poses.
     """
     area = largest_area(free.free)
     cells = np.argwhere(area)
     if len(cells) == 0:
         return ()
+    low, high = cells.min(axis=0), cells.max(axis=0)
+    inner = np.all((cells >= low + EDGE * (high - low)) & (cells <= high - EDGE * (high - low)), axis=1)
+    if inner.any():
+        area[tuple(cells[~inner].T)] = False
+        cells = cells[inner]
     room = _distance_to(~area, free.resolution)[area]
     points = free.centres(cells)
     middle = points.mean(axis=0)

@@ -16,8 +16,16 @@ Window = tuple[float, float, float]
 """Centre x, y and side, metres."""
 
 
+FEW_CELLS = 16
+"""A window of fewer cells along its side is sampled anew ..."""
+SAMPLES = 65
+"""... with so many nodes along each side."""
+
+
 def cut_surface(surface: HeightField, window: Window) -> HeightField:
     """Keep the nodes of a square (rounded outward), its lowest point at z = 0, coordinates unchanged.
+
+    A square of few nodes is sampled anew: rounded outward it could be kilometres larger.
 
     Raises:
         ConfigError: the window does not overlap the surface.
@@ -29,6 +37,10 @@ def cut_surface(surface: HeightField, window: Window) -> HeightField:
         raise ConfigError(
             f"window {x:g},{y:g},{side:g} lies outside the terrain: "
             f"x {west:g} to {east:g}, y {south:g} to {north:g} m"
+        )
+    if side < FEW_CELLS * max(surface.cell):
+        return _sampled(
+            surface, (max(x - half, west), max(y - half, south), min(x + half, east), min(y + half, north))
         )
     c0, c1 = _span(x - half - west, x + half - west, surface.cell[0], cols)
     r0, r1 = _span(y - half - south, y + half - south, surface.cell[1], rows)
@@ -56,6 +68,15 @@ def cut_map(grid: OccupancyGrid, window: Window) -> OccupancyGrid:
     part = np.ascontiguousarray(grid.log_odds[low[0] : high[0], low[1] : high[1]])
     shift = Pose2(float(low[1]) * grid.resolution, float(low[0]) * grid.resolution)
     return replace(grid, log_odds=part, origin=grid.origin @ shift)
+
+
+def _sampled(surface: HeightField, bounds: tuple[float, float, float, float]) -> HeightField:
+    """Return the surface within exact bounds on 65 x 65 nodes, its lowest point at z = 0."""
+    west, south, east, north = bounds
+    x, y = np.linspace(west, east, SAMPLES), np.linspace(north, south, SAMPLES)
+    z = surface.height_at(np.clip(x, west, east)[None, :], np.clip(y, south, north)[:, None])
+    cell = ((east - west) / (SAMPLES - 1), (north - south) / (SAMPLES - 1))
+    return HeightField((z - z.min()).astype(np.float32), cell, (west, south))
 
 
 def _span(low: float, high: float, cell: float, count: int) -> tuple[int, int]:

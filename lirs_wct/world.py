@@ -34,6 +34,8 @@ from lirs_wct.window import cut_map, cut_surface
 START_CLEARANCE = 0.8
 """Metres of free ground around a start pose: a Husky and a step."""
 START_SLOPE = math.radians(12)
+START_AREA = 200.0
+"""Side of the square in the middle of a larger terrain where start poses are looked for, metres."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,13 @@ def _floor(walls: WallGrid) -> HeightField:
 
 
 def _with_starts(world: World) -> World:
-    free = world.traversable(clearance=START_CLEARANCE, max_slope=START_SLOPE)
+    """Look for start poses; on a terrain of kilometres in its middle only: the search is by the decimetre."""
+    place = world
+    if world.kind == "terrain" and max(world.surface.size) > START_AREA:
+        west, south, east, north = world.surface.bounds
+        middle = ((west + east) / 2, (south + north) / 2, START_AREA)
+        place = replace(world, surface=cut_surface(world.surface, middle))
+    free = place.traversable(clearance=START_CLEARANCE, max_slope=START_SLOPE)
     return replace(world, starts=start_poses(free))
 
 

@@ -11,7 +11,9 @@ import pytest
 
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.heightfield import HeightField
 from lirs_wct.pose import Pose2
+from lirs_wct.window import cut_surface
 
 
 @pytest.fixture
@@ -105,6 +107,16 @@ def test_a_window_keeps_coordinates(picture: Path) -> None:
     assert part.surface.z.min() == 0
     with pytest.raises(ConfigError, match="outside"):
         build_world(picture, BuildOptions(size=12, window=(100.0, 0.0, 3.0)))
+
+
+@pytest.mark.parametrize("cell", [0.5, 40.0])
+def test_a_window_has_its_size_however_coarse_the_terrain(cell: float) -> None:
+    z = np.add.outer(np.arange(90.0)[::-1], np.arange(120.0)).astype(np.float32)
+    whole = HeightField.centred(z, (cell, cell))
+    part = cut_surface(whole, (3.0, 2.0, 20.0))
+    assert max(part.size) == pytest.approx(20, abs=2 * 0.5)
+    at = np.array([[-5.0, 0.0], [10.0, 9.0], [3.3, -6.0]]).T
+    np.testing.assert_allclose(np.ptp(whole.height_at(*at) - part.height_at(*at)), 0, atol=1e-3)
 
 
 def test_damaged_folders_are_named(picture: Path, tmp_path: Path) -> None:
