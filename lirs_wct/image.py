@@ -39,8 +39,7 @@ def read_height_field(path: Path, options: BuildOptions) -> HeightField:
     """
     picture = read_picture(path, options.max_pixels)
     pixels = _cropped(path, picture.pixels, options.crop)
-    values = _fill(path, _gray(path, pixels, options.grayscale), tiff.nodata(picture.tags))
-    above = _above_lowest(-values if options.invert else values)
+    above = _above_lowest(path, pixels, tiff.nodata(picture.tags), options)
     if options.deterrace:
         above = deterrace(above, _level_step(path, pixels))
     above = apply_filters(above, options)
@@ -51,7 +50,7 @@ def read_height_field(path: Path, options: BuildOptions) -> HeightField:
     unit = None if pixel is None else tiff.height_unit(picture.tags)
     width, depth = _extent(pixels.shape, pixel, options)
     sx, sy, sz = options.scale or (1.0, 1.0, 1.0)
-    z = _heights(above, unit, options.height) * np.float32(sz * (options.z_scale or 1.0))
+    z = _heights(above, unit, options.height, sz * (options.z_scale or 1.0))
     rows, cols = z.shape
     return HeightField.centred(z, (width * sx / (cols - 1), depth * sy / (rows - 1)))
 
@@ -75,9 +74,18 @@ def _level_step(path: Path, pixels: NDArray[Any]) -> float:
     return float(np.gcd.reduce(steps)) if len(steps) else 1.0
 
 
-def _above_lowest(values: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
-    above: NDArray[np.float32] = (values - values.min()).astype(np.float32)
-    return above
+def _above_lowest(
+    path: Path, pixels: NDArray[Any], nodata: float | None, options: BuildOptions
+) -> NDArray[np.float32]:
+    """Return (rows, cols) values above the lowest one, every hole filled; an array of its own."""
+    values = _gray(path, pixels, options.grayscale)
+    # Unsigned levels hold no heights that mean "none", unless the file says so.
+    if nodata is not None or pixels.dtype.kind != "u":
+        values = _fill(path, values, nodata)
+    if options.invert:
+        np.negative(values, out=values)
+    values -= values.min()
+    return values.astype(np.float32, copy=False)
 
 
 def _gray(path: Path, pixels: NDArray[Any], grayscale: bool) -> NDArray[np.floating[Any]]:
@@ -119,15 +127,19 @@ def _fill(path: Path, values: NDArray[np.floating[Any]], nodata: float | None) -
     return filled
 
 
-def _heights(values: NDArray[np.float32], unit: float | None, height: float | None) -> NDArray[np.float32]:
-    """Return (rows, cols) metres above the lowest point; a flat picture stays flat."""
-    above: NDArray[np.float32] = values - values.min()
-    relief = float(above.max())
+def _heights(
+    above: NDArray[np.float32], unit: float | None, height: float | None, factor: float
+) -> NDArray[np.float32]:
+    """Turn values into metres above the lowest point, in place; a flat picture stays flat."""
+    above -= above.min()
+    relief = above.max()
     if relief > 0 and (unit is None or height is not None):
         # The division first: the top comes out as exactly `height`.
-        above = above / np.float32(relief) * np.float32(height or DEFAULT_HEIGHT)
+        above /= relief
+        above *= np.float32(height or DEFAULT_HEIGHT)
     elif unit is not None:
-        above = above * np.float32(unit)
+        above *= np.float32(unit)
+    above *= np.float32(factor)
     return above
 
 
