@@ -49,11 +49,12 @@ def cube_uv(mesh: TriangleMesh, size: float | None = None) -> TriangleMesh:
     )
 
 
-def shading_groups(mesh: TriangleMesh) -> NDArray[np.int8]:
-    """Return (faces,) 0 for the ground, 1 to 6 for the flat sides: no vertex normal is shared across."""
-    label = _label_faces(np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces))[0]
-    groups: NDArray[np.int8] = np.maximum(label - (FLAT - 1), 0).astype(np.int8)
-    return groups
+def projection_groups(mesh: TriangleMesh) -> NDArray[np.int8]:
+    """Return (faces,) numbers from 0 to 11: within one, a place has one texture coordinate and normal."""
+    label: NDArray[np.int8] = _label_faces(
+        np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces)
+    )[0]
+    return label
 
 
 _COUNT = np.array([int(m).bit_count() for m in range(1 << LABELS)], dtype=np.int64)

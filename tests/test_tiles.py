@@ -8,7 +8,7 @@ import trimesh
 from lirs_wct.heightfield import HeightField
 from lirs_wct.mesh import TriangleMesh
 from lirs_wct.solid import solid_mesh
-from lirs_wct.texture import cube_uv, shading_groups
+from lirs_wct.texture import cube_uv, projection_groups
 from lirs_wct.tiles import split_tiles
 
 
@@ -45,11 +45,11 @@ def test_never_more_than_the_cap() -> None:
 
 def test_groups_are_kept_apart_and_attributes_go_along() -> None:
     mesh = cube_uv(hills())
-    groups = shading_groups(mesh)
-    assert sorted(set(groups.tolist())) == [0, 1, 2, 3, 4, 6]
+    groups = projection_groups(mesh)
+    assert sorted(set(groups.tolist())) == [2, 3, 4, 6, 7, 8, 9, 11]
     for tile in split_tiles(mesh, aim=400, groups=groups):
         assert tile.normals is not None
         assert tile.uv is not None
-        assert len(set(shading_groups(tile).tolist())) == 1
+        assert len(set(projection_groups(tile).tolist())) == 1
         joined = {tuple(p): n for p, n in zip(tile.vertices, tile.normals, strict=True)}
         assert all((joined[tuple(p)] == n).all() for p, n in zip(tile.vertices, tile.normals, strict=True))

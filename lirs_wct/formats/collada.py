@@ -20,7 +20,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.collada_stream import CREATED, GROUND, stream_collada
 from lirs_wct.mesh import TriangleMesh
-from lirs_wct.texture import cube_uv, shading_groups
+from lirs_wct.texture import cube_uv, projection_groups
 from lirs_wct.tiles import split_tiles
 
 TILE = 19_000
@@ -50,7 +50,7 @@ def write_collada(
         mesh = cube_uv(mesh)
     streamed = len(mesh.faces) > stream_above
     aim = TILE if streamed else max(len(mesh.faces), 1)
-    tiles = split_tiles(mesh, aim=aim, groups=shading_groups(mesh))
+    tiles = split_tiles(mesh, aim=aim, groups=projection_groups(mesh))
     with atomic_write(path) as temporary:
         if streamed:
             stream_collada(temporary, tiles, np.ptp(mesh.bounds, axis=0), texture)

@@ -2,8 +2,8 @@
 
 Tiles keep the memory bounded and the indices short, which are half of the file. Vertices on the
 border of two tiles are written in both, from the same numbers, so that the whole stays closed.
-NORMAL stands inside <vertices>; a position then may have one normal only within a tile, since Gazebo
-joins equal positions.
+NORMAL stands inside <vertices>; a position then may have one normal and texture coordinate only within
+a tile, since Gazebo joins equal positions.
 """
 
 from __future__ import annotations

@@ -88,6 +88,19 @@ def test_mesh_loader_counts_ours_and_finds_the_texture(programs: Path, package: 
     assert "Unable to find" not in said
 
 
+@pytest.mark.parametrize("above", ABOVE.values())
+def test_steep_ground_is_counted_right_too(programs: Path, tmp_path: Path, above: int) -> None:
+    """Where the projection changes from triangle to triangle, a place has several texture coordinates."""
+    mesh = solid_mesh(HeightField.centred(hills().z * 4, (0.25, 0.25)))
+    write_collada(tmp_path / "a.dae", mesh, stream_above=above)
+    shapes = collada.Collada(str(tmp_path / "a.dae")).geometries
+    n = sum(len(shape.primitives[0].vertex) for shape in shapes)
+    assert n > 1.05 * len(mesh.vertices)
+    assert f" vert {n} norm {n} idx {3 * len(mesh.faces)} uv {n} " in run(
+        programs / "meshchk", tmp_path / "a.dae"
+    )
+
+
 def test_a_sphere_rests_on_the_ground(programs: Path, package: Path) -> None:
     surface = hills()
     start = np.unravel_index(surface.z[20:-20, 20:-20].argmin(), (89, 121))
