@@ -38,9 +38,7 @@ def view_figure(world: World) -> Figure:
     canvas = Canvas.over(world.surface.bounds)
     relief = coloured_relief(world, canvas)
     exaggeration = _exaggeration(world)
-    tilt = math.radians(35 if world.walls is None else 50)
-    tops, sides = _block_colours(world, canvas, relief)
-    block = oblique_view(_standing(world, canvas), tops, sides, canvas, exaggeration=exaggeration, tilt=tilt)
+    block = block_picture(world, canvas)
     rows, cols = canvas.shape
     taller = max(5.1 * rows / cols, 5.6 * block.shape[0] / block.shape[1])
     figure = new_figure(12.0, 0.9 + min(taller, 9.0))
@@ -61,6 +59,15 @@ def view_figure(world: World) -> Figure:
         axes.set_anchor("N")
     _height_scale(figure, oblique, world)
     return figure
+
+
+def block_picture(world: World, canvas: Canvas) -> Rgb:
+    """Return (rows, cols, 4) the world as a block seen at an angle; transparent around it."""
+    tilt = math.radians(35 if world.walls is None else 50)
+    tops, sides = _block_colours(world, canvas, coloured_relief(world, canvas))
+    return oblique_view(
+        _standing(world, canvas), tops, sides, canvas, exaggeration=_exaggeration(world), tilt=tilt
+    )
 
 
 def _block_colours(world: World, canvas: Canvas, relief: Rgb) -> tuple[Rgb, Rgb]:
