@@ -16,6 +16,8 @@ from slam_baselines.occupancy import OccupancyMap, UpdateConfig
 from slam_baselines.relief import Relief, ReliefConfig
 from slam_baselines.scan_matching import MapPyramid
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True, kw_only=True)
 class BuilderConfig:
@@ -56,17 +58,18 @@ class MapBuilder:
 
     def __init__(self, config: BuilderConfig) -> None:
         self._config = config
-        self.pyramid = MapPyramid(
-            tuple(
-                OccupancyMap(config.map_resolution * 2**level, config.update)
-                for level in range(config.map_multi_res_levels)
-            )
-        )
         self.relief = Relief(config.relief)
         self.updates = 0
-        self._bound = 0
         self._last: Pose2 | None = None
         self._entered: tuple[Pose2, tuple[float, float]] | None = None
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the occupancy, but not the relief."""
+        c = self._config
+        resolutions = [c.map_resolution * 2**level for level in range(c.map_multi_res_levels)]
+        self.pyramid = MapPyramid(tuple(OccupancyMap(r, c.update) for r in resolutions))
+        self._bound = self.relief.match_bound
 
     def follow(self, scan: LevelledScan, pose: Pose2) -> None:
         """Take note that the base has come to `pose`; keeps the height up to date."""
@@ -74,13 +77,22 @@ class MapBuilder:
             self.relief.move(Pose2() if self._last is None else self._last.inverse() @ pose, scan)
         self._last = pose
 
-    def weights(self, scan: LevelledScan, pose: Pose2) -> NDArray[np.float64]:
-        """Return (n,) 1 for hits on what is known to be a wall, 0 for those that may be ground."""
+    def weights(self, scan: LevelledScan, pose: Pose2, height: float | None = None) -> NDArray[np.float64]:
+        """Return (n,) 1 for hits on what is known to be a wall, 0 for those that may be ground.
+
+        The base is at `pose`, and at the present height unless another is given.
+        """
         if self._bound == 0:
             return np.ones(len(scan.hits))
-        origin, hits, _ = scan.placed(pose, self.relief.height)
-        proven = np.maximum(self.relief.steepness(origin, hits, pose), self.pyramid.maps[-1].steepness(hits))
-        return (proven >= self._bound).astype(np.float64)
+        return (self._proven(scan, pose, height)[3] >= self._bound).astype(np.float64)
+
+    def _proven(
+        self, scan: LevelledScan, pose: Pose2, height: float | None
+    ) -> tuple[Array, Array, Array, NDArray[np.uint8]]:
+        """Return origin, hits and free ends in the map frame, and the proven steepness of the hits."""
+        origin, hits, free = scan.placed(pose, self.relief.height if height is None else height)
+        now = self.relief.steepness(origin, hits, pose)
+        return origin, hits, free, np.maximum(now, self.pyramid.maps[-1].steepness(hits))
 
     def due(self, scan: LevelledScan, pose: Pose2) -> bool:
         """Whether the robot has moved or leaned enough since the last update."""
@@ -105,11 +117,29 @@ class MapBuilder:
             self._bound = self.relief.match_bound
             for level in self.pyramid.maps:
                 level.revalue(self._bound)
+        self._draw(origin, hits, free, steep)
+        self.updates += 1
+        self._entered = pose, scan.ground_slope
+
+    def enter_again(self, scan: LevelledScan, pose: Pose2, height: float) -> None:
+        """Update a restarted map with a scan that has entered the relief before."""
+        self._draw(*self._proven(scan, pose, height))
+
+    def _draw(self, origin: Array, hits: Array, free: Array, steep: NDArray[np.uint8]) -> None:
         grew = [level.update(origin, hits, free, steep, self._bound) for level in self.pyramid.maps]
         if any(grew):
             self.pyramid.refresh()
-        self.updates += 1
-        self._entered = pose, scan.ground_slope
+
+    def moved(self, pose: Pose2) -> None:
+        """Take note that the last keyframe's pose was corrected; the base has not moved."""
+        self._last = pose
+        if self._entered is not None:
+            self._entered = pose, self._entered[1]
+
+    @property
+    def flat(self) -> bool:
+        """Whether the ground has always been a floor, so that every hit is a wall."""
+        return self._bound == 0
 
     def map(self) -> OccupancyGrid:
         """Return the finest level."""

@@ -19,6 +19,7 @@ from lirs_wct.trajectory import Trajectory
 # By name and not by import: one method must not drag in the others.
 MAPPERS: Mapping[str, tuple[str, str, str]] = {
     "hector": ("slam_baselines.hector", "HectorConfig", "HectorMapper"),
+    "gmapping": ("slam_baselines.gmapping", "GmappingConfig", "GmappingMapper"),
 }
 """Name -> module, class of its configuration, class of the method."""
 

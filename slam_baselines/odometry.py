@@ -21,6 +21,19 @@ def yaw_rate(imu: Imu) -> float:
     return (y * math.sin(imu.roll) + z * math.cos(imu.roll)) / max(math.cos(imu.pitch), 0.1)
 
 
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A pose and how much it is to be believed.
+
+    Attributes:
+        pose: `T_map_base`.
+        covariance: (3, 3) of x, y, yaw in the map frame.
+    """
+
+    pose: Pose2
+    covariance: Array
+
+
 @dataclass(frozen=True, kw_only=True)
 class MotionConfig:
     """Errors of the odometry, each as a random walk: the variance grows with way, turn and time.
@@ -58,13 +71,12 @@ class MotionConfig:
                 raise ConfigError(f"{name} of the motion must be above 0, got {getattr(self, name)}")
 
     def predict(
-        self, pose: Pose2, covariance: Array, delta: Pose2 | None, seconds: float, turned: float | None = None
-    ) -> tuple[Pose2, Array]:
-        """Return the expected pose after a step and its (3, 3) covariance.
+        self, before: Estimate, delta: Pose2 | None, seconds: float, turned: float | None = None
+    ) -> Estimate:
+        """Return the estimate to expect after a step.
 
         Args:
-            pose: before the step.
-            covariance: (3, 3) of x, y, yaw there.
+            before: the estimate before the step.
             delta: `T_before_now` by odometry; without it the robot is expected to stay, with little
                 confidence.
             seconds: duration of the step.
@@ -89,7 +101,35 @@ class MotionConfig:
             )
         if turned is not None:
             turn = min(turn, self.gyro_per_second**2 * seconds + wrap_angle(turned - delta.yaw) ** 2)
-        after = pose @ delta
+        after = before.pose @ delta
         G = np.eye(3)
-        G[0, 2], G[1, 2] = pose.y - after.y, after.x - pose.x
-        return after, G @ covariance @ G.T + np.diag((shift, shift, turn))
+        G[0, 2], G[1, 2] = before.pose.y - after.y, after.x - before.pose.x
+        return Estimate(after, G @ before.covariance @ G.T + np.diag((shift, shift, turn)))
+
+
+class DeadReckoning:
+    """Turns absolute odometry and rates into the estimate to expect at the next scan."""
+
+    def __init__(self, config: MotionConfig) -> None:
+        self.config = config
+        self._odometry: Pose2 | None = None
+        self._rate: float | None = None
+        self._stamp: float | None = None
+
+    def predict(self, last: Estimate, odometry: Pose2 | None, imu: Imu | None, stamp: float) -> Estimate:
+        """Return what to expect at `stamp`; the first call only takes note and returns `last`.
+
+        Args:
+            last: the estimate at the last call.
+            odometry: `T_odom_base` at `stamp`.
+            imu: reading at `stamp`.
+            stamp: seconds.
+        """
+        before, self._odometry = self._odometry, odometry
+        rate, self._rate = self._rate, None if imu is None else yaw_rate(imu)
+        then, self._stamp = self._stamp, stamp
+        if then is None:
+            return last
+        delta = None if before is None or odometry is None else before.inverse() @ odometry
+        turned = None if rate is None or self._rate is None else (rate + self._rate) / 2 * (stamp - then)
+        return self.config.predict(last, delta, stamp - then, turned)

@@ -1,0 +1,59 @@
+"""Keyframes: the scans that entered the map, and the trajectory hung up on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lirs_wct.pose import Pose2
+from lirs_wct.trajectory import Trajectory
+from slam_baselines.levelling import LevelledScan
+
+
+@dataclass(frozen=True, slots=True)
+class Keyframe:
+    """A scan that entered the map.
+
+    Attributes:
+        scan: levelled.
+        pose: `T_map_base`.
+        height: of the base in the map frame, metres.
+    """
+
+    scan: LevelledScan
+    pose: Pose2
+    height: float
+
+
+class KeyframeTrajectory:
+    """Every scan's pose relative to a keyframe: when a keyframe moves, its scans move with it."""
+
+    def __init__(self) -> None:
+        self._keyframes: list[Pose2] = []
+        self._scans: dict[float, tuple[int, Pose2]] = {}
+
+    def __len__(self) -> int:
+        return len(self._scans)
+
+    def add_keyframe(self, pose: Pose2) -> None:
+        """Hang up what follows on a new keyframe."""
+        self._keyframes.append(pose)
+
+    def add(self, stamp: float, pose: Pose2) -> None:
+        """Note the pose of a scan; a later scan of the same stamp takes the place of the earlier."""
+        last = len(self._keyframes) - 1
+        relative = pose if last < 0 else self._keyframes[last].inverse() @ pose
+        self._scans[stamp] = last, relative
+
+    def move(self, poses: list[Pose2]) -> Pose2:
+        """Give the first keyframes new poses; return how the last of them moved, `T_new_old`."""
+        old = self._keyframes[len(poses) - 1]
+        self._keyframes[: len(poses)] = poses
+        return poses[-1] @ old.inverse()
+
+    def trajectory(self) -> Trajectory:
+        """Return the pose of every scan in the map frame, by stamp."""
+        stamps = sorted(self._scans)
+        return Trajectory.from_poses(stamps, [self._pose(*self._scans[t]) for t in stamps])
+
+    def _pose(self, keyframe: int, relative: Pose2) -> Pose2:
+        return relative if keyframe < 0 else self._keyframes[keyframe] @ relative

@@ -1,0 +1,163 @@
+"""How well a scan fits into one particle's map, and in which direction it would fit better.
+
+The ends of beams are compared with the means of the hits in the cells around them, as in likelihood
+fields: close to a mean is likely, whatever the beam has passed on its way.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from slam_baselines.occupancy import UNKNOWN
+from slam_baselines.patch_map import ABSENT, BITS, MASK, MEAN_STEPS
+
+Array = NDArray[np.float64]
+
+NOTHING = 0.5
+"""Loss of log-likelihood of a beam that ends where nothing is."""
+
+
+class Beams(NamedTuple):
+    """A scan for the kernels.
+
+    Attributes:
+        points: (n, 2 or more) ends of beams in the levelled base frame, metres.
+        weights: (n,) how much each counts.
+    """
+
+    points: Array
+    weights: Array
+
+
+@njit(cache=True)
+def _wall(view, row, col):
+    """Return patch and cell of a wall at a cell of the lattice; patch ABSENT if there is none."""
+    table, corner, patches = view.table, view.corner, view.patches
+    r, c = (row >> BITS) - corner[0], (col >> BITS) - corner[1]
+    if r < 0 or c < 0 or r >= table.shape[0] or c >= table.shape[1]:
+        return ABSENT, 0
+    p, cell = table[r, c], ((row & MASK) << BITS) | (col & MASK)
+    if p == ABSENT or patches.log_odds[p, cell] <= 0 or patches.steep[p, cell] < view.bound:
+        return ABSENT, 0
+    return p, cell
+
+
+@njit(cache=True)
+def _is_known(view, row, col):
+    table, corner, patches = view.table, view.corner, view.patches
+    r, c = (row >> BITS) - corner[0], (col >> BITS) - corner[1]
+    if r < 0 or c < 0 or r >= table.shape[0] or c >= table.shape[1] or table[r, c] == ABSENT:
+        return False
+    return patches.log_odds[table[r, c], ((row & MASK) << BITS) | (col & MASK)] != UNKNOWN
+
+
+@njit(cache=True)
+def log_likelihood(view, beams, pose, reach, lsigma):
+    """Return the log-likelihood of a scan, and the weights of beams that met a wall and known cells.
+
+    Each beam gives -d^2 / lsigma, d metres from its end to the nearest mean of a wall's cell within
+    `reach` cells, and -NOTHING without one.
+
+    Args:
+        view: the map.
+        beams: of the scan.
+        pose: (3,) x, y, yaw.
+        reach: cells looked at to each side of a beam's end.
+        lsigma: square metres.
+    """
+    points, weights, res, patches = beams.points, beams.weights, view.resolution, view.patches
+    c, s = np.cos(pose[2]) / res, np.sin(pose[2]) / res
+    x, y = pose[0] / res, pose[1] / res
+    total = met = known = 0.0
+    for i in range(len(points)):
+        if weights[i] == 0:
+            continue
+        u, v = x + c * points[i, 0] - s * points[i, 1], y + s * points[i, 0] + c * points[i, 1]
+        row0, col0 = int(np.floor(v)), int(np.floor(u))
+        nearest = np.inf
+        for row in range(row0 - reach, row0 + reach + 1):
+            for col in range(col0 - reach, col0 + reach + 1):
+                p, cell = _wall(view, row, col)
+                if p != ABSENT:
+                    du = col + patches.mean[p, cell, 0] / MEAN_STEPS - u
+                    dv = row + patches.mean[p, cell, 1] / MEAN_STEPS - v
+                    nearest = min(nearest, du * du + dv * dv)
+        loss = min(NOTHING, nearest * res * res / lsigma)
+        total -= weights[i] * loss
+        if nearest < np.inf:
+            met += weights[i]
+            known += weights[i]
+        elif _is_known(view, row0, col0):
+            known += weights[i]
+    return total, met, known
+
+
+@njit(cache=True)
+def linearise(view, beams, stride, pose, reach, width, H, g):
+    """Fill H (3, 3) and g (3,) of a Gauss-Newton step that moves the beams' ends onto the walls.
+
+    Each end is drawn to the mean m of the walls around it, weighted by exp(-d^2 / 2 width^2), across the
+    wall but not along it: the error e = m - end counts by A = eps (S + eps I)^-1, S the weighted
+    covariance of the walls' cells and eps = (0.3 cells)^2. In units of one over the variance of a beam.
+
+    Args:
+        view: the map.
+        beams: of the scan.
+        stride: only every so manyth beam is used.
+        pose: (3,) x, y, yaw.
+        reach: cells looked at to each side of a beam's end.
+        width: standard deviation of the attraction, cells.
+        H: filled.
+        g: filled.
+    """
+    points, weights, res, patches = beams.points, beams.weights, view.resolution, view.patches
+    c, s = np.cos(pose[2]) / res, np.sin(pose[2]) / res
+    x, y = pose[0] / res, pose[1] / res
+    H[:] = 0
+    g[:] = 0
+    narrow, eps = -0.5 / width**2, 0.09
+    for i in range(0, len(points), stride):
+        if weights[i] == 0:
+            continue
+        pu, pv = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
+        u, v = x + pu, y + pv
+        row0, col0 = int(np.floor(v)), int(np.floor(u))
+        w = su = sv = suu = suv = svv = 0.0
+        for row in range(row0 - reach, row0 + reach + 1):
+            for col in range(col0 - reach, col0 + reach + 1):
+                p, cell = _wall(view, row, col)
+                if p == ABSENT:
+                    continue
+                du = col + patches.mean[p, cell, 0] / MEAN_STEPS - u
+                dv = row + patches.mean[p, cell, 1] / MEAN_STEPS - v
+                a = np.exp(narrow * (du * du + dv * dv))
+                w += a
+                su += a * du
+                sv += a * dv
+                suu += a * du * du
+                suv += a * du * dv
+                svv += a * dv * dv
+        if w < 1e-6:
+            continue
+        du, dv = su / w, sv / w
+        cuu, cuv, cvv = suu / w - du * du + eps, suv / w - du * dv, svv / w - dv * dv + eps
+        k = weights[i] * stride * min(1.0, w) * eps / (cuu * cvv - cuv * cuv)
+        auu, auv, avv = k * cvv, -k * cuv, k * cuu
+        # du/dyaw = -pv, dv/dyaw = pu; lengths in metres from here on.
+        pu, pv, du, dv = pu * res, pv * res, du * res, dv * res
+        fu, fv = auu * du + auv * dv, auv * du + avv * dv
+        yu, yv = auv * pu - auu * pv, avv * pu - auv * pv
+        H[0, 0] += auu
+        H[0, 1] += auv
+        H[1, 1] += avv
+        H[0, 2] += yu
+        H[1, 2] += yv
+        H[2, 2] += yv * pu - yu * pv
+        g[0] += fu
+        g[1] += fv
+        g[2] += fv * pu - fu * pv
+    H[1, 0], H[2, 0], H[2, 1] = H[0, 1], H[0, 2], H[1, 2]

@@ -1,0 +1,30 @@
+"""Weights of particles: the effective number of them, and systematic resampling."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def normalised(log_weights: Array) -> Array:
+    """Return (n,) weights that sum to 1, of logarithms up to a constant."""
+    weights: Array = np.exp(log_weights - log_weights.max())
+    return weights / weights.sum()
+
+
+def effective_number(weights: Array) -> float:
+    """Return N_eff = 1 / sum w^2 (Grisetti et al. 2007, eq. 20); `weights` (n,) sum to 1."""
+    return float(1.0 / np.square(weights).sum())
+
+
+def systematic_resample(weights: Array, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Return (n,) indices of the particles that live on, each n w times, up to one more or less.
+
+    One random number moves a comb of n teeth over the cumulative weights (n,).
+    """
+    n = len(weights)
+    comb = (np.arange(n) + rng.random()) / n
+    # Rounding may leave the sum a little under 1: the last tooth still belongs to the last particle.
+    return np.minimum(np.searchsorted(np.cumsum(weights), comb, side="right"), n - 1).astype(np.int64)
