@@ -2,33 +2,65 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lirs_wct.errors import unknown_name
 from lirs_wct.grid import OccupancyGrid
+from lirs_wct.options import UNKNOWN, Unknown
 from lirs_wct.walls import WallGrid
 
 Boxes = NDArray[np.int64]
 
 
-def walls_of(grid: OccupancyGrid, height: float) -> WallGrid:
-    """Return the occupied cells of a map as walls; unknown cells are floor.
+def walls_of(grid: OccupancyGrid, height: float, unknown: Unknown = "floor") -> WallGrid:
+    """Return the occupied cells of a map as walls.
+
+    Args:
+        grid: the map.
+        height: of the walls, metres.
+        unknown: what the cells of which the map knows nothing are: `floor`, `wall`, or `hole` (no floor).
 
     Raises:
-        ConfigError: height is not above 0.
+        ConfigError: height is not above 0, `unknown` is none of these, or the whole map is a hole.
     """
-    return WallGrid(grid.occupied, grid.resolution, grid.origin, height)
+    if unknown not in UNKNOWN:
+        raise unknown_name("kind of unknown cell", unknown, UNKNOWN)
+    solid = grid.occupied | ~grid.known if unknown == "wall" else grid.occupied
+    hole = ~grid.known if unknown == "hole" and not grid.known.all() else None
+    return WallGrid(solid, grid.resolution, grid.origin, height, hole)
+
+
+def without_speckles(grid: OccupancyGrid, cells: int) -> OccupancyGrid:
+    """Return a map in which connected occupied cells, fewer than `cells` of them, are free.
+
+    Cells that touch at a corner are connected.
+    """
+    occupied = grid.occupied
+    _, label, stats, _ = cv2.connectedComponentsWithStats(occupied.astype(np.uint8), connectivity=8)
+    small = (stats[:, cv2.CC_STAT_AREA] < cells)[label] & occupied
+    if not small.any():
+        return grid
+    return OccupancyGrid.from_probability(
+        np.where(small, 0.0, grid.probability), grid.resolution, grid.origin
+    )
 
 
 def merged_boxes(walls: WallGrid) -> Boxes:
-    """Return (n, 4) rectangles row0, col0, row1, col1 (ends exclusive) that cover every wall cell once.
+    """Return (n, 4) rectangles row0, col0, row1, col1 (ends exclusive) that cover every wall cell once."""
+    return merged_rectangles(walls.solid)
+
+
+def merged_rectangles(mask: NDArray[np.bool_]) -> Boxes:
+    """Return (n, 4) rectangles row0, col0, row1, col1 (ends exclusive) that cover a mask once.
 
     Greedy: at the first cell that is left, the larger of two rectangles, one grown along the row
-    first, one along the column first. The better of the map and its transpose is taken.
+    first, one along the column first. The better of the mask and its transpose is taken.
     """
-    straight = _cover(walls.solid)
-    turned = _cover(np.ascontiguousarray(walls.solid.T))[:, [1, 0, 3, 2]]
+    straight = _cover(mask)
+    turned = _cover(np.ascontiguousarray(mask.T))[:, [1, 0, 3, 2]]
     return straight if len(straight) <= len(turned) else turned
 
 

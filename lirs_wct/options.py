@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from lirs_wct.errors import ConfigError, unknown_name
@@ -14,6 +15,8 @@ DEFAULT_SIZE = 50.0
 DEFAULT_HEIGHT = 6.0
 """Relief in metres of a picture that brings no scale."""
 
+Unknown = Literal["floor", "wall", "hole"]
+UNKNOWN: tuple[Unknown, ...] = ("floor", "wall", "hole")
 DENOISE_METHODS = ("median", "bilateral")
 MAX_SIDE = 32_000
 """Pixels along a side to which a picture may be resized."""
@@ -31,9 +34,11 @@ class BuildOptions:
         height: relief of a picture, metres.
         grayscale: turn a colour picture into gray.
         invert: black is high.
-        resolution: metres a cell, for a map picture without YAML.
+        resolution: metres a cell, for a map picture without YAML, or between the heights read off a mesh.
         origin: pose of the lower-left corner of a map picture without YAML.
         wall_height: height of a laser map's walls, metres.
+        unknown: what the unknown cells of a laser map are; a hole has no floor.
+        speckle: walls of fewer connected cells are dropped from a laser map.
         window: keep only a square: centre x, y and side, metres, in the world's frame.
         max_pixels: refuse pictures with more, read from the header.
         crop: keep only a rectangle of the picture: column, row, width and height, pixels.
@@ -47,6 +52,8 @@ class BuildOptions:
         rotate_x: turn of the mesh files about the x axis, degrees; 0 is upright in every consumer.
         max_error: largest vertical deviation of the mesh from the surface, metres.
         max_triangles: most triangles of the mesh, instead of `max_error`.
+        texture: picture (PNG or JPEG) that the mesh wears; default: one drawn from its heights.
+        texture_size: metres that the texture spans before it repeats; default: the longest side.
 
     Raises:
         ConfigError: a value is not legal, or two options contradict.
@@ -62,6 +69,8 @@ class BuildOptions:
     resolution: float | None = None
     origin: Pose2 | None = None
     wall_height: float = 2.5
+    unknown: Unknown = "floor"
+    speckle: int = 0
     window: tuple[float, float, float] | None = None
     max_pixels: int = 5000 * 5000
     crop: tuple[int, int, int, int] | None = None
@@ -75,6 +84,8 @@ class BuildOptions:
     rotate_x: float = 0.0
     max_error: float | None = None
     max_triangles: int | None = None
+    texture: Path | None = None
+    texture_size: float | None = None
 
     def __post_init__(self) -> None:
         sizes = self.size if isinstance(self.size, tuple) else (self.size,)
@@ -92,6 +103,7 @@ class BuildOptions:
             *(("scale", s) for s in self.scale or ()),
             ("max error", self.max_error),
             ("max triangles", self.max_triangles),
+            ("texture size", self.texture_size),
         ):
             if value is not None and not 0 < value < float("inf"):
                 raise ConfigError(f"{option} must be a finite number above 0, got {value}")
@@ -99,6 +111,10 @@ class BuildOptions:
             raise ConfigError("size and pixel size both set the extent: give one of --size, --pixel-size")
         if self.max_error is not None and self.max_triangles is not None:
             raise ConfigError("both limit the mesh: give one of --max-error, --max-triangles")
+        if self.unknown not in UNKNOWN:
+            raise unknown_name("kind of unknown cell", self.unknown, UNKNOWN)
+        if self.speckle < 0:
+            raise ConfigError(f"speckle must be 0 or more cells, got {self.speckle}")
         if self.denoise not in (None, *DENOISE_METHODS):
             raise unknown_name("denoise method", self.denoise, DENOISE_METHODS)
         if self.crop is not None and (min(self.crop[:2]) < 0 or min(self.crop[2:]) < 2):

@@ -1,9 +1,10 @@
-"""What a user may call a source: a bundled name, a built folder, a picture or a map's YAML."""
+"""What a user may call a source: a bundled name, a built folder, a picture, a map's YAML or a mesh."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+import warnings
+from dataclasses import dataclass, fields
 from enum import Enum
 from pathlib import Path
 
@@ -20,6 +21,26 @@ class SourceKind(Enum):
     PICTURE = "picture of a terrain"
     MAP = "laser map"
     MAP_PICTURE = "picture of a laser map"
+    MESH = "mesh"
+
+
+MESHES = (".stl", ".dae", ".obj", ".ply", ".glb")
+"""Suffixes of mesh files."""
+_ANY = {"name", "kind", "max_pixels", "rotate_x", "max_error", "max_triangles", "texture", "texture_size"}
+_PICTURE = {
+    *("size", "pixel_size", "height", "grayscale", "invert", "window", "crop", "resize", "deterrace"),
+    *("denoise", "smoothing", "sharpness", "z_scale", "scale"),
+}
+_MAP = {"window", "wall_height", "unknown", "speckle"}
+_USED = {
+    SourceKind.BUNDLED: _PICTURE,
+    SourceKind.FOLDER: {"window"},
+    SourceKind.PICTURE: _PICTURE,
+    SourceKind.MAP: _MAP,
+    SourceKind.MAP_PICTURE: {*_MAP, "resolution", "origin"},
+    SourceKind.MESH: {"size", "pixel_size", "height", "window", "z_scale", "scale", "resolution"},
+}
+"""Which options a kind of source has a use for, beside those that any has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +68,21 @@ def find_source(given: str | Path, options: BuildOptions) -> Source:
     return Source(_kind(path, options), path, _name(path.stem if path.is_file() else path.name, options))
 
 
+def warn_of_useless(source: Source, options: BuildOptions) -> None:
+    """Warn of options that were given but say nothing about a source of this kind."""
+    used, default = _USED[source.kind] | _ANY, BuildOptions()
+    useless = [
+        f"--{field.name.replace('_', '-')}"
+        for field in fields(options)
+        if field.name not in used and getattr(options, field.name) != getattr(default, field.name)
+    ]
+    if useless:
+        verb = "has" if len(useless) == 1 else "have"
+        warnings.warn(
+            f"{source.path}: {', '.join(useless)} {verb} no effect on a {source.kind.value}", stacklevel=3
+        )
+
+
 def _kind(path: Path, options: BuildOptions) -> SourceKind:
     if path.is_dir():
         if not (path / "world.json").is_file():
@@ -54,6 +90,8 @@ def _kind(path: Path, options: BuildOptions) -> SourceKind:
         return SourceKind.FOLDER
     if path.suffix.lower() in {".yaml", ".yml"}:
         return SourceKind.MAP
+    if path.suffix.lower() in MESHES:
+        return SourceKind.MESH
     return SourceKind.MAP_PICTURE if options.kind == "map" else SourceKind.PICTURE
 
 

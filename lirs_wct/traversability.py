@@ -118,9 +118,10 @@ def _sampled(surface: HeightField, spacing: float) -> HeightField:
 
 
 def _wall_cells(walls: WallGrid, grid: OccupancyGrid) -> Mask:
-    """Mark cells of the grid that touch a wall: both grids' centres are looked up in the other."""
-    local = (np.argwhere(walls.solid)[:, ::-1] + 0.5) * walls.resolution
-    inside = _lookup(walls.solid, walls.resolution, walls.origin, _centres(grid))
+    """Mark cells of the grid that touch a wall or hole: both grids' centres are looked up in the other."""
+    barred = ~walls.floor
+    local = (np.argwhere(barred)[:, ::-1] + 0.5) * walls.resolution
+    inside = _lookup(barred, walls.resolution, walls.origin, _centres(grid))
     return inside | _scatter(walls.origin.apply(local), grid)
 
 

@@ -1,8 +1,9 @@
-"""A laser map as one closed solid: walls and floor on a slab.
+"""A laser map as one closed solid: walls and floor on a slab, holes through it.
 
-The plan is cut into rectangles of wall and of floor. Every corner of any rectangle is made a vertex of
-all rectangles that it touches, so that no edge ends in the middle of another. Where two walls touch
-only at a corner, each has its own upper vertex there: an edge never joins more than two triangles.
+The plan is cut into rectangles of wall, floor and hole. Every corner of any rectangle is made a vertex of
+all rectangles that it touches, so that no edge ends in the middle of another. Where two walls touch only
+at a corner, each has its own upper vertex there, and two parts of the floor their own lower one: an edge
+never joins more than two triangles.
 """
 
 from __future__ import annotations
@@ -12,27 +13,33 @@ from numba import njit
 from numpy.typing import NDArray
 
 from lirs_wct.mesh import TriangleMesh
-from lirs_wct.occupancy import merged_boxes
+from lirs_wct.occupancy import merged_rectangles
 from lirs_wct.walls import WallGrid
 
 SLAB = 0.1
 """Thickness of the floor, metres."""
-BOTTOM, FLOOR, TOP, TWIN_TOP, LEVELS = 0, 1, 2, 3, 4
-"""Heights that a corner of the plan can have; the twin is the upper vertex of a second wall."""
+VOID, GROUND, WALL = 0, 1, 2
+"""What a cell is."""
+BOTTOM, TWIN_BOTTOM, FLOOR, TOP, TWIN_TOP, LEVELS = 0, 1, 2, 3, 4, 5
+"""Heights that a corner of the plan can have; the twin is the vertex of a second body."""
 
 
 def wall_mesh(walls: WallGrid, slab: float = SLAB) -> TriangleMesh:
     """Return walls, floor and slab as one watertight solid in the world frame.
 
     Args:
-        walls: cells that stand from z = 0 to their height.
+        walls: cells that stand from z = 0 to their height, holes go through the slab.
         slab: thickness of the floor below z = 0, metres.
     """
-    floor = WallGrid(~walls.solid, walls.resolution, walls.origin, walls.height)
-    boxes = [merged_boxes(walls), merged_boxes(floor)]
+    boxes = [merged_rectangles(walls.solid), merged_rectangles(walls.floor)]
     rectangles = np.concatenate(boxes)
     is_wall = np.repeat((True, False), [len(b) for b in boxes])
-    codes = _triangles(rectangles, is_wall, np.pad(walls.solid, 1), _corners(rectangles, walls.shape))
+    holes = np.empty((0, 4), np.int64) if walls.hole is None else merged_rectangles(walls.hole)
+    kind = np.where(walls.solid, WALL, GROUND).astype(np.int8)
+    if walls.hole is not None:
+        kind[walls.hole] = VOID
+    marked = _corners(np.concatenate((rectangles, holes)), walls.shape)
+    codes = _triangles(rectangles, is_wall, np.pad(kind, 1), marked, len(holes) > 0)
     used, faces = np.unique(codes, return_inverse=True)
     vertices = _placed(used, rectangles, is_wall, walls, slab)
     return TriangleMesh(vertices, faces.reshape(-1, 3).astype(np.int32))
@@ -56,61 +63,55 @@ def _placed(
     """Return (n, 3) what codes stand for: lattice points at a level, then middles of rectangles."""
     rows, cols = walls.shape
     lattice = (rows + 1) * (cols + 1) * LEVELS
-    heights = np.array((-slab, 0.0, walls.height, walls.height))
+    heights = np.array((-slab, -slab, 0.0, walls.height, walls.height))
     corner, middle = used[used < lattice], used[used >= lattice] - lattice
     point, level = np.divmod(corner, LEVELS)
     row, col = np.divmod(point, cols + 1)
-    # The last middle is that of the slab's underside.
-    boxes = np.concatenate((rectangles, np.array([[0, 0, rows, cols]])))[middle]
-    tops = np.append(np.where(is_wall, walls.height, 0.0), -slab)[middle]
+    # Middles of the upper sides, of the whole underside, of each underside.
+    boxes = np.concatenate((rectangles, [[0, 0, rows, cols]], rectangles))[middle]
+    upper, lower = np.where(is_wall, walls.height, 0.0), np.full(len(rectangles) + 1, -slab)
     plan = np.concatenate((np.stack((col, row), axis=-1), (boxes[:, [1, 0]] + boxes[:, [3, 2]]) / 2))
     xy = walls.origin.apply(plan * walls.resolution)
-    return np.column_stack((xy, np.concatenate((heights[level], tops))))
+    return np.column_stack((xy, np.concatenate((heights[level], np.concatenate((upper, lower))[middle]))))
 
 
 @njit(cache=True)
-def _triangles(rectangles, is_wall, padded, marked):  # type: ignore[no-untyped-def]
-    """Return (m, 3) vertex codes; `padded` is the wall mask with a rim of floor around it."""
+def _triangles(rectangles, is_wall, kind, marked, holed):  # type: ignore[no-untyped-def]
+    """Return (m, 3) vertex codes; `kind` are the cells with a rim of void around them."""
     rows, cols = marked.shape[0] - 1, marked.shape[1] - 1
-    lattice = (rows + 1) * (cols + 1) * LEVELS
+    base = (rows + 1) * (cols + 1) * LEVELS + len(rectangles)
     room = 0
     for r0, c0, r1, c1 in rectangles:
-        room += 5 * (marked[r0, c0:c1].sum() + marked[r1, c0:c1].sum())
-        room += 5 * (marked[r0:r1, c0].sum() + marked[r0:r1, c1].sum()) + 10
-    faces = np.empty((room + 2 * (rows + cols) + 8, 3), np.int64)
+        room += marked[r0, c0:c1].sum() + marked[r1, c0:c1].sum()
+        room += marked[r0:r1, c0].sum() + marked[r0:r1, c1].sum() + 4
+    faces = np.empty((6 * room + 2 * (rows + cols) + 8, 3), np.int64)
     n = 0
     for k in range(len(rectangles)):
         r0, c0, r1, c1 = rectangles[k]
         ring = _ring(r0, c0, r1, c1, marked)
-        wall = is_wall[k]
-        for i in range(len(ring)):
-            p, q = ring[i], ring[(i + 1) % len(ring)]
-            p0, q0 = _code(p, FLOOR, cols), _code(q, FLOOR, cols)
-            # The cell on the inner (left) side of p -> q, and its neighbour on the outer side.
-            inner_row = p[0] - (1 if q[1] < p[1] else 0) - (1 if q[0] < p[0] else 0)
-            inner_col = p[1] - (1 if q[1] < p[1] else 0) - (1 if q[0] > p[0] else 0)
-            outer_row = inner_row + (-1 if q[1] > p[1] else 1 if q[1] < p[1] else 0)
-            outer_col = inner_col + (1 if q[0] > p[0] else -1 if q[0] < p[0] else 0)
-            ph, qh = p0, q0
-            if wall:
-                ph = _code(p, _top(p, inner_row, padded), cols)
-                inner_row_q = q[0] - (1 if q[1] < p[1] else 0) - (1 if q[0] > p[0] else 0)
-                qh = _code(q, _top(q, inner_row_q, padded), cols)
-            if len(ring) > 4:
-                faces[n, 0], faces[n, 1], faces[n, 2] = ph, qh, lattice + k
-                n += 1
-            elif i < 4 and i % 2 == 0:
-                s = ring[(i + 2) % 4]
-                sh = _code(s, _top(s, _beside(s, r0), padded) if wall else FLOOR, cols)
-                faces[n, 0], faces[n, 1], faces[n, 2] = ph, qh, sh
-                n += 1
-            if wall and not padded[outer_row + 1, outer_col + 1]:
-                n = _quad(faces, n, p0, q0, qh, ph)
-            if outer_row < 0 or outer_row >= rows or outer_col < 0 or outer_col >= cols:
-                pb, qb = _code(p, BOTTOM, cols), _code(q, BOTTOM, cols)
-                n = _quad(faces, n, pb, qb, q0, p0)
-                faces[n, 0], faces[n, 1], faces[n, 2] = qb, pb, lattice + len(rectangles)
-                n += 1
+        m = len(ring)
+        low, floor, top = np.empty(m, np.int64), np.empty(m, np.int64), np.empty(m, np.int64)
+        for i in range(m):
+            # At a corner the row of the rectangle's own cell; elsewhere there is no twin to choose.
+            row = ring[i, 0] if ring[i, 0] == r0 else ring[i, 0] - 1
+            low[i] = _code(ring[i], TWIN_BOTTOM if _twin(ring[i], row, kind, GROUND) else BOTTOM, cols)
+            floor[i] = _code(ring[i], FLOOR, cols)
+            top[i] = floor[i]
+            if is_wall[k]:
+                top[i] = _code(ring[i], TWIN_TOP if _twin(ring[i], row, kind, WALL) else TOP, cols)
+        n = _cap(faces, n, top, base - len(rectangles) + k)
+        if holed:
+            n = _cap(faces, n, low[::-1], base + 1 + k)
+        for i in range(m):
+            j = (i + 1) % m
+            beside = _beside(ring[i], ring[j], kind)
+            if is_wall[k] and beside != WALL:
+                n = _quad(faces, n, floor[i], floor[j], top[j], top[i])
+            if beside == VOID:
+                n = _quad(faces, n, low[i], low[j], floor[j], floor[i])
+                if not holed:
+                    faces[n, 0], faces[n, 1], faces[n, 2] = low[j], low[i], base
+                    n += 1
     return faces[:n].copy()
 
 
@@ -144,19 +145,35 @@ def _code(point, level, cols):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _beside(point, r0):  # type: ignore[no-untyped-def]
-    """Return the row of a rectangle's own cell at one of its corners."""
-    return point[0] if point[0] == r0 else point[0] - 1
+def _beside(p, q, kind):  # type: ignore[no-untyped-def]
+    """Return what lies on the outer (right) side of p -> q; `kind` begins one cell before the grid."""
+    if q[1] != p[1]:
+        return kind[p[0], p[1] + 1] if q[1] > p[1] else kind[p[0] + 1, p[1]]
+    return kind[p[0] + 1, p[1] + 1] if q[0] > p[0] else kind[p[0], p[1]]
 
 
 @njit(cache=True)
-def _top(point, inner_row, padded):  # type: ignore[no-untyped-def]
-    """Return a wall's upper level at a corner; of two that only touch there the northern has the twin."""
+def _twin(point, row, kind, least):  # type: ignore[no-untyped-def]
+    """Whether a body has the twin at a corner: of two that only touch there the northern one has it."""
     r, c = point[0] + 1, point[1] + 1
-    south_west, north_east = padded[r - 1, c - 1], padded[r, c]
-    south_east, north_west = padded[r - 1, c], padded[r, c - 1]
+    south_west, north_east = kind[r - 1, c - 1] >= least, kind[r, c] >= least
+    south_east, north_west = kind[r - 1, c] >= least, kind[r, c - 1] >= least
     touching = south_west == north_east and south_east == north_west and south_west != south_east
-    return TWIN_TOP if touching and inner_row == point[0] else TOP
+    return touching and row == point[0]
+
+
+@njit(cache=True)
+def _cap(faces, n, ring, middle):  # type: ignore[no-untyped-def]
+    """Fill a ring with triangles: two, or a fan around its middle."""
+    m = len(ring)
+    for i in range(m):
+        if m > 4:
+            faces[n, 0], faces[n, 1], faces[n, 2] = ring[i], ring[(i + 1) % m], middle
+            n += 1
+        elif i % 2 == 0:
+            faces[n, 0], faces[n, 1], faces[n, 2] = ring[i], ring[i + 1], ring[(i + 2) % m]
+            n += 1
+    return n
 
 
 @njit(cache=True)

@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 import math
-import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.bundled import SIZE, bundled_picture
 from lirs_wct.errors import ConfigError
+from lirs_wct.finish import Finish, checked_texture, finish_of
 from lirs_wct.formats.map_server import read_map, read_map_picture
 from lirs_wct.formats.world_json import read_fields, write_world
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.heightfield import HeightField
-from lirs_wct.image import read_height_field
 from lirs_wct.mesh import TriangleMesh
-from lirs_wct.occupancy import walls_of
+from lirs_wct.mesh_source import read_mesh_source
+from lirs_wct.occupancy import walls_of, without_speckles
 from lirs_wct.options import BuildOptions
 from lirs_wct.pose import Pose2
+from lirs_wct.simplify import simplified_solid
 from lirs_wct.solid import solid_mesh
-from lirs_wct.source import Source, SourceKind, find_source
+from lirs_wct.source import Source, SourceKind, find_source, warn_of_useless
+from lirs_wct.terrain_source import read_terrain, scale_in_words
 from lirs_wct.traversability import start_poses, traversable
 from lirs_wct.wall_solid import wall_mesh
 from lirs_wct.walls import WallGrid
@@ -44,26 +44,50 @@ class World:
 
     Attributes:
         name: fit for file names and Gazebo's URIs.
-        kind: `terrain` from a picture, `map` from a laser map.
+        kind: `terrain` from a picture, `map` from a laser map, `mesh` from a closed mesh.
         surface: the ground.
         walls: what stands on the ground of a laser map.
         truth: the input laser map.
         starts: poses where a robot as large as a Husky can be set down, the roomiest first.
         scale: where the metres come from, in words.
+        finish: how the mesh files are made.
+        solid: the true mesh of a world of kind `mesh`.
+        overhangs: whether that mesh is more than its heights from above say.
     """
 
     name: str
-    kind: Literal["terrain", "map"]
+    kind: Literal["terrain", "map", "mesh"]
     surface: HeightField
     walls: WallGrid | None = None
     truth: OccupancyGrid | None = None
     starts: tuple[Pose2, ...] = ()
     scale: str = "as given"
+    finish: Finish = field(default_factory=Finish)
+    solid: TriangleMesh | None = None
+    overhangs: bool = False
 
     @cached_property
     def mesh(self) -> TriangleMesh:
-        """The whole world as one closed solid: surface or floor with walls, skirt, base."""
-        return solid_mesh(self.surface) if self.walls is None else wall_mesh(self.walls)
+        """The whole world as one closed solid, within its budget: surface or floor with walls, skirt, base.
+
+        Raises:
+            ConfigError: a laser map or a mesh with overhangs has more triangles than the budget allows.
+        """
+        finish = self.finish
+        if self.walls is not None or self.overhangs:
+            exact = wall_mesh(self.walls) if self.walls is not None else self.solid
+            assert exact is not None
+            if finish.max_triangles is not None and len(exact.faces) > finish.max_triangles:
+                raise ConfigError(
+                    f"{self.name}: has {len(exact.faces)} triangles and is not simplified, "
+                    f"--max-triangles {finish.max_triangles} cannot be kept"
+                )
+            return exact
+        if finish.limited:
+            return simplified_solid(
+                self.surface, max_error=finish.max_error, max_triangles=finish.max_triangles
+            )
+        return self.solid or solid_mesh(self.surface)
 
     def traversable(self, *, clearance: float, max_slope: float, resolution: float = 0.1) -> OccupancyGrid:
         """Return a grid whose free cells are where a robot's centre may be (see `traversable`)."""
@@ -91,7 +115,7 @@ class World:
 
 
 def build_world(source: str | Path, options: BuildOptions | None = None) -> World:
-    """Make a world of a bundled name, a built folder, a picture or a laser map.
+    """Make a world of a bundled name, a built folder, a picture, a laser map or a mesh.
 
     Raises:
         SourceError: the source cannot be used.
@@ -99,36 +123,53 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
     """
     options = options or BuildOptions()
     found = find_source(source, options)
+    warn_of_useless(found, options)
+    world = _place(found, options)
+    texture = checked_texture(options.texture, options.max_pixels)
+    return replace(world, finish=finish_of(options, texture, world.finish))
+
+
+def _place(found: Source, options: BuildOptions) -> World:
     if found.kind is SourceKind.FOLDER:
-        world = World.load(found.path)
-        return world if options.name is None else replace(world, name=found.name)
+        return _loaded_world(found, options)
+    if found.kind is SourceKind.MESH:
+        return _mesh_world(found, options)
     if found.kind in (SourceKind.MAP, SourceKind.MAP_PICTURE):
         return _map_world(found, options)
     return _terrain_world(found, options)
 
 
+def _loaded_world(source: Source, options: BuildOptions) -> World:
+    world = World.load(source.path)
+    if options.name is not None:
+        world = replace(world, name=source.name)
+    if options.window is None:
+        return world
+    if world.walls is not None or world.overhangs:
+        raise ConfigError(f"{source.path}: --window cuts a built terrain only; give the world's own source")
+    surface = cut_surface(world.surface, options.window)
+    return _with_starts(replace(world, kind="terrain", surface=surface, solid=None))
+
+
 def _terrain_world(source: Source, options: BuildOptions) -> World:
-    if source.kind is SourceKind.BUNDLED:
-        surface = _bundled_surface(str(source.path), options)
-    else:
-        surface = read_height_field(source.path, options)
+    surface = read_terrain(source, options)
     if options.window is not None:
         surface = cut_surface(surface, options.window)
-    return _with_starts(World(source.name, "terrain", surface, scale=_scale(source, options)))
+    return _with_starts(World(source.name, "terrain", surface, scale=scale_in_words(source, options)))
 
 
-def _bundled_surface(name: str, options: BuildOptions) -> HeightField:
-    """Send a bundled picture down the way of every picture: through a file."""
-    picture = bundled_picture(name)
-    own = replace(
-        options,
-        size=options.size if options.size or options.pixel_size else SIZE,
-        height=options.height or picture.height,
+def _mesh_world(source: Source, options: BuildOptions) -> World:
+    read = read_mesh_source(source.path, options)
+    given = options.size or options.height or options.scale or options.z_scale
+    world = World(
+        source.name,
+        "terrain" if read.solid is None else "mesh",
+        read.surface,
+        scale="as given" if given else "the file's own",
+        solid=read.solid,
+        overhangs=read.overhangs and read.solid is not None,
     )
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"{name}.png"
-        cv2.imwrite(str(path), picture.pixels, [cv2.IMWRITE_PNG_COMPRESSION, 0])
-        return read_height_field(path, own)
+    return _with_starts(world)
 
 
 def _map_world(source: Source, options: BuildOptions) -> World:
@@ -140,7 +181,8 @@ def _map_world(source: Source, options: BuildOptions) -> World:
         truth = read_map_picture(source.path, options.resolution, options.origin, options.max_pixels)
     if options.window is not None:
         truth = cut_map(truth, options.window)
-    walls = walls_of(truth, options.wall_height)
+    truth = without_speckles(truth, options.speckle)
+    walls = walls_of(truth, options.wall_height, options.unknown)
     world = World(source.name, "map", _floor(walls), walls, truth, scale=f"{truth.resolution:g} m a cell")
     return _with_starts(world)
 
@@ -157,19 +199,9 @@ def _floor(walls: WallGrid) -> HeightField:
 def _with_starts(world: World) -> World:
     """Look for start poses; on a terrain of kilometres in its middle only: the search is by the decimetre."""
     place = world
-    if world.kind == "terrain" and max(world.surface.size) > START_AREA:
+    if world.kind != "map" and max(world.surface.size) > START_AREA:
         west, south, east, north = world.surface.bounds
         middle = ((west + east) / 2, (south + north) / 2, START_AREA)
         place = replace(world, surface=cut_surface(world.surface, middle))
     free = place.traversable(clearance=START_CLEARANCE, max_slope=START_SLOPE)
     return replace(world, starts=start_poses(free))
-
-
-def _scale(source: Source, options: BuildOptions) -> str:
-    if source.kind is SourceKind.BUNDLED:
-        return "as bundled" if not (options.size or options.pixel_size or options.height) else "as given"
-    given = (options.size or options.pixel_size) is not None, options.height is not None
-    return {
-        (True, True): "as given",
-        (False, False): "the file's own, else longer side 50 m, heights 6 m",
-    }.get(given, "as given, the rest the file's own or the default")

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats import flat_yaml
 from lirs_wct.formats.map_server import read_map, read_map_picture, write_map
 from lirs_wct.grid import OccupancyGrid
-from lirs_wct.occupancy import merged_boxes, walls_of
+from lirs_wct.occupancy import merged_boxes, walls_of, without_speckles
 from lirs_wct.pose import Pose2
 from lirs_wct.wall_solid import SLAB, wall_mesh
 from lirs_wct.walls import WallGrid
@@ -132,6 +132,76 @@ def test_the_solid_is_closed_and_has_the_volume_of_its_cells(solid: np.ndarray, 
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(0.25 * (solid.size * SLAB + solid.sum() * 2.0), rel=1e-9)
     assert (np.linalg.norm(mesh.face_normals, axis=1) > 0.5).all()
+
+
+kinds = hnp.arrays(np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9), elements=st.integers(0, 2))
+
+
+@given(kinds, st.floats(-3, 3))
+def test_holes_go_through_and_leave_the_solid_closed(kind: np.ndarray, yaw: float) -> None:
+    if not kind.any():
+        return
+    walls = WallGrid(kind == 2, 0.5, Pose2(1, 2, yaw), 2.0, kind == 0)
+    mesh = wall_mesh(walls)
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(0.25 * ((kind > 0).sum() * SLAB + (kind == 2).sum() * 2.0), rel=1e-9)
+    assert (np.linalg.norm(mesh.face_normals, axis=1) > 0.5).all()
+    below = mesh.face_normals[:, 2] < -0.5
+    tops = mesh.vertices[mesh.faces[below]][:, :, 2]
+    assert (tops == -SLAB).all()
+    level = np.abs(mesh.face_normals[:, 2]) > 0.5
+    centres = mesh.vertices[mesh.faces[level]].mean(axis=1)[:, :2]
+    col, row = np.floor(walls.origin.inverse().apply(centres) / 0.5).astype(int).T
+    assert (kind[row, col] > 0).all()
+
+
+def test_unknown_cells_are_floor_wall_or_hole() -> None:
+    p = np.array([[0.0, 1.0, np.nan], [np.nan, 0.5, 0.0]])
+    grid = OccupancyGrid.from_probability(p, 0.1)
+    assert walls_of(grid, 1.0).solid.tolist() == [[False, True, False], [False, False, False]]
+    assert walls_of(grid, 1.0).hole is None
+    assert walls_of(grid, 1.0, "wall").solid.tolist() == [[False, True, True], [True, False, False]]
+    holed = walls_of(grid, 1.0, "hole")
+    assert holed.hole is not None
+    assert holed.hole.tolist() == [[False, False, True], [True, False, False]]
+    assert holed.floor.tolist() == [[True, False, False], [False, True, True]]
+    with pytest.raises(ConfigError, match="floor, hole, wall"):
+        walls_of(grid, 1.0, "sea")  # type: ignore[arg-type]
+    nothing = OccupancyGrid.from_probability(np.full((2, 2), np.nan), 0.1)
+    with pytest.raises(ConfigError, match="every cell is a hole"):
+        walls_of(nothing, 1.0, "hole")
+
+
+def test_speckles_are_dropped_by_their_size() -> None:
+    p = np.zeros((9, 9))
+    p[0, 0] = p[1, 1] = p[2, 2] = 1.0  # three that touch at corners
+    p[5, 5:7] = p[8, 0] = 1.0
+    p[8, 8] = np.nan
+    grid = OccupancyGrid.from_probability(p, 0.1)
+    for least, left in ((0, 6), (1, 6), (2, 5), (3, 3), (4, 0)):
+        cleaned = without_speckles(grid, least)
+        assert cleaned.occupied.sum() == left, least
+        assert np.array_equal(cleaned.known, grid.known)
+        assert cleaned.free.sum() == 80 - left
+    assert without_speckles(grid, 3).occupied[1, 1]
+
+
+def test_flat_yaml_agrees_with_pyyaml(shared_data: Path) -> None:
+    yaml = pytest.importorskip("yaml", reason="PyYAML, the oracle, is not installed")
+    texts = [path.read_text() for path in sorted(shared_data.glob("maps/*/*.yaml"))]
+    texts += [
+        "image: 'a # b.pgm'  # it\norigin:\n- 1\n- -2.5\n- 0.3\nnegate: 0\n",
+        '---\nimage: "x y.png"\nresolution: 5.0e-2\norigin: [ -1.5,2 , .5 ]\nmode: scale\n',
+        "image: it's.pgm\nfree_thresh:   0.196\n\n# end\n",
+    ]
+    assert len(texts) > 12
+    for text in texts:
+        expected = yaml.safe_load(text)
+        ours = flat_yaml.parse(text)
+        assert list(ours) == list(expected)
+        for key, value in expected.items():
+            given = [float(v) for v in value] if isinstance(value, list) else value
+            assert ours[key] == (float(given) if isinstance(given, int | float) else given), (key, text)
 
 
 @pytest.mark.shared

@@ -49,7 +49,7 @@ def standing_pose(world: World, robot: Robot, start: Pose2) -> Pose3:
             f"({west:g}, {south:g}) to ({east:g}, {north:g})"
         )
     if world.walls is not None and _touches_wall(world.walls, start, robot.radius):
-        raise SimulationError(f"{where}: a wall is within {robot.radius:g} m")
+        raise SimulationError(f"{where}: a wall or a hole is within {robot.radius:g} m")
     x, y = _disc(start, robot.radius)
     z = world.surface.height_at(x, y)
     plane, *_ = np.linalg.lstsq(np.stack((x - start.x, y - start.y, np.ones_like(x)), axis=1), z)
@@ -80,13 +80,13 @@ def _disc(centre: Pose2, radius: float) -> tuple[Array, Array]:
 
 
 def _touches_wall(walls: WallGrid, start: Pose2, radius: float) -> bool:
-    """Whether a wall cell has a point within `radius`."""
+    """Whether a cell without floor to stand on has a point within `radius`."""
     x, y = walls.origin.inverse().apply((start.x, start.y)).tolist()
     rows, cols = walls.shape
     reach = np.array((-radius, radius)) / walls.resolution
     r0, r1 = np.clip(np.floor(y / walls.resolution + reach), 0, rows - 1).astype(int).tolist()
     c0, c1 = np.clip(np.floor(x / walls.resolution + reach), 0, cols - 1).astype(int).tolist()
-    solid = np.argwhere(walls.solid[r0 : r1 + 1, c0 : c1 + 1]) + np.array((r0, c0))
+    solid = np.argwhere(~walls.floor[r0 : r1 + 1, c0 : c1 + 1]) + np.array((r0, c0))
     low = solid * walls.resolution
     nearest = np.clip((y, x), low, low + walls.resolution)
     return bool((np.hypot(*(nearest - (y, x)).T) <= radius).any())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
-from dataclasses import astuple
+from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
+from lirs_wct.finish import Finish
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.heightfield import HeightField
+from lirs_wct.mesh import TriangleMesh
 from lirs_wct.pose import Pose2
 from lirs_wct.walls import WallGrid
 
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 JSON, ARRAYS = "world.json", "world.npz"
+TEXTURES = Path("materials") / "textures"
+"""Where Gazebo looks for a model's textures."""
 
 
 def write_world(world: World, folder: Path) -> Path:
@@ -44,9 +48,15 @@ def write_world(world: World, folder: Path) -> Path:
     if world.walls is not None:
         arrays["walls"] = world.walls.solid
         entry["walls"] = _grid_entry(world.walls) | {"height": world.walls.height}
+        if world.walls.hole is not None:
+            arrays["hole"] = world.walls.hole
     if world.truth is not None:
         arrays["truth"] = world.truth.log_odds
         entry["truth"] = _grid_entry(world.truth)
+    if world.solid is not None:
+        arrays |= {"vertices": world.solid.vertices, "faces": world.solid.faces}
+        entry["overhangs"] = world.overhangs
+    entry["finish"] = asdict(world.finish) | {"texture": _keep_texture(world, folder)}
     with atomic_write(folder / ARRAYS) as path:
         np.savez_compressed(path, allow_pickle=False, **arrays)
     with atomic_write(folder / JSON) as path:
@@ -72,14 +82,18 @@ def read_fields(folder: Path) -> dict[str, Any]:
                 arrays["surface"], _pair(entry["surface"]["cell"]), _pair(entry["surface"]["origin"])
             )
             walls, truth = entry.get("walls"), entry.get("truth")
+            hole = arrays.get("hole")
             return {
                 "name": entry["name"],
                 "kind": entry["kind"],
                 "surface": surface,
-                "walls": walls and WallGrid(arrays["walls"], *_placed(walls), walls["height"]),
+                "walls": walls and WallGrid(arrays["walls"], *_placed(walls), walls["height"], hole),
                 "truth": truth and OccupancyGrid(arrays["truth"], *_placed(truth)),
                 "starts": tuple(Pose2(*start) for start in entry["starts"]),
                 "scale": entry["scale"],
+                "finish": _finish(entry, folder),
+                "solid": TriangleMesh(arrays["vertices"], arrays["faces"]) if "faces" in arrays else None,
+                "overhangs": bool(entry.get("overhangs", False)),
             }
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         reason = (
@@ -88,6 +102,23 @@ def read_fields(folder: Path) -> dict[str, Any]:
             else f"{type(error).__name__}: {error}"
         )
         raise SourceError(f"{path}: not a built world, or damaged ({reason})") from error
+
+
+def _keep_texture(world: World, folder: Path) -> str | None:
+    """Copy the user's texture into the folder, under the world's name, and return where it lies in there."""
+    given = world.finish.texture
+    if given is None:
+        return None
+    kept = TEXTURES / f"{world.name}{given.suffix.lower()}"
+    with atomic_write(folder / kept) as path:
+        path.write_bytes(given.read_bytes())
+    return kept.as_posix()
+
+
+def _finish(entry: dict[str, Any], folder: Path) -> Finish:
+    given = entry.get("finish", {})
+    texture = given.get("texture")
+    return Finish(**given | {"texture": texture and folder / texture})
 
 
 def _grid_entry(grid: WallGrid | OccupancyGrid) -> dict[str, Any]:

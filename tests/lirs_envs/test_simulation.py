@@ -147,7 +147,7 @@ def test_start_against_a_wall_of_boxes(walled: World, husky: Robot, T_world_wall
     sim = Simulation(walled, husky)
     sim.reset(T_world_wall @ Pose2(2.35, 0.0))
     for x in (2.5, 3.05):
-        with pytest.raises(SimulationError, match="a wall is within"):
+        with pytest.raises(SimulationError, match="a wall or a hole is within"):
             sim.reset(T_world_wall @ Pose2(x, 0.0))
 
 
