@@ -126,7 +126,7 @@ class HectorMapper:
         self._received += 1
         if len(scan.hits) == 0 or self._builder.updates == 0:
             return None
-        weights = self._builder.weights(scan, expected.pose)
+        weights = self._builder.weights(self._builder.steepness(scan, expected.pose))
         self._estimate, match = self._registration.fit(
             self._builder.pyramid, scan.hits, weights, expected, before
         )
@@ -144,11 +144,11 @@ class HectorMapper:
     def _enter(self, scan: LevelledScan) -> None:
         """Make the scan a keyframe, and look again at all of them when it is time."""
         builder, pose = self._builder, self._estimate.pose
-        builder.enter(scan, pose)
+        steep = builder.enter(scan, pose)
         self._poses.add_keyframe(pose)
         if not scan.levelled:
             return
-        keyframe = Keyframe(scan, pose, builder.relief.height)
+        keyframe = Keyframe(scan, pose, builder.relief.height, self._reckoning.pose, steep)
         if self._second_look.note(keyframe, builder.relief.travelled):
             poses = self._second_look.look(builder, self._registration, self.config.motion)
             T_new_old = self._poses.move(poses)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lirs_wct.pose import Pose2
 from lirs_wct.trajectory import Trajectory
 from slam_baselines.levelling import LevelledScan
@@ -17,11 +20,15 @@ class Keyframe:
         scan: levelled.
         pose: `T_map_base`.
         height: of the base in the map frame, metres.
+        reckoned: pose by dead reckoning alone, in its own frame; None without odometry.
+        steep: (n,) what was ever proven of its hits, in steps of the relief.
     """
 
     scan: LevelledScan
     pose: Pose2
     height: float
+    reckoned: Pose2 | None
+    steep: NDArray[np.uint8]
 
 
 class KeyframeTrajectory:

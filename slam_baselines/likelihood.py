@@ -33,26 +33,13 @@ class Beams(NamedTuple):
     weights: Array
 
 
-@njit(cache=True)
-def _wall(view, row, col):
-    """Return patch and cell of a wall at a cell of the lattice; patch ABSENT if there is none."""
-    table, corner, patches = view.table, view.corner, view.patches
-    r, c = (row >> BITS) - corner[0], (col >> BITS) - corner[1]
-    if r < 0 or c < 0 or r >= table.shape[0] or c >= table.shape[1]:
-        return ABSENT, 0
-    p, cell = table[r, c], ((row & MASK) << BITS) | (col & MASK)
-    if p == ABSENT or patches.log_odds[p, cell] <= 0 or patches.steep[p, cell] < view.bound:
-        return ABSENT, 0
-    return p, cell
-
-
-@njit(cache=True)
-def _is_known(view, row, col):
-    table, corner, patches = view.table, view.corner, view.patches
-    r, c = (row >> BITS) - corner[0], (col >> BITS) - corner[1]
-    if r < 0 or c < 0 or r >= table.shape[0] or c >= table.shape[1] or table[r, c] == ABSENT:
-        return False
-    return patches.log_odds[table[r, c], ((row & MASK) << BITS) | (col & MASK)] != UNKNOWN
+# Inlined with plain arrays: handing tuples of arrays on for every cell would cost more than the work.
+@njit(cache=True, inline="always")
+def _cell(table, row0, col0, row, col):
+    """Return the patch (or ABSENT) and the cell in it at a cell of the lattice; corner at row0, col0."""
+    r, c = (row >> BITS) - row0, (col >> BITS) - col0
+    inside = 0 <= r < table.shape[0] and 0 <= c < table.shape[1]
+    return (table[r, c] if inside else ABSENT), ((row & MASK) << BITS) | (col & MASK)
 
 
 @njit(cache=True)
@@ -69,7 +56,9 @@ def log_likelihood(view, beams, pose, reach, lsigma):
         reach: cells looked at to each side of a beam's end.
         lsigma: square metres.
     """
-    points, weights, res, patches = beams.points, beams.weights, view.resolution, view.patches
+    points, weights, res, bound = beams.points, beams.weights, view.resolution, view.bound
+    table, top, left = view.table, view.corner[0], view.corner[1]
+    log_odds, mean, steep = view.patches.log_odds, view.patches.mean, view.patches.steep
     c, s = np.cos(pose[2]) / res, np.sin(pose[2]) / res
     x, y = pose[0] / res, pose[1] / res
     total = met = known = 0.0
@@ -81,18 +70,20 @@ def log_likelihood(view, beams, pose, reach, lsigma):
         nearest = np.inf
         for row in range(row0 - reach, row0 + reach + 1):
             for col in range(col0 - reach, col0 + reach + 1):
-                p, cell = _wall(view, row, col)
-                if p != ABSENT:
-                    du = col + patches.mean[p, cell, 0] / MEAN_STEPS - u
-                    dv = row + patches.mean[p, cell, 1] / MEAN_STEPS - v
+                p, cell = _cell(table, top, left, row, col)
+                if p != ABSENT and log_odds[p, cell] > 0 and steep[p, cell] >= bound:
+                    du = col + mean[p, cell, 0] / MEAN_STEPS - u
+                    dv = row + mean[p, cell, 1] / MEAN_STEPS - v
                     nearest = min(nearest, du * du + dv * dv)
         loss = min(NOTHING, nearest * res * res / lsigma)
         total -= weights[i] * loss
         if nearest < np.inf:
             met += weights[i]
             known += weights[i]
-        elif _is_known(view, row0, col0):
-            known += weights[i]
+        else:
+            p, cell = _cell(table, top, left, row0, col0)
+            if p != ABSENT and log_odds[p, cell] != UNKNOWN:
+                known += weights[i]
     return total, met, known
 
 
@@ -114,7 +105,9 @@ def linearise(view, beams, stride, pose, reach, width, H, g):
         H: filled.
         g: filled.
     """
-    points, weights, res, patches = beams.points, beams.weights, view.resolution, view.patches
+    points, weights, res, bound = beams.points, beams.weights, view.resolution, view.bound
+    table, top, left = view.table, view.corner[0], view.corner[1]
+    log_odds, mean, steep = view.patches.log_odds, view.patches.mean, view.patches.steep
     c, s = np.cos(pose[2]) / res, np.sin(pose[2]) / res
     x, y = pose[0] / res, pose[1] / res
     H[:] = 0
@@ -129,11 +122,11 @@ def linearise(view, beams, stride, pose, reach, width, H, g):
         w = su = sv = suu = suv = svv = 0.0
         for row in range(row0 - reach, row0 + reach + 1):
             for col in range(col0 - reach, col0 + reach + 1):
-                p, cell = _wall(view, row, col)
-                if p == ABSENT:
+                p, cell = _cell(table, top, left, row, col)
+                if p == ABSENT or log_odds[p, cell] <= 0 or steep[p, cell] < bound:
                     continue
-                du = col + patches.mean[p, cell, 0] / MEAN_STEPS - u
-                dv = row + patches.mean[p, cell, 1] / MEAN_STEPS - v
+                du = col + mean[p, cell, 0] / MEAN_STEPS - u
+                dv = row + mean[p, cell, 1] / MEAN_STEPS - v
                 a = np.exp(narrow * (du * du + dv * dv))
                 w += a
                 su += a * du

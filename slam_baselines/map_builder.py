@@ -17,6 +17,7 @@ from slam_baselines.relief import Relief, ReliefConfig
 from slam_baselines.scan_matching import MapPyramid
 
 Array = NDArray[np.float64]
+Steps = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,22 +78,17 @@ class MapBuilder:
             self.relief.move(Pose2() if self._last is None else self._last.inverse() @ pose, scan)
         self._last = pose
 
-    def weights(self, scan: LevelledScan, pose: Pose2, height: float | None = None) -> NDArray[np.float64]:
-        """Return (n,) 1 for hits on what is known to be a wall, 0 for those that may be ground.
-
-        The base is at `pose`, and at the present height unless another is given.
-        """
-        if self._bound == 0:
-            return np.ones(len(scan.hits))
-        return (self._proven(scan, pose, height)[3] >= self._bound).astype(np.float64)
-
-    def _proven(
-        self, scan: LevelledScan, pose: Pose2, height: float | None
-    ) -> tuple[Array, Array, Array, NDArray[np.uint8]]:
-        """Return origin, hits and free ends in the map frame, and the proven steepness of the hits."""
-        origin, hits, free = scan.placed(pose, self.relief.height if height is None else height)
+    def steepness(self, scan: LevelledScan, pose: Pose2, height: float | None = None) -> Steps:
+        """Return (n,) what is proven of the hits by now, of the base at `height` (None: the present one)."""
+        if self.flat:
+            return self.relief.unproven(len(scan.hits))
+        origin, hits, _ = scan.placed(pose, self.relief.height if height is None else height)
         now = self.relief.steepness(origin, hits, pose)
-        return origin, hits, free, np.maximum(now, self.pyramid.maps[-1].steepness(hits))
+        return np.maximum(now, self.pyramid.maps[-1].steepness(hits))
+
+    def weights(self, steep: Steps) -> Array:
+        """Return (n,) 1 for hits on what is known to be a wall, 0 for those that may be ground."""
+        return (steep >= self._bound).astype(np.float64)
 
     def due(self, scan: LevelledScan, pose: Pose2) -> bool:
         """Whether the robot has moved or leaned enough since the last update."""
@@ -106,8 +102,8 @@ class MapBuilder:
         turn = abs(wrap_angle(pose.yaw - before.yaw))
         return turn > c.map_update_angle_thresh or lean > c.map_update_tilt_thresh
 
-    def enter(self, scan: LevelledScan, pose: Pose2) -> None:
-        """Update the map with a scan taken at `pose`."""
+    def enter(self, scan: LevelledScan, pose: Pose2) -> Steps:
+        """Update the map with a scan taken at `pose`; return the proven steepness of its hits."""
         origin, hits, free = scan.placed(pose, self.relief.height)
         if scan.levelled:
             steep = self.relief.observe(origin, hits, free, pose)
@@ -120,12 +116,13 @@ class MapBuilder:
         self._draw(origin, hits, free, steep)
         self.updates += 1
         self._entered = pose, scan.ground_slope
+        return steep
 
-    def enter_again(self, scan: LevelledScan, pose: Pose2, height: float) -> None:
+    def enter_again(self, scan: LevelledScan, pose: Pose2, height: float, steep: Steps) -> None:
         """Update a restarted map with a scan that has entered the relief before."""
-        self._draw(*self._proven(scan, pose, height))
+        self._draw(*scan.placed(pose, height), steep)
 
-    def _draw(self, origin: Array, hits: Array, free: Array, steep: NDArray[np.uint8]) -> None:
+    def _draw(self, origin: Array, hits: Array, free: Array, steep: Steps) -> None:
         grew = [level.update(origin, hits, free, steep, self._bound) for level in self.pyramid.maps]
         if any(grew):
             self.pyramid.refresh()

@@ -108,11 +108,15 @@ class MotionConfig:
 
 
 class DeadReckoning:
-    """Turns absolute odometry and rates into the estimate to expect at the next scan."""
+    """Turns absolute odometry and rates into the estimate to expect at the next scan.
+
+    Attributes:
+        pose: the odometry last given, None without.
+    """
 
     def __init__(self, config: MotionConfig) -> None:
         self.config = config
-        self._odometry: Pose2 | None = None
+        self.pose: Pose2 | None = None
         self._rate: float | None = None
         self._stamp: float | None = None
 
@@ -125,7 +129,7 @@ class DeadReckoning:
             imu: reading at `stamp`.
             stamp: seconds.
         """
-        before, self._odometry = self._odometry, odometry
+        before, self.pose = self.pose, odometry
         rate, self._rate = self._rate, None if imu is None else yaw_rate(imu)
         then, self._stamp = self._stamp, stamp
         if then is None:

@@ -205,10 +205,8 @@ def _list_free(patches: Patches) -> None:
 
 @njit(cache=True)
 def _own(table, patches, row, col):
-    """Return the patch at a place of a table, fit to be written: new or copied if need be."""
+    """Put a patch of its own, new or copied, at a place of a table; return which."""
     p = table[row, col]
-    if p != ABSENT and patches.owners[p] == 1:
-        return p
     patches.free[0] -= 1
     q = patches.free[1 + patches.free[0]]
     if p == ABSENT:
@@ -258,7 +256,10 @@ def _enter_scans(
 def _hit(table, corner, patches, touched, window, u, v, z, steep, steps):
     """Raise the cell where a beam ends (u, v in cells), once a scan, and move its mean."""
     row, col = int(np.floor(v)), int(np.floor(u))
-    p = _own(table, patches, (row >> BITS) - corner[0], (col >> BITS) - corner[1])
+    r, c = (row >> BITS) - corner[0], (col >> BITS) - corner[1]
+    p = table[r, c]
+    if p == ABSENT or patches.owners[p] != 1:
+        p = _own(table, patches, r, c)
     cell = ((row & MASK) << BITS) | (col & MASK)
     n = min(patches.hits[p, cell] + 1, MEAN_MEMORY)
     patches.hits[p, cell] = n
@@ -279,23 +280,29 @@ def _pass(table, corner, patches, touched, window, start, u, v, z, to_end, bound
 
     A beam that passes above where a proven wall was hit says nothing about the wall.
     """
+    log_odds, steep, tops, owners = patches.log_odds, patches.steep, patches.top, patches.owners
+    top, left, row0, col0 = corner[0], corner[1], window[0], window[1]
+    x0, y0, z0, miss, most = start[0], start[1], start[2], steps[0], steps[2]
     n = int(max(abs(u - start[0]), abs(v - start[1]))) + 1
     du, dv, dz = (u - start[0]) / n, (v - start[1]) / n, (z - start[2]) / n
     last_row, last_col = int(np.floor(v)), int(np.floor(u))
     for i in range(n + 1 if to_end else n - 1):
-        row, col = int(np.floor(start[1] + i * dv)), int(np.floor(start[0] + i * du))
+        row, col = int(np.floor(y0 + i * dv)), int(np.floor(x0 + i * du))
         if row == last_row and col == last_col and not to_end:
             break
-        if touched[row - window[0], col - window[1]]:
+        if touched[row - row0, col - col0]:
             continue
-        touched[row - window[0], col - window[1]] = 1
-        p = _own(table, patches, (row >> BITS) - corner[0], (col >> BITS) - corner[1])
+        touched[row - row0, col - col0] = 1
+        r, c = (row >> BITS) - top, (col >> BITS) - left
+        p = table[r, c]
+        if p == ABSENT or owners[p] != 1:
+            p = _own(table, patches, r, c)
         cell = ((row & MASK) << BITS) | (col & MASK)
-        before = patches.log_odds[p, cell]
-        height = (start[2] + i * dz) / TOP_STEP
-        if before > 0 and 0 < bound <= patches.steep[p, cell] and height > patches.top[p, cell] + 10:
-            continue
-        patches.log_odds[p, cell] = max(-steps[2], (0 if before == UNKNOWN else before) + steps[0])
+        before = log_odds[p, cell]
+        if before > 0 and 0 < bound <= steep[p, cell]:
+            if (z0 + i * dz) / TOP_STEP > tops[p, cell] + 10:
+                continue
+        log_odds[p, cell] = max(-most, (0 if before == UNKNOWN else before) + miss)
 
 
 @njit(cache=True)

@@ -58,7 +58,7 @@ class ReliefConfig:
     attitude_error: float = math.radians(0.15)
     height_error: float = 0.01
     confidence: float = 3.0
-    drift: float = 0.003
+    drift: float = 0.0015
     base_height: float = 0.13
     footprint: float = 0.3
     flat_tilt: float = math.radians(0.6)

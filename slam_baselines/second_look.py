@@ -7,7 +7,7 @@ metres most of what the first scans saw is proven, and then they fit to each oth
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -65,19 +65,28 @@ class SecondLook:
         self.looks += 1
         self._next *= 2
         builder.restart()
-        last = self._keyframes[0]
-        estimate, poses, moved = Estimate(last.pose, np.zeros((3, 3))), [last.pose], []
-        builder.enter_again(last.scan, last.pose, last.height)
-        for frame in self._keyframes[1:]:
-            delta, before = last.pose.inverse() @ frame.pose, estimate.pose
-            expected = motion.predict(estimate, delta, frame.scan.stamp - last.scan.stamp, delta.yaw)
-            weights = builder.weights(frame.scan, expected.pose, frame.height)
-            estimate, _ = registration.fit(builder.pyramid, frame.scan.hits, weights, expected, before)
-            builder.enter_again(frame.scan, estimate.pose, frame.height)
-            poses.append(estimate.pose)
-            last = frame
-        self._keyframes = [
-            Keyframe(frame.scan, pose, frame.height)
-            for frame, pose in zip(self._keyframes, poses, strict=True)
-        ]
-        return poses
+        estimate, before = Estimate(self._keyframes[0].pose, np.zeros((3, 3))), None
+        frames: list[Keyframe] = []
+        for frame in self._keyframes:
+            last = estimate.pose
+            if before is not None:
+                estimate = _expected(estimate, before, frame, motion)
+            steep = np.maximum(frame.steep, builder.steepness(frame.scan, estimate.pose, frame.height))
+            if before is not None:
+                weights = builder.weights(steep)
+                estimate, _ = registration.fit(builder.pyramid, frame.scan.hits, weights, estimate, last)
+            builder.enter_again(frame.scan, estimate.pose, frame.height, steep)
+            frames.append(replace(frame, pose=estimate.pose, steep=steep))
+            before = frame
+        self._keyframes = frames
+        return [frame.pose for frame in frames]
+
+
+def _expected(estimate: Estimate, before: Keyframe, now: Keyframe, motion: MotionConfig) -> Estimate:
+    """Go from one keyframe to the next by dead reckoning; without odometry as the first look found it."""
+    seconds = now.scan.stamp - before.scan.stamp
+    if before.reckoned is None or now.reckoned is None:
+        delta = before.pose.inverse() @ now.pose
+        return motion.predict(estimate, delta, seconds)
+    delta = before.reckoned.inverse() @ now.reckoned
+    return motion.predict(estimate, delta, seconds, delta.yaw)
