@@ -16,6 +16,7 @@ from lirs_envs.simulation import Simulation
 from lirs_validation.drivers import CoverageDriver, plan_coverage
 from lirs_validation.judge import Maps, judge_collisions, judge_maps, judge_rtf, judge_trajectory
 from lirs_validation.loop import DriveLog, drive
+from lirs_validation.pace import driver_config
 from lirs_validation.record import RunConfig, RunRecord, machine, versions
 from lirs_validation.results import write_results
 from lirs_wct.errors import ConfigError
@@ -143,7 +144,8 @@ def plan(world: World, robot: Robot, config: RunConfig) -> CoverageDriver:
         )
     start = starts[(config.seed - 1) % len(starts)]
     rng = np.random.default_rng((config.seed, PLAN_STREAM))
-    return plan_coverage(free, start, seconds=config.seconds, rng=rng, surface=world.surface)
+    pace = driver_config(robot)
+    return plan_coverage(free, start, seconds=config.seconds, rng=rng, config=pace, surface=world.surface)
 
 
 def warm_up(stage: Stage, robot: Robot) -> float:

@@ -55,7 +55,9 @@ class RobotModel:
         self._angles = [int(self.model.joint(name).qposadr[0]) for name in wheels]
         bodies = {int(self.model.joint(name).bodyid[0]) for name in wheels}
         self.wheel_geoms = frozenset(
-            g for g in range(self.model.ngeom) if int(self.model.geom_bodyid[g]) in bodies
+            g
+            for g in range(self.model.ngeom)
+            if int(self.model.geom_bodyid[g]) in bodies or self.model.geom(g).name.endswith("caster")
         )
         self._force = self.data.sensor("accelerometer").data
         # Views into the data, made once: making one costs as much as reading it.
