@@ -39,7 +39,7 @@ def main() -> None:
         for source in given.sources
         for seed in range(int(first), int(last or first) + 1)
     ]
-    Console().print(table(rows))
+    Console(width=170).print(table(rows))
     if given.json:
         given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 

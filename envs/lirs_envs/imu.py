@@ -17,6 +17,10 @@ from lirs_wct.scan import Imu
 Vector = tuple[float, float, float]
 
 
+RATE_BLOCK = 256
+"""Readings of the gyro whose noise is drawn at once."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ImuConfig:
     """Noise of an inertial unit; standard deviations.
@@ -61,10 +65,15 @@ class ImuSensor:
         self._rate_bias = bias[:3] * config.rate_bias
         self._acceleration_bias = bias[3:6] * config.acceleration_bias
         self._attitude_bias = bias[6:] * config.attitude_bias
+        self._rate_errors: list[list[float]] = []
 
     def rates(self, true_rates: Vector) -> Vector:
         """Return the measured rates about x, y, z of the base, rad/s."""
-        x, y, z = (self._rate_bias + self.config.rate_sigma * self._rng.standard_normal(3)).tolist()
+        if not self._rate_errors:
+            # Drawn in blocks: one small array a reading would cost more than the rest of the reading.
+            noise = self._rng.standard_normal((RATE_BLOCK, 3))
+            self._rate_errors = (self._rate_bias + self.config.rate_sigma * noise).tolist()
+        x, y, z = self._rate_errors.pop()
         return true_rates[0] + x, true_rates[1] + y, true_rates[2] + z
 
     def read(
