@@ -5,15 +5,14 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from functools import wraps
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-import typer
-
-from lirs_wct.errors import ConfigError
-from lirs_wct.options import BuildOptions
+from lirs_validation import option_words as word
+from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.options import DENOISE_METHODS, UNKNOWN, BuildOptions
 from lirs_wct.pose import Pose2
 
-TERRAIN, MAP = "Terrain pictures", "Laser maps"
+_DEFAULT = BuildOptions()
 
 
 def numbers(text: str, option: str, form: str, counts: tuple[int, ...]) -> tuple[float, ...]:
@@ -31,66 +30,58 @@ def numbers(text: str, option: str, form: str, counts: tuple[int, ...]) -> tuple
     return values
 
 
+def pixels(text: str, option: str, form: str, count: int) -> tuple[int, ...]:
+    """Return the comma-separated whole numbers of an option (see `numbers`)."""
+    values = numbers(text, option, form, (count,))
+    if any(not value.is_integer() for value in values):
+        raise ConfigError(f"{option} must be {form}, got {text!r}")
+    return tuple(int(value) for value in values)
+
+
 def build_options(
-    name: Annotated[str | None, typer.Option(help="Name of the world; default: the file's.")] = None,
-    kind: Annotated[
-        str | None,
-        typer.Option("--as", metavar="picture|map", help="Read a picture as terrain or as laser map."),
-    ] = None,
-    size: Annotated[
-        str | None,
-        typer.Option(
-            metavar="W[,H]",
-            help="Extent in metres: longer side, or width and height. Default 50, or the GeoTIFF's own.",
-            rich_help_panel=TERRAIN,
-        ),
-    ] = None,
-    pixel_size: Annotated[
-        float | None, typer.Option(help="Metres a pixel, instead of --size.", rich_help_panel=TERRAIN)
-    ] = None,
-    height: Annotated[
-        float | None,
-        typer.Option(
-            help="Metres from the darkest to the brightest pixel. Default 6, or the GeoTIFF's own.",
-            rich_help_panel=TERRAIN,
-        ),
-    ] = None,
-    grayscale: Annotated[
-        bool, typer.Option("--grayscale", help="Turn a colour picture into gray.", rich_help_panel=TERRAIN)
-    ] = False,
-    invert: Annotated[
-        bool, typer.Option("--invert", help="Black is high, white is low.", rich_help_panel=TERRAIN)
-    ] = False,
-    window: Annotated[
-        str | None,
-        typer.Option(metavar="X,Y,SIDE", help="Keep only this square of the world, metres."),
-    ] = None,
-    max_pixels: Annotated[
-        int, typer.Option(help="Refuse larger pictures before decoding them.")
-    ] = BuildOptions().max_pixels,
-    resolution: Annotated[
-        float | None,
-        typer.Option(help="Metres a cell, for a map picture without YAML.", rich_help_panel=MAP),
-    ] = None,
-    origin: Annotated[
-        str | None,
-        typer.Option(metavar="X,Y,YAW", help="Pose of such a map's lower-left corner.", rich_help_panel=MAP),
-    ] = None,
-    wall_height: Annotated[
-        float, typer.Option(help="Metres that walls stand high.", rich_help_panel=MAP)
-    ] = BuildOptions().wall_height,
+    name: word.Name = None,
+    kind: word.Kind = None,
+    window: word.Window = None,
+    max_pixels: word.MaxPixels = _DEFAULT.max_pixels,
+    size: word.Size = None,
+    pixel_size: word.PixelSize = None,
+    height: word.Height = None,
+    z_scale: word.ZScale = None,
+    scale: word.Scale = None,
+    grayscale: word.Grayscale = False,
+    invert: word.Invert = False,
+    crop: word.Crop = None,
+    resize: word.Resize = None,
+    deterrace: word.Deterrace = False,
+    denoise: word.Denoise = False,
+    denoise_method: word.DenoiseMethod = None,
+    smoothing: word.Smoothing = None,
+    sharpness: word.Sharpness = None,
+    resolution: word.Resolution = None,
+    origin: word.Origin = None,
+    wall_height: word.WallHeight = _DEFAULT.wall_height,
+    unknown: word.Unknown = _DEFAULT.unknown,
+    speckle: word.Speckle = _DEFAULT.speckle,
+    max_error: word.MaxError = None,
+    max_triangles: word.MaxTriangles = None,
+    rotate_x: word.RotateX = _DEFAULT.rotate_x,
+    texture: word.Texture = None,
+    texture_size: word.TextureSize = None,
 ) -> BuildOptions:
     """Read the options of the command line.
 
     Raises:
-        ConfigError: a value is not legal.
+        ConfigError: a value is not legal, or two options contradict.
     """
     wide = size and numbers(size, "--size", "W or W,H in metres", (1, 2))
     square = window and numbers(window, "--window", "X,Y,SIDE in metres", (3,))
     pose = origin and numbers(origin, "--origin", "X,Y or X,Y,YAW in metres and radians", (2, 3))
+    factors = scale and numbers(scale, "--scale", "S or SX,SY,SZ", (1, 3))
+    frame = crop and pixels(crop, "--crop", "X,Y,W,H in whole pixels", 4)
+    sides = resize and pixels(resize, "--resize", "W,H in whole pixels", 2)
     return BuildOptions(
         name=name,
-        kind=_kind(kind),
+        kind=_choice(kind, "--as", ("picture", "map")) if kind else None,
         size=(wide[0] if len(wide) == 1 else (wide[0], wide[1])) if wide else None,
         pixel_size=pixel_size,
         height=height,
@@ -98,10 +89,35 @@ def build_options(
         invert=invert,
         window=(square[0], square[1], square[2]) if square else None,
         max_pixels=max_pixels,
+        crop=(frame[0], frame[1], frame[2], frame[3]) if frame else None,
+        resize=(sides[0], sides[1]) if sides else None,
+        deterrace=deterrace,
+        denoise=_denoise(denoise, denoise_method),
+        smoothing=smoothing,
+        sharpness=sharpness,
+        z_scale=z_scale,
+        scale=(factors[0], factors[len(factors) // 2], factors[-1]) if factors else None,
         resolution=resolution,
         origin=Pose2(*pose) if pose else None,
         wall_height=wall_height,
+        unknown=_choice(unknown, "--unknown", UNKNOWN),
+        speckle=speckle,
+        rotate_x=rotate_x,
+        max_error=max_error,
+        max_triangles=max_triangles,
+        texture=texture,
+        texture_size=texture_size,
     )
+
+
+def gazebo_terrain(given: str) -> Literal["solid", "heightmap"]:
+    """Return what Gazebo's model is to be.
+
+    Raises:
+        ConfigError: it is neither.
+    """
+    terrain: Literal["solid", "heightmap"] = _choice(given, "--terrain", ("solid", "heightmap"))
+    return terrain
 
 
 def with_build_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -120,13 +136,21 @@ def with_build_options(command: Callable[..., Any]) -> Callable[..., Any]:
     keywords = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in parameters]
     wrapped.__signature__ = inspect.Signature(keywords)  # type: ignore[attr-defined]
     wrapped.__annotations__ = {p.name: p.annotation for p in keywords}
-    del wrapped.__wrapped__  # type: ignore[attr-defined]
+    del wrapped.__wrapped__
     return wrapped
 
 
-def _kind(given: str | None) -> Literal["picture", "map"] | None:
-    match given:
-        case None | "picture" | "map":
-            return given
-        case _:
-            raise ConfigError(f"--as must be picture or map, got {given!r}")
+def _choice(given: str, option: str, legal: tuple[Any, ...]) -> Any:
+    if given not in legal:
+        words = " or ".join((", ".join(legal[:-1]), legal[-1]))
+        raise ConfigError(f"{option} must be {words}, got {given!r}")
+    return given
+
+
+def _denoise(wanted: bool, method: str | None) -> Literal["median", "bilateral"] | None:
+    """Return the method; naming one asks for it."""
+    if method is not None and method not in DENOISE_METHODS:
+        raise unknown_name("--denoise-method", method, DENOISE_METHODS)
+    if method == "bilateral":
+        return "bilateral"
+    return "median" if wanted or method else None

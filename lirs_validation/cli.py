@@ -1,4 +1,4 @@
-"""The command line: `lirs-wct build | validate | view`."""
+"""The command line: `lirs-wct build | validate | view | info | convert`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import typer
 from rich.console import Console
 from typer.exceptions import TyperException
 
-from lirs_validation.build_options import with_build_options
+from lirs_validation.build_options import gazebo_terrain, with_build_options
+from lirs_validation.option_words import RotateX
 from lirs_wct.errors import WctError
 from lirs_wct.options import BuildOptions
 
@@ -19,18 +20,20 @@ RUN_FAILED, BAD_INPUT, INTERRUPTED = 3, 2, 130
 
 if TYPE_CHECKING:
     from lirs_validation.run import Run
+    from lirs_wct.world import World
 
 app = typer.Typer(
     name="lirs-wct",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    help="Turn a picture or a laser map into a world, drive it with SLAM running, judge the result.",
+    help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, judge the result.",
 )
 out, err = Console(), Console(stderr=True)
 
 Sources = Annotated[
-    list[str], typer.Argument(help="simple, medium, advanced, a picture, a map YAML or a built folder.")
+    list[str],
+    typer.Argument(help="simple, medium, advanced, a picture, a map YAML, a mesh or a built folder."),
 ]
 Source = Annotated[str, typer.Argument(help=Sources.__metadata__[0].help)]
 
@@ -42,6 +45,16 @@ def build(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the world's folder.")] = Path(
         "worlds"
     ),
+    to: Annotated[
+        str, typer.Option(metavar="F,F,...", help="What to write: dae, stl, sdf, mjcf, obj, hfield.")
+    ] = "dae,stl,sdf,mjcf",
+    terrain: Annotated[
+        str,
+        typer.Option(
+            metavar="solid|heightmap",
+            help="Gazebo's model: the solid mesh, or a heightmap (square, 2^n + 1 px, 8 bit).",
+        ),
+    ] = "solid",
     *,
     options: BuildOptions,
 ) -> None:
@@ -49,9 +62,16 @@ def build(
     from lirs_wct.package import write_package
     from lirs_wct.world import build_world
 
-    with err.status(f"building {source}"):
+    formats = [word.strip() for word in to.split(",") if word.strip()]
+    with err.status(f"building {source}") as status:
         world = build_world(source, options)
-        folder = write_package(world, output)
+        folder = write_package(
+            world,
+            output,
+            formats=formats,
+            terrain=gazebo_terrain(terrain),
+            report=lambda name: status.update(f"{source}: writing {name}"),
+        )
     width, depth = world.surface.size
     out.print(f"{folder}: {world.kind}, {width:g} x {depth:g} m, relief {world.surface.relief:.2f} m")
 
@@ -105,14 +125,59 @@ def view(
     options: BuildOptions,
 ) -> None:
     """Draw a picture of any source: hillshade, walls, start poses. No OpenGL needed."""
-    from lirs_validation.report.view import view_figure
-    from lirs_wct.files import atomic_write
     from lirs_wct.world import build_world
 
-    world = build_world(source, options)
-    target = output or Path(f"{world.name}-view.png")
+    with err.status(f"drawing {source}"):
+        world = build_world(source, options)
+    _draw(world, output or Path(f"{world.name}-view.png"))
+
+
+@app.command()
+@with_build_options
+def info(
+    source: Source,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="PNG to write; default: no picture.")
+    ] = None,
+    *,
+    options: BuildOptions,
+) -> None:
+    """Say what a source is: size, heights, slopes, where robots can drive, triangles, error."""
+    from lirs_validation.info import facts_table, world_facts
+    from lirs_wct.world import build_world
+
+    with err.status(f"measuring {source}"):
+        world = build_world(source, options)
+        facts = world_facts(world)
+    out.print(facts_table(world, facts))
+    if output is None:
+        out.print("with -o FILE.png it is drawn as well")
+    else:
+        _draw(world, output)
+
+
+@app.command()
+def convert(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="Mesh: stl, dae, obj, ply, glb.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="Mesh in another of these formats.")],
+    rotate_x: RotateX = 0.0,
+) -> None:
+    """Convert a mesh between stl, dae, obj, ply and glb; up stays up."""
+    from lirs_wct.formats.mesh_file import read_upright, write_mesh
+
+    with err.status(f"converting {source}"):
+        mesh = read_upright(source)
+        write_mesh(target, mesh.rotated_x(rotate_x) if rotate_x else mesh)
+    closed = "watertight" if mesh.is_watertight else "not watertight"
+    out.print(f"{target}: {len(mesh.faces)} triangles, {closed}", soft_wrap=True, highlight=False)
+
+
+def _draw(world: World, target: Path) -> None:
+    from lirs_validation.report.view import view_figure
+    from lirs_wct.files import atomic_write
+
     with atomic_write(target) as path:
-        view_figure(world).savefig(path)
+        view_figure(world).savefig(path, format="png")
     out.print(f"{target}", soft_wrap=True, highlight=False)
 
 

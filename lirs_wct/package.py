@@ -2,52 +2,144 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from pathlib import Path
+from typing import Literal
 
 import cv2
 
-from lirs_wct.errors import OutputError
+from lirs_wct.errors import ConfigError, OutputError, unknown_name
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.collada import write_collada
+from lirs_wct.formats.heightmap import heightmap_sdf, write_heightmap
+from lirs_wct.formats.obj import write_obj
 from lirs_wct.formats.sdf import model_config, model_sdf, world_sdf
-from lirs_wct.formats.stl import write_stl
-from lirs_wct.mjcf import write_mjcf
+from lirs_wct.formats.stl import write_stl, write_triangles
+from lirs_wct.formats.world_json import TEXTURES
+from lirs_wct.mesh import TriangleMesh
+from lirs_wct.mjcf import hfield_bytes, write_mjcf
 from lirs_wct.shade import ground_texture
+from lirs_wct.solid import solid_triangles
+from lirs_wct.texture import cube_uv
 from lirs_wct.world import World
 
-TEXTURES = Path("materials") / "textures"
+FORMATS = ("dae", "stl", "sdf", "mjcf", "obj", "hfield")
+"""What a package can hold beside `world.json`."""
+DEFAULT_FORMATS = FORMATS[:4]
+LARGE = 1_000_000
+"""Nodes of a surface above which an STL of the full grid is written without making its mesh."""
+
+GazeboTerrain = Literal["solid", "heightmap"]
+Report = Callable[[str], None]
+"""Called with what is being written."""
 
 
-def write_package(world: World, parent: str | Path) -> Path:
+def write_package(
+    world: World,
+    parent: str | Path,
+    *,
+    formats: Collection[str] = DEFAULT_FORMATS,
+    terrain: GazeboTerrain = "solid",
+    report: Report | None = None,
+) -> Path:
     """Write `parent/NAME/`, whole or not at all, and return it.
 
+    Args:
+        world: to be written.
+        parent: folder for the world's folder.
+        formats: of `FORMATS`.
+        terrain: what Gazebo's model is: the solid mesh, or a heightmap (8 bit, as the paper compares with).
+        report: called with each file's name.
+
     Raises:
+        ConfigError: no such format, or the world cannot be written in it.
         OutputError: the folder cannot be written, or holds something that is not a built world.
     """
     folder = Path(parent) / world.name
+    _check(world, formats, terrain)
     if folder.is_dir() and any(folder.iterdir()) and not (folder / "world.json").is_file():
         raise OutputError(
             f"{folder}: holds files that are not a built world; choose another folder or --name"
         )
+    tell = report or (lambda name: None)
     with atomic_folder(folder) as temporary:
-        texture = write_texture(world, temporary)
-        (temporary / "meshes").mkdir()
-        write_stl(temporary / "meshes" / f"{world.name}.stl", world.mesh)
-        write_collada(temporary / "meshes" / f"{world.name}.dae", world.mesh, f"../{texture.as_posix()}")
-        for file, text in (
-            ("model.config", model_config(world.name)),
-            ("model.sdf", model_sdf(world.name)),
-            (f"{world.name}.world", world_sdf(world.name)),
-        ):
-            (temporary / file).write_text(text, encoding="utf-8")
-        write_mjcf(world, temporary)
+        tell("world.json")
         world.save(temporary)
+        _write_meshes(world, temporary, formats, tell)
+        if "sdf" in formats:
+            tell("model.sdf")
+            _write_model(world, temporary, formats, terrain)
+        if "mjcf" in formats:
+            tell(f"{world.name}.xml")
+            write_mjcf(world, temporary)
+        if "hfield" in formats:
+            (temporary / f"{world.name}.hfield").write_bytes(hfield_bytes(world.surface))
     return folder
 
 
+def _check(world: World, formats: Collection[str], terrain: str) -> None:
+    for wanted in formats:
+        if wanted not in FORMATS:
+            raise unknown_name("format", wanted, FORMATS)
+    if not formats:
+        raise ConfigError(f"nothing to write; legal: {', '.join(FORMATS)}")
+    if terrain not in ("solid", "heightmap"):
+        raise unknown_name("terrain for Gazebo", terrain, ("solid", "heightmap"))
+    if terrain == "heightmap" and (world.walls is not None or world.overhangs):
+        raise ConfigError(f"{world.name}: a heightmap cannot hold upright walls or overhangs; take solid")
+    if "sdf" in formats and terrain == "solid" and not {"dae", "stl"} & set(formats):
+        raise ConfigError("sdf shows a mesh: ask for dae or stl as well, or for --terrain heightmap")
+
+
+def _write_meshes(world: World, folder: Path, formats: Collection[str], tell: Report) -> None:
+    finish, meshes = world.finish, folder / "meshes"
+    paths = {kind: meshes / f"{world.name}.{kind}" for kind in ("stl", "dae", "obj")}
+    if "stl" in formats:
+        tell(paths["stl"].name)
+        plain = world.kind == "terrain" and not finish.limited and finish.rotate_x == 0
+        if plain and world.surface.z.size > LARGE and not {"dae", "obj"} & set(formats):
+            write_triangles(paths["stl"], *solid_triangles(world.surface))
+        else:
+            write_stl(paths["stl"], _turned(world.mesh, finish.rotate_x))
+    if not {"dae", "obj"} & set(formats):
+        return
+    texture = f"../{write_texture(world, folder).as_posix()}"
+    dressed = _turned(cube_uv(world.mesh, finish.texture_size), finish.rotate_x)
+    if "dae" in formats:
+        tell(paths["dae"].name)
+        write_collada(paths["dae"], dressed, texture)
+    if "obj" in formats:
+        tell(paths["obj"].name)
+        write_obj(paths["obj"], dressed, texture)
+
+
+def _turned(mesh: TriangleMesh, degrees: float) -> TriangleMesh:
+    return mesh if degrees == 0 else mesh.rotated_x(degrees)
+
+
+def _write_model(world: World, folder: Path, formats: Collection[str], terrain: GazeboTerrain) -> None:
+    name = world.name
+    if terrain == "heightmap":
+        picture = TEXTURES / f"{name}-heights.png"
+        write_heightmap(folder / picture, world.surface)
+        texture = write_texture(world, folder)
+        model = heightmap_sdf(name, world.surface, picture.as_posix(), texture.as_posix())
+    else:
+        model = model_sdf(name, mesh=f"meshes/{name}.{'dae' if 'dae' in formats else 'stl'}")
+    for file, text in (
+        ("model.config", model_config(name)),
+        ("model.sdf", model),
+        (f"{name}.world", world_sdf(name)),
+    ):
+        (folder / file).write_text(text, encoding="utf-8")
+
+
 def write_texture(world: World, folder: Path) -> Path:
-    """Write the world's texture into a package and return its path inside."""
+    """Write the world's texture into a package, unless `World.save` did, and return its path inside."""
+    given = world.finish.texture
+    if given is not None:
+        return TEXTURES / f"{world.name}{given.suffix.lower()}"
     path = TEXTURES / f"{world.name}.png"
-    (folder / TEXTURES).mkdir(parents=True)
+    (folder / TEXTURES).mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(folder / path), ground_texture(world.surface, world.walls))
     return path

@@ -42,7 +42,7 @@ BAD = {
     "all NaN": (("build", "nan.tif"), "nan.tif: "),
     "no image": (("build", "lost.yaml"), "lost.yaml: "),
     "no robot": (("validate", "simple", "--robot", "huksy"), "unknown robot 'huksy'; legal: husky"),
-    "no mapper": (("validate", "simple", "--mapper", "slam"), "unknown mapper 'slam'; legal: hector"),
+    "no mapper": (("validate", "simple", "--mapper", "slam"), "unknown mapper 'slam'; legal: "),
     "no lidar": (("validate", "simple", "--lidar", "sick"), "lms111"),
     "no world": (("validate", "smple"), "simple, medium, advanced"),
     "no seconds": (

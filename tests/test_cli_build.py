@@ -1,0 +1,271 @@
+"""Every option of `build` at the command line does what it says; `info` and `convert`."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from lirs_validation import cli
+from lirs_wct import World
+from lirs_wct.formats.mesh_file import SUFFIXES, read_upright
+from lirs_wct.heightfield import HeightField
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with a smooth picture, a map and a picture for a texture."""
+    z = cv2.GaussianBlur(np.random.default_rng(4).random((48, 64)).astype(np.float32), (0, 0), 4)
+    z = (z - z.min()) / np.ptp(z)
+    cv2.imwrite(str(tmp_path / "hill.png"), np.rint(z * 65535).astype(np.uint16))
+    cv2.imwrite(str(tmp_path / "stairs.png"), np.rint(z * 20).astype(np.uint8) * 12)
+    cv2.imwrite(str(tmp_path / "my grass.JPG"), np.full((8, 8, 3), (30, 160, 60), np.uint8))
+    plan = np.full((40, 60), 254, np.uint8)
+    plan[:, :20] = 205
+    plan[10:20, 40] = plan[30, 50] = 0
+    cv2.imwrite(str(tmp_path / "room.pgm"), plan)
+    (tmp_path / "room.yaml").write_text(
+        "image: room.pgm\nresolution: 0.1\norigin: [-1, -2, 0]\nnegate: 0\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def wct(*arguments: str) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["lirs-wct", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+    assert ended.value.code == 0
+
+
+def built(source: str, *options: str, to: str = "hfield") -> World:
+    wct("build", source, "-o", "out", "--name", "w", "--to", to, *options)
+    return World.load("out/w")
+
+
+def files() -> set[str]:
+    return {p.relative_to("out/w").as_posix() for p in Path("out/w").rglob("*") if p.is_file()}
+
+
+def roughness(surface: HeightField) -> float:
+    return float(np.abs(np.diff(surface.z, 2)).mean())
+
+
+def test_metres_multiply_whatever_the_size_gave(folder: Path) -> None:
+    plain = built("hill.png", "--size", "20", "--height", "3").surface
+    assert built(
+        "hill.png", "--size", "20", "--height", "3", "--z-scale", "2"
+    ).surface.relief == pytest.approx(6)
+    scaled = built("hill.png", "--size", "20", "--height", "3", "--scale", "2,3,0.5").surface
+    assert scaled.size == pytest.approx((2 * plain.size[0], 3 * plain.size[1]))
+    assert scaled.relief == pytest.approx(1.5)
+    whole = built("hill.png", "--size", "20", "--height", "3", "--scale", "2").surface
+    assert (*whole.size, whole.relief) == pytest.approx((*(2 * s for s in plain.size), 6.0))
+
+
+def test_filters_reach_the_picture(folder: Path) -> None:
+    plain = built("hill.png").surface
+    assert built("hill.png", "--crop", "8,4,32,16").surface.shape == (16, 32)
+    resized = built("hill.png", "--resize", "96,80").surface
+    assert (resized.shape, resized.size) == ((80, 96), pytest.approx(plain.size))
+    smooth = built("hill.png", "--smoothing", "2").surface
+    assert roughness(smooth) < roughness(plain)
+    sharp = built("hill.png", "--smoothing", "2", "--sharpness", "1.5").surface
+    assert roughness(sharp) > roughness(smooth)
+    stairs = built("stairs.png").surface
+    assert roughness(built("stairs.png", "--deterrace").surface) < 0.5 * roughness(stairs)
+    median = built("stairs.png", "--denoise").surface
+    assert not np.array_equal(median.z, stairs.z)
+    assert np.array_equal(built("stairs.png", "--denoise-method", "median").surface.z, median.z)
+    bilateral = built("stairs.png", "--denoise", "--denoise-method", "bilateral").surface
+    assert not np.array_equal(bilateral.z, median.z)
+
+
+def test_to_writes_only_what_is_asked(folder: Path) -> None:
+    always = {"world.json", "world.npz"}
+    built("hill.png", to="stl")
+    assert files() == always | {"meshes/w.stl"}
+    built("hill.png", to="hfield")
+    assert files() == always | {"w.hfield"}
+    built("hill.png", to="obj")
+    assert files() == always | {"meshes/w.obj", "meshes/w.mtl", "materials/textures/w.png"}
+    built("hill.png", to="stl,sdf")
+    assert files() == always | {"meshes/w.stl", "model.sdf", "model.config", "w.world"}
+    assert "meshes/w.stl" in Path("out/w/model.sdf").read_text()
+
+
+def test_the_hfield_is_the_surface_to_the_bit(folder: Path) -> None:
+    world = built("hill.png", "--height", "3")
+    raw = Path("out/w/w.hfield").read_bytes()
+    z = np.frombuffer(raw, "<f4", offset=8).reshape(np.frombuffer(raw, "<i4", 2))
+    assert np.array_equal(z[::-1], world.surface.z)
+
+
+def test_a_budget_limits_every_mesh_file(folder: Path) -> None:
+    full = built("hill.png", "--height", "3", to="stl,dae,obj")
+    world = built("hill.png", "--height", "3", "--max-error", "0.05", to="stl,dae,obj")
+    counts = {len(read_upright(Path(f"out/w/meshes/w.{kind}")).faces) for kind in ("stl", "dae", "obj")}
+    assert counts == {len(world.mesh.faces)}
+    assert len(world.mesh.faces) < 0.4 * len(full.mesh.faces)
+    assert len(built("hill.png", "--max-triangles", "500").mesh.faces) <= 500
+
+
+def test_rotate_x_turns_the_files_and_nothing_else(folder: Path) -> None:
+    world = built("hill.png", "--height", "3", "--rotate-x", "90", to="stl,dae")
+    upright = world.mesh.bounds
+    for kind in ("stl", "dae"):
+        turned = read_upright(Path(f"out/w/meshes/w.{kind}")).bounds
+        np.testing.assert_allclose(turned[:, 2], upright[:, 1], atol=1e-4)
+        np.testing.assert_allclose(turned[:, 1], -upright[::-1, 2], atol=1e-4)
+    assert world.surface.relief == pytest.approx(3)
+
+
+def test_a_texture_is_copied_named_and_tiled(folder: Path) -> None:
+    built("hill.png", "--texture", "my grass.JPG", "--texture-size", "5", to="dae,sdf")
+    kept = Path("out/w/materials/textures/w.jpg")
+    assert kept.read_bytes() == Path("my grass.JPG").read_bytes()
+    assert "../materials/textures/w.jpg" in Path("out/w/meshes/w.dae").read_text()
+    loaded = trimesh.load_scene("out/w/meshes/w.dae")
+    uv = np.concatenate([g.visual.uv for g in loaded.geometry.values()])
+    assert np.ptp(uv[:, 0]) == pytest.approx(50 / 5, rel=0.3)
+    again = built("out/w", to="dae")
+    assert again.finish.texture is not None
+    assert again.finish.texture.read_bytes() == Path("my grass.JPG").read_bytes()
+    assert again.finish.texture_size == 5
+
+
+def test_a_heightmap_for_gazebo(folder: Path) -> None:
+    built("hill.png", "--terrain", "heightmap", to="sdf")
+    assert "<heightmap>" in Path("out/w/model.sdf").read_text()
+    picture = cv2.imread("out/w/materials/textures/w-heights.png", cv2.IMREAD_UNCHANGED)
+    assert picture.dtype == np.uint8
+    assert picture.shape == (65, 65)
+
+
+def test_unknown_cells_and_speckles_of_a_map(folder: Path) -> None:
+    walls = {u: built("room.yaml", "--unknown", u).walls for u in ("floor", "wall", "hole")}
+    counts = {u: int(w.solid.sum()) for u, w in walls.items() if w is not None}
+    assert counts == {"floor": 11, "wall": 11 + 20 * 40, "hole": 11}
+    assert walls["hole"] is not None
+    assert walls["hole"].hole is not None
+    assert walls["hole"].hole.sum() == 20 * 40
+    speckless = built("room.yaml", "--speckle", "2")
+    assert speckless.walls is not None
+    assert speckless.walls.solid.sum() == 10
+    assert speckless.truth is not None
+    assert speckless.truth.occupied.sum() == 10
+
+
+def test_options_without_effect_are_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    built("room.yaml", "--invert", "--size", "3")
+    told = capsys.readouterr().err
+    assert "room.yaml: --size, --invert have no effect on a laser map" in told
+    built("hill.png", "--speckle", "3")
+    assert "--speckle has no effect on a picture of a terrain" in capsys.readouterr().err
+
+
+BAD = {
+    "both budgets": (
+        ("build", "hill.png", "--max-error", "1", "--max-triangles", "99"),
+        "--max-error, --max-triangles",
+    ),
+    "crop": (("build", "hill.png", "--crop", "0,0,2.5,3"), "--crop must be X,Y,W,H in whole pixels"),
+    "crop outside": (("build", "hill.png", "--crop", "60,0,9,9"), "hill.png: image is 64x48 px, a crop of"),
+    "resize": (("build", "hill.png", "--resize", "9"), "--resize must be W,H in whole pixels"),
+    "scale": (("build", "hill.png", "--scale", "1,2"), "--scale must be S or SX,SY,SZ"),
+    "denoise": (("build", "hill.png", "--denoise-method", "magic"), "bilateral, median"),
+    "unknown": (("build", "hill.png", "--unknown", "sea"), "--unknown must be floor, wall or hole"),
+    "speckle": (("build", "hill.png", "--speckle", "-1"), "speckle must be 0 or more"),
+    "smoothing": (("build", "hill.png", "--smoothing", "0"), "smoothing must be a finite number above 0"),
+    "format": (
+        ("build", "hill.png", "--to", "dae,fbx"),
+        "unknown format 'fbx'; legal: dae, hfield",
+    ),
+    "sdf alone": (("build", "hill.png", "--to", "sdf"), "ask for dae or stl as well"),
+    "terrain": (("build", "hill.png", "--terrain", "prisms"), "--terrain must be solid or heightmap"),
+    "no texture": (("build", "hill.png", "--texture", "gone.png"), "gone.png: cannot be read"),
+    "texture is none": (
+        ("build", "hill.png", "--texture", "room.yaml"),
+        "room.yaml: a texture must be",
+    ),
+    "broken texture": (("build", "hill.png", "--texture", "cut.png"), "cut.png: "),
+    "empty mesh": (("build", "empty.stl"), "empty.stl: "),
+    "no mesh": (("convert", "hill.png", "x.stl"), "hill.png: not a mesh that is read; legal: .stl, .dae"),
+    "convert to": (("convert", "box.stl", "x.step"), "x.step: not a mesh that is written; legal: .stl, .dae"),
+    "convert none": (("convert", "gone.stl", "x.dae"), "gone.stl: no such file"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_bad_option_is_one_line_that_names_it(
+    case: str, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "empty.stl").write_bytes(b"")
+    (folder / "cut.png").write_bytes((folder / "hill.png").read_bytes()[:900])
+    trimesh.creation.box((1, 2, 3)).export("box.stl")
+    before = sorted(folder.rglob("*"))
+    arguments, expected = BAD[case]
+    monkeypatch.setattr("sys.argv", ["lirs-wct", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    told = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert expected in told
+    assert len(told.strip().splitlines()) == 1, told
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_info_says_what_the_world_is(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    wct("info", "hill.png", "--size", "30", "--height", "2", "--max-error", "0.1", "-o", "hill-info.png")
+    told = capsys.readouterr().out
+    for word in ("30 x", "0.000 to 2.000 m", "drivable, husky", "watertight", "yes"):
+        assert word in told, told
+    error = float(told.split("mesh error")[1].split("m at")[0].strip(" │\n"))
+    assert 0.02 < error <= 0.1
+    assert cv2.imread("hill-info.png") is not None
+    wct("info", "room.yaml")
+    told = capsys.readouterr().out
+    assert "11 of 2400 cells of 0.1 m" in told
+    assert "exact" in told
+
+
+@pytest.mark.parametrize("source", SUFFIXES)
+def test_convert_keeps_shape_and_up(source: str, folder: Path) -> None:
+    wedge = trimesh.Trimesh(
+        [(0, 0, 0), (4, 0, 0), (4, 2, 0), (0, 2, 0), (0, 0, 1), (0, 2, 1)],
+        [(0, 2, 1), (0, 3, 2), (0, 1, 4), (3, 5, 2), (1, 2, 5), (1, 5, 4), (0, 4, 5), (0, 5, 3)],
+    )
+    assert wedge.is_watertight
+    wedge.export("wedge.stl")
+    wct("convert", "wedge.stl", f"first{source}")
+    for target in SUFFIXES:
+        wct("convert", f"first{source}", f"second{target}")
+        mesh = read_upright(Path(f"second{target}"))
+        assert mesh.is_watertight
+        assert mesh.volume == pytest.approx(4.0, rel=1e-5)
+        np.testing.assert_allclose(mesh.bounds, [(0, 0, 0), (4, 2, 1)], atol=1e-5)
+        assert not np.isin(mesh.vertices[:, 2], (0.0,)).all()
+    wct("convert", "wedge.stl", "turned.stl", "--rotate-x", "90")
+    np.testing.assert_allclose(read_upright(Path("turned.stl")).bounds, [(0, -1, 0), (4, 0, 2)], atol=1e-6)
+
+
+def test_a_glb_stands_upright_where_y_is_up(folder: Path) -> None:
+    trimesh.creation.box((1, 2, 5)).export("tower.stl")
+    wct("convert", "tower.stl", "tower.glb")
+    np.testing.assert_allclose(np.ptp(trimesh.load_mesh("tower.glb").bounds, axis=0), (1, 5, 2), atol=1e-6)
+
+
+def test_an_mjcf_of_every_kind_of_source_compiles(folder: Path) -> None:
+    trimesh.creation.icosphere(2, 3.0).export("ball.ply")
+    for source in ("hill.png", "room.yaml", "ball.ply"):
+        built(source, to="mjcf")
+        model = mujoco.MjModel.from_xml_path("out/w/w.xml")
+        mujoco.mj_step(model, mujoco.MjData(model))
+        assert math.isfinite(model.stat.extent)
