@@ -1,0 +1,124 @@
+"""Cartographer's way: local SLAM on submaps, loops by branch and bound, a sparse pose graph.
+
+Hess, Kohler, Rapp, Andor 2016, "Real-time loop closure in 2D LIDAR SLAM", written from the paper.
+Beyond it: the odometry is a prior of the matching, and ground is told from walls.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.grid import OccupancyGrid
+from lirs_wct.pose import Pose2
+from lirs_wct.scan import Imu, LaserScan
+from lirs_wct.trajectory import Trajectory
+from slam_baselines.global_slam import GlobalConfig, GlobalSlam
+from slam_baselines.local_slam import LocalConfig, LocalSlam
+from slam_baselines.mapper import MapperStats, Stopwatch
+from slam_baselines.node_map import NodeMap
+from slam_baselines.node_trajectory import NodeTrajectory
+from slam_baselines.occupancy import UpdateConfig
+from slam_baselines.odometry import DeadReckoning, Estimate
+
+
+@dataclass(frozen=True, kw_only=True)
+class CartographerConfig:
+    """Parameters, in the parts' configurations under the original's names where they exist.
+
+    Attributes:
+        local: submaps, matching, motion filter.
+        graph: loops and optimisation.
+        map_resolution: edge of a cell of the final map, metres.
+        update: how a scan changes the final map.
+        max_range: hits farther away are not used, metres.
+        clear_range: a beam without return is believed to be free up to here, metres.
+
+    Raises:
+        ConfigError: a resolution or range that is not above 0.
+    """
+
+    local: LocalConfig = field(default_factory=LocalConfig)
+    graph: GlobalConfig = field(default_factory=GlobalConfig)
+    map_resolution: float = 0.05
+    update: UpdateConfig = field(default_factory=UpdateConfig)
+    max_range: float = math.inf
+    clear_range: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.map_resolution > 0 and self.max_range > 0):
+            raise ConfigError("map_resolution and max_range must be above 0 m")
+
+
+class CartographerMapper:
+    """Submaps that are matched against, and a graph that puts them right when a loop closes."""
+
+    def __init__(self, config: CartographerConfig | None = None) -> None:
+        self.config = c = config or CartographerConfig()
+        self._local = LocalSlam(c.local, c.clear_range, c.max_range)
+        self._graph = GlobalSlam(c.graph, self._local)
+        self._map = NodeMap(c.map_resolution, c.update, c.local.relief)
+        self._scans = NodeTrajectory()
+        self._reckoning = DeadReckoning(c.local.motion)
+        self._since_submap = Estimate(Pose2(), np.zeros((3, 3)))
+        self._stopwatch = Stopwatch()
+
+    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        """Match the scan to its submap, do a share of the work on the graph, return `T_map_base`."""
+        started = self._stopwatch.start()
+        self._since_submap = self._reckoning.predict(self._since_submap, odometry, imu, scan.stamp)
+        submaps = len(self._local.submaps.all)
+        node = self._local.update(scan, odometry, imu)
+        if node is not None:
+            began = len(self._local.submaps.all) > submaps
+            self._graph.add(node, self._since_submap if began and submaps else None)
+            if began:
+                self._since_submap = Estimate(Pose2(), np.zeros((3, 3)))
+        self._scans.add(scan.stamp, len(self._graph.nodes) - 1, self._local.estimate.pose)
+        self._graph.work()
+        self._stopwatch.stop(started)
+        return self._graph.T_map_local @ self._local.estimate.pose
+
+    def map(self) -> OccupancyGrid:
+        """Return the map, drawn from all nodes where they are believed to be now."""
+        poses, _ = self._graph.settled()
+        return self._map.draw(self._graph.nodes, poses)
+
+    def trajectory(self) -> Trajectory:
+        """Return the pose of every scan, by stamp."""
+        poses, T_map_local = self._graph.settled()
+        return self._scans.trajectory([node.pose for node in self._graph.nodes], poses, T_map_local)
+
+    @property
+    def lost(self) -> bool:
+        """Whether so many scans in a row fit nowhere that the pose is not to be believed."""
+        return self._local.lost
+
+    @property
+    def stats(self) -> MapperStats:
+        """What was done so far."""
+        local, graph = self._local, self._graph
+        counts = graph.builder.counts
+        return MapperStats(
+            received=local.received,
+            used=local.matched,
+            lost=local.lost_scans,
+            memory=sum(submap.nbytes for submap in local.submaps.all)
+            + sum(node.nbytes for node in graph.nodes)
+            + local.relief.grid.nbytes,
+            counts={
+                "nodes": len(graph.nodes),
+                "submaps": len(local.submaps.all),
+                "loops": len(graph.loops),
+                "loop_searches": counts.searched,
+                "loop_searches_given_up": counts.given_up,
+                "loop_searches_waiting": len(graph.builder),
+                "loop_searches_dropped": counts.dropped,
+                "optimizations": graph.optimizations,
+                "searches": local.registration.searches,
+            },
+            **self._stopwatch.summary(),
+        )

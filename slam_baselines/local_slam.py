@@ -1,0 +1,218 @@
+"""Local SLAM: each scan is matched to the submap in front of it; drift is left to the pose graph.
+
+Hess et al. 2016, section IV. The local frame is continuous: what is added to it never moves again.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.pose import Pose2, wrap_angle
+from lirs_wct.scan import Imu, LaserScan
+from slam_baselines.levelling import LevelledScan, ScanLeveller
+from slam_baselines.odometry import DeadReckoning, Estimate, MotionConfig
+from slam_baselines.registration import Registration, RegistrationConfig
+from slam_baselines.relief import Relief, ReliefConfig
+from slam_baselines.scan_matching import Match
+from slam_baselines.submap import SubmapConfig, Submaps
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionFilterConfig:
+    """Which scans become nodes; names as in Cartographer's motion_filter.
+
+    Attributes:
+        max_time_seconds: a node at least so often ...
+        max_distance_meters: ... and after so much way ...
+        max_angle_radians: ... or turning ...
+        max_tilt_radians: ... or leaning, since leaning shows other heights of the same things.
+
+    Raises:
+        ConfigError: a negative value.
+    """
+
+    max_time_seconds: float = math.inf
+    max_distance_meters: float = 0.2
+    max_angle_radians: float = math.radians(10.0)
+    max_tilt_radians: float = math.radians(1.0)
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            if getattr(self, name) < 0:
+                raise ConfigError(f"{name} of the motion filter must not be negative, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalConfig:
+    """Parameters of local SLAM.
+
+    Attributes:
+        submaps: how submaps are drawn.
+        motion_filter: which scans enter them.
+        motion: confidence in the odometry.
+        registration: how a scan is fitted into a submap.
+        relief: how ground is told from walls.
+        lost_score: mean occupancy at the ends of the beams below which a scan enters no submap ...
+        lost_after: ... and after so many of them in a row the mapper is lost.
+
+    Raises:
+        ConfigError: lost_score above the registration's poor_score.
+    """
+
+    submaps: SubmapConfig = field(default_factory=SubmapConfig)
+    motion_filter: MotionFilterConfig = field(default_factory=MotionFilterConfig)
+    motion: MotionConfig = field(default_factory=MotionConfig)
+    registration: RegistrationConfig = field(default_factory=RegistrationConfig)
+    relief: ReliefConfig = field(default_factory=ReliefConfig)
+    lost_score: float = 0.2
+    lost_after: int = 10
+
+    def __post_init__(self) -> None:
+        if not 0 < self.lost_score <= self.registration.poor_score:
+            raise ConfigError(
+                f"lost_score must be within (0, poor_score = {self.registration.poor_score}], got {self.lost_score}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A scan that entered submaps.
+
+    Attributes:
+        scan: levelled.
+        pose: `T_local_base`.
+        height: of the base in the local frame, metres.
+        steep: (n,) rise over run of its hits as proven when it entered, STEEP_STEP.
+        submaps: indices of the submaps that it entered.
+        travelled: way driven until then, metres.
+        tilt: the most that the robot had leaned until then, radians.
+    """
+
+    scan: LevelledScan
+    pose: Pose2
+    height: float
+    steep: NDArray[np.uint8]
+    submaps: range
+    travelled: float
+    tilt: float
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the scan."""
+        return self.scan.hits.nbytes + self.scan.free.nbytes + self.steep.nbytes
+
+
+class LocalSlam:
+    """Poses and submaps in the local frame.
+
+    Attributes:
+        submaps: all of them.
+        relief: of the ground, in the local frame.
+        registration: with the count of its searches.
+        estimate: `T_local_base`.
+        received: scans so far.
+        matched: of these, fitted into a submap.
+        lost_scans: scans during which the mapper was lost.
+    """
+
+    def __init__(self, config: LocalConfig, clear_range: float, max_range: float) -> None:
+        """Use what ScanLeveller takes of ranges, metres."""
+        self.config = config
+        self.submaps = Submaps(config.submaps)
+        self.relief = Relief(config.relief)
+        self.registration = Registration(config.registration)
+        self.estimate = Estimate(Pose2(), np.zeros((3, 3)))
+        self.received = self.matched = self.lost_scans = self.nodes = 0
+        self._leveller = ScanLeveller(clear_range, max_range)
+        self._reckoning = DeadReckoning(config.motion)
+        self._poor_in_a_row = 0
+        self._entered: tuple[Pose2, tuple[float, float], float] | None = None
+
+    @property
+    def lost(self) -> bool:
+        """Whether so many scans in a row fit nowhere that the pose is not to be believed."""
+        return self._poor_in_a_row >= self.config.lost_after
+
+    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Node | None:
+        """Match a scan and move the estimate; return the node where it entered the submaps."""
+        level = self._leveller.level(scan, imu)
+        before = self.estimate.pose
+        expected = self._reckoning.predict(self.estimate, odometry, imu, scan.stamp)
+        fits = self._count(self._match(level, expected))
+        if level.levelled:
+            self.relief.move(before.inverse() @ self.estimate.pose, level)
+        return self._enter(level) if fits and self._due(level) else None
+
+    def walls(self, scan: LevelledScan, pose: Pose2, height: float, steep: NDArray[np.uint8] | None) -> Array:
+        """Return (n,) 1 for hits on what is known by now to be a wall, 0 for those that may be ground.
+
+        Args:
+            scan: levelled.
+            pose: `T_local_base`.
+            height: of the base in the local frame, metres.
+            steep: (n,) what was proven before, if anything.
+        """
+        bound = self.relief.match_bound
+        if bound == 0:
+            return np.ones(len(scan.hits))
+        origin, hits, _ = scan.placed(pose, height)
+        proven = self.relief.steepness(origin, hits, pose)
+        known = self.submaps.front.steepness(hits) if steep is None else steep
+        return (np.maximum(proven, known) >= bound).astype(np.float64)
+
+    def _match(self, scan: LevelledScan, expected: Estimate) -> Match | None:
+        """Move the estimate to where the scan fits; to the expected one, if there is nothing to fit."""
+        before, self.estimate = self.estimate.pose, expected
+        self.received += 1
+        if len(scan.hits) == 0 or not self.submaps.all:
+            return None
+        weights = self.walls(scan, expected.pose, self.relief.height, None)
+        front = self.submaps.front
+        front.revalue(self.relief.match_bound)
+        self.estimate, match = self.registration.fit(front.pyramid, scan.hits, weights, expected, before)
+        self.matched += match is not None
+        return match
+
+    def _count(self, match: Match | None) -> bool:
+        """Keep count of poor matches; return whether the scan may enter the submaps."""
+        known = self.config.registration.known_share
+        fits = match is None or match.known < known or match.score >= self.config.lost_score
+        self._poor_in_a_row = 0 if fits else self._poor_in_a_row + 1
+        self.lost_scans += self.lost
+        return fits
+
+    def _due(self, scan: LevelledScan) -> bool:
+        """Whether the robot has moved enough since the last node (the motion filter)."""
+        if self._entered is None:
+            return True
+        c, pose = self.config.motion_filter, self.estimate.pose
+        before, slope, stamp = self._entered
+        lean = math.hypot(scan.ground_slope[0] - slope[0], scan.ground_slope[1] - slope[1])
+        return (
+            pose.distance(before) > c.max_distance_meters
+            or abs(wrap_angle(pose.yaw - before.yaw)) > c.max_angle_radians
+            or lean > c.max_tilt_radians
+            or scan.stamp - stamp > c.max_time_seconds
+        )
+
+    def _enter(self, scan: LevelledScan) -> Node:
+        """Draw the scan into the submaps."""
+        pose, height = self.estimate.pose, self.relief.height
+        origin, hits, free = scan.placed(pose, height)
+        if scan.levelled:
+            steep = self.relief.observe(origin, hits, free, pose)
+        else:
+            steep = self.relief.unproven(len(hits))
+        entered = self.submaps.insert(
+            self.nodes, pose, origin, hits, free, steep, self.relief.match_bound
+        )
+        self.nodes += 1
+        self._entered = pose, scan.ground_slope, scan.stamp
+        return Node(scan, pose, height, steep, entered, self.relief.travelled, self.relief.tilt)
