@@ -20,6 +20,7 @@ from lirs_wct.trajectory import Trajectory
 MAPPERS: Mapping[str, tuple[str, str, str]] = {
     "hector": ("slam_baselines.hector", "HectorConfig", "HectorMapper"),
     "gmapping": ("slam_baselines.gmapping", "GmappingConfig", "GmappingMapper"),
+    "cartographer": ("slam_baselines.cartographer", "CartographerConfig", "CartographerMapper"),
 }
 """Name -> module, class of its configuration, class of the method."""
 
