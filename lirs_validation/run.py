@@ -25,6 +25,7 @@ from lirs_wct.traversability import start_poses
 from lirs_wct.window import Window
 from lirs_wct.world import World, build_world
 from slam_baselines.mapper import Mapper, make_mapper
+from slam_baselines.rehearsal import rehearse
 
 LARGE = 200.0
 """A terrain longer than this (metres) is validated on a window."""
@@ -151,6 +152,7 @@ def plan(world: World, robot: Robot, config: RunConfig) -> CoverageDriver:
 def warm_up(stage: Stage, robot: Robot) -> float:
     """Drive a throw-away simulation for a moment, so that every kernel is compiled; return the seconds."""
     begun = time.perf_counter()
+    rehearse(stage.config.mapper)
     config = replace(stage.config, seconds=WARM_UP)
     simulation = Simulation(stage.world, robot, lidar=config.lidar, seed=config.seed)
     drive(simulation, plan(stage.world, robot, config), make_mapper(config.mapper), WARM_UP)
