@@ -56,7 +56,9 @@ class HectorConfig(BuilderConfig):
         super(HectorConfig, self).__post_init__()
         r = self.registration
         if not 0 < self.lost_score <= r.poor_score:
-            raise ConfigError(f"lost_score must be within (0, poor_score = {r.poor_score}], got {self.lost_score}")
+            raise ConfigError(
+                f"lost_score must be within (0, poor_score = {r.poor_score}], got {self.lost_score}"
+            )
         if len(r.match.iterations) < self.map_multi_res_levels:
             raise ConfigError(
                 f"iterations are needed for {self.map_multi_res_levels} levels, got {r.match.iterations}"
@@ -76,6 +78,7 @@ class HectorMapper:
         self._estimate = Estimate(Pose2(), np.zeros((3, 3)))
         self._poses = KeyframeTrajectory()
         self._received = self._matched = self._lost_scans = self._poor_in_a_row = 0
+        self._settled = False
         self._stopwatch = Stopwatch()
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
@@ -134,12 +137,21 @@ class HectorMapper:
         return match
 
     def _fits(self, match: Match | None) -> bool:
-        """Keep count of poor matches; return whether the scan may enter the map."""
-        known = self.config.registration.known_share
-        fits = match is None or match.known < known or match.score >= self.config.lost_score
-        self._poor_in_a_row = 0 if fits else self._poor_in_a_row + 1
+        """Keep count of poor matches; return whether the scan may enter the map.
+
+        Before the first good match nothing is known that a scan could contradict.
+        """
+        c = self.config
+        known = match is not None and match.known >= c.registration.known_share
+        if match is None or not known or match.score >= c.lost_score:
+            self._settled |= known
+            self._poor_in_a_row = 0
+            return True
+        if not self._settled:
+            return True
+        self._poor_in_a_row += 1
         self._lost_scans += self.lost
-        return fits
+        return False
 
     def _enter(self, scan: LevelledScan) -> None:
         """Make the scan a keyframe, and look again at all of them when it is time."""

@@ -50,7 +50,10 @@ class BuilderConfig:
             raise ConfigError(f"map_resolution must be above 0 m, got {self.map_resolution}")
         if self.map_multi_res_levels < 1:
             raise ConfigError(f"map_multi_res_levels must be at least 1, got {self.map_multi_res_levels}")
-        if min(self.map_update_distance_thresh, self.map_update_angle_thresh, self.map_update_tilt_thresh) < 0:
+        if (
+            min(self.map_update_distance_thresh, self.map_update_angle_thresh, self.map_update_tilt_thresh)
+            < 0
+        ):
             raise ConfigError("thresholds of the map update must not be negative")
 
 
@@ -123,7 +126,8 @@ class MapBuilder:
         self._draw(*scan.placed(pose, height), steep)
 
     def _draw(self, origin: Array, hits: Array, free: Array, steep: Steps) -> None:
-        grew = [level.update(origin, hits, free, steep, self._bound) for level in self.pyramid.maps]
+        box = _box(origin, hits, free)
+        grew = [level.update(origin, hits, free, steep, self._bound, box) for level in self.pyramid.maps]
         if any(grew):
             self.pyramid.refresh()
 
@@ -146,3 +150,11 @@ class MapBuilder:
     def memory(self) -> int:
         """Bytes of all maps."""
         return sum(level.grid.nbytes for level in self.pyramid.maps) + self.relief.grid.nbytes
+
+
+def _box(origin: Array, *ends: Array) -> Array:
+    """Return (4,) west, south, east, north of the laser and all ends of beams."""
+    points = [origin[None, :2], *(e[:, :2] for e in ends)]
+    low = np.min([p.min(axis=0) for p in points if len(p)], axis=0)
+    high = np.max([p.max(axis=0) for p in points if len(p)], axis=0)
+    return np.concatenate((low, high))

@@ -56,7 +56,7 @@ class MotionConfig:
     """
 
     translation_per_metre: float = 0.04
-    translation_per_radian: float = 0.02
+    translation_per_radian: float = 0.1
     translation_per_second: float = 0.005
     rotation_per_metre: float = 0.03
     rotation_per_radian: float = 0.05

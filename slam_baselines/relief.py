@@ -70,7 +70,14 @@ class ReliefConfig:
     slope_limit: float = math.radians(40.0)
 
     def __post_init__(self) -> None:
-        for name in ("resolution", "attitude_error", "height_error", "confidence", "slope_factor", "slope_limit"):
+        for name in (
+            "resolution",
+            "attitude_error",
+            "height_error",
+            "confidence",
+            "slope_factor",
+            "slope_limit",
+        ):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} of the relief must be above 0, got {getattr(self, name)}")
 
@@ -98,7 +105,11 @@ class Relief:
         self.height += scan.ground_slope[0] * delta.x + scan.ground_slope[1] * delta.y
         self.travelled += math.hypot(delta.x, delta.y)
         first = self._lean is None
-        self._lean = scan.ground_slope if first else tuple(0.8 * a + 0.2 * b for a,b in zip(self._lean, scan.ground_slope))
+        self._lean = (
+            scan.ground_slope
+            if first
+            else tuple(0.8 * a + 0.2 * b for a, b in zip(self._lean, scan.ground_slope))
+        )
         self.tilt = max(self.tilt, math.atan(math.hypot(*self._lean)))
 
     @property

@@ -77,9 +77,8 @@ class MapPyramid:
 
     def refresh(self) -> None:
         """Take over the maps' arrays; needed whenever one of them grew."""
-        grids = [m.grid for m in self.maps]
-        self.values = tuple(g.layers["value"] for g in grids)
-        self.frames: Array = np.array([(g.row0, g.col0, g.resolution) for g in grids], dtype=np.float64)
+        self.values = tuple(m.layers.value for m in self.maps)
+        self.frames: Array = np.array([m.frame for m in self.maps])
 
 
 class ScanMatcher:
@@ -119,7 +118,10 @@ class ScanMatcher:
         A level is needed where the error exceeds the cell of the next finer one; coarse levels that are
         not needed would only carry the estimate away from a good start.
         """
-        reach = 2 * (math.sqrt(max(covariance[0, 0], covariance[1, 1])) + self._config.lever * math.sqrt(covariance[2, 2]))
+        reach = 2 * (
+            math.sqrt(max(covariance[0, 0], covariance[1, 1]))
+            + self._config.lever * math.sqrt(covariance[2, 2])
+        )
         return 1 + int((reach > pyramid.frames[:-1, 2]).sum())
 
 

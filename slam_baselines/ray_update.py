@@ -1,0 +1,122 @@
+"""Kernels of the occupancy update: beams drawn into the layers of a map."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+UNKNOWN = -128
+"""Log-odds of a cell that no beam has touched."""
+STEP = 0.1
+"""Log-odds of one step of the layer `log_odds`."""
+TOP_STEP = 0.01
+"""Metres of one step of the layer `top`."""
+ABOVE = 10
+"""A beam so many steps of `top` above a wall's highest hit passes over the wall."""
+FULL = 255
+"""A `value` of this is a wall for sure."""
+UNSEEN = 0
+"""A `value` of this says nothing; any other that the cell is known."""
+
+_odds = np.exp(STEP * np.arange(-128, 128))
+VALUE = np.maximum(1, np.round(FULL * (_odds - 1) / (_odds + 1))).astype(np.uint8)
+"""(256,) value of log-odds + 128: 2 p - 1 where that is above 0, so that free and unknown ground pull alike."""
+VALUE[0] = UNSEEN
+
+
+class Layers(NamedTuple):
+    """The arrays of a map, (rows, cols) each."""
+
+    log_odds: NDArray[np.int8]
+    value: NDArray[np.uint8]
+    steep: NDArray[np.uint8]
+    top: NDArray[np.int16]
+
+
+@njit(cache=True)
+def enter_scan(layers, frame, touched, corner, origin, hits, free, steep, bound, steps):  # type: ignore[no-untyped-def]
+    """Raise the cells where beams end, then lower those that beams pass; no cell twice, a hit wins.
+
+    Args:
+        layers: of the map.
+        frame: (3,) lattice row and column of the arrays' cell (0, 0), resolution in metres.
+        touched: (rows, cols) uint8, 0; scratch that holds all beams.
+        corner: row and column in the layers of the scratch's cell (0, 0).
+        origin: (3,) the laser, metres.
+        hits: (n, 3) where beams ended.
+        free: (m, 3) ends of beams that met nothing.
+        steep: (n,) proven steepness of each hit.
+        bound: steepness from which on a cell is a wall.
+        steps: miss, hit and limit of the log-odds.
+    """
+    scale = 1 / frame[2]
+    east, north = frame[1] + corner[1], frame[0] + corner[0]
+    cells = np.empty((len(hits), 2), np.int64)
+    for i in range(len(hits)):
+        row, col = int(hits[i, 1] * scale - north), int(hits[i, 0] * scale - east)
+        r, c = row + corner[0], col + corner[1]
+        cells[i, 0], cells[i, 1] = row, col
+        layers.steep[r, c] = max(layers.steep[r, c], steep[i])
+        layers.top[r, c] = max(layers.top[r, c], np.int16(min(max(hits[i, 2], -300.0), 300.0) / TOP_STEP))
+    for row, col in cells:
+        if not touched[row, col]:
+            touched[row, col] = 1
+            _change(layers, row + corner[0], col + corner[1], steps[1], bound, steps[2])
+    start = origin[1] * scale - north, origin[0] * scale - east, origin[2]
+    for i in range(len(hits)):
+        end = hits[i, 1] * scale - north, hits[i, 0] * scale - east, hits[i, 2]
+        _pass(layers, touched, corner, start, end, -1, bound, steps)
+    for i in range(len(free)):
+        end = free[i, 1] * scale - north, free[i, 0] * scale - east, free[i, 2]
+        _pass(layers, touched, corner, start, end, 1, bound, steps)
+
+
+@njit(cache=True)
+def _pass(layers, touched, corner, start, end, more, bound, steps):  # type: ignore[no-untyped-def]
+    """Lower the cells between laser and end of a beam, given in cells of the scratch.
+
+    The last cell before a hit (`more` = -1) is spared: noise would wear the wall's near face away and
+    so push it back. A beam that passes above where a proven wall was hit says nothing about the wall.
+    """
+    y, x, z = start
+    dy, dx, dz = end[0] - y, end[1] - x, end[2] - z
+    n = int(max(abs(dx), abs(dy))) + 1
+    dy, dx, dz = dy / n, dx / n, dz / n
+    for k in range(n + more):
+        row, col = int(y + k * dy), int(x + k * dx)
+        if touched[row, col]:
+            continue
+        touched[row, col] = 1
+        r, c = row + corner[0], col + corner[1]
+        if (
+            layers.log_odds[r, c] > 0
+            and bound > 0
+            and layers.steep[r, c] >= bound
+            and (z + k * dz) / TOP_STEP > layers.top[r, c] + ABOVE
+        ):
+            continue
+        _change(layers, r, c, steps[0], bound, steps[2])
+
+
+@njit(cache=True, inline="always")
+def _change(layers, r, c, step, bound, limit):  # type: ignore[no-untyped-def]
+    """Add to the log-odds of a cell and renew what the matcher sees of it."""
+    before = np.int64(layers.log_odds[r, c])
+    after = (0 if before == UNKNOWN else before) + step
+    after = min(limit, max(-limit, after))
+    layers.log_odds[r, c] = after
+    layers.value[r, c] = UNSEEN if after > 0 and layers.steep[r, c] < bound else VALUE[after + 128]
+
+
+@njit(cache=True)
+def look_up(layer, frame, points, out):  # type: ignore[no-untyped-def]
+    """Read a layer under points (n, 2 or more) into `out`; what lies outside keeps its value there."""
+    rows, cols = layer.shape
+    for i in range(len(points)):
+        row = int(np.floor(points[i, 1] / frame[2] - frame[0]))
+        col = int(np.floor(points[i, 0] / frame[2] - frame[1]))
+        if 0 <= row < rows and 0 <= col < cols:
+            out[i] = layer[row, col]
