@@ -239,7 +239,11 @@ class GmappingMapper:
         """Replace the particles by copies of those that live on."""
         self._resamplings += 1
         self._maps.descend(parents)
-        self._poses, self._parents, self._totals = self._poses[parents], self._parents[parents], self._totals[parents]
+        self._poses, self._parents, self._totals = (
+            self._poses[parents],
+            self._parents[parents],
+            self._totals[parents],
+        )
         self._log_weights[:] = 0
         self._best = int(np.argmax(self._totals))
 

@@ -265,7 +265,9 @@ def _hit(table, corner, patches, touched, window, u, v, z, steep, steps):
     patches.hits[p, cell] = n
     for axis, part in ((0, u - col), (1, v - row)):
         before = patches.mean[p, cell, axis]
-        patches.mean[p, cell, axis] = np.uint16(before + (min(part * MEAN_STEPS, MEAN_STEPS - 1.0) - before) / n)
+        patches.mean[p, cell, axis] = np.uint16(
+            before + (min(part * MEAN_STEPS, MEAN_STEPS - 1.0) - before) / n
+        )
     patches.steep[p, cell] = max(patches.steep[p, cell], steep)
     patches.top[p, cell] = max(patches.top[p, cell], np.int16(z / TOP_STEP))
     if touched[row - window[0], col - window[1]] == 0:

@@ -173,7 +173,11 @@ def _propose(
         if step == 0:
             correction = between(prior.pose, peak)
         if met < tuning.minimumScore * known:
-            means[k], sigmas[k], told[k, 0] = prior.pose, covariances[k], score(view, beams, prior.pose, tuning)
+            means[k], sigmas[k], told[k, 0] = (
+                prior.pose,
+                covariances[k],
+                score(view, beams, prior.pose, tuning),
+            )
         else:
             around = np.linalg.inv(H * (2 * tuning.sigma**2 / tuning.lsigma) + prior.information)
             told[k, 0] = _fit(view, beams, prior, peak, around, cube, tuning, means[k], sigmas[k])
