@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Protocol
 from xml.etree import ElementTree
 from zlib import crc32
 
@@ -18,41 +17,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.contact_grid import ContactGrid
+from lirs_wct.contact_parts import Ground, Terrain, check_terrain, contact_parts
 from lirs_wct.files import atomic_write
 from lirs_wct.heightfield import HeightField
-from lirs_wct.occupancy import merged_boxes
+from lirs_wct.occupancy import merged_boxes, merged_rectangles
+from lirs_wct.tiles import MUJOCO_FACES, split_tiles
 from lirs_wct.walls import WallGrid
 
 TERRAIN_GROUP = 3
 """Geom group of ground and walls in a simulation: rays for robots and props leave it out."""
 BASE = 1.0
 """Metres that the ground reaches below its lowest point; contacts push out the shorter way: up."""
+SEEN_GROUP = 4
+"""Geom group of the true mesh where the laser must see it, since no height field can hold it."""
 GROUND_COLOUR = (0.62, 0.57, 0.48, 1.0)
 WALL_COLOUR = (0.45, 0.5, 0.55, 1.0)
 
 
-class Scene(Protocol):
-    """What of a world has a body: `World` does."""
-
-    @property
-    def name(self) -> str:
-        """Name of the model."""
-
-    @property
-    def surface(self) -> HeightField:
-        """The ground."""
-
-    @property
-    def walls(self) -> WallGrid | None:
-        """What stands on it."""
-
-
 def world_spec(
-    world: Scene,
+    world: Ground,
     *,
     contact: ContactGrid | None = None,
     robot: mujoco.MjSpec | None = None,
     group: int = TERRAIN_GROUP,
+    terrain: Terrain = "hfield",
 ) -> mujoco.MjSpec:
     """Return the world as a specification to compile.
 
@@ -61,18 +49,30 @@ def world_spec(
         contact: the grid that is touched; default: the surface itself.
         robot: specification that the world is added to; its options and defaults stay as they are.
         group: geom group of ground and walls.
+        terrain: what is touched (see `TERRAINS`).
+
+    Raises:
+        ConfigError: the terrain does not fit the world.
     """
+    check_terrain(terrain, world)
     spec = robot if robot is not None else mujoco.MjSpec()
     spec.modelname = world.name
     surface = world.surface if contact is None else contact.heights(world.surface)
-    _add_ground(spec, surface, group)
+    if terrain in ("prisms", "convex"):
+        _add_parts(spec, world, terrain, group)
+    elif world.walls is None or world.walls.hole is None:
+        _add_ground(spec, surface, group)
+    else:
+        _add_boxes(spec, world.walls, world.walls.floor, (-BASE, 0.0), group, GROUND_COLOUR)
     if world.walls is not None:
-        _add_walls(spec, world.walls, group)
+        _add_boxes(spec, world.walls, world.walls.solid, (0.0, world.walls.height), group, WALL_COLOUR)
+    if terrain == "mesh" or world.overhangs:
+        _add_tiles(spec, world, SEEN_GROUP if world.overhangs else group)
     spec.worldbody.add_light(pos=(0, 0, 50), dir=(0.3, 0.2, -1), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     return spec
 
 
-def write_mjcf(world: Scene, folder: str | Path) -> Path:
+def write_mjcf(world: Ground, folder: str | Path) -> Path:
     """Write NAME.xml and the surface's heights as float32, to the bit; return the path of NAME.xml.
 
     The heights' file has their checksum in its name: MuJoCo caches assets by name, and would give the old
@@ -83,7 +83,7 @@ def write_mjcf(world: Scene, folder: str | Path) -> Path:
     """
     path = Path(folder) / f"{world.name}.xml"
     # Seen in the viewer as it opens: it hides group 3.
-    spec = world_spec(world, group=0)
+    spec = world_spec(world, group=0, terrain="convex" if world.overhangs else "hfield")
     for hfield in spec.hfields:
         data = hfield_bytes(world.surface)
         hfield.file = f"{world.name}-{crc32(data):08x}.hfield"
@@ -104,7 +104,11 @@ def hfield_bytes(surface: HeightField) -> bytes:
 
 def box_geoms(walls: WallGrid) -> NDArray[np.float64]:
     """Return (n, 4) the walls' boxes: centre x, y in the world, half extents along the grid's axes."""
-    boxes = np.asarray(merged_boxes(walls), dtype=np.float64).reshape(-1, 4) * walls.resolution
+    return _boxes(walls, merged_boxes(walls))
+
+
+def _boxes(walls: WallGrid, rectangles: NDArray[np.int64]) -> NDArray[np.float64]:
+    boxes = np.asarray(rectangles, dtype=np.float64).reshape(-1, 4) * walls.resolution
     centre = walls.origin.apply((boxes[:, [1, 0]] + boxes[:, [3, 2]]) / 2)
     half = (boxes[:, [3, 2]] - boxes[:, [1, 0]]) / 2
     return np.concatenate((centre, half), axis=1)
@@ -150,18 +154,62 @@ def _add_ground(spec: mujoco.MjSpec, surface: HeightField, group: int) -> None:
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="ground", **common)
 
 
-def _add_walls(spec: mujoco.MjSpec, walls: WallGrid, group: int) -> None:
+def _add_boxes(
+    spec: mujoco.MjSpec,
+    walls: WallGrid,
+    cells: NDArray[np.bool_],
+    span: tuple[float, float],
+    group: int,
+    colour: tuple[float, ...],
+) -> None:
     """Add boxes to the world's body itself: a body of their own would be updated with them at every step."""
     half_yaw = walls.origin.yaw / 2
     quat = (math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw))
-    for x, y, hx, hy in box_geoms(walls).tolist():
+    low, high = span
+    for x, y, hx, hy in _boxes(walls, merged_rectangles(cells)).tolist():
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=(x, y, walls.height / 2),
-            size=(hx, hy, walls.height / 2),
+            pos=(x, y, (low + high) / 2),
+            size=(hx, hy, (high - low) / 2),
             quat=quat,
             group=group,
-            rgba=WALL_COLOUR,
+            rgba=colour,
         )
     # With sleeping enabled MuJoCo leaves out what never moves: 2,372 boxes cost 5 us a step instead of 19.
     spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+
+
+def _add_parts(spec: mujoco.MjSpec, world: Ground, terrain: Terrain, group: int) -> None:
+    """Add each convex part as a mesh: MuJoCo touches its hull, which is the part."""
+    for k, corners in enumerate(contact_parts(world, terrain)):
+        name = f"ground{k}"
+        spec.add_mesh(name=name, uservert=corners.ravel())
+        spec.worldbody.add_geom(
+            name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, group=group, rgba=GROUND_COLOUR
+        )
+    spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+
+
+def _add_tiles(spec: mujoco.MjSpec, world: Ground, group: int) -> None:
+    """Add the world's mesh to be seen only; what is touched becomes invisible."""
+    for geom in spec.worldbody.geoms:
+        if geom.group == TERRAIN_GROUP or geom.group == group:
+            geom.rgba = (*geom.rgba[:3], 0.0)
+    for k, tile in enumerate(split_tiles(world.mesh, aim=MUJOCO_FACES // 2)):
+        name = f"seen{k}"
+        spec.add_mesh(
+            name=name,
+            uservert=tile.vertices.ravel(),
+            userface=tile.faces.ravel(),
+            # A tile is open: it has no volume to take an inertia from.
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+        spec.worldbody.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=name,
+            contype=0,
+            conaffinity=0,
+            group=group,
+            rgba=GROUND_COLOUR,
+        )

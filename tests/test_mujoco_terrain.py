@@ -1,0 +1,209 @@
+"""What is seen is what is touched: spheres come to rest on the true surface, whatever MuJoCo touches."""
+
+from __future__ import annotations
+
+import sys
+from typing import get_args
+
+import cv2
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from lirs_wct import World
+from lirs_wct.contact_parts import TERRAINS, Terrain, contact_parts, prisms
+from lirs_wct.errors import ConfigError
+from lirs_wct.finish import Finish
+from lirs_wct.heightfield import HeightField
+from lirs_wct.mesh import TriangleMesh
+from lirs_wct.mjcf import SEEN_GROUP, TERRAIN_GROUP, world_spec
+from lirs_wct.walls import WallGrid
+
+RADIUS, SPHERES = 0.3, 100
+
+
+@pytest.fixture(scope="module")
+def hills() -> World:
+    """Hills in a bowl, so that nothing rolls off, and a box with upright sides on them."""
+    z = cv2.GaussianBlur(np.random.default_rng(8).random((161, 161)).astype(np.float32), (0, 0), 8)
+    z = (z - z.min()) / np.ptp(z) * np.float32(1.5)
+    z[70:90, 60:100] = z.max() + 0.2
+    axis = np.abs(np.linspace(-1, 1, 161, dtype=np.float32))
+    z += 3 * np.maximum(axis[:, None], axis) ** 8
+    return World("hills", "terrain", HeightField.centred(z, (0.1, 0.1)), finish=Finish(max_error=0.004))
+
+
+@pytest.fixture(scope="module")
+def arch() -> World:
+    """A gate on a slab of 8 x 8 m, 0.5 m thick throughout, as one closed solid with an overhang."""
+    cells = np.zeros((16, 16, 8), np.bool_)
+    cells[:, :, 0] = True
+    cells[2:4, 6:10, :7] = cells[12:14, 6:10, :7] = True
+    cells[2:14, 6:10, 6] = True
+    solid = blocks(cells, 0.5, np.array((-4.0, -4.0, -0.5)))
+    assert solid.is_watertight
+    top = np.zeros((81, 81), np.float32)
+    top[30:51, 10:71] = 3.0
+    return World("arch", "mesh", HeightField.centred(top, (0.1, 0.1)), solid=solid, overhangs=True)
+
+
+def blocks(cells: np.ndarray, edge: float, corner: np.ndarray) -> TriangleMesh:
+    """The boundary of solid cells (x, y, z), two triangles a square."""
+    padded, squares = np.pad(cells, 1), []
+    for axis in range(3):
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        for side in (1, 0):
+            outside = np.roll(padded, -1 if side else 1, axis)
+            at = np.argwhere(padded & ~outside) - 1
+            steps = ((0, 0), (1, 0), (1, 1), (0, 1)) if side else ((0, 0), (0, 1), (1, 1), (1, 0))
+            square = np.repeat(at[:, None], 4, axis=1)
+            square[..., axis] += side
+            square[..., u] += [step[0] for step in steps]
+            square[..., v] += [step[1] for step in steps]
+            squares.append(square)
+    corners = np.concatenate(squares)
+    vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    quads = index.reshape(-1, 4)
+    faces = np.concatenate((quads[:, [0, 1, 2]], quads[:, [0, 2, 3]])).astype(np.int32)
+    return TriangleMesh(vertices * edge + corner, faces)
+
+
+def dropped(world: World, terrain: Terrain, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (n, 3) centres of spheres after 5 s, when each touches the ground, and whether it does."""
+    spec = world_spec(world, terrain=terrain)
+    spec.option.timestep = 0.004
+    for x, y, z in points:
+        ball = spec.worldbody.add_body(
+            pos=(x, y, z + RADIUS + 0.05), sleep=mujoco.mjtSleepPolicy.mjSLEEP_NEVER
+        )
+        ball.add_freejoint()
+        # Rolling resistance, so that they rest on slopes too; a stiff contact as the robots have it.
+        ball.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=(RADIUS, 0, 0),
+            contype=2,
+            conaffinity=1,
+            condim=6,
+            friction=(1.0, 0.02, 0.05),
+            solref=(0.008, 1),
+            priority=1,
+        )
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, round(5 / spec.option.timestep))
+    found, touching = data.qpos.reshape(-1, 7)[:, :3].copy(), np.zeros(len(points), np.bool_)
+    for _ in range(round(1 / spec.option.timestep)):
+        # Those that still roll hop from edge to edge: each is looked at when it touches.
+        before = data.qpos.reshape(-1, 7)[:, :3].copy()
+        mujoco.mj_step(model, data)
+        now = np.unique(model.geom_bodyid[data.contact.geom].max(axis=1)) - 1
+        now = now[~touching[now]]
+        found[now], touching[now] = before[now], True
+    return found, touching
+
+
+def gaps(mesh: TriangleMesh, centres: np.ndarray) -> np.ndarray:
+    """Return (n,) distance between sphere and mesh, metres, negative inside the ground."""
+    true = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    _, distance, face = trimesh.proximity.closest_point(true, centres)
+    towards = np.einsum("ij,ij->i", centres - true.triangles_center[face], true.face_normals[face])
+    return np.where(towards >= 0, distance, -distance) - RADIUS
+
+
+@pytest.mark.parametrize("terrain", ["hfield", "mesh", "prisms"])
+def test_spheres_rest_on_the_true_surface(terrain: Terrain, hills: World) -> None:
+    exact = World("hills", "terrain", hills.surface).mesh
+    rng = np.random.default_rng(1)
+    xy = rng.uniform(-7.0, 7.0, (SPHERES, 2))
+    z = np.array([hills.surface.height_at(x + np.linspace(-0.3, 0.3, 13)[:, None],
+                                          y + np.linspace(-0.3, 0.3, 13)).max() for x, y in xy])  # fmt: skip
+    centres, touching = dropped(hills, terrain, np.column_stack((xy, z)))
+    inside = hills.surface.contains(centres[:, 0], centres[:, 1])
+    assert inside.sum() >= 95
+    gap = gaps(exact, centres[inside])
+    assert (centres[inside, 2] > hills.surface.height_at(*centres[inside, :2].T)).all()
+    assert touching[inside].mean() > 0.8
+    assert np.abs(gap[touching[inside]]).max() < 0.01
+
+
+def test_spheres_rest_on_and_under_an_overhang(arch: World) -> None:
+    pytest.importorskip("coacd", reason="coacd, the extra [mesh], is not installed")
+    rng = np.random.default_rng(1)
+    on_roof = np.column_stack((rng.uniform(-2.5, 2.5, 50), rng.uniform(-0.6, 0.6, 50), np.full(50, 3.0)))
+    below = np.column_stack((rng.uniform(-1.5, 1.5, 50), rng.uniform(-3.0, 3.0, 50), np.zeros(50)))
+    centres, touching = dropped(arch, "convex", np.concatenate((on_roof, below)))
+    assert touching.all()
+    assert np.abs(gaps(arch.mesh, centres)).max() < 0.01
+    assert (centres[:50, 2] > 3.2).all()
+    assert (centres[50:, 2] < 0.4).all()
+
+
+def test_a_prism_for_each_triangle_and_no_more_than_are_legal(hills: World) -> None:
+    parts = list(prisms(hills))
+    up = hills.mesh.face_normals[:, 2] > 1e-9
+    assert len(parts) == up.sum()
+    edges = np.array([(p[1] - p[0], p[2] - p[0]) for p in parts])
+    area = 0.5 * np.abs(np.cross(edges[:, 0], edges[:, 1])[:, 2]).sum()
+    assert area == pytest.approx(16.0**2, rel=1e-9)
+    full = World("full", "terrain", hills.surface, finish=Finish(max_error=1e-5))
+    with pytest.raises(ConfigError, match=r"at most 20000 are legal; give --max-error or --max-triangles"):
+        list(prisms(full))
+
+
+def test_a_terrain_that_does_not_fit_is_refused(
+    hills: World, arch: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    walls = World("room", "map", hills.surface, WallGrid(np.eye(4, dtype=np.bool_), 0.1))
+    for world, terrain, says in (
+        (hills, "voxels", "legal: convex, hfield, mesh, prisms"),
+        (hills, "convex", "closed meshes"),
+        (arch, "hfield", "has overhangs"),
+        (walls, "prisms", "convex boxes already"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            world_spec(world, terrain=terrain)  # type: ignore[arg-type]
+    monkeypatch.setitem(sys.modules, "coacd", None)
+    with pytest.raises(ConfigError, match=r"pip install 'lirs-wct\[mesh\]'"):
+        list(contact_parts(arch, "convex"))
+    assert get_args(Terrain) == TERRAINS
+
+
+def test_the_seen_mesh_is_whole_and_never_touched(hills: World) -> None:
+    model = world_spec(hills, terrain="mesh").compile()
+    seen = [g for g in range(model.ngeom) if model.geom(g).name.startswith("seen")]
+    assert sum(model.mesh_facenum[model.geom_dataid[g]] for g in seen) == len(hills.mesh.faces)
+    assert max(model.mesh_facenum) <= 200_000
+    assert all(model.geom_contype[g] == model.geom_conaffinity[g] == 0 for g in seen)
+    assert {int(model.geom_group[g]) for g in seen} == {TERRAIN_GROUP}
+    assert model.geom("ground").rgba[3] == 0
+
+
+def test_an_overhang_is_seen_in_its_own_group(arch: World) -> None:
+    pytest.importorskip("coacd", reason="coacd, the extra [mesh], is not installed")
+    model = world_spec(arch, terrain="convex").compile()
+    groups = {model.geom(g).name.rstrip("0123456789"): int(model.geom_group[g]) for g in range(model.ngeom)}
+    assert groups == {"ground": TERRAIN_GROUP, "seen": SEEN_GROUP}
+
+
+def test_a_robot_falls_into_no_hole_and_drives_on_the_floor_beside() -> None:
+    kind = np.zeros((60, 60), np.bool_)
+    hole = kind.copy()
+    hole[20:40, 20:40] = True
+    floor = HeightField(np.zeros((2, 2), np.float32), (6.0, 6.0), (0.0, 0.0))
+    world = World("pit", "map", floor, WallGrid(kind, 0.1, hole=hole))
+    spec = world_spec(world)
+    for x, y in ((3.0, 3.0), (1.0, 1.0)):
+        ball = spec.worldbody.add_body(pos=(x, y, 0.2))
+        ball.add_freejoint()
+        ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(0.1, 0, 0))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 1000)
+    assert data.qpos[2] < -5
+    assert data.qpos[9] == pytest.approx(0.1, abs=0.002)
+    free = world.traversable(clearance=0.3, max_slope=0.3)
+    row, col = free.cells((3.0, 3.0))
+    assert not free.free[row, col]
+    row, col = free.cells((1.0, 1.0))
+    assert free.free[row, col]
