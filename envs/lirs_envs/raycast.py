@@ -6,6 +6,7 @@ What a ray can meet:
   ray that comes from the side below the border flies in under the surface and meets it from below.
 * the *cells* of the wall grid as closed solids from z = 0 to the walls' height. A ray that starts in one
   has range 0.
+* not the floor of a laser map where it has a hole: the ray goes on to a wall behind, or meets nothing.
 
 On a node, an edge or the border either neighbour's answer is given; a ray that only touches the surface,
 or lies in it, may meet it or not. No ray slips between two triangles: the kernel does not ask each triangle
@@ -24,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lirs_envs.mipmap import Terrain, terrain_of
 from lirs_envs.terrain_rays import terrain_ranges
-from lirs_envs.wall_cells import WallCells, wall_cells_of, wall_ranges
+from lirs_envs.wall_cells import WallCells, through_holes, wall_cells_of, wall_ranges
 from lirs_wct.errors import ConfigError
 from lirs_wct.heightfield import HeightField
 from lirs_wct.walls import WallGrid
@@ -64,7 +65,12 @@ def cast_rays(
 ) -> None:
     """Fill `ranges` (n,) with the distance to the nearest wall or triangle, inf = none within `max_range`."""
     wall_ranges(walls, origin, directions, max_range, ranges)
+    if walls.hole.size == 0:
+        terrain_ranges(terrain, origin, directions, max_range, ranges)
+        return
+    to_wall = ranges.copy()
     terrain_ranges(terrain, origin, directions, max_range, ranges)
+    through_holes(walls, origin, directions, to_wall, ranges)
 
 
 def mujoco_ranges(

@@ -24,20 +24,27 @@ class WallCells(NamedTuple):
             directions (0 = wall), at most 255; without walls (0, 0).
         frame: (6,) x and y of the outer corner of cell (0, 0), cosine and sine of the grid's yaw,
             resolution, height.
+        hole: (rows, cols) bool, cells without floor; without holes (0, 0).
     """
 
     distance: NDArray[np.uint8]
     frame: NDArray[np.float64]
+    hole: NDArray[np.bool_]
 
 
 def wall_cells_of(walls: WallGrid | None) -> WallCells:
     """Build the distances to the walls; none when there is no wall cell."""
-    if walls is None or not walls.solid.any():
-        return WallCells(np.zeros((0, 0), np.uint8), np.zeros(6))
-    distance = np.minimum(distance_transform_cdt(~walls.solid, metric="chessboard"), 255).astype(np.uint8)
+    distance, hole = np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.bool_)
+    if walls is None:
+        return WallCells(distance, np.zeros(6), hole)
+    if walls.solid.any():
+        cells = distance_transform_cdt(~walls.solid, metric="chessboard")
+        distance = np.ascontiguousarray(np.minimum(cells, 255).astype(np.uint8))
+    if walls.hole is not None:
+        hole = np.ascontiguousarray(walls.hole)
     T = walls.origin
     frame = np.array((T.x, T.y, math.cos(T.yaw), math.sin(T.yaw), walls.resolution, walls.height))
-    return WallCells(np.ascontiguousarray(distance), frame)
+    return WallCells(distance, frame, hole)
 
 
 @njit(cache=True)
@@ -60,6 +67,20 @@ def wall_ranges(walls: WallCells, origin: Array, directions: Array, max_range: f
         t, t_end = clip(origin[2], inverse(directions[k, 2]), 0.0, height, t, t_end)
         if t <= t_end:
             ranges[k] = _first_wall(distance, (u, v, du, dv, per_u, per_v), t, t_end)
+
+
+@njit(cache=True)
+def through_holes(walls: WallCells, origin: Array, directions: Array, to_wall: Array, ranges: Array) -> None:
+    """Give back the range of the wall behind, or inf, to rays that met the floor where it has a hole."""
+    rows, cols = walls.hole.shape
+    x0, y0, c, s, resolution = walls.frame[0], walls.frame[1], walls.frame[2], walls.frame[3], walls.frame[4]
+    for k in range(len(ranges)):
+        if ranges[k] < to_wall[k]:
+            x = origin[0] + ranges[k] * directions[k, 0] - x0
+            y = origin[1] + ranges[k] * directions[k, 1] - y0
+            i, j = math.floor((c * x + s * y) / resolution), math.floor((c * y - s * x) / resolution)
+            if 0 <= i < cols and 0 <= j < rows and walls.hole[j, i]:
+                ranges[k] = to_wall[k]
 
 
 @njit(cache=True, forceinline=True)
