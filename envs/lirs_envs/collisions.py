@@ -43,6 +43,8 @@ class ContactWatch:
     """Looks at the contacts of a model after each control update."""
 
     wheel_geoms: frozenset[int]
+    own_geoms: frozenset[int] | None = None
+    """Geoms of the robot, where others have contacts, too; None = all contacts are its."""
     penetrations: list[float] = field(default_factory=list)
     body_contacts: int = 0
     body_seconds: float = 0.0
@@ -54,11 +56,14 @@ class ContactWatch:
             self.penetrations.append(0.0)
             self._touching = False
             return
-        contact = data.contact
-        self.penetrations.append(max(0.0, -min(contact.dist.tolist())))
+        distances, pairs = data.contact.dist.tolist(), data.contact.geom.tolist()
+        if self.own_geoms is not None:
+            own = [k for k, pair in enumerate(pairs) if not self.own_geoms.isdisjoint(pair)]
+            distances, pairs = [distances[k] for k in own], [pairs[k] for k in own]
+        self.penetrations.append(max(0.0, -min(distances, default=0.0)))
         # The ground's and walls' geoms come after the robot's or before; a contact has one of each.
         wheels = self.wheel_geoms
-        touching = any(a not in wheels and b not in wheels for a, b in contact.geom.tolist())
+        touching = any(a not in wheels and b not in wheels for a, b in pairs)
         self.body_contacts += touching and not self._touching
         self.body_seconds += dt * touching
         self._touching = touching

@@ -10,146 +10,98 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lirs_envs.lidar_noise import LidarNoise, draws, lidar_noise, measure
+from lirs_envs.lidar_presets import LIDARS, LidarPreset, make_lidar_preset
 from lirs_envs.mipmap import Terrain
 from lirs_envs.raycast import RayCaster, cast_rays
 from lirs_envs.wall_cells import WallCells
-from lirs_wct.errors import ConfigError, SimulationError, unknown_name
+from lirs_wct.deskew import moved_frames
+from lirs_wct.errors import SimulationError
 from lirs_wct.pose import Pose3
 from lirs_wct.scan import LaserScan
+
+__all__ = ["LIDARS", "Lidar", "LidarPreset", "Motion", "OtherRanges", "make_lidar_preset"]
 
 Array = NDArray[np.float64]
 OtherRanges = Callable[[Array, Array, float], Array]
 """origin (3,), directions (n, 3), largest range -> (n,) ranges of what the world itself does not hold."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class LidarPreset:
-    """The figures of a planar laser range finder.
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How the base moves while a scan is swept.
 
     Attributes:
-        name: how users call it.
-        beams: number of beams in a scan.
-        fov: angle from the first beam to the last, radians; for a full circle the last beam is one
-            increment short of the first.
-        rate: scans a second, Hz.
-        range_min: smallest range, metres.
-        range_max: largest range, metres.
-        sigma: standard deviation of the range noise, metres.
-        sigma_relative: the part of it that grows with the range, metres a metre; both add.
-
-    Raises:
-        ConfigError: a figure is not legal.
+        velocity: of base_link along x, y, z of the base, m/s.
+        rates: about x, y, z of the base, rad/s.
     """
 
-    name: str
-    beams: int
-    fov: float
-    rate: float
-    range_min: float
-    range_max: float
-    sigma: float = 0.0
-    sigma_relative: float = 0.0
-
-    def __post_init__(self) -> None:
-        legal = {
-            "beams must be at least 2": self.beams >= 2,
-            "fov must be above 0 and at most 2 pi rad": 0 < self.fov <= math.tau,
-            "rate must be above 0 Hz": 0 < self.rate < math.inf,
-            "range_min must be at least 0 m and below range_max": 0 <= self.range_min < self.range_max,
-            "range_max must be finite": self.range_max < math.inf,
-            "sigma must be at least 0": self.sigma >= 0 and self.sigma_relative >= 0,
-        }
-        for rule, holds in legal.items():
-            if not holds:
-                raise ConfigError(f"lidar {self.name!r}: {rule}, got {self}")
-
-    @property
-    def angle_min(self) -> float:
-        """Angle of the first beam, radians; beams run counter-clockwise, the middle one looks ahead."""
-        return -self.fov / 2
-
-    @property
-    def angle_increment(self) -> float:
-        """Angle between two beams, radians."""
-        gaps = self.beams if self.fov == math.tau else self.beams - 1
-        return self.fov / gaps
-
-    @property
-    def period(self) -> float:
-        """Time between two scans, seconds."""
-        return 1 / self.rate
-
-
-def _preset(
-    name: str, beams: int, fov: float, rate: float, limits: tuple[float, float], **noise: float
-) -> LidarPreset:
-    low, high = limits
-    angle = math.radians(fov)
-    return LidarPreset(name=name, beams=beams, fov=angle, rate=rate, range_min=low, range_max=high, **noise)
-
-
-LIDARS: dict[str, LidarPreset] = {
-    preset.name: preset
-    for preset in (
-        # The Husky's simulated SICK, and the one of the data sheet.
-        _preset("lms1xx", 720, 270.0, 50.0, (0.1, 30.0), sigma=0.001),
-        _preset("lms111", 541, 270.0, 25.0, (0.5, 20.0), sigma=0.012),
-        # Its data sheet gives no deviation but a bound of 0.03 m; this is what simulators use.
-        _preset("utm30lx", 1081, 270.25, 40.0, (0.2, 30.0), sigma=0.004),
-        _preset("urg04lx", 682, 239.77, 10.0, (0.02, 5.6), sigma_relative=0.01),
-        _preset("rplidar_a1", 360, 360.0, 5.5, (0.15, 12.0), sigma_relative=0.01),
-        _preset("lds01", 360, 360.0, 5.0, (0.12, 3.5), sigma=0.01),
-    )
-}
-"""Presets by name."""
-
-
-def make_lidar_preset(name: str) -> LidarPreset:
-    """Return a preset by its name.
-
-    Raises:
-        ConfigError: no preset has this name; the message lists them.
-    """
-    if name not in LIDARS:
-        raise unknown_name("lidar", name, LIDARS)
-    return LIDARS[name]
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class Lidar:
-    """A laser range finder on a robot in a world. All beams of a scan are cast at one instant."""
+    """A laser range finder on a robot in a world.
+
+    Args:
+        preset: figures of the device.
+        caster: the world's rays.
+        T_base_laser: mount.
+        rng: of the noise.
+        noise: default: Gaussian with the preset's deviation.
+        sweep: whether a scan is spread over the time that the mirror takes; else all beams are cast at once.
+            The mirror turns once a period. The first beam is cast at the stamp, the others while the robot
+            goes on with the motion that it has then.
+    """
 
     def __init__(
-        self, preset: LidarPreset, caster: RayCaster, T_base_laser: Pose3, rng: np.random.Generator
+        self,
+        preset: LidarPreset,
+        caster: RayCaster,
+        T_base_laser: Pose3,
+        rng: np.random.Generator,
+        noise: LidarNoise | None = None,
+        *,
+        sweep: bool = False,
     ) -> None:
         self.preset = preset
         self.caster = caster
         self.T_base_laser = T_base_laser
+        self.noise = lidar_noise(preset) if noise is None else noise
+        self.time_increment = preset.angle_increment / math.tau * preset.period if sweep else 0.0
         self._rng = rng
         angles = preset.angle_min + preset.angle_increment * np.arange(preset.beams)
         self._beams = np.stack((np.cos(angles), np.sin(angles), np.zeros_like(angles)), axis=1)
 
-    def scan(self, T_world_base: Pose3, stamp: float, others: OtherRanges | None = None) -> LaserScan:
+    def scan(
+        self,
+        T_world_base: Pose3,
+        stamp: float,
+        others: OtherRanges | None = None,
+        motion: Motion | None = None,
+    ) -> LaserScan:
         """Return the scan from a pose of the robot, with noise.
 
         Args:
-            T_world_base: pose of the robot.
+            T_world_base: pose of the robot at the first beam.
             stamp: seconds.
-            others: ranges of robots and props; the nearer of both counts.
+            others: ranges of robots and props; the nearer of both counts. In a sweep all of theirs are
+                taken from where the laser is at the first beam.
+            motion: of the robot; only a sweep needs it. None = at rest.
 
         Raises:
             SimulationError: the pose is not finite.
         """
         preset = self.preset
-        T_world_laser = T_world_base @ self.T_base_laser
-        origin = T_world_laser.position
-        directions = self._beams @ T_world_laser.rotation.T
-        if not (math.isfinite(origin.sum()) and math.isfinite(directions[0].sum())):
-            raise SimulationError(f"the laser's pose must be finite, got {T_world_laser}")
-        other = others(origin, directions, preset.range_max) if others else np.empty(0)
-        noise = self._rng.standard_normal(preset.beams)
-        limits = (preset.range_min, preset.range_max, preset.sigma, preset.sigma_relative)
+        origin, directions = self._rays(T_world_base, motion)
+        if not (np.isfinite(origin).all() and np.isfinite(directions[0]).all()):
+            raise SimulationError(f"the laser's pose must be finite, got {T_world_base}")
+        other = others(origin[0], directions, preset.range_max) if others else np.empty(0)
+        normal, uniform = draws(self.noise, preset.beams, self._rng)
         ranges = np.empty(preset.beams, np.float32)
-        _sweep(self.caster.terrain, self.caster.walls, origin, directions, other, noise, limits, ranges)
+        limits, figures = (preset.range_min, preset.range_max), self.noise.figures
+        terrain, walls = self.caster.terrain, self.caster.walls
+        _sweep(terrain, walls, origin, directions, other, normal, uniform, limits, figures, ranges)
         return LaserScan(
             ranges,
             preset.angle_min,
@@ -158,31 +110,43 @@ class Lidar:
             preset.range_max,
             stamp,
             self.T_base_laser,
+            self.time_increment,
         )
+
+    def _rays(self, T_world_base: Pose3, motion: Motion | None) -> tuple[Array, Array]:
+        """Return origins (1 or n, 3) and directions (n, 3) of the beams in the world."""
+        if self.time_increment == 0.0 or motion is None:
+            T_world_laser = T_world_base @ self.T_base_laser
+            return T_world_laser.position[None], self._beams @ T_world_laser.rotation.T
+        times = self.time_increment * np.arange(self.preset.beams)
+        R, p = moved_frames(times, motion.velocity, motion.rates)
+        in_base = self._beams @ self.T_base_laser.rotation.T
+        origins = p + R @ self.T_base_laser.position
+        rotation = T_world_base.rotation
+        directions = np.einsum("nij,nj->ni", R, in_base) @ rotation.T
+        return origins @ rotation.T + T_world_base.position, directions
 
 
 @njit(cache=True)
 def _sweep(
     terrain: Terrain,
     walls: WallCells,
-    origin: Array,
+    origins: Array,
     directions: Array,
     others: Array,
-    noise: Array,
-    limits: tuple[float, float, float, float],
+    normal: Array,
+    uniform: Array,
+    limits: tuple[float, float],
+    figures: tuple[float, float, float, float, float, float],
     ranges: NDArray[np.float32],
 ) -> None:
-    """Fill `ranges` (n,): +inf = nothing in range, -inf = too near (REP 117), else the range with noise."""
-    range_min, range_max, sigma, sigma_relative = limits
+    """Fill `ranges` (n,) from one origin (1, 3), or from one for each beam (n, 3)."""
     exact = np.empty(len(directions))
-    cast_rays(terrain, walls, origin, directions, range_max, exact)
-    for k in range(len(exact)):
-        true = min(exact[k], others[k]) if len(others) else exact[k]
-        if true > range_max:
-            ranges[k] = np.inf
-            continue
-        measured = true + (sigma + sigma_relative * true) * noise[k]
-        if true < range_min or measured < range_min:
-            ranges[k] = -np.inf
-        else:
-            ranges[k] = measured if measured <= range_max else np.inf
+    if len(origins) == 1:
+        cast_rays(terrain, walls, origins[0], directions, limits[1], exact)
+    else:
+        for k in range(len(directions)):
+            cast_rays(terrain, walls, origins[k], directions[k : k + 1], limits[1], exact[k : k + 1])
+    for k in range(len(others)):
+        exact[k] = min(exact[k], others[k])
+    measure(exact, normal, uniform, limits, figures, ranges)

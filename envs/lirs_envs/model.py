@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_envs.imu import Vector
+from lirs_envs.props import PROP_GROUP, Parked, Prop, add_props
+from lirs_envs.raycast import mujoco_ranges
 from lirs_envs.robots import Robot
 from lirs_wct.contact_grid import ContactGrid, contact_grid
 from lirs_wct.mjcf import world_spec
 from lirs_wct.pose import Pose3
 from lirs_wct.world import World
 
+Array = NDArray[np.float64]
 FULL = mujoco.mjtState.mjSTATE_INTEGRATION
 """All that the next step depends on, warm start included."""
 
@@ -31,20 +34,31 @@ class RobotModel:
         timestep: seconds; the largest part of the period that is at most the robot's own.
         pieces: steps between control updates, over one period.
         wheel_geoms: ids of the geoms that are meant to touch the ground.
+        own_geoms: ids of all of the robot's geoms; None where nobody else has any.
 
     Args:
         world: ground and walls.
         robot: its MJCF file and figures.
         period: time from scan to scan, seconds: a whole number of steps.
         control_period: longest time between control updates, seconds.
+        props: what else stands there.
     """
 
-    def __init__(self, world: World, robot: Robot, period: float, control_period: float) -> None:
+    def __init__(
+        self,
+        world: World,
+        robot: Robot,
+        period: float,
+        control_period: float,
+        props: Sequence[Prop | Parked] = (),
+    ) -> None:
         self.contact: ContactGrid = contact_grid(world.surface)
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
         steps = math.ceil(period / spec.option.timestep - 1e-9)
         self.timestep = period / steps
         spec.option.timestep = self.timestep
+        add_props(spec, world, props)
+        self.prop_ranges = self._prop_ranges if props else None
         self.model = world_spec(world, contact=self.contact, robot=spec).compile()
         self.data = mujoco.MjData(self.model)
         piece = max(1, int(control_period / self.timestep + 1e-9))
@@ -57,7 +71,14 @@ class RobotModel:
         self.wheel_geoms = frozenset(
             g
             for g in range(self.model.ngeom)
-            if int(self.model.geom_bodyid[g]) in bodies or self.model.geom(g).name.endswith("caster")
+            if int(self.model.geom_bodyid[g]) in bodies
+            or ((name := self.model.geom(g).name).endswith("caster") and not name.startswith("parked"))
+        )
+        base = self.model.body("base_link").id
+        self.own_geoms = (
+            frozenset(np.flatnonzero(self.model.body_rootid[self.model.geom_bodyid] == base).tolist())
+            if props
+            else None
         )
         self._force = self.data.sensor("accelerometer").data
         # Views into the data, made once: making one costs as much as reading it.
@@ -77,6 +98,11 @@ class RobotModel:
         x, y, z = self._qvel[3:6].tolist()
         return x, y, z
 
+    def velocity(self) -> Vector:
+        """Return the true velocity of base_link along x, y, z of the base, m/s."""
+        x, y, z = (self._qvel[:3] @ self.pose().rotation).tolist()
+        return x, y, z
+
     def specific_force(self) -> Vector:
         """Return the accelerometer's true reading along x, y, z of the base, m/s^2."""
         x, y, z = self._force.tolist()
@@ -86,6 +112,12 @@ class RobotModel:
         """Return the mean angle by which all wheels have turned, radians."""
         qpos = self._qpos
         return sum([float(qpos[i]) for i in self._angles]) / len(self._angles)
+
+    def _prop_ranges(self, origin: Array, directions: Array, max_range: float) -> Array:
+        """Return (n,) ranges to props and parked robots; the robot's own body is in other groups."""
+        # Places of geoms are those before the last step: brought up to date, the stepping goes on as without.
+        mujoco.mj_kinematics(self.model, self.data)
+        return mujoco_ranges(self.model, self.data, origin, directions, max_range, groups=(PROP_GROUP,))
 
     def step(self, control: tuple[float, float], steps: int) -> None:
         """Hold the speeds of left and right wheels, rad/s, for some steps."""

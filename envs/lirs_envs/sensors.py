@@ -8,7 +8,8 @@ import numpy as np
 
 from lirs_envs.drive import Odometry, OdometryConfig
 from lirs_envs.imu import ImuConfig, ImuSensor
-from lirs_envs.lidar import Lidar, LidarPreset
+from lirs_envs.lidar import Lidar, LidarPreset, Motion
+from lirs_envs.lidar_noise import LidarNoise, NoiseLevel, lidar_noise
 from lirs_envs.model import RobotModel
 from lirs_envs.raycast import RayCaster
 from lirs_envs.robots import Robot
@@ -31,10 +32,19 @@ class Observation:
 
 @dataclass(frozen=True, kw_only=True)
 class Noise:
-    """Noise of all sensors but the LRF, which has its own in its preset."""
+    """Noise of all sensors.
+
+    Attributes:
+        imu: of the inertial unit.
+        odometry: of the wheels.
+        lidar: of the LRF: a level (`none`, `simulated`, `datasheet`) or figures of your own.
+        sweep: whether the beams of a scan are spread over its time.
+    """
 
     imu: ImuConfig = field(default_factory=ImuConfig)
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
+    lidar: LidarNoise | NoiseLevel = "simulated"
+    sweep: bool = False
 
 
 class Sensors:
@@ -59,7 +69,8 @@ class Sensors:
             np.random.default_rng((seed, stream)) for stream in (LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM)
         )
         self._body = body
-        self._lidar = Lidar(preset, caster, robot.T_base_laser, lidar)
+        ranges = noise.lidar if isinstance(noise.lidar, LidarNoise) else lidar_noise(preset, noise.lidar)
+        self._lidar = Lidar(preset, caster, robot.T_base_laser, lidar, ranges, sweep=noise.sweep)
         self._imu = ImuSensor(noise.imu, imu)
         self._odometry = Odometry(robot, noise.odometry, odometry)
         self._wheel_angle = body.wheel_angle()
@@ -84,4 +95,7 @@ class Sensors:
         T_world_base = self._body.pose()
         imu = self._imu.read(T_world_base, self._rates, self._body.specific_force(), stamp, dt)
         self._attitude = (imu.roll, imu.pitch)
-        return Observation(self._lidar.scan(T_world_base, stamp), self._odometry.pose, imu)
+        body = self._body
+        motion = Motion(body.velocity(), body.rates()) if self._lidar.time_increment else None
+        scan = self._lidar.scan(T_world_base, stamp, body.prop_ranges, motion)
+        return Observation(scan, self._odometry.pose, imu)

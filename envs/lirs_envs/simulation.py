@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,6 +15,7 @@ from lirs_envs.drive import Drive, Twist
 from lirs_envs.lidar import make_lidar_preset
 from lirs_envs.model import RobotModel
 from lirs_envs.placement import standing_pose, start_of
+from lirs_envs.props import Parked, Prop
 from lirs_envs.raycast import RayCaster
 from lirs_envs.robots import Robot
 from lirs_envs.sensors import Noise, Observation, Sensors
@@ -63,7 +65,8 @@ class Simulation:
         robot: who.
         lidar: name of an LRF preset; default: the robot's own.
         seed: of every random number; same seed and same commands, same bytes.
-        noise: of the other sensors.
+        noise: of all sensors.
+        props: things and parked robots that stand in the world; touched, and seen by the LRF.
 
     Raises:
         ConfigError: no LRF has that name, or the seed is negative.
@@ -77,12 +80,13 @@ class Simulation:
         lidar: str | None = None,
         seed: int = 0,
         noise: Noise | None = None,
+        props: Sequence[Prop | Parked] = (),
     ) -> None:
         self.world = world
         self.robot = robot
         self.preset = make_lidar_preset(lidar or robot.lidar)
         self.period = self.preset.period
-        self.body = RobotModel(world, robot, self.period, CONTROL_PERIOD)
+        self.body = RobotModel(world, robot, self.period, CONTROL_PERIOD, props)
         self._noise = noise or Noise()
         self._caster = RayCaster(world.surface, world.walls)
         self._seed = seed
@@ -93,7 +97,7 @@ class Simulation:
         self._seed = self._seed if seed is None else seed
         self._sensors = Sensors(self.robot, self.body, self.preset, self._caster, self._noise, self._seed)
         self._drive = Drive(self.robot)
-        self._watch = ContactWatch(self.body.wheel_geoms)
+        self._watch = ContactWatch(self.body.wheel_geoms, self.body.own_geoms)
         self._controls: list[tuple[float, float]] = []
         self._initial: NDArray[np.float64] | None = None
         self.timing = Timing()

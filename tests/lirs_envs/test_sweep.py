@@ -1,0 +1,144 @@
+"""Scans that take time, and what takes the motion out of them again; patterns of beams."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import pytest
+
+from lirs_envs.drive import Twist
+from lirs_envs.lidar import LIDARS, Lidar, LidarPreset, Motion
+from lirs_envs.lidar_noise import LidarNoise
+from lirs_envs.lidar_pattern import BeamPattern, PatternLidar, rings
+from lirs_envs.raycast import RayCaster
+from lirs_envs.robots import Robot
+from lirs_envs.sensors import Noise
+from lirs_envs.simulation import Simulation
+from lirs_wct.deskew import deskewed_points, deskewed_scan, moved_frames
+from lirs_wct.errors import ConfigError
+from lirs_wct.heightfield import HeightField
+from lirs_wct.pose import Pose2, Pose3
+from lirs_wct.scan import LaserScan
+from lirs_wct.walls import WallGrid
+from lirs_wct.world import World
+
+MOUNT = Pose3(0.2, 0.05, 0.3)
+SLOW = LidarPreset(name="slow", beams=721, fov=math.tau, rate=5.0, range_min=0.1, range_max=30.0)
+MOTION = Motion((1.2, 0.3, 0.0), (0.0, 0.0, 1.5))
+
+
+def room() -> RayCaster:
+    """8 m x 6 m inside."""
+    solid = np.ones((80, 100), np.bool_)
+    solid[10:70, 10:90] = False
+    flat = HeightField.centred(np.zeros((2, 2), np.float32), (100.0, 100.0))
+    return RayCaster(flat, WallGrid(solid, 0.1, Pose2(-5.0, -4.0, 0.0), 2.0))
+
+
+def swept(motion: Motion | None, *, sweep: bool = True) -> LaserScan:
+    lidar = Lidar(SLOW, room(), MOUNT, np.random.default_rng(0), LidarNoise(), sweep=sweep)
+    return lidar.scan(Pose3(0.5, -0.4, 0.2), 3.0, motion=motion)
+
+
+def off_the_walls(points: np.ndarray) -> np.ndarray:
+    """Distance of points in the base frame from the room's walls."""
+    x, y = points[:, 0] + 0.5, points[:, 1] - 0.4
+    return np.minimum(np.abs(np.abs(x) - 4.0), np.abs(np.abs(y) - 3.0))
+
+
+def test_a_sweep_takes_the_mirror_s_time() -> None:
+    scan = swept(MOTION)
+    assert scan.stamp == 3.0
+    assert scan.time_increment * len(scan.ranges) == pytest.approx(SLOW.period)
+    lms = Lidar(LIDARS["lms111"], room(), MOUNT, np.random.default_rng(0), sweep=True)
+    assert lms.time_increment * 540 == pytest.approx(0.75 * 0.04), "270 of 360 deg"
+    assert swept(MOTION, sweep=False).time_increment == 0.0
+
+
+def test_motion_distorts_and_de_skewing_undoes_it() -> None:
+    scan = swept(MOTION)
+    skewed = deskewed_points(scan, (0, 0, 0), (0, 0, 0))
+    assert np.nanmax(off_the_walls(skewed)) > 0.15, "1.2 m/s and 1.5 rad/s for 0.2 s bend the walls"
+    assert np.nanmax(off_the_walls(deskewed_points(scan, MOTION.velocity, MOTION.rates))) < 1e-5
+    # At rest, a sweep is a scan at one instant.
+    np.testing.assert_array_equal(swept(None).ranges, swept(Motion()).ranges)
+    np.testing.assert_array_equal(swept(Motion()).ranges, swept(MOTION, sweep=False).ranges)
+
+
+def test_the_de_skewed_scan_is_the_one_at_rest() -> None:
+    straight, scan = swept(None), deskewed_scan(swept(MOTION), MOTION.velocity, MOTION.rates)
+    assert scan.time_increment == 0.0
+    assert np.isnan(scan.ranges).mean() < 0.15, "few beams are left without a neighbour"
+    both = np.isfinite(scan.ranges)
+    assert np.quantile(np.abs(scan.ranges - straight.ranges)[both], 0.95) < 0.05
+
+
+def test_what_met_nothing_stays_so() -> None:
+    ranges = np.full(361, np.inf, np.float32)
+    ranges[:10] = np.nan
+    scan = LaserScan(ranges, -math.pi / 2, math.pi / 360, 0.1, 9.0, 0.0, time_increment=1e-4)
+    again = deskewed_scan(scan, (1.0, 0.0, 0.0), (0.0, 0.0, 0.5))
+    assert np.isnan(again.ranges[:10]).all()
+    assert np.isposinf(again.ranges[20:-20]).mean() > 0.95
+
+
+def test_moved_frames_against_small_steps() -> None:
+    v, w = np.array((1.0, -0.4, 0.2)), np.array((0.3, -0.5, 1.1))
+    R, p = moved_frames((0.0, 0.7), v, w)
+    np.testing.assert_allclose(R[0], np.eye(3))
+    n = 20000
+    T = Pose3()
+    for _ in range(n):
+        half = w * 0.35 / n
+        T = T @ Pose3.from_arrays(v * 0.7 / n, (1.0, *half))
+    np.testing.assert_allclose(p[1], T.position, atol=1e-4)
+    np.testing.assert_allclose(R[1], T.rotation, atol=1e-4)
+    np.testing.assert_allclose(moved_frames((2.0,), v, (0, 0, 0))[1], [2 * v])
+    with pytest.raises(ConfigError, match="finite"):
+        moved_frames((0.0,), (math.nan, 0, 0), w)
+
+
+def test_the_simulation_sweeps(walled: World, husky: Robot) -> None:
+    sim = Simulation(walled, husky, noise=Noise(lidar="none", sweep=True), lidar="utm30lx")
+    still = sim.reset().scan
+    assert still.time_increment > 0
+    for _ in range(40):
+        scan = sim.advance(Twist(0.5, 2.0)).scan
+    motion = Motion(sim.body.velocity(), sim.body.rates())
+    world = sim.T_world_base.apply(deskewed_points(scan, motion.velocity, motion.rates))
+    naive = sim.T_world_base.apply(deskewed_points(scan, (0, 0, 0), (0, 0, 0)))
+    T_wall_world = Pose2(0.5, -0.3, 0.4).inverse()
+
+    def spread(points: np.ndarray) -> float:
+        x = T_wall_world.apply(points[np.isfinite(points[:, 0]), :2])[:, 0]
+        return float(np.median(np.abs(x - 3.0)))
+
+    assert spread(world) < 1e-4 < 5e-3 < spread(naive)
+
+
+def test_rings_see_floor_and_walls_within_three_milliseconds() -> None:
+    pattern = BeamPattern(directions=rings(16, 900, (math.radians(-15), math.radians(15))))
+    lidar = PatternLidar(pattern, room(), MOUNT, np.random.default_rng(0))
+    ranges = lidar.ranges(Pose3(0.5, -0.4, 0.2))
+    assert ranges.shape == (14400,)
+    points = Pose3(0.5, -0.4, 0.2).apply(lidar.points(ranges))
+    wall = np.minimum(np.abs(np.abs(points[:, 0]) - 4.0), np.abs(np.abs(points[:, 1]) - 3.0))
+    assert np.minimum(wall, np.abs(points[:, 2])).max() < 1e-5
+    assert (np.abs(points[:, 2]) < 1e-5).any()
+    best = math.inf
+    for _ in range(20):
+        begun = time.perf_counter()
+        lidar.ranges(Pose3(0.5, -0.4, 0.2))
+        best = min(best, time.perf_counter() - begun)
+    assert best < 3e-3
+
+
+def test_patterns_that_cannot_be() -> None:
+    with pytest.raises(ConfigError, match="unit vectors"):
+        BeamPattern(directions=np.ones((4, 3)))
+    with pytest.raises(ConfigError, match="range_min"):
+        BeamPattern(directions=np.eye(3), range_min=5.0, range_max=1.0)
+    with pytest.raises(ConfigError, match="at least 1 ring"):
+        rings(0, 900, (0.0, 0.1))
