@@ -8,6 +8,7 @@ from functools import wraps
 from typing import Any, Literal
 
 from lirs_validation import option_words as word
+from lirs_wct.contact_parts import TERRAINS, Terrain
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.options import DENOISE_METHODS, UNKNOWN, BuildOptions
 from lirs_wct.pose import Pose2
@@ -117,6 +118,16 @@ def gazebo_terrain(given: str) -> Literal["solid", "heightmap"]:
         ConfigError: it is neither.
     """
     terrain: Literal["solid", "heightmap"] = _choice(given, "--terrain", ("solid", "heightmap"))
+    return terrain
+
+
+def mujoco_terrain(given: str) -> Terrain:
+    """Return what MuJoCo is to touch.
+
+    Raises:
+        ConfigError: it is none of these.
+    """
+    terrain: Terrain = _choice(given, "--terrain", TERRAINS)
     return terrain
 
 

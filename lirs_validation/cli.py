@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from typer.exceptions import TyperException
 
-from lirs_validation.build_options import gazebo_terrain, with_build_options
+from lirs_validation.build_options import gazebo_terrain, mujoco_terrain, with_build_options
 from lirs_validation.option_words import RotateX
 from lirs_wct.errors import WctError
 from lirs_wct.options import BuildOptions
@@ -83,6 +83,14 @@ def validate(
     robot: Annotated[str, typer.Option(help="Robot that drives.")] = "husky",
     mapper: Annotated[str, typer.Option(help="SLAM method that maps.")] = "hector",
     lidar: Annotated[str | None, typer.Option(help="LRF preset; default: the robot's own.")] = None,
+    terrain: Annotated[
+        str,
+        typer.Option(
+            metavar="hfield|mesh|prisms|convex",
+            help="What MuJoCo touches: a height field; the same, and the mesh is seen; a prism for each "
+            "triangle within --max-error; the convex parts of a closed mesh.",
+        ),
+    ] = "hfield",
     seconds: Annotated[float, typer.Option(help="Simulated seconds to drive.")] = 120.0,
     seed: Annotated[int, typer.Option(help="Seed of every random number.")] = 1,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the runs' folders.")] = Path(
@@ -98,7 +106,14 @@ def validate(
 
     configs = [
         RunConfig(
-            source=source, robot=robot, mapper=mapper, lidar=lidar, seconds=seconds, seed=seed, build=options
+            source=source,
+            robot=robot,
+            mapper=mapper,
+            lidar=lidar,
+            terrain=mujoco_terrain(terrain),
+            seconds=seconds,
+            seed=seed,
+            build=options,
         )
         for source in sources
     ]
@@ -137,7 +152,7 @@ def view(
 def info(
     source: Source,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="PNG to write; default: no picture.")
+        Path | None, typer.Option("-o", "--output", help="PNG to draw; default: no picture.")
     ] = None,
     *,
     options: BuildOptions,
@@ -150,9 +165,7 @@ def info(
         world = build_world(source, options)
         facts = world_facts(world)
     out.print(facts_table(world, facts))
-    if output is None:
-        out.print("with -o FILE.png it is drawn as well")
-    else:
+    if output is not None:
         _draw(world, output)
 
 
@@ -186,6 +199,9 @@ def main() -> None:
     warnings.showwarning = _one_line
     try:
         code = app(standalone_mode=False)
+        if code == INTERRUPTED:
+            # Typer turns Ctrl-C into its exit code, and says nothing.
+            raise KeyboardInterrupt
     except WctError as error:
         _fail(str(error))
     except TyperException as error:

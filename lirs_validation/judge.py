@@ -70,6 +70,15 @@ def judge_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
     }
 
 
+def judge_contact(simulation: Simulation) -> dict[str, Any]:
+    """Return what is touched, and by how much it differs from the surface or of how many parts it is."""
+    terrain = {"terrain": simulation.terrain}
+    if simulation.terrain in ("hfield", "mesh"):
+        return terrain | asdict(simulation.contact)
+    model = simulation.body.model
+    return terrain | {"parts": sum(model.geom(g).name.startswith("ground") for g in range(model.ngeom))}
+
+
 def judge_collisions(simulation: Simulation) -> dict[str, Any]:
     """Return contact figures of the whole run."""
     return asdict(simulation.collisions)

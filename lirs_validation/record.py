@@ -13,7 +13,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.contact_parts import TERRAINS, Terrain
+from lirs_wct.errors import ConfigError, SourceError, unknown_name
 from lirs_wct.files import atomic_write
 from lirs_wct.options import BuildOptions
 
@@ -32,18 +33,20 @@ class RunConfig:
         robot: name of a robot.
         mapper: name of a mapper.
         lidar: name of an LRF preset; None = the robot's own.
+        terrain: what MuJoCo touches.
         seconds: simulated time to drive.
         seed: of every random number in the run.
         build: how the source becomes a world.
 
     Raises:
-        ConfigError: seconds is not above 0, or the seed is negative.
+        ConfigError: seconds is not above 0, the seed is negative, or there is no such terrain.
     """
 
     source: str
     robot: str = "husky"
     mapper: str = "hector"
     lidar: str | None = None
+    terrain: Terrain = "hfield"
     seconds: float = 120.0
     seed: int = 1
     build: BuildOptions = field(default_factory=BuildOptions)
@@ -53,6 +56,8 @@ class RunConfig:
             raise ConfigError(f"seconds must be a finite number above 0, got {self.seconds:g}")
         if self.seed < 0:
             raise ConfigError(f"seed must be 0 or above, got {self.seed}")
+        if self.terrain not in TERRAINS:
+            raise unknown_name("terrain for MuJoCo", self.terrain, TERRAINS)
 
     @property
     def digest(self) -> str:
@@ -138,6 +143,8 @@ def machine() -> dict[str, Any]:
 def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
+    if isinstance(value, Path):
+        return str(value)
     raise TypeError(f"a record holds numbers, words and lists, got {type(value).__name__}")
 
 

@@ -14,11 +14,19 @@ import numpy as np
 from lirs_envs.robots import Robot, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_validation.drivers import CoverageDriver, plan_coverage
-from lirs_validation.judge import Maps, judge_collisions, judge_maps, judge_rtf, judge_trajectory
+from lirs_validation.judge import (
+    Maps,
+    judge_collisions,
+    judge_contact,
+    judge_maps,
+    judge_rtf,
+    judge_trajectory,
+)
 from lirs_validation.loop import DriveLog, drive
 from lirs_validation.pace import driver_config
 from lirs_validation.record import RunConfig, RunRecord, machine, versions
 from lirs_validation.results import write_results
+from lirs_wct.contact_parts import Terrain
 from lirs_wct.errors import ConfigError
 from lirs_wct.options import BuildOptions
 from lirs_wct.traversability import start_poses
@@ -67,6 +75,7 @@ def validate(
     robot: str = "husky",
     mapper: str = "hector",
     lidar: str | None = None,
+    terrain: Terrain = "hfield",
     seconds: float = 120.0,
     seed: int = 1,
     options: BuildOptions | None = None,
@@ -80,6 +89,7 @@ def validate(
         robot: name of the robot.
         mapper: name of the mapper.
         lidar: name of an LRF preset; None = the robot's own.
+        terrain: what MuJoCo touches: `hfield`, `mesh`, `prisms` or `convex`.
         seconds: simulated time to drive.
         seed: of every random number in the run; same seed, same bytes.
         options: how the source becomes a world.
@@ -94,6 +104,7 @@ def validate(
         robot=robot,
         mapper=mapper,
         lidar=lidar,
+        terrain=terrain,
         seconds=seconds,
         seed=seed,
         build=options or BuildOptions(),
@@ -111,7 +122,7 @@ def run(config: RunConfig, *, out: Path | None = None, report: Report | None = N
     driver = plan(stage.world, robot, config)
     tell("compile", 0.0)
     compile_seconds = warm_up(stage, robot)
-    simulation = Simulation(stage.world, robot, lidar=config.lidar, seed=config.seed)
+    simulation = simulate(stage, robot)
     log = drive(simulation, driver, mapper, config.seconds, lambda done: tell("drive", done / config.seconds))
     tell("judge", 1.0)
     maps = judge_maps(stage.world, log, mapper)
@@ -120,10 +131,21 @@ def run(config: RunConfig, *, out: Path | None = None, report: Report | None = N
     return Run(record, log, maps, stage.world, folder)
 
 
+def simulate(stage: Stage, robot: Robot) -> Simulation:
+    """Put the robot into the config's world."""
+    config = stage.config
+    return Simulation(stage.world, robot, lidar=config.lidar, seed=config.seed, terrain=config.terrain)
+
+
 def set_stage(config: RunConfig) -> Stage:
     """Build the config's world; of a terrain larger than 200 m, its middle 50 m."""
     world = build_world(config.source, config.build)
-    if max(world.surface.size) <= LARGE or world.kind != "terrain" or config.build.window is not None:
+    if (
+        max(world.surface.size) <= LARGE
+        or world.kind == "map"
+        or world.overhangs
+        or config.build.window is not None
+    ):
         return Stage(config, world, config.build.window)
     west, south, east, north = world.surface.bounds
     window = ((west + east) / 2, (south + north) / 2, WINDOW)
@@ -154,7 +176,7 @@ def warm_up(stage: Stage, robot: Robot) -> float:
     begun = time.perf_counter()
     rehearse(stage.config.mapper)
     config = replace(stage.config, seconds=WARM_UP)
-    simulation = Simulation(stage.world, robot, lidar=config.lidar, seed=config.seed)
+    simulation = simulate(stage, robot)
     drive(simulation, plan(stage.world, robot, config), make_mapper(config.mapper), WARM_UP)
     return time.perf_counter() - begun
 
@@ -194,5 +216,5 @@ def _described(stage: Stage, simulation: Simulation) -> dict[str, Any]:
         "relief": surface.relief,
         "nodes": surface.shape,
         "window": stage.window,
-        "contact": asdict(simulation.contact),
+        "contact": judge_contact(simulation),
     }

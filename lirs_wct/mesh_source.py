@@ -29,11 +29,13 @@ class MeshSource:
         surface: its highest points, from above.
         solid: the mesh itself where it is closed, else None.
         overhangs: whether a vertical line somewhere meets more than a top and a bottom.
+        bare: (rows, cols) nodes of the surface where a closed mesh has no ground; None = it has everywhere.
     """
 
     surface: HeightField
     solid: TriangleMesh | None
     overhangs: bool
+    bare: NDArray[np.bool_] | None
 
 
 def read_mesh_source(path: Path, options: BuildOptions) -> MeshSource:
@@ -47,7 +49,7 @@ def read_mesh_source(path: Path, options: BuildOptions) -> MeshSource:
     low, high = mesh.bounds
     if not (high[:2] - low[:2] > 0).all():
         raise SourceError(f"{path}: a terrain needs an extent along x and y, this is {_size(low, high)} m")
-    surface, overhangs = _surface(path, mesh, options)
+    surface, overhangs, bare = _surface(path, mesh, options)
     closed = mesh.is_watertight
     if not closed:
         # Neither which side is ground nor what a consumer would touch can be told.
@@ -58,10 +60,14 @@ def read_mesh_source(path: Path, options: BuildOptions) -> MeshSource:
         )
     if options.window is not None and overhangs:
         raise ConfigError(f"{path}: has overhangs, --window cannot cut it")
-    return MeshSource(surface, mesh if closed and options.window is None else None, overhangs)
+    solid = mesh if closed and options.window is None else None
+    return MeshSource(surface, solid, overhangs, bare if closed and bare.any() else None)
 
 
-def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[HeightField, bool]:
+def _surface(
+    path: Path, mesh: TriangleMesh, options: BuildOptions
+) -> tuple[HeightField, bool, NDArray[np.bool_]]:
+    """Return the heights from above, whether there are overhangs, and the nodes without ground."""
     (west, south), (east, north) = _extent(mesh, options.window)
     spacing = options.resolution or max(east - west, north - south) / (NODES - 1)
     cols, rows = (max(2, round(side / spacing) + 1) for side in (east - west, north - south))
@@ -85,7 +91,7 @@ def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[Hei
         top -= top.min()
     z = np.ascontiguousarray(top[::-1].astype(np.float32))
     overhangs = bool((layers(mesh, grid, (rows, cols)) > (2 if mesh.is_watertight else 1)).any())
-    return HeightField(z, grid[2:], grid[:2]), overhangs and not _stacked(mesh)
+    return HeightField(z, grid[2:], grid[:2]), overhangs and not _stacked(mesh), bare[::-1]
 
 
 def _stacked(mesh: TriangleMesh) -> bool:

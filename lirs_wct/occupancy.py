@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.errors import unknown_name
 from lirs_wct.grid import OccupancyGrid
+from lirs_wct.heightfield import HeightField
 from lirs_wct.options import UNKNOWN, Unknown
 from lirs_wct.walls import WallGrid
 
@@ -46,6 +47,13 @@ def without_speckles(grid: OccupancyGrid, cells: int) -> OccupancyGrid:
     return OccupancyGrid.from_probability(
         np.where(small, 0.0, grid.probability), grid.resolution, grid.origin
     )
+
+
+def level_floor(walls: WallGrid) -> HeightField:
+    """Return level ground under the whole map, whatever its yaw."""
+    low, high = walls.corners.min(axis=0), walls.corners.max(axis=0)
+    width, depth = (high - low).tolist()
+    return HeightField(np.zeros((2, 2), np.float32), (width, depth), (float(low[0]), float(low[1])))
 
 
 def merged_boxes(walls: WallGrid) -> Boxes:

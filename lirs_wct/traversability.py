@@ -26,6 +26,7 @@ def traversable(
     surface: HeightField,
     walls: WallGrid | None = None,
     truth: OccupancyGrid | None = None,
+    bare: Mask | None = None,
     *,
     clearance: float,
     max_slope: float,
@@ -37,6 +38,7 @@ def traversable(
         surface: the ground.
         walls: what stands on it.
         truth: the input laser map; where given, only its free cells can be driven.
+        bare: (rows, cols) nodes of the surface under which there is no ground.
         clearance: distance that the centre keeps from steep ground, walls and the border, metres.
         max_slope: steepest ground that the robot drives, radians, over a baseline of 0.3 m.
         resolution: metres a cell.
@@ -45,6 +47,9 @@ def traversable(
     shape = (max(1, math.ceil((north - south) / resolution)), max(1, math.ceil((east - west) / resolution)))
     grid = OccupancyGrid(np.zeros(shape, np.float32), resolution, Pose2(west, south))
     blocked = _steep_cells(surface, max_slope, grid)
+    if bare is not None:
+        blocked |= _scatter(_points(surface, bare), grid)
+        blocked |= _bare_cells(surface, bare, grid)
     if walls is not None:
         blocked |= _wall_cells(walls, grid)
     if truth is not None:
@@ -101,10 +106,26 @@ def _steep_cells(surface: HeightField, max_slope: float, grid: OccupancyGrid) ->
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach[0] + 1, 2 * reach[1] + 1))
     relief = cv2.dilate(fine.z, kernel) - cv2.erode(fine.z, kernel)
     baseline = 2 * max(r * c for r, c in zip(reach, fine.cell, strict=True))
-    rows, cols = np.nonzero(relief > baseline * math.tan(max_slope))
-    x = fine.origin[0] + cols * fine.cell[0]
-    y = fine.origin[1] + (fine.z.shape[0] - 1 - rows) * fine.cell[1]
-    return _scatter(np.stack((x, y), axis=-1), grid)
+    return _scatter(_points(fine, relief > baseline * math.tan(max_slope)), grid)
+
+
+def _points(surface: HeightField, chosen: Mask) -> NDArray[np.float64]:
+    """Return (n, 2) x and y of chosen nodes."""
+    rows, cols = np.nonzero(chosen)
+    x = surface.origin[0] + cols * surface.cell[0]
+    y = surface.origin[1] + (surface.z.shape[0] - 1 - rows) * surface.cell[1]
+    return np.stack((x, y), axis=-1)
+
+
+def _bare_cells(surface: HeightField, bare: Mask, grid: OccupancyGrid) -> Mask:
+    """Mark cells of the grid whose nearest node is bare: nodes may be farther apart than cells."""
+    at = _centres(grid)
+    col = np.rint((at[..., 0] - surface.origin[0]) / surface.cell[0]).astype(np.int64)
+    row = (
+        surface.z.shape[0] - 1 - np.rint((at[..., 1] - surface.origin[1]) / surface.cell[1]).astype(np.int64)
+    )
+    found: Mask = bare[np.clip(row, 0, bare.shape[0] - 1), np.clip(col, 0, bare.shape[1] - 1)]
+    return found
 
 
 def _sampled(surface: HeightField, spacing: float) -> HeightField:

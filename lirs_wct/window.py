@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.grid import OccupancyGrid
@@ -50,6 +51,19 @@ def cut_surface(surface: HeightField, window: Window) -> HeightField:
         surface.cell,
         (west + c0 * surface.cell[0], south + r0 * surface.cell[1]),
     )
+
+
+def cut_nodes(
+    mask: NDArray[np.bool_] | None, whole: HeightField, part: HeightField
+) -> NDArray[np.bool_] | None:
+    """Keep of a mask over the nodes of a surface those of the part that was cut out of it."""
+    if mask is None:
+        return None
+    rows, cols = part.shape
+    west = round((part.origin[0] - whole.origin[0]) / whole.cell[0])
+    south = round((part.origin[1] - whole.origin[1]) / whole.cell[1])
+    north = whole.shape[0] - south - rows
+    return mask[north : north + rows, west : west + cols]
 
 
 def cut_map(grid: OccupancyGrid, window: Window) -> OccupancyGrid:

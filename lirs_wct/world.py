@@ -19,7 +19,7 @@ from lirs_wct.grid import OccupancyGrid
 from lirs_wct.heightfield import HeightField
 from lirs_wct.mesh import TriangleMesh
 from lirs_wct.mesh_source import read_mesh_source
-from lirs_wct.occupancy import walls_of, without_speckles
+from lirs_wct.occupancy import level_floor, walls_of, without_speckles
 from lirs_wct.options import BuildOptions
 from lirs_wct.pose import Pose2
 from lirs_wct.simplify import simplified_solid
@@ -29,7 +29,7 @@ from lirs_wct.terrain_source import read_terrain, scale_in_words
 from lirs_wct.traversability import start_poses, traversable
 from lirs_wct.wall_solid import wall_mesh
 from lirs_wct.walls import WallGrid
-from lirs_wct.window import cut_map, cut_surface
+from lirs_wct.window import Window, cut_map, cut_nodes, cut_surface
 
 START_CLEARANCE = 0.8
 """Metres of free ground around a start pose: a Husky and a step."""
@@ -53,6 +53,7 @@ class World:
         finish: how the mesh files are made.
         solid: the true mesh of a world of kind `mesh`.
         overhangs: whether that mesh is more than its heights from above say.
+        bare: (rows, cols) nodes of the surface over which that mesh has no ground; None = everywhere it has.
     """
 
     name: str
@@ -65,6 +66,7 @@ class World:
     finish: Finish = field(default_factory=Finish)
     solid: TriangleMesh | None = None
     overhangs: bool = False
+    bare: NDArray[np.bool_] | None = None
 
     @cached_property
     def mesh(self) -> TriangleMesh:
@@ -95,6 +97,7 @@ class World:
             self.surface,
             self.walls,
             self.truth,
+            self.bare,
             clearance=clearance,
             max_slope=max_slope,
             resolution=resolution,
@@ -147,8 +150,7 @@ def _loaded_world(source: Source, options: BuildOptions) -> World:
         return world
     if world.walls is not None or world.overhangs:
         raise ConfigError(f"{source.path}: --window cuts a built terrain only; give the world's own source")
-    surface = cut_surface(world.surface, options.window)
-    return _with_starts(replace(world, kind="terrain", surface=surface, solid=None))
+    return _with_starts(replace(_cut(world, options.window), kind="terrain", solid=None))
 
 
 def _terrain_world(source: Source, options: BuildOptions) -> World:
@@ -168,6 +170,7 @@ def _mesh_world(source: Source, options: BuildOptions) -> World:
         scale="as given" if given else "the file's own",
         solid=read.solid,
         overhangs=read.overhangs and read.solid is not None,
+        bare=read.bare,
     )
     return _with_starts(world)
 
@@ -183,17 +186,13 @@ def _map_world(source: Source, options: BuildOptions) -> World:
         truth = cut_map(truth, options.window)
     truth = without_speckles(truth, options.speckle)
     walls = walls_of(truth, options.wall_height, options.unknown)
-    world = World(source.name, "map", _floor(walls), walls, truth, scale=f"{truth.resolution:g} m a cell")
-    return _with_starts(world)
+    scale = f"{truth.resolution:g} m a cell"
+    return _with_starts(World(source.name, "map", level_floor(walls), walls, truth, scale=scale))
 
 
-def _floor(walls: WallGrid) -> HeightField:
-    """Return level ground under the whole map, whatever its yaw."""
-    low, high = walls.corners.min(axis=0), walls.corners.max(axis=0)
-    flat: NDArray[np.float32] = np.zeros((2, 2), np.float32)
-    return HeightField(
-        flat, (float(high[0] - low[0]), float(high[1] - low[1])), (float(low[0]), float(low[1]))
-    )
+def _cut(world: World, window: Window) -> World:
+    surface = cut_surface(world.surface, window)
+    return replace(world, surface=surface, bare=cut_nodes(world.bare, world.surface, surface))
 
 
 def _with_starts(world: World) -> World:
@@ -202,6 +201,6 @@ def _with_starts(world: World) -> World:
     if world.kind != "map" and max(world.surface.size) > START_AREA:
         west, south, east, north = world.surface.bounds
         middle = ((west + east) / 2, (south + north) / 2, START_AREA)
-        place = replace(world, surface=cut_surface(world.surface, middle))
+        place = _cut(world, middle)
     free = place.traversable(clearance=START_CLEARANCE, max_slope=START_SLOPE)
     return replace(world, starts=start_poses(free))

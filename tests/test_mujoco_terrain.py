@@ -11,13 +11,17 @@ import numpy as np
 import pytest
 import trimesh
 
-from lirs_wct import World
+from lirs_envs.robots import make_robot
+from lirs_envs.simulation import Simulation
+from lirs_validation import validate
+from lirs_wct import BuildOptions, World
 from lirs_wct.contact_parts import TERRAINS, Terrain, contact_parts, prisms
 from lirs_wct.errors import ConfigError
 from lirs_wct.finish import Finish
 from lirs_wct.heightfield import HeightField
 from lirs_wct.mesh import TriangleMesh
 from lirs_wct.mjcf import SEEN_GROUP, TERRAIN_GROUP, world_spec
+from lirs_wct.pose import Pose2
 from lirs_wct.walls import WallGrid
 
 RADIUS, SPHERES = 0.3, 100
@@ -139,6 +143,16 @@ def test_spheres_rest_on_and_under_an_overhang(arch: World) -> None:
     assert (centres[50:, 2] < 0.4).all()
 
 
+def test_the_laser_sees_through_the_gate(arch: World) -> None:
+    pytest.importorskip("coacd", reason="coacd, the extra [mesh], is not installed")
+    simulation = Simulation(arch, make_robot("turtlebot2"), terrain="convex")
+    scan = simulation.reset(Pose2(0.0, -3.0, np.pi / 2)).scan
+    angles = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
+    ahead, side = np.abs(angles) < 0.1, np.abs(angles - np.arctan2(2.5, 2.0)) < 0.02
+    assert np.isposinf(scan.ranges[ahead]).all()
+    assert np.isfinite(scan.ranges[side]).all()
+
+
 def test_a_prism_for_each_triangle_and_no_more_than_are_legal(hills: World) -> None:
     parts = list(prisms(hills))
     up = hills.mesh.face_normals[:, 2] > 1e-9
@@ -207,3 +221,14 @@ def test_a_robot_falls_into_no_hole_and_drives_on_the_floor_beside() -> None:
     assert not free.free[row, col]
     row, col = free.cells((1.0, 1.0))
     assert free.free[row, col]
+
+
+@pytest.mark.parametrize("terrain", ["mesh", "prisms"])
+def test_a_run_says_what_was_touched(terrain: Terrain) -> None:
+    options = BuildOptions(max_triangles=3000, window=(0, 0, 20))
+    run = validate("simple", seconds=2, terrain=terrain, options=options)
+    assert run.record.status == "ok"
+    assert run.record.config.terrain == terrain
+    contact = run.record.world["contact"]
+    assert contact["terrain"] == terrain
+    assert contact["parts"] > 1000 if terrain == "prisms" else contact["vertical"] <= 0.01

@@ -16,6 +16,7 @@ from lirs_envs.coverage import SeenArea
 from lirs_envs.drive import Twist
 from lirs_envs.robots import make_robot
 from lirs_envs.simulation import Observation, Simulation
+from lirs_wct.contact_parts import Terrain
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.world import World, build_world
 
@@ -44,6 +45,7 @@ class MappingEnv(gym.Env[Observed, NDArray[np.float32]]):
         world: a bundled name, any other source's path, or a `World`.
         robot: name of the robot.
         lidar: name of an LRF preset; default: the robot's own.
+        terrain: what MuJoCo touches: `hfield`, `mesh`, `prisms` or `convex` (see `Simulation`).
         render_mode: `rgb_array` or None.
 
     A reset sets the robot on one of the world's start poses, drawn at random.
@@ -57,13 +59,14 @@ class MappingEnv(gym.Env[Observed, NDArray[np.float32]]):
         robot: str = "husky",
         *,
         lidar: str | None = None,
+        terrain: Terrain = "hfield",
         render_mode: str | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"unknown render mode {render_mode!r}; legal: rgb_array, None")
         self.render_mode = render_mode
         place = world if isinstance(world, World) else _built(str(world), _stamp(str(world)))
-        self.simulation = Simulation(place, make_robot(robot), lidar=lidar)
+        self.simulation = Simulation(place, make_robot(robot), lidar=lidar, terrain=terrain)
         preset, limit = self.simulation.preset, np.inf
         self.metadata = self.metadata | {"render_fps": round(preset.rate)}
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)

@@ -15,7 +15,8 @@ from lirs_envs.props import PROP_GROUP, Parked, Prop, add_props
 from lirs_envs.raycast import mujoco_ranges
 from lirs_envs.robots import Robot
 from lirs_wct.contact_grid import ContactGrid, contact_grid
-from lirs_wct.mjcf import world_spec
+from lirs_wct.contact_parts import Terrain
+from lirs_wct.mjcf import SEEN_GROUP, world_spec
 from lirs_wct.pose import Pose3
 from lirs_wct.world import World
 
@@ -42,6 +43,7 @@ class RobotModel:
         period: time from scan to scan, seconds: a whole number of steps.
         control_period: longest time between control updates, seconds.
         props: what else stands there.
+        terrain: what is touched (see `lirs_wct.contact_parts.TERRAINS`).
     """
 
     def __init__(
@@ -51,6 +53,7 @@ class RobotModel:
         period: float,
         control_period: float,
         props: Sequence[Prop | Parked] = (),
+        terrain: Terrain = "hfield",
     ) -> None:
         self.contact: ContactGrid = contact_grid(world.surface)
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
@@ -58,8 +61,8 @@ class RobotModel:
         self.timestep = period / steps
         spec.option.timestep = self.timestep
         add_props(spec, world, props)
-        self.prop_ranges = self._prop_ranges if props else None
-        self.model = world_spec(world, contact=self.contact, robot=spec).compile()
+        self.prop_ranges = self._prop_ranges if props or world.overhangs else None
+        self.model = world_spec(world, contact=self.contact, robot=spec, terrain=terrain).compile()
         self.data = mujoco.MjData(self.model)
         piece = max(1, int(control_period / self.timestep + 1e-9))
         self.pieces = tuple(min(piece, steps - done) for done in range(0, steps, piece))
@@ -114,10 +117,11 @@ class RobotModel:
         return sum([float(qpos[i]) for i in self._angles]) / len(self._angles)
 
     def _prop_ranges(self, origin: Array, directions: Array, max_range: float) -> Array:
-        """Return (n,) ranges to props and parked robots; the robot's own body is in other groups."""
+        """Return (n,) ranges to props, parked robots and a mesh with overhangs, not to the robot itself."""
         # Places of geoms are those before the last step: brought up to date, the stepping goes on as without.
         mujoco.mj_kinematics(self.model, self.data)
-        return mujoco_ranges(self.model, self.data, origin, directions, max_range, groups=(PROP_GROUP,))
+        groups = (PROP_GROUP, SEEN_GROUP)
+        return mujoco_ranges(self.model, self.data, origin, directions, max_range, groups=groups)
 
     def step(self, control: tuple[float, float], steps: int) -> None:
         """Hold the speeds of left and right wheels, rad/s, for some steps."""

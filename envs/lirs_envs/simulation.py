@@ -16,10 +16,11 @@ from lirs_envs.lidar import make_lidar_preset
 from lirs_envs.model import RobotModel
 from lirs_envs.placement import standing_pose, start_of
 from lirs_envs.props import Parked, Prop
-from lirs_envs.raycast import RayCaster
 from lirs_envs.robots import Robot
+from lirs_envs.seen import caster_of
 from lirs_envs.sensors import Noise, Observation, Sensors
 from lirs_wct.contact_grid import ContactGrid
+from lirs_wct.contact_parts import Terrain
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.pose import Pose2, Pose3
 from lirs_wct.world import World
@@ -57,6 +58,7 @@ class Simulation:
     Attributes:
         period: time between two scans, seconds; one `advance`.
         preset: figures of the LRF.
+        terrain: what MuJoCo touches.
         body: MuJoCo's model of robot and world.
         timing: wall-clock seconds since the reset.
 
@@ -67,9 +69,10 @@ class Simulation:
         seed: of every random number; same seed and same commands, same bytes.
         noise: of all sensors.
         props: things and parked robots that stand in the world; touched, and seen by the LRF.
+        terrain: what MuJoCo touches: `hfield`, `mesh` (the same, and the mesh is seen), `prisms` or `convex`.
 
     Raises:
-        ConfigError: no LRF has that name, or the seed is negative.
+        ConfigError: no LRF has that name, the seed is negative, or the terrain does not fit the world.
     """
 
     def __init__(
@@ -81,14 +84,16 @@ class Simulation:
         seed: int = 0,
         noise: Noise | None = None,
         props: Sequence[Prop | Parked] = (),
+        terrain: Terrain = "hfield",
     ) -> None:
         self.world = world
         self.robot = robot
         self.preset = make_lidar_preset(lidar or robot.lidar)
         self.period = self.preset.period
-        self.body = RobotModel(world, robot, self.period, CONTROL_PERIOD, props)
+        self.terrain = terrain
+        self.body = RobotModel(world, robot, self.period, CONTROL_PERIOD, props, terrain)
         self._noise = noise or Noise()
-        self._caster = RayCaster(world.surface, world.walls)
+        self._caster = caster_of(world)
         self._seed = seed
         self._start_over(None)
 

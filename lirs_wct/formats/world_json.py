@@ -53,6 +53,8 @@ def write_world(world: World, folder: Path) -> Path:
     if world.truth is not None:
         arrays["truth"] = world.truth.log_odds
         entry["truth"] = _grid_entry(world.truth)
+    if world.bare is not None:
+        arrays["bare"] = world.bare
     if world.solid is not None:
         arrays |= {"vertices": world.solid.vertices, "faces": world.solid.faces}
         entry["overhangs"] = world.overhangs
@@ -93,6 +95,7 @@ def read_fields(folder: Path) -> dict[str, Any]:
                 "scale": entry["scale"],
                 "finish": _finish(entry, folder),
                 "solid": TriangleMesh(arrays["vertices"], arrays["faces"]) if "faces" in arrays else None,
+                "bare": arrays.get("bare"),
                 "overhangs": bool(entry.get("overhangs", False)),
             }
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
