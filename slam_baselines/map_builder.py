@@ -41,7 +41,7 @@ class BuilderConfig:
     map_multi_res_levels: int = 3
     map_update_distance_thresh: float = 0.4
     map_update_angle_thresh: float = 0.9
-    map_update_tilt_thresh: float = math.radians(1.0)
+    map_update_tilt_thresh: float = math.radians(3.0)
     update: UpdateConfig = field(default_factory=UpdateConfig)
     relief: ReliefConfig = field(default_factory=ReliefConfig)
 

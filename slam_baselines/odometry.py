@@ -43,6 +43,7 @@ class MotionConfig:
     Attributes:
         translation_per_metre: standard deviation after one metre, metres.
         translation_per_radian: after turning one radian, metres.
+        slide_per_radian: the same again for each radian that the robot leans, metres.
         translation_per_second: after one second, metres.
         rotation_per_metre: after one metre, radians.
         rotation_per_radian: after turning one radian, radians.
@@ -57,6 +58,7 @@ class MotionConfig:
 
     translation_per_metre: float = 0.04
     translation_per_radian: float = 0.1
+    slide_per_radian: float = 2.0
     translation_per_second: float = 0.005
     rotation_per_metre: float = 0.03
     rotation_per_radian: float = 0.05
@@ -71,7 +73,12 @@ class MotionConfig:
                 raise ConfigError(f"{name} of the motion must be above 0, got {getattr(self, name)}")
 
     def predict(
-        self, before: Estimate, delta: Pose2 | None, seconds: float, turned: float | None = None
+        self,
+        before: Estimate,
+        delta: Pose2 | None,
+        seconds: float,
+        turned: float | None = None,
+        tilt: float = 0.0,
     ) -> Estimate:
         """Return the estimate to expect after a step.
 
@@ -82,6 +89,7 @@ class MotionConfig:
             seconds: duration of the step.
             turned: change of yaw by the gyro, if there is one, radians. Two witnesses that agree are
                 believed as a gyro deserves; the more they disagree, the less the odometry's yaw is.
+            tilt: how much the robot leans, radians: wheels that skid in a turn slide downhill.
         """
         seconds = max(seconds, 1e-3)
         if delta is None:
@@ -91,7 +99,7 @@ class MotionConfig:
             metres, radians = math.hypot(delta.x, delta.y), abs(delta.yaw)
             shift = (
                 self.translation_per_metre**2 * metres
-                + self.translation_per_radian**2 * radians
+                + (self.translation_per_radian**2 + (self.slide_per_radian * tilt) ** 2) * radians
                 + self.translation_per_second**2 * seconds
             )
             turn = (
@@ -136,4 +144,5 @@ class DeadReckoning:
             return last
         delta = None if before is None or odometry is None else before.inverse() @ odometry
         turned = None if rate is None or self._rate is None else (rate + self._rate) / 2 * (stamp - then)
-        return self.config.predict(last, delta, stamp - then, turned)
+        tilt = 0.0 if imu is None else math.hypot(imu.roll, imu.pitch)
+        return self.config.predict(last, delta, stamp - then, turned, tilt)

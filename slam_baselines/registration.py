@@ -82,16 +82,21 @@ class Registration:
         share = min(1.0, max(c.least_share, moved / c.fresh_distance))
         if weights.sum() < c.least_beams:
             return expected, None
-        weights = weights * share
-        prior, information = start.as_array(), np.linalg.inv(expected.covariance)
-        levels = self._matcher.levels(pyramid, expected.covariance)
-        match = self._matcher.match(pyramid, hits, weights, prior, information, levels)
+        match = self._fit_from(pyramid, hits, weights * share, expected)
         if match.beams < c.least_beams * share:
             return expected, None
         if match.known >= c.known_share and match.score < c.poor_score:
             self.searches += 1
-            found = search(pyramid.maps[-1].grid, hits, weights, prior, c.search)
-            wider = self._matcher.match(pyramid, hits, weights, prior, information, len(pyramid.maps), found)
+            found = search(pyramid.maps[-1].grid, hits, weights, start.as_array(), c.search)
+            wider = self._fit_from(pyramid, hits, weights * share, expected, found)
             match = max(match, wider, key=lambda m: m.score)
         x, y, yaw = match.pose.tolist()
-        return Estimate(Pose2(x, y, wrap_angle(yaw)), np.linalg.inv(information + match.information)), match
+        return Estimate(Pose2(x, y, wrap_angle(yaw)), np.linalg.inv(np.linalg.inv(expected.covariance) + match.information)), match
+
+    def _fit_from(
+        self, pyramid: MapPyramid, hits: Array, weights: Array, expected: Estimate, start: Array | None = None
+    ) -> Match:
+        """Run Gauss-Newton from the expected pose, on as many levels as it takes; from `start` on all."""
+        levels = self._matcher.levels(pyramid, expected.covariance) if start is None else len(pyramid.maps)
+        information = np.linalg.inv(expected.covariance)
+        return self._matcher.match(pyramid, hits, weights, expected.pose.as_array(), information, levels, start)
