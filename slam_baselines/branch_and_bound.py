@@ -93,7 +93,7 @@ def angular_step(points: Array, resolution: float) -> float:
 
 def branch_and_bound(
     grids: BoundGrids, points: Array, start: Array, linear: float, angular: float,
-    min_score: float, limit: int = 1 << 20,
+    min_score: float, limit: int = 1 << 20, apart_from: Array | None = None, apart: float = 0.0,
 ) -> Found:  # fmt: skip
     """Find the pose of the best score around `start`.
 
@@ -105,14 +105,21 @@ def branch_and_bound(
         angular: turns up to this, radians.
         min_score: poses of a lower score are not looked for.
         limit: the search is given up after so many nodes of the tree.
+        apart_from: (2 or more,) x, y of a place whose neighbourhood is left out ...
+        apart: ... up to this distance, metres.
     """
     step = angular_step(points, grids.resolution)
     turns = math.ceil(angular / step)
     reach = math.ceil(linear / grids.resolution)
     out = np.empty(6)
+    left_out = np.full(3, -1.0)
+    if apart_from is not None:
+        left_out[:2] = (apart_from[:2] - start[:2])[::-1] / grids.resolution
+        left_out[2] = apart / grids.resolution
     _search(
-        grids.levels, grids.row0, grids.col0, grids.resolution, points, start, reach, turns, step, min_score, limit, out
-    )
+        grids.levels, grids.row0, grids.col0, grids.resolution, points, start, reach, turns, step, min_score, limit,
+        left_out, out,
+    )  # fmt: skip
     return Found(out[:3].copy(), float(out[3]), int(out[4]), bool(out[5]))
 
 
@@ -143,7 +150,7 @@ def _put(row, score, level, turn, dr, dc):
 
 
 @njit(cache=True)
-def _search(levels, row0, col0, res, points, start, reach, turns, step, min_score, limit, out):
+def _search(levels, row0, col0, res, points, start, reach, turns, step, min_score, limit, left_out, out):
     """Depth-first search, the most promising branch first; fill `out` (6,)."""
     n, depth = len(points), len(levels) - 1
     count = 2 * turns + 1
@@ -177,6 +184,8 @@ def _search(levels, row0, col0, res, points, start, reach, turns, step, min_scor
             if score <= best:
                 continue
             if h == 0:
+                if (dr - left_out[0]) ** 2 + (dc - left_out[1]) ** 2 < left_out[2] * abs(left_out[2]):
+                    continue
                 best = score
                 out[0], out[1], out[2] = start[0] + dc * res, start[1] + dr * res, start[2] + (t - turns) * step
                 out[3] = score / (n * FULL)

@@ -1,4 +1,4 @@
-"""Loop closure: nodes found again in finished submaps, a bounded number of searches at a time.
+"""Loop closure: nodes found again in finished submaps.
 
 Hess et al. 2016, section V-B: branch and bound for where a scan fits into a submap, then refinement
 by Gauss-Newton on the interpolated map.
@@ -7,7 +7,6 @@ by Gauss-Newton on the interpolated map.
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose2, wrap_angle
 from slam_baselines.branch_and_bound import branch_and_bound
-from slam_baselines.scan_matching import MatchConfig, ScanMatcher
+from slam_baselines.scan_matching import Match, MatchConfig, ScanMatcher
 from slam_baselines.submap import Submap
 
 Array = NDArray[np.float64]
@@ -27,42 +26,61 @@ class ConstraintConfig:
     """Where loops are searched for and which are believed; names as in constraint_builder.
 
     Attributes:
-        sampling_ratio: share of the nodes that are searched for in the submaps around them.
-        max_constraint_distance: nodes farther than this from a submap's nodes are not searched for, metres.
-        min_score: mean occupancy at the ends of the beams that a loop needs.
-        linear_search_window: shifts up to this in x and in y, metres.
-        angular_search_window: turns up to this, radians.
+        min_score: mean occupancy at the ends of the beams that a loop needs in the search; where the submap knows
+            nothing, it is 0.
+        min_refined_score: mean occupancy that it needs after refinement, where the submap knows something ...
+        min_known: ... and the share of beams that end there.
+        global_min_score: the same in the widest search: the more poses there are, the more fit by chance.
+        linear_search_window: shifts at most up to this in x and in y, metres.
+        angular_search_window: turns at most up to this, radians.
+        linear_start: shifts up to this after no way at all, metres ...
+        linear_drift: ... and so much more for each metre driven.
+        angular_start: likewise of turns, radians ...
+        angular_drift: ... and radians per metre.
+        linear_refined: up to this window, refinement alone finds the pose, metres.
+        rival: a pose found is not believed if another one has this share of its score ...
+        apart: ... at least so far from it, metres.
         beams: at most so many beams are used to search, evenly spread in space.
+        least_beams: fewer than this say nothing.
         spread: one beam for each square of this size, metres.
         bounded: a search is given up after so many nodes of its tree.
         match: refinement.
         loose: standard deviation of the search's result for the refinement, metres and radians.
         floor: standard deviation that a loop has at least, metres and radians: submaps are not perfect.
-        max_num_candidates: pairs that may wait; beyond that the oldest are dropped, and counted.
 
     Raises:
-        ConfigError: a value that is not above 0, or a score or ratio above 1.
+        ConfigError: a value that is not above 0, or scores not in order.
     """
 
-    sampling_ratio: float = 0.3
-    max_constraint_distance: float = 15.0
-    min_score: float = 0.45
-    linear_search_window: float = 4.0
+    min_score: float = 0.4
+    min_refined_score: float = 0.5
+    min_known: float = 0.4
+    global_min_score: float = 0.55
+    linear_search_window: float = 5.0
     angular_search_window: float = math.radians(20.0)
+    linear_start: float = 0.3
+    linear_drift: float = 0.03
+    angular_start: float = 0.05
+    angular_drift: float = 0.003
+    linear_refined: float = 0.6
+    rival: float = 0.9
+    apart: float = 0.5
     beams: int = 120
+    least_beams: int = 20
     spread: float = 0.1
     bounded: int = 60000
-    match: MatchConfig = field(default_factory=lambda: MatchConfig(iterations=(8, 5)))
+    match: MatchConfig = field(default_factory=lambda: MatchConfig(iterations=(8, 5, 5)))
     loose: tuple[float, float] = (0.2, 0.05)
     floor: tuple[float, float] = (0.02, 0.003)
-    max_num_candidates: int = 2000
 
     def __post_init__(self) -> None:
         for name in set(self.__dataclass_fields__) - {"match", "loose", "floor"}:
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} of the constraints must be above 0, got {getattr(self, name)}")
-        if max(self.min_score, self.sampling_ratio) > 1:
-            raise ConfigError("min_score and sampling_ratio must be within (0, 1]")
+        if not self.min_score <= self.global_min_score <= 1:
+            raise ConfigError(
+                f"global_min_score must be within [min_score = {self.min_score}, 1], got {self.global_min_score}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,74 +110,86 @@ class SearchCounts:
     found: int = 0
     poor: int = 0
     given_up: int = 0
-    dropped: int = 0
+    ambiguous: int = 0
 
 
 class ConstraintBuilder:
-    """The queue of pairs to be tried, and the trial.
+    """Finds scans in submaps.
 
     Attributes:
-        counts: what became of them.
+        counts: what became of the searches.
     """
 
     def __init__(self, config: ConstraintConfig) -> None:
         self.config = config
         self.counts = SearchCounts()
-        self._queue: deque[tuple[int, int]] = deque()
         self._matcher = ScanMatcher(config.match)
-        (metres, radians), (metres0, radians0) = config.loose, config.floor
-        self._loose = np.diag((metres**-2, metres**-2, radians**-2))
-        self._floor = np.diag((metres0**2, metres0**2, radians0**2))
+        metres, radians = config.floor
+        self._floor = np.diag((metres**2, metres**2, radians**2))
 
-    def __len__(self) -> int:
-        return len(self._queue)
-
-    def ask(self, node: int, submap: int) -> None:
-        """Put a pair into the queue."""
-        self._queue.append((node, submap))
-        if len(self._queue) > self.config.max_num_candidates:
-            self._queue.popleft()
-            self.counts.dropped += 1
-
-    def next(self) -> tuple[int, int]:
-        """Take the next pair out of the queue."""
-        return self._queue.popleft()
-
-    def search(self, submap: Submap, points: Array, start: Pose2) -> tuple[Pose2, Array, float] | None:
-        """Look for a scan in a submap.
+    def search(
+        self, submap: Submap, points: Array, start: Pose2, way: float
+    ) -> tuple[Pose2, Array, float] | None:
+        """Look for a scan in a submap, the wider the longer ago the robot was there.
 
         Args:
             submap: finished.
             points: (n, 2 or more) hits on walls in the levelled base frame, metres.
             start: expected pose of the base in the submap's local frame.
+            way: driven since the robot was last tied to the submap, or will be next, metres.
 
         Returns:
             Pose of the base in the submap's local frame, its information there, and the score; None where the
             scan fits nowhere well.
         """
-        c, counts = self.config, self.counts
-        counts.searched += 1
-        sparse = spread(points, c.spread, c.beams)
-        if len(sparse) < 20:
-            counts.poor += 1
+        self.counts.searched += 1
+        sparse = spread(points, self.config.spread, self.config.beams)
+        if len(sparse) < self.config.least_beams:
+            self.counts.poor += 1
             return None
-        found = branch_and_bound(
-            submap.bounds, sparse, start.as_array(), c.linear_search_window, c.angular_search_window, c.min_score, c.bounded
-        )
-        counts.given_up += not found.complete
-        if found.score < 0:
-            counts.poor += 1
+        match = self._fit(submap, points, sparse, start.as_array(), way)
+        if match is None:
             return None
-        match = self._matcher.match(
-            submap.pyramid, points, np.ones(len(points)), found.pose, self._loose, len(c.match.iterations)
-        )
-        if match.score * match.known < c.min_score:
-            counts.poor += 1
-            return None
-        counts.found += 1
+        self.counts.found += 1
         x, y, yaw = match.pose.tolist()
         information = np.linalg.inv(np.linalg.inv(match.information + 1e-3 * np.eye(3)) + self._floor)
         return Pose2(x, y, wrap_angle(yaw)), information, match.score * match.known
+
+    def _fit(self, submap: Submap, points: Array, sparse: Array, start: Array, way: float) -> Match | None:
+        """Fit from the expected pose, if that is well known; else from the best pose of a window around it."""
+        c = self.config
+        linear = min(c.linear_search_window, c.linear_start + c.linear_drift * way)
+        angular = min(c.angular_search_window, c.angular_start + c.angular_drift * way)
+        if linear > c.linear_refined:
+            found = self._best(submap, sparse, start, linear, angular)
+            if found is None:
+                return None
+            start, linear, angular = found, *c.loose
+        loose = np.diag((linear**-2, linear**-2, angular**-2))
+        match = self._matcher.match(
+            submap.pyramid, points, np.ones(len(points)), start, loose, len(c.match.iterations)
+        )
+        if match.score < c.min_refined_score or match.known < c.min_known:
+            self.counts.poor += 1
+            return None
+        return match
+
+    def _best(self, submap: Submap, points: Array, start: Array, linear: float, angular: float) -> Array | None:
+        """Search a window; None where nothing fits well or, as along a corridor, two places fit equally well."""
+        c = self.config
+        least = c.min_score + (c.global_min_score - c.min_score) * linear / c.linear_search_window
+        found = branch_and_bound(submap.bounds, points, start, linear, angular, least, c.bounded)
+        self.counts.given_up += not found.complete
+        if found.score < 0:
+            self.counts.poor += 1
+            return None
+        rival = branch_and_bound(
+            submap.bounds, points, start, linear, angular, c.rival * found.score, c.bounded, found.pose, c.apart
+        )
+        if rival.score >= 0 or not rival.complete:
+            self.counts.ambiguous += 1
+            return None
+        return found.pose
 
 
 def spread(points: Array, size: float, most: int) -> Array:

@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose2
-from slam_baselines.constraint import ConstraintBuilder, ConstraintConfig, seen_from
+from slam_baselines.confirmation import Confirmation, ConfirmationConfig
+from slam_baselines.constraint import Constraint, ConstraintBuilder, ConstraintConfig, seen_from
 from slam_baselines.local_slam import LocalSlam, Node
+from slam_baselines.loop_queue import LoopQueue, QueueConfig
 from slam_baselines.odometry import Estimate
 from slam_baselines.pose_graph import Edges, OptimizationConfig, Problem, Solution, begin, improve
 
@@ -29,7 +31,9 @@ class GlobalConfig:
     """Parameters of global SLAM; names as in Cartographer's pose_graph.
 
     Attributes:
-        constraints: searches for loops.
+        queue: which searches are made.
+        constraints: how they are made.
+        confirmation: which loops need a second one.
         optimization: of the graph.
         optimize_every_n_nodes: the graph is solved after so many new nodes, if there are new loops.
         searches_per_update: at most so many searches in one update.
@@ -40,7 +44,9 @@ class GlobalConfig:
         ConfigError: a value that is not above 0.
     """
 
+    queue: QueueConfig = field(default_factory=QueueConfig)
     constraints: ConstraintConfig = field(default_factory=ConstraintConfig)
+    confirmation: ConfirmationConfig = field(default_factory=ConfirmationConfig)
     optimization: OptimizationConfig = field(default_factory=OptimizationConfig)
     optimize_every_n_nodes: int = 20
     searches_per_update: int = 1
@@ -62,8 +68,9 @@ class GlobalSlam:
         poses: `T_map_base` of each node.
         submap_poses: `T_map_submap` of each submap.
         T_map_local: how the local frame lies in the map at present.
+        queue: what is searched for next.
         builder: searches for loops.
-        loops: constraints found, as (node, submap).
+        loops: constraints found and believed.
         optimizations: how often the graph was solved.
         version: changes whenever poses that were there before have changed.
     """
@@ -75,17 +82,21 @@ class GlobalSlam:
         self.submap_poses: list[Pose2] = []
         self.T_map_local = Pose2()
         self.builder = ConstraintBuilder(config.constraints)
-        self.loops: list[tuple[int, int]] = []
+        self.queue = LoopQueue(config.queue)
+        self.loops: list[Constraint] = []
         self.optimizations = self.version = 0
         self._local = local
+        self._confirmation = Confirmation(config.confirmation)
         self._to_nodes: list[Row] = []
         self._to_submaps: list[Row] = []
         self._running: tuple[Problem, Solution] | None = None
         self._optimized_at = (0, 0)
+        self._loops_begun = 0
         self._sampled = 0.0
         self._finished: list[int] = []
+        self._ties: dict[int, list[float]] = {}
         t, r = config.matcher_translation_error, config.matcher_rotation_error
-        self._matcher_information = np.diag((t**-2, t**-2, r**-2))
+        self._matcher_covariance = np.diag((t**2, t**2, r**2))
 
     def add(self, node: Node, odometry: Estimate | None) -> None:
         """Tie a new node to the submaps that it entered, and ask for loops.
@@ -100,9 +111,10 @@ class GlobalSlam:
         self.poses.append(self.T_map_local @ node.pose)
         while len(self.submap_poses) < len(submaps):
             self.submap_poses.append(self.T_map_local @ submaps[len(self.submap_poses)].pose)
+        information = np.linalg.inv(self._matcher_covariance + node.covariance)
         for i in node.submaps:
-            T_submap_node = submaps[i].pose.inverse() @ node.pose
-            self._to_nodes.append((i, index, T_submap_node.as_array(), self._matcher_information, False))
+            z = (submaps[i].pose.inverse() @ node.pose).as_array()
+            self._to_nodes.append((i, index, z, seen_from(submaps[i].pose, information), False))
         if odometry is not None:
             z, information = odometry.pose.as_array(), np.linalg.inv(odometry.covariance)
             self._to_submaps.append((len(submaps) - 2, len(submaps) - 1, z, information, True))
@@ -110,10 +122,12 @@ class GlobalSlam:
 
     def work(self) -> None:
         """Do a bounded share of what is to be done."""
-        for _ in range(min(self.config.searches_per_update, len(self.builder))):
-            self._search(*self.builder.next())
+        for _ in range(self.config.searches_per_update):
+            pair = self.queue.next()
+            if pair is not None:
+                self._search(*pair)
         if self._running is None and self._optimization_due():
-            self._running = self._begin()
+            self._running, self._loops_begun = self._begin(), len(self.loops)
         elif self._running is not None:
             problem, solution = self._running
             solution = improve(problem, solution)
@@ -135,25 +149,25 @@ class GlobalSlam:
     def _ask(self, index: int, node: Node) -> None:
         """Put pairs of nodes and finished submaps that may see the same place into the queue."""
         submaps = self._local.submaps.all
-        self._sampled += self.config.constraints.sampling_ratio
+        self._sampled += self.config.queue.sampling_ratio
         if self._sampled >= 1:
             self._sampled -= 1
             for i in self._finished:
-                self._ask_near(index, i)
+                self._ask_near(index, i, fresh=True)
         first = node.submaps[0]
         if submaps[first].finished:
             self._finished.append(first)
             own = set(submaps[first].nodes)
-            stride = max(1, round(1 / self.config.constraints.sampling_ratio))
+            stride = max(1, round(1 / self.config.queue.sampling_ratio))
             for j in range(0, index, stride):
                 if j not in own:
-                    self._ask_near(j, first)
+                    self._ask_near(j, first, fresh=False)
 
-    def _ask_near(self, node: int, submap: int) -> None:
-        pose, near = self.poses[node], self.config.constraints.max_constraint_distance
+    def _ask_near(self, node: int, submap: int, *, fresh: bool) -> None:
+        pose, near = self.poses[node], self.config.queue.max_constraint_distance
         members = self._local.submaps.all[submap].nodes
         if min(pose.distance(self.poses[members[k]]) for k in (0, len(members) // 2, -1)) <= near:
-            self.builder.ask(node, submap)
+            self.queue.ask(node, self.nodes[node].submaps[-1], submap, fresh=fresh)
 
     def _search(self, index: int, submap_index: int) -> None:
         """Search for a node in a submap; tie them together where it is found."""
@@ -161,19 +175,26 @@ class GlobalSlam:
         submap.revalue(self._local.relief.match_bound)
         walls = self._local.walls(node.scan, node.pose, node.height, node.steep) > 0
         expected = submap.pose @ self.submap_poses[submap_index].inverse() @ self.poses[index]
-        found = self.builder.search(submap, node.scan.hits[walls], expected)
+        ties = self._ties.setdefault(submap_index, [self.nodes[i].way for i in submap.nodes])
+        way = min(abs(node.way - tie) for tie in ties)
+        found = self.builder.search(submap, node.scan.hits[walls], expected, way)
+        self.queue.note(index, submap_index, found=found is not None)
         if found is None:
             return
-        pose, information, _ = found
-        z = (submap.pose.inverse() @ pose).as_array()
-        self._to_nodes.append((submap_index, index, z, seen_from(submap.pose, information), True))
-        self.loops.append((index, submap_index))
+        pose, information, score = found
+        T_submap_node = submap.pose.inverse() @ pose
+        loop = Constraint(submap_index, index, T_submap_node, seen_from(submap.pose, information), score)
+        for loop in self._confirmation.admit(loop, node.way, self.submap_poses, self.poses):
+            z = loop.T_submap_node.as_array()
+            self._to_nodes.append((loop.submap, loop.node, z, loop.information, True))
+            self.loops.append(loop)
 
     def _optimization_due(self) -> bool:
         nodes, loops = self._optimized_at
         return len(self.loops) > loops and len(self.nodes) - nodes >= self.config.optimize_every_n_nodes
 
     def _begin(self) -> tuple[Problem, Solution]:
+        """Pose the problem as it is now."""
         problem = Problem(
             self.config.optimization, Edges.of(self._to_nodes), Edges.of(self._to_submaps), np.zeros(3)
         )
@@ -185,7 +206,10 @@ class GlobalSlam:
         """Take the solution over; what was added since moves along with the last node in it."""
         self.optimizations += 1
         self.version += 1
-        self._optimized_at = len(solution.nodes), len(self.loops)
+        loops = self._optimized_at[1]
+        self._optimized_at = len(solution.nodes), self._loops_begun
+        for loop in self.loops[loops : self._loops_begun]:
+            self._ties[loop.submap].append(self.nodes[loop.node].way)
         poses = [Pose2(*p) for p in solution.nodes.tolist()]
         self.T_map_local = poses[-1] @ self.nodes[len(poses) - 1].pose.inverse()
         self.poses = poses + [self.T_map_local @ node.pose for node in self.nodes[len(poses) :]]

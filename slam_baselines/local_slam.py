@@ -59,6 +59,9 @@ class LocalConfig:
         motion: confidence in the odometry.
         registration: how a scan is fitted into a submap.
         relief: how ground is told from walls.
+        slip_speed: on uneven ground, a match is not believed that lies farther from where odometry puts the robot than this allows in
+            the time since the last scan, m/s and rad/s ...
+        slip_deviations: ... and so many standard deviations of that prediction.
         lost_score: mean occupancy at the ends of the beams below which a scan enters no submap ...
         lost_after: ... and after so many of them in a row the mapper is lost.
 
@@ -71,6 +74,8 @@ class LocalConfig:
     motion: MotionConfig = field(default_factory=MotionConfig)
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
     relief: ReliefConfig = field(default_factory=ReliefConfig)
+    slip_speed: float = 1.0
+    slip_deviations: float = 4.0
     lost_score: float = 0.2
     lost_after: int = 10
 
@@ -88,20 +93,24 @@ class Node:
     Attributes:
         scan: levelled.
         pose: `T_local_base`.
+        covariance: (3, 3) of x, y, yaw in the local frame, as far as they are not tied to the submap in front.
         height: of the base in the local frame, metres.
         steep: (n,) rise over run of its hits as proven when it entered, STEEP_STEP.
         submaps: indices of the submaps that it entered.
-        travelled: way driven until then, metres.
+        travelled: way driven until then, as the relief counts it, metres.
+        way: the same, with and without attitude.
         tilt: the most that the robot had leaned until then, radians.
     """
 
     scan: LevelledScan
     pose: Pose2
+    covariance: Array
     height: float
     steep: NDArray[np.uint8]
     submaps: range
     travelled: float
     tilt: float
+    way: float
 
     @property
     def nbytes(self) -> int:
@@ -120,6 +129,7 @@ class LocalSlam:
         received: scans so far.
         matched: of these, fitted into a submap.
         lost_scans: scans during which the mapper was lost.
+        implausible: matches that no motion of the robot explains.
     """
 
     def __init__(self, config: LocalConfig, clear_range: float, max_range: float) -> None:
@@ -129,10 +139,12 @@ class LocalSlam:
         self.relief = Relief(config.relief)
         self.registration = Registration(config.registration)
         self.estimate = Estimate(Pose2(), np.zeros((3, 3)))
-        self.received = self.matched = self.lost_scans = self.nodes = 0
+        self.received = self.matched = self.lost_scans = self.implausible = self.nodes = 0
+        self._stamp = -math.inf
         self._leveller = ScanLeveller(clear_range, max_range)
         self._reckoning = DeadReckoning(config.motion)
         self._poor_in_a_row = 0
+        self._way = 0.0
         self._entered: tuple[Pose2, tuple[float, float], float] | None = None
 
     @property
@@ -145,7 +157,9 @@ class LocalSlam:
         level = self._leveller.level(scan, imu)
         before = self.estimate.pose
         expected = self._reckoning.predict(self.estimate, odometry, imu, scan.stamp)
-        fits = self._count(self._match(level, expected))
+        seconds, self._stamp = scan.stamp - self._stamp, scan.stamp
+        fits = self._count(self._match(level, expected, seconds))
+        self._way += before.distance(self.estimate.pose)
         if level.levelled:
             self.relief.move(before.inverse() @ self.estimate.pose, level)
         return self._enter(level) if fits and self._due(level) else None
@@ -167,7 +181,7 @@ class LocalSlam:
         known = self.submaps.front.steepness(hits) if steep is None else steep
         return (np.maximum(proven, known) >= bound).astype(np.float64)
 
-    def _match(self, scan: LevelledScan, expected: Estimate) -> Match | None:
+    def _match(self, scan: LevelledScan, expected: Estimate, seconds: float) -> Match | None:
         """Move the estimate to where the scan fits; to the expected one, if there is nothing to fit."""
         before, self.estimate = self.estimate.pose, expected
         self.received += 1
@@ -176,9 +190,25 @@ class LocalSlam:
         weights = self.walls(scan, expected.pose, self.relief.height, None)
         front = self.submaps.front
         front.revalue(self.relief.match_bound)
-        self.estimate, match = self.registration.fit(front.pyramid, scan.hits, weights, expected, before)
+        fitted, match = self.registration.fit(front.pyramid, scan.hits, weights, expected, before)
+        if self.relief.match_bound > 0 and not self._plausible(expected, fitted.pose, seconds):
+            self.implausible += 1
+            return None
+        self.estimate = fitted
         self.matched += match is not None
         return match
+
+    def _plausible(self, expected: Estimate, pose: Pose2, seconds: float) -> bool:
+        """Return whether the robot can be at `pose`, by odometry and what wheels may slip.
+
+        Asked on uneven ground only: a hill taken for a wall pulls a scan away at once, and no wheel does.
+        """
+        c, sd = self.config, np.sqrt(np.diag(expected.covariance))
+        slip, turn = pose.distance(expected.pose), abs(wrap_angle(pose.yaw - expected.pose.yaw))
+        reach = c.slip_speed * seconds
+        return bool(
+            slip <= reach + c.slip_deviations * max(sd[0], sd[1]) and turn <= reach + c.slip_deviations * sd[2]
+        )
 
     def _count(self, match: Match | None) -> bool:
         """Keep count of poor matches; return whether the scan may enter the submaps."""
@@ -215,4 +245,7 @@ class LocalSlam:
         )
         self.nodes += 1
         self._entered = pose, scan.ground_slope, scan.stamp
-        return Node(scan, pose, height, steep, entered, self.relief.travelled, self.relief.tilt)
+        covariance = self.estimate.covariance
+        return Node(
+            scan, pose, covariance, height, steep, entered, self.relief.travelled, self.relief.tilt, self._way
+        )
