@@ -1,15 +1,15 @@
-"""From a commanded twist to wheel speeds, and from wheel angles and gyro to odometry."""
+"""From a commanded twist to wheel speeds."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
+from lirs_envs.odometry import Odometry, OdometryConfig
 from lirs_envs.robots import Robot
 from lirs_wct.errors import ConfigError
-from lirs_wct.pose import Pose2, wrap_angle
+
+__all__ = ["Drive", "DriveConfig", "Odometry", "OdometryConfig", "Twist"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,70 +82,6 @@ class Drive:
         turn = self._omega + config.proportional * error + self._trim
         side = turn * robot.skid_factor * robot.track / 2
         return (self._v - side) / robot.wheel_radius, (self._v + side) / robot.wheel_radius
-
-
-@dataclass(frozen=True, kw_only=True)
-class OdometryConfig:
-    """Noise of wheel odometry; slip on the ground comes from the simulation and adds to it.
-
-    Attributes:
-        scale_sigma: standard deviation of the distance's scale error, which wanders while the robot drives.
-        scale_length: distance over which it wanders, metres (first-order Gauss-Markov process).
-    """
-
-    scale_sigma: float = 0.02
-    scale_length: float = 5.0
-
-    def __post_init__(self) -> None:
-        if not (0 <= self.scale_sigma < 1 and 0 < self.scale_length < math.inf):
-            raise ConfigError(
-                "odometry: scale_sigma must be in [0, 1) and scale_length above 0 m, "
-                f"got {self.scale_sigma} and {self.scale_length}"
-            )
-
-
-class Odometry:
-    """`T_odom_base` as a robot publishes it: distance from its wheels, heading from its gyro.
-
-    The yaw of skid-steered wheels is useless (they slip by design), which is why robots of this kind fuse the
-    gyro; its noise and bias are the IMU's. The distance is laid into the plane by the IMU's attitude.
-    The frame is the base's pose when the odometry is made.
-    """
-
-    def __init__(self, robot: Robot, config: OdometryConfig, rng: np.random.Generator) -> None:
-        self.robot = robot
-        self.config = config
-        self._rng = rng
-        self._scale = config.scale_sigma * float(rng.standard_normal())
-        self.pose = Pose2()
-
-    def update(
-        self, turned: float, rates: tuple[float, float, float], roll: float, pitch: float, dt: float
-    ) -> None:
-        """Add a piece of way.
-
-        Args:
-            turned: mean angle by which the wheels have turned, radians.
-            rates: measured rates about x, y, z of the base, rad/s.
-            roll: measured attitude, radians.
-            pitch: measured attitude, radians.
-            dt: seconds.
-        """
-        length = turned * self.robot.wheel_radius
-        config = self.config
-        keep = math.exp(-abs(length) / config.scale_length)
-        noise = config.scale_sigma * math.sqrt(1 - keep * keep) * float(self._rng.standard_normal())
-        self._scale = keep * self._scale + noise
-        ahead = length * (1 + self._scale) * math.cos(pitch)
-        # Rate of the yaw angle for R = Rz Ry Rx.
-        yaw_rate = (rates[1] * math.sin(roll) + rates[2] * math.cos(roll)) / max(math.cos(pitch), 0.1)
-        turn = yaw_rate * dt
-        middle = self.pose.yaw + turn / 2
-        self.pose = Pose2(
-            self.pose.x + ahead * math.cos(middle),
-            self.pose.y + ahead * math.sin(middle),
-            wrap_angle(self.pose.yaw + turn),
-        )
 
 
 def _clip(value: float, limit: float) -> float:

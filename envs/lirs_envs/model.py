@@ -69,7 +69,10 @@ class RobotModel:
         self._left = [self.model.actuator(name).id for name in robot.left_wheels]
         self._right = [self.model.actuator(name).id for name in robot.right_wheels]
         wheels = (*robot.left_wheels, *robot.right_wheels)
-        self._angles = [int(self.model.joint(name).qposadr[0]) for name in wheels]
+        self._left_angles, self._right_angles = (
+            [int(self.model.joint(name).qposadr[0]) for name in side]
+            for side in (robot.left_wheels, robot.right_wheels)
+        )
         bodies = {int(self.model.joint(name).bodyid[0]) for name in wheels}
         self.wheel_geoms = frozenset(
             g
@@ -111,10 +114,12 @@ class RobotModel:
         x, y, z = self._force.tolist()
         return x, y, z
 
-    def wheel_angle(self) -> float:
-        """Return the mean angle by which all wheels have turned, radians."""
+    def wheel_angles(self) -> tuple[float, float]:
+        """Return the mean angles by which left and right wheels have turned, radians."""
         qpos = self._qpos
-        return sum([float(qpos[i]) for i in self._angles]) / len(self._angles)
+        left = sum([float(qpos[i]) for i in self._left_angles]) / len(self._left_angles)
+        right = sum([float(qpos[i]) for i in self._right_angles]) / len(self._right_angles)
+        return left, right
 
     def _prop_ranges(self, origin: Array, directions: Array, max_range: float) -> Array:
         """Return (n,) ranges to props, parked robots and a mesh with overhangs, not to the robot itself."""

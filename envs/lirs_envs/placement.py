@@ -14,6 +14,8 @@ from lirs_wct.walls import WallGrid
 from lirs_wct.world import World
 
 Array = NDArray[np.float64]
+SLACK = math.radians(2)
+"""By so much more than its steepest a start may slope: plans measure slopes over a shorter way."""
 CLEARANCE = 0.01
 """Metres between the robot and the highest ground under it when it is let go."""
 
@@ -58,7 +60,7 @@ def standing_pose(world: World, robot: Robot, start: Pose2) -> Pose3:
     if rough > robot.base_height:
         raise SimulationError(f"{where}: an obstacle stands {rough:.2f} m out of the ground there")
     slope = math.atan(math.hypot(a, b))
-    if slope > robot.max_slope:
+    if slope > robot.max_slope + SLACK:
         raise SimulationError(
             f"{where}: the ground slopes by {math.degrees(slope):.0f} deg, "
             f"legal: up to {math.degrees(robot.max_slope):.0f}"

@@ -6,11 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lirs_envs.drive import Odometry, OdometryConfig
+from lirs_envs.ekf import FusedOdometry
 from lirs_envs.imu import ImuConfig, ImuSensor
 from lirs_envs.lidar import Lidar, LidarPreset, Motion
 from lirs_envs.lidar_noise import LidarNoise, NoiseLevel, lidar_noise
 from lirs_envs.model import RobotModel
+from lirs_envs.odometry import Odometry, OdometryConfig
 from lirs_envs.raycast import RayCaster
 from lirs_envs.robots import Robot
 from lirs_wct.errors import ConfigError
@@ -72,8 +73,12 @@ class Sensors:
         ranges = noise.lidar if isinstance(noise.lidar, LidarNoise) else lidar_noise(preset, noise.lidar)
         self._lidar = Lidar(preset, caster, robot.T_base_laser, lidar, ranges, sweep=noise.sweep)
         self._imu = ImuSensor(noise.imu, imu)
-        self._odometry = Odometry(robot, noise.odometry, odometry)
-        self._wheel_angle = body.wheel_angle()
+        self._odometry = (
+            FusedOdometry(robot, noise.odometry, odometry, noise.imu)
+            if noise.odometry.method == "ekf"
+            else Odometry(robot, noise.odometry, odometry)
+        )
+        self._wheel_angles = body.wheel_angles()
         self._rates = self._imu.rates(body.rates())
         pose = body.pose()
         self._attitude = (pose.roll, pose.pitch)
@@ -85,10 +90,12 @@ class Sensors:
 
     def dead_reckon(self, dt: float) -> None:
         """Read gyro and wheels after a piece of way."""
-        angle = self._body.wheel_angle()
+        left, right = self._body.wheel_angles()
         self._rates = self._imu.rates(self._body.rates())
-        self._odometry.update(angle - self._wheel_angle, self._rates, *self._attitude, dt)
-        self._wheel_angle = angle
+        left_turned, right_turned = left - self._wheel_angles[0], right - self._wheel_angles[1]
+        turned, difference = (left_turned + right_turned) / 2, right_turned - left_turned
+        self._odometry.update(turned, self._rates, *self._attitude, dt, difference)
+        self._wheel_angles = left, right
 
     def observe(self, stamp: float, dt: float) -> Observation:
         """Scan and read; `dt` is the time since the last observation, seconds."""
@@ -98,4 +105,4 @@ class Sensors:
         body = self._body
         motion = Motion(body.velocity(), body.rates()) if self._lidar.time_increment else None
         scan = self._lidar.scan(T_world_base, stamp, body.prop_ranges, motion)
-        return Observation(scan, self._odometry.pose, imu)
+        return Observation(scan, self._odometry.read(), imu)
