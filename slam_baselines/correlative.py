@@ -58,17 +58,21 @@ def search(grid: GrowingGrid, points: Array, weights: Array, start: Array, confi
         config: the window.
     """
     stride = max(1, -(-len(points) // config.beams))
+    reach = int(config.linear_search_window / grid.resolution)
+    turns = int(config.angular_search_window / config.angular_step)
     best = np.empty(3)
     _search(
-        grid.layers["value"], grid.row0, grid.col0, grid.resolution, points[::stride], weights[::stride], start,
-        int(config.linear_search_window / grid.resolution), int(config.angular_search_window / config.angular_step),
-        config.angular_step, config.translation_weight, config.rotation_weight, best,
+        grid.layers["value"], grid.row0, grid.col0, grid.resolution, points[::stride], weights[::stride],
+        start, reach, turns, config.angular_step, config.translation_weight, config.rotation_weight, best,
     )  # fmt: skip
     return best
 
 
 @njit(cache=True)
-def _search(value, row0, col0, res, points, weights, start, reach, turns, step, per_metre, per_radian, best):
+def _search(  # type: ignore[no-untyped-def]
+    value, row0, col0, res, points, weights, start, reach, turns, step, per_metre, per_radian, best
+):
+    """Fill `best` (3,) with the pose of the highest mean value, less the loss for its distance."""
     rows, cols = value.shape
     n = len(points)
     at_row, at_col = np.empty(n, np.int64), np.empty(n, np.int64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -27,7 +28,7 @@ class GrowingGrid:
         self.row0 = 0
         self.col0 = 0
         self._fill = dict(layers)
-        self.layers: dict[str, NDArray] = {name: _full((0, 0), spec) for name, spec in layers.items()}
+        self.layers: dict[str, NDArray[Any]] = {name: _full((0, 0), spec) for name, spec in layers.items()}
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -59,7 +60,7 @@ class GrowingGrid:
         return True
 
 
-def _full(shape: tuple[int, int], spec: tuple[DTypeLike, float]) -> NDArray:
+def _full(shape: tuple[int, int], spec: tuple[DTypeLike, float]) -> NDArray[Any]:
     """Return a filled layer; zeros cost no memory until they are written."""
     dtype, value = spec
     return np.zeros(shape, dtype) if value == 0 else np.full(shape, value, dtype)

@@ -53,7 +53,7 @@ class HectorConfig(BuilderConfig):
     lost_after: int = 10
 
     def __post_init__(self) -> None:
-        super(HectorConfig, self).__post_init__()
+        super().__post_init__()
         r = self.registration
         if not 0 < self.lost_score <= r.poor_score:
             raise ConfigError(

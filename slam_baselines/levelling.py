@@ -53,7 +53,7 @@ class LevelledScan:
 
 
 class ScanLeveller:
-    """Levels the scans of one sensor; keeps the directions of its beams."""
+    """Levels the scans of one sensor; keeps the directions of its beams and its mount."""
 
     def __init__(self, clear_range: float = 0.0, max_range: float = math.inf) -> None:
         """Believe beams without return up to `clear_range`, and no hit from `max_range` on, metres."""
@@ -61,6 +61,8 @@ class ScanLeveller:
         self._max_range = max_range
         self._geometry: tuple[int, float, float] = (-1, 0.0, 0.0)
         self._directions: Array = np.empty((0, 2))
+        self._mount = Pose3()
+        self._R, self._t = self._mount.rotation, self._mount.position
 
     def level(self, scan: LaserScan, imu: Imu | None) -> LevelledScan:
         """Return the scan in the levelled base frame; without IMU the base counts as level."""
@@ -68,27 +70,35 @@ class ScanLeveller:
         if geometry != self._geometry:
             self._geometry = geometry
             self._directions = np.stack((np.cos(scan.angles), np.sin(scan.angles)), axis=-1)
-        attitude = Pose3() if imu is None else Pose3.from_rpy(0, 0, 0, imu.roll, imu.pitch, 0)
-        T = attitude @ scan.T_base_laser
-        R, origin = T.rotation, T.position
+        if scan.T_base_laser != self._mount:
+            self._mount = scan.T_base_laser
+            self._R, self._t = self._mount.rotation, self._mount.position
         farthest = min(scan.range_max, self._max_range)
         clear = min(farthest, self._clear_range)
-        ends = np.empty((len(scan.ranges), 3))
-        hits, free = _ends(scan.ranges, self._directions, R, origin, scan.range_min, farthest, clear, ends)
-        normal = attitude.rotation[:, 2]
-        return LevelledScan(
-            origin,
-            ends[:hits],
-            ends[len(ends) - free :],
-            (-normal[0] / normal[2], -normal[1] / normal[2]),
-            math.nan if imu is None else math.acos(min(1.0, normal[2])),
-            scan.stamp,
-        )
+        roll, pitch = (0.0, 0.0) if imu is None else (imu.roll, imu.pitch)
+        ends, origin = np.empty((len(scan.ranges), 3)), np.empty(3)
+        hits, free = _level(
+            scan.ranges, self._directions, self._R, self._t, roll, pitch,
+            scan.range_min, farthest, clear, ends, origin,
+        )  # fmt: skip
+        # z of the base in the levelled frame is (sin p cos r, -sin r, cos p cos r).
+        slope = (-math.tan(pitch), math.tan(roll) / math.cos(pitch))
+        tilt = math.nan if imu is None else math.acos(min(1.0, math.cos(roll) * math.cos(pitch)))
+        return LevelledScan(origin, ends[:hits], ends[len(ends) - free :], slope, tilt, scan.stamp)
 
 
 @njit(cache=True)
-def _ends(ranges, directions, R, origin, nearest, farthest, clear, ends):
+def _level(  # type: ignore[no-untyped-def]
+    ranges, directions, mount, shift, roll, pitch, nearest, farthest, clear, ends, origin
+):
     """Fill `ends` with hits from its top and with free ends from its bottom; return how many of each."""
+    sr, cr, sp, cp = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
+    A = np.array(((cp, sp * sr, sp * cr), (0.0, cr, -sr), (-sp, cp * sr, cp * cr)))
+    R = np.zeros((3, 2))
+    for i in range(3):
+        origin[i] = A[i, 0] * shift[0] + A[i, 1] * shift[1] + A[i, 2] * shift[2]
+        for j in range(2):
+            R[i, j] = A[i, 0] * mount[0, j] + A[i, 1] * mount[1, j] + A[i, 2] * mount[2, j]
     hits = free = 0
     n = len(ranges)
     for i in range(n):

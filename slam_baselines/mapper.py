@@ -6,7 +6,7 @@ import importlib
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, TypedDict
 
 import numpy as np
 
@@ -112,6 +112,14 @@ def make_mapper(name: str, **config: Any) -> Mapper:
     return mapper
 
 
+class Times(TypedDict, total=False):
+    """The times of MapperStats; empty before the first update."""
+
+    ms_p50: float
+    ms_p95: float
+    ms_max: float
+
+
 class Stopwatch:
     """Wall times of updates, kept small: milliseconds as float32."""
 
@@ -126,8 +134,8 @@ class Stopwatch:
         """Note how long ago `started` was."""
         self._ms.append((time.perf_counter_ns() - started) * 1e-6)
 
-    def summary(self) -> dict[str, float]:
-        """Return the fields of MapperStats."""
+    def summary(self) -> Times:
+        """Return the times of MapperStats."""
         if not self._ms:
             return {}
         p50, p95, most = np.percentile(self._ms, (50, 95, 100))

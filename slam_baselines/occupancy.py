@@ -119,9 +119,7 @@ class OccupancyMap:
             self._touched = np.empty(shape[0] * shape[1] * 3 // 2, np.uint8)
         touched = self._touched[: shape[0] * shape[1]].reshape(shape)
         touched.fill(0)
-        enter_scan(
-            self.layers, self.frame, touched, corner, origin, hits, free, steep, bound, self._steps
-        )
+        enter_scan(self.layers, self.frame, touched, corner, origin, hits, free, steep, bound, self._steps)
         return grew
 
     def _take_over(self) -> None:

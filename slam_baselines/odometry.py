@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose2, wrap_angle
 from lirs_wct.scan import Imu
+from slam_baselines.small_matrices import moved_covariance
 
 Array = NDArray[np.float64]
 
@@ -110,9 +111,8 @@ class MotionConfig:
         if turned is not None:
             turn = min(turn, self.gyro_per_second**2 * seconds + wrap_angle(turned - delta.yaw) ** 2)
         after = before.pose @ delta
-        G = np.eye(3)
-        G[0, 2], G[1, 2] = before.pose.y - after.y, after.x - before.pose.x
-        return Estimate(after, G @ before.covariance @ G.T + np.diag((shift, shift, turn)))
+        dx, dy = after.x - before.pose.x, after.y - before.pose.y
+        return Estimate(after, moved_covariance(before.covariance, dx, dy, shift, turn))
 
 
 class DeadReckoning:

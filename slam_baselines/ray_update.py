@@ -23,7 +23,7 @@ UNSEEN = 0
 
 _odds = np.exp(STEP * np.arange(-128, 128))
 VALUE = np.maximum(1, np.round(FULL * (_odds - 1) / (_odds + 1))).astype(np.uint8)
-"""(256,) value of log-odds + 128: 2 p - 1 where that is above 0, so that free and unknown ground pull alike."""
+"""(256,) value of log-odds + 128: 2 p - 1 where that is above 0: free and unknown ground pull alike."""
 VALUE[0] = UNSEEN
 
 

@@ -15,6 +15,7 @@ from lirs_wct.pose import Pose2, wrap_angle
 from slam_baselines.correlative import SearchConfig, search
 from slam_baselines.odometry import Estimate
 from slam_baselines.scan_matching import MapPyramid, Match, MatchConfig, ScanMatcher
+from slam_baselines.small_matrices import invert3
 
 Array = NDArray[np.float64]
 
@@ -91,12 +92,13 @@ class Registration:
             wider = self._fit_from(pyramid, hits, weights * share, expected, found)
             match = max(match, wider, key=lambda m: m.score)
         x, y, yaw = match.pose.tolist()
-        return Estimate(Pose2(x, y, wrap_angle(yaw)), np.linalg.inv(np.linalg.inv(expected.covariance) + match.information)), match
+        covariance = invert3(invert3(expected.covariance) + match.information)
+        return Estimate(Pose2(x, y, wrap_angle(yaw)), covariance), match
 
     def _fit_from(
         self, pyramid: MapPyramid, hits: Array, weights: Array, expected: Estimate, start: Array | None = None
     ) -> Match:
         """Run Gauss-Newton from the expected pose, on as many levels as it takes; from `start` on all."""
         levels = self._matcher.levels(pyramid, expected.covariance) if start is None else len(pyramid.maps)
-        information = np.linalg.inv(expected.covariance)
-        return self._matcher.match(pyramid, hits, weights, expected.pose.as_array(), information, levels, start)
+        prior, information = expected.pose.as_array(), invert3(expected.covariance)
+        return self._matcher.match(pyramid, hits, weights, prior, information, levels, start)

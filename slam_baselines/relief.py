@@ -18,7 +18,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError
@@ -26,6 +25,7 @@ from lirs_wct.pose import Pose2
 from slam_baselines.growing import GrowingGrid
 from slam_baselines.levelling import LevelledScan
 from slam_baselines.occupancy import STEEP_STEP
+from slam_baselines.relief_kernels import lower, stand, steepness
 
 Array = NDArray[np.float64]
 
@@ -104,12 +104,9 @@ class Relief:
         """Follow the ground over a step `T_before_now` of the base, as steep as the robot leans."""
         self.height += scan.ground_slope[0] * delta.x + scan.ground_slope[1] * delta.y
         self.travelled += math.hypot(delta.x, delta.y)
-        first = self._lean is None
-        self._lean = (
-            scan.ground_slope
-            if first
-            else tuple(0.8 * a + 0.2 * b for a, b in zip(self._lean, scan.ground_slope))
-        )
+        x, y = scan.ground_slope if self._lean is None else self._lean
+        # Noise of single readings is no slope.
+        self._lean = 0.8 * x + 0.2 * scan.ground_slope[0], 0.8 * y + 0.2 * scan.ground_slope[1]
         self.tilt = max(self.tilt, math.atan(math.hypot(*self._lean)))
 
     @property
@@ -147,9 +144,9 @@ class Relief:
         old = c.drift * self.travelled
         near, far = c.confidence * c.height_error, c.confidence * c.attitude_error
         frame = np.array((g.row0, g.col0, g.resolution))
-        _lower(ceiling, frame, origin, hits, True, near - old, far)
-        _lower(ceiling, frame, origin, free, False, near - old, far)
-        _stand(ceiling, frame, self._ground(base), c.footprint, old)
+        lower(ceiling, frame, origin, hits, True, near - old, far)
+        lower(ceiling, frame, origin, free, False, near - old, far)
+        stand(ceiling, frame, self._ground(base), c.footprint, old)
         return self.steepness(origin, hits, base)
 
     def steepness(self, origin: Array, hits: Array, base: Pose2) -> NDArray[np.uint8]:
@@ -159,7 +156,8 @@ class Relief:
         near, far = c.confidence * c.height_error, c.confidence * c.attitude_error
         frame = np.array((g.row0, g.col0, g.resolution))
         ground, old = self._ground(base), c.drift * self.travelled
-        _steepness(g.layers["ceiling"], frame, origin, hits, ground, old, near, far, self._offsets, steep)
+        bounds = old, near, far
+        steepness(g.layers["ceiling"], frame, origin, hits, ground, bounds, self._offsets, STEEP_STEP, steep)
         return steep
 
     def _ground(self, base: Pose2) -> Array:
@@ -180,50 +178,3 @@ def _neighbours(resolution: float) -> Array:
     rays = [(math.sin(a), math.cos(a)) for a in np.arange(12) * math.tau / 12]
     rings = [(round(d * s / resolution), round(d * c / resolution)) for d in (0.5, 0.8, 1.2) for s, c in rays]
     return np.array([(r, c, math.hypot(r, c) * resolution) for r, c in close + rings])
-
-
-@njit(cache=True)
-def _lower(ceiling, frame, origin, ends, with_end, near, far):
-    """Lower the ceiling along beams to their height plus near + far * range."""
-    res = frame[2]
-    x, y = origin[0] / res - frame[1], origin[1] / res - frame[0]
-    for i in range(len(ends)):
-        dx, dy, dz = ends[i, 0] / res - frame[1] - x, ends[i, 1] / res - frame[0] - y, ends[i, 2] - origin[2]
-        length = np.sqrt((dx * res) ** 2 + (dy * res) ** 2 + dz * dz)
-        steps = int(max(abs(dx), abs(dy))) + 1
-        dx, dy, rise, loose = dx / steps, dy / steps, dz / steps, far * length / steps
-        for k in range(steps + 1 if with_end else steps):
-            z = np.float32(origin[2] + k * rise + near + k * loose)
-            row, col = int(y + k * dy), int(x + k * dx)
-            if z < ceiling[row, col]:
-                ceiling[row, col] = z
-
-
-@njit(cache=True)
-def _stand(ceiling, frame, ground, footprint, old):
-    """The robot stands here: the ground is where its wheels are."""
-    reach = int(footprint / frame[2])
-    row0, col0 = int(ground[1] / frame[2] - frame[0]), int(ground[0] / frame[2] - frame[1])
-    for row in range(row0 - reach, row0 + reach + 1):
-        for col in range(col0 - reach, col0 + reach + 1):
-            ceiling[row, col] = min(ceiling[row, col], np.float32(ground[2] - old))
-
-
-@njit(cache=True)
-def _steepness(ceiling, frame, origin, hits, ground, old, near, far, offsets, steep):
-    """Fill `steep` with the largest proven rise over run towards each hit."""
-    res = frame[2]
-    rows, cols = ceiling.shape
-    for i in range(len(hits)):
-        x, y, z = hits[i]
-        reach = np.sqrt((x - origin[0]) ** 2 + (y - origin[1]) ** 2 + (z - origin[2]) ** 2)
-        z -= near + far * reach
-        best = (z - ground[2]) / (np.hypot(x - ground[0], y - ground[1]) + res)
-        z -= old
-        row, col = int(np.floor(y / res - frame[0])), int(np.floor(x / res - frame[1]))
-        for k in range(len(offsets)):
-            r, c = row + int(offsets[k, 0]), col + int(offsets[k, 1])
-            if r < 0 or c < 0 or r >= rows or c >= cols:
-                continue
-            best = max(best, (z - ceiling[r, c]) / (offsets[k, 2] + res))
-        steep[i] = np.uint8(min(max(best / STEEP_STEP, 0.0), 255.0))

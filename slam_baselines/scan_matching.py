@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError
 from slam_baselines.occupancy import FULL, UNSEEN, OccupancyMap
+from slam_baselines.small_matrices import solve3 as solve3
 
 Array = NDArray[np.float64]
 
@@ -79,6 +80,7 @@ class MapPyramid:
         """Take over the maps' arrays; needed whenever one of them grew."""
         self.values = tuple(m.layers.value for m in self.maps)
         self.frames: Array = np.array([m.frame for m in self.maps])
+        self.cells = tuple(m.resolution for m in self.maps)
 
 
 class ScanMatcher:
@@ -108,7 +110,8 @@ class ScanMatcher:
         c = self._config
         _match(
             pyramid.values, pyramid.frames, points, weights,
-            prior, information, prior if start is None else start, self._iterations[:levels], c.sigma, c.converged, out,
+            prior, information, prior if start is None else start,
+            self._iterations[:levels], c.sigma, c.converged, out,
         )  # fmt: skip
         return Match(out[:3].copy(), out[3:12].reshape(3, 3).copy(), *out[12:].tolist())
 
@@ -126,27 +129,30 @@ class ScanMatcher:
 
 
 @njit(cache=True)
-def _match(
+def _match(  # type: ignore[no-untyped-def]
     values, frames, points, weights, prior, information, start, iterations, sigma, converged, out
-):  # fmt: skip
+):
     """Run Gauss-Newton from the coarsest level to the finest; fill `out` (15,)."""
     pose = start.copy()
     H, g = np.empty((3, 3)), np.empty(3)
+    A, b = np.empty((3, 3)), np.empty(3)
     score = known = 0.0
     for level in range(len(iterations) - 1, -1, -1):
         cell = frames[level, 2]
+        stride = 2**level  # a coarse level needs fewer beams to show the way
         for _ in range(iterations[level]):
-            score, known = _linearise(values[level], frames[level], points, weights, pose, H, g)
-            A, b = H / sigma**2 + information, g / sigma**2
+            score, known = linearise(values[level], frames[level], points, weights, stride, pose, H, g)
             for i in range(3):
+                b[i] = g[i] * stride / sigma**2
                 for j in range(3):
+                    A[i, j] = H[i, j] * stride / sigma**2 + information[i, j]
                     b[i] -= information[i, j] * (pose[j] - prior[j])
             step = solve3(A, b)
-            limit = 4 * cell / max(4 * cell, np.hypot(step[0], step[1]), abs(step[2]) * 20 * cell)
-            pose += step * limit
-            if np.hypot(step[0], step[1]) < converged * cell and abs(step[2]) < converged * 0.1:
+            length = np.hypot(step[0], step[1])
+            pose += step * (4 * cell / max(4 * cell, length, abs(step[2]) * 20 * cell))
+            if length < converged * cell and abs(step[2]) < converged * 0.1:
                 break
-    score, known = _linearise(values[0], frames[0], points, weights, pose, H, g)
+    score, known = linearise(values[0], frames[0], points, weights, 1, pose, H, g)
     out[:3] = pose
     out[3:12] = (H / sigma**2).ravel()
     total = max(weights.sum(), 1e-9)
@@ -154,15 +160,26 @@ def _match(
 
 
 @njit(cache=True)
-def _linearise(value, frame, points, weights, pose, H, g):
-    """Fill Hessian and gradient of the matching cost (eqs. 12-13); return score and known share."""
+def linearise(value, frame, points, weights, stride, pose, H, g):  # type: ignore[no-untyped-def]
+    """Fill Hessian and gradient of the matching cost (eqs. 12-13); return score and known weight.
+
+    Args:
+        value: (rows, cols) layer of the map.
+        frame: (3,) lattice row and column of its cell (0, 0), resolution in metres.
+        points: (n, 2 or more) ends of beams in the levelled base frame.
+        weights: (n,) of the beams.
+        stride: only every so many beams count.
+        pose: (3,) x, y, yaw.
+        H: (3, 3) to be filled.
+        g: (3,) to be filled.
+    """
     rows, cols = value.shape
     scale = 1 / frame[2]
     c, s = np.cos(pose[2]), np.sin(pose[2])
     u0, v0 = pose[0] * scale - 0.5 - frame[1], pose[1] * scale - 0.5 - frame[0]
     h00 = h01 = h02 = h11 = h12 = h22 = g0 = g1 = g2 = 0.0
     seen = score = 0.0
-    for i in range(len(points)):
+    for i in range(0, len(points), stride):
         px, py = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
         u, v = u0 + px * scale, v0 + py * scale
         if not (u >= 0 and v >= 0 and u < cols - 1 and v < rows - 1):
@@ -193,22 +210,3 @@ def _linearise(value, frame, points, weights, pose, H, g):
     H *= unit * unit
     g[0], g[1], g[2] = g0 * unit / FULL, g1 * unit / FULL, g2 * unit / FULL
     return score / FULL, seen
-
-
-@njit(cache=True)
-def solve3(A, b):
-    """Solve a symmetric positive definite 3x3 system by Cramer's rule; zero where it is singular."""
-    c00 = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
-    c01 = A[1, 2] * A[2, 0] - A[1, 0] * A[2, 2]
-    c02 = A[1, 0] * A[2, 1] - A[1, 1] * A[2, 0]
-    det = A[0, 0] * c00 + A[0, 1] * c01 + A[0, 2] * c02
-    x = np.zeros(3)
-    if not det > 0:
-        return x
-    x[0] = (c00 * b[0] + c01 * b[1] + c02 * b[2]) / det
-    c11 = A[0, 0] * A[2, 2] - A[0, 2] * A[2, 0]
-    c12 = A[0, 1] * A[2, 0] - A[0, 0] * A[2, 1]
-    c22 = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
-    x[1] = (c01 * b[0] + c11 * b[1] + c12 * b[2]) / det
-    x[2] = (c02 * b[0] + c12 * b[1] + c22 * b[2]) / det
-    return x
