@@ -19,6 +19,8 @@ from lirs_wct.window import Window
 
 NODES = 1025
 """Nodes along the longer side unless a resolution is given."""
+FINEST = 0.02
+"""Metres between the nodes of a small mesh: what a wheel feels."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ def _surface(
 ) -> tuple[HeightField, bool, NDArray[np.bool_]]:
     """Return the heights from above, whether there are overhangs, and the nodes without ground."""
     (west, south), (east, north) = _extent(mesh, options.window)
-    spacing = options.resolution or max(east - west, north - south) / (NODES - 1)
+    spacing = options.resolution or max(max(east - west, north - south) / (NODES - 1), FINEST)
     cols, rows = (max(2, round(side / spacing) + 1) for side in (east - west, north - south))
     if rows * cols > options.max_pixels:
         raise ConfigError(
