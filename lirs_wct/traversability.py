@@ -101,6 +101,8 @@ def _facing(point: NDArray[np.float64], target: NDArray[np.float64]) -> Pose2:
 
 def _steep_cells(surface: HeightField, max_slope: float, grid: OccupancyGrid) -> Mask:
     """Mark cells of the grid that hold ground whose relief over the baseline exceeds the slope."""
+    if surface.relief == 0:
+        return np.zeros(grid.shape, np.bool_)
     fine = surface if max(surface.cell) <= grid.resolution else _sampled(surface, grid.resolution)
     reach = [max(1, round(BASELINE / 2 / c)) for c in fine.cell]
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach[0] + 1, 2 * reach[1] + 1))
