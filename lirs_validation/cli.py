@@ -208,6 +208,11 @@ def main() -> None:
         _fail(error.format_message())
     except (typer.Abort, KeyboardInterrupt):
         _fail("interrupted; nothing half-written was left", INTERRUPTED)
+    except SystemError as error:
+        # Ctrl-C inside a compiled kernel comes out wrapped.
+        if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            raise
+        _fail("interrupted; nothing half-written was left", INTERRUPTED)
     sys.exit(code if isinstance(code, int) else 0)
 
 
