@@ -111,6 +111,7 @@ class GmappingMapper:
         self._parents = np.arange(c.particles)
         self._log_weights, self._totals = np.zeros(c.particles), np.zeros(c.particles)
         self._step, self._way, self._turn = NO_STEP, 0.0, 0.0
+        self._new = self._spread = np.zeros((3, 3))
         self._best = self._received = self._resamplings = self._lost_scans = self._poor_in_a_row = 0
         self._stopwatch = Stopwatch()
 
@@ -128,6 +129,8 @@ class GmappingMapper:
         self._received += 1
         level = self._leveller.level(scan, imu)
         self._follow(level, odometry, imu)
+        if self._lineage.generations:
+            self._track(level)
         if self._due:
             self._process(level)
         self._lineage.add_scan(scan.stamp, self._step.pose)
@@ -179,12 +182,22 @@ class GmappingMapper:
     def _follow(self, scan: LevelledScan, odometry: Pose2, imu: Imu | None) -> None:
         """Carry the step since the last processed scan on by odometry."""
         before, here = self._step, self._pose
-        self._step = self._reckoning.predict(before, odometry, imu, scan.stamp)
+        self._step = self._reckoning.predict(Estimate(before.pose, np.zeros((3, 3))), odometry, imu, scan.stamp)
+        self._new, self._spread = self._step.covariance, self._spread + self._step.covariance
         delta = before.pose.inverse() @ self._step.pose
         self._way += math.hypot(delta.x, delta.y)
         self._turn += abs(delta.yaw)
         if scan.levelled:
             self._relief.move(here.inverse() @ self._pose, scan)
+
+    def _track(self, scan: LevelledScan) -> None:
+        """Correct the step by matching the scan to the best particle's map."""
+        bound = self._relief.match_bound
+        view, expected = self._maps.view(self._best, bound), self._pose.as_array()
+        found = self._proposer.track(view, scan.hits, self._weights(scan, bound), expected, self._new)
+        if found is not None:
+            best = Pose2(*self._poses[self._best].tolist())
+            self._step = Estimate(best.inverse() @ Pose2(*found.tolist()), self._new)
 
     def _process(self, scan: LevelledScan) -> None:
         """Algorithm 1 of the paper, from line 3 on, for all particles."""
@@ -199,6 +212,7 @@ class GmappingMapper:
         self._lineage.add_generation(self._poses, self._parents, self._step.pose)
         self._parents = np.arange(len(self._poses))
         self._step, self._way, self._turn = NO_STEP, 0.0, 0.0
+        self._new = self._spread = np.zeros((3, 3))
         self._draw(scan)
         weights = normalised(self._log_weights)
         if effective_number(weights) < self.config.resampleThreshold * len(weights):
@@ -209,7 +223,7 @@ class GmappingMapper:
         expected = np.array([(Pose2(*pose) @ self._step.pose).as_array() for pose in self._poses.tolist()])
         c, s, o = np.cos(self._poses[:, 2]), np.sin(self._poses[:, 2]), np.zeros(len(self._poses))
         R = np.stack((c, -s, o, s, c, o, o, o, o + 1), axis=-1).reshape(-1, 3, 3)
-        covariances = R @ self._step.covariance @ R.transpose(0, 2, 1)
+        covariances = R @ self._spread @ R.transpose(0, 2, 1)
         bound = self._relief.match_bound
         weights = self._weights(scan, bound)
         return self._proposer.propose(

@@ -1,7 +1,7 @@
 """Maps of many particles in patches that are shared until one of them writes: copy on write.
 
 Most of a particle's map was drawn before it split from its siblings and is the same as theirs. A map is
-a table of patches of 32 x 32 cells; children get their parent's table, and a patch that several tables
+a table of patches of 16 x 16 cells; children get their parent's table, and a patch that several tables
 point at is copied by the first that draws into it. So memory goes with what differs.
 """
 
@@ -20,7 +20,7 @@ from slam_baselines.occupancy import STEP, TOP_STEP, UNKNOWN, UpdateConfig
 
 Array = NDArray[np.float64]
 
-BITS = 5
+BITS = 4
 PATCH = 1 << BITS
 """Cells along the edge of a patch."""
 MASK = PATCH - 1
@@ -36,11 +36,11 @@ class Patches(NamedTuple):
     """All patches of all maps, one row each, cells in row order; as the kernels need them.
 
     Attributes:
-        log_odds: (p, 1024) int8, steps of STEP, UNKNOWN where no beam came.
-        hits: (p, 1024) uint8, how many beams ended there, up to MEAN_MEMORY.
-        mean: (p, 1024, 2) uint16, where they ended on average, MEAN_STEPS east and north of the cell's corner.
-        steep: (p, 1024) uint8, largest proven rise over run of what was hit there, STEEP_STEP.
-        top: (p, 1024) int16, largest height at which it was hit, TOP_STEP.
+        log_odds: (p, 256) int8, steps of STEP, UNKNOWN where no beam came.
+        hits: (p, 256) uint8, how many beams ended there, up to MEAN_MEMORY.
+        mean: (p, 256, 2) uint16, where they ended on average, MEAN_STEPS east and north of the cell's corner.
+        steep: (p, 256) uint8, largest proven rise over run of what was hit there, STEEP_STEP.
+        top: (p, 256) int16, largest height at which it was hit, TOP_STEP.
         owners: (p,) int32, tables that point at the patch; 0 = free.
         free: (1 + p,) int32, how many patches are free, and then which.
     """
@@ -212,16 +212,16 @@ def _own(table, patches, row, col):
     if p == ABSENT:
         patches.log_odds[q] = UNKNOWN
         patches.hits[q] = 0
-        patches.mean[q] = MEAN_STEPS // 2
         patches.steep[q] = 0
-        patches.top[q] = -32768
     else:
         patches.owners[p] -= 1
         patches.log_odds[q] = patches.log_odds[p]
         patches.hits[q] = patches.hits[p]
-        patches.mean[q] = patches.mean[p]
         patches.steep[q] = patches.steep[p]
-        patches.top[q] = patches.top[p]
+        # Most patches are free space: what was never hit has neither mean nor top.
+        if patches.hits[q].any():
+            patches.mean[q] = patches.mean[p]
+            patches.top[q] = patches.top[p]
     patches.owners[q] = 1
     table[row, col] = q
     return q
@@ -261,6 +261,7 @@ def _hit(table, corner, patches, touched, window, u, v, z, steep, steps):
     if p == ABSENT or patches.owners[p] != 1:
         p = _own(table, patches, r, c)
     cell = ((row & MASK) << BITS) | (col & MASK)
+    first = patches.hits[p, cell] == 0
     n = min(patches.hits[p, cell] + 1, MEAN_MEMORY)
     patches.hits[p, cell] = n
     for axis, part in ((0, u - col), (1, v - row)):
@@ -269,7 +270,8 @@ def _hit(table, corner, patches, touched, window, u, v, z, steep, steps):
             before + (min(part * MEAN_STEPS, MEAN_STEPS - 1.0) - before) / n
         )
     patches.steep[p, cell] = max(patches.steep[p, cell], steep)
-    patches.top[p, cell] = max(patches.top[p, cell], np.int16(z / TOP_STEP))
+    top = np.int16(z / TOP_STEP)
+    patches.top[p, cell] = top if first else max(patches.top[p, cell], top)
     if touched[row - window[0], col - window[1]] == 0:
         touched[row - window[0], col - window[1]] = 1
         before = patches.log_odds[p, cell]

@@ -52,7 +52,7 @@ class ProposalConfig:
     sigma: float = 0.05
     kernelSize: int = 1  # noqa: N815  the original's name
     iterations: int = 8
-    lsigma: float = 0.075
+    lsigma: float = 0.005
     lstep: float = 0.05
     astep: float = 0.05
     llsamplerange: float = 0.5
@@ -133,6 +133,21 @@ class Proposer:
         )  # fmt: skip
         return Proposal(poses, means, sigmas, told[:, 0], told[:, 1], told[:, 2])
 
+    def track(
+        self, view: MapView, points: Array, weights: Array, expected: Array, covariance: Array
+    ) -> Array | None:
+        """Return the (3,) pose at which a scan fits into one map; None where it fits nowhere near.
+
+        Args:
+            view: the map.
+            points: (n, 2 or more) ends of beams in the levelled base frame, metres.
+            weights: (n,) how much each counts.
+            expected: (3,) pose by odometry.
+            covariance: (3, 3) of it.
+        """
+        pose, met, known = _track(view, Beams(points, weights), expected, covariance, self._tuning)
+        return pose if met > max(self.config.poor_score * known, 0) else None
+
 
 def _points(n: int) -> Array:
     """Return (n, 3) points that fill the cube [-1, 1]^3 evenly, the first in its centre."""
@@ -184,6 +199,15 @@ def _propose(
         poses[k] = means[k] + np.linalg.cholesky(sigmas[k]) @ normals[k]
         told[k, 1], told[k, 2] = met / max(known, 1e-9), known / total
     return searches
+
+
+@njit(cache=True)
+def _track(view, beams, expected, covariance, tuning):
+    """Return the pose that fits best, and the weights of beams that met a wall and known cells."""
+    prior = Prior(expected, np.linalg.inv(covariance))
+    pose = match(view, beams, prior, expected, tuning, np.empty((3, 3)))
+    _, met, known = log_likelihood(view, beams, pose, tuning.kernelSize, tuning.lsigma)
+    return pose, met, known
 
 
 @njit(cache=True)
