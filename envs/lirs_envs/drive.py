@@ -7,22 +7,10 @@ from dataclasses import dataclass
 
 from lirs_envs.odometry import Odometry, OdometryConfig
 from lirs_envs.robots import Robot
+from lirs_envs.twist import Twist, Waypoint
 from lirs_wct.errors import ConfigError
 
-__all__ = ["Drive", "DriveConfig", "Odometry", "OdometryConfig", "Twist"]
-
-
-@dataclass(frozen=True, slots=True)
-class Twist:
-    """A commanded motion of the base.
-
-    Attributes:
-        v: speed ahead, m/s.
-        omega: turn rate, rad/s, counter-clockwise.
-    """
-
-    v: float = 0.0
-    omega: float = 0.0
+__all__ = ["Drive", "DriveConfig", "Odometry", "OdometryConfig", "Twist", "Waypoint"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,14 +48,19 @@ class Drive:
         self.config = config or DriveConfig()
         self._v = self._omega = self._trim = 0.0
 
-    def update(self, command: Twist, yaw_rate: float, dt: float) -> tuple[float, float]:
+    def update(self, command: Twist | Waypoint, yaw_rate: float, dt: float) -> tuple[float, ...]:
         """Return the speeds of left and right wheels, rad/s.
 
         Args:
             command: wanted motion; beyond the robot's limits it is clipped.
             yaw_rate: measured by the gyro, rad/s.
             dt: time for which the speeds will hold, seconds.
+
+        Raises:
+            ConfigError: the command is a waypoint; those are for robots that fly.
         """
+        if not isinstance(command, Twist):
+            raise ConfigError(f"{self.robot.name} drives: it takes a Twist, got {command}")
         robot, config = self.robot, self.config
         v = _clip(command.v, robot.max_speed)
         omega = _clip(command.omega, robot.max_turn_rate)

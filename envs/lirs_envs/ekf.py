@@ -39,8 +39,8 @@ class FilterConfig:
         slip_aside: after one metre, across it.
         slip_turning: across and along, after one radian of turn, metres: the point that a robot turns about
             is never quite base_link.
-        slide: gain of the slide down a slope, by the formula above. On the spot it is up to twice as large, in
-            wide bends nearly nothing.
+        slide: gain of the slide down a slope, by the formula above. On the spot it is up to twice as large,
+            in wide bends nearly nothing.
         drift: of the slide down a slope while skidding, after one metre of it, metres.
         tilt: error of the turn after one radian of it, from an attitude that is not quite right, radians.
         wheel_rate: of the wheels' turn rate on one driven axle, rad/s.

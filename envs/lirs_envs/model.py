@@ -66,8 +66,10 @@ class RobotModel:
         self.data = mujoco.MjData(self.model)
         piece = max(1, int(control_period / self.timestep + 1e-9))
         self.pieces = tuple(min(piece, steps - done) for done in range(0, steps, piece))
-        self._left = [self.model.actuator(name).id for name in robot.left_wheels]
-        self._right = [self.model.actuator(name).id for name in robot.right_wheels]
+        wheel_sides: list[tuple[str, ...]] = [robot.left_wheels, robot.right_wheels]
+        sides = [(rotor,) for rotor in robot.rotors] or wheel_sides
+        self._actuators = [[self.model.actuator(name).id for name in side] for side in sides]
+        self._flies = robot.flies
         wheels = (*robot.left_wheels, *robot.right_wheels)
         self._left_angles, self._right_angles = (
             [int(self.model.joint(name).qposadr[0]) for name in side]
@@ -117,8 +119,8 @@ class RobotModel:
     def wheel_angles(self) -> tuple[float, float]:
         """Return the mean angles by which left and right wheels have turned, radians."""
         qpos = self._qpos
-        left = sum([float(qpos[i]) for i in self._left_angles]) / len(self._left_angles)
-        right = sum([float(qpos[i]) for i in self._right_angles]) / len(self._right_angles)
+        left = sum([float(qpos[i]) for i in self._left_angles]) / max(len(self._left_angles), 1)
+        right = sum([float(qpos[i]) for i in self._right_angles]) / max(len(self._right_angles), 1)
         return left, right
 
     def _prop_ranges(self, origin: Array, directions: Array, max_range: float) -> Array:
@@ -128,20 +130,27 @@ class RobotModel:
         groups = (PROP_GROUP, SEEN_GROUP)
         return mujoco_ranges(self.model, self.data, origin, directions, max_range, groups=groups)
 
-    def step(self, control: tuple[float, float], steps: int) -> None:
-        """Hold the speeds of left and right wheels, rad/s, for some steps."""
+    def step(self, control: tuple[float, ...], steps: int) -> None:
+        """Step with the speeds of left and right wheels, rad/s, or the rotors' thrusts, newtons."""
         ctrl = self._ctrl
-        for i in self._left:
-            ctrl[i] = control[0]
-        for i in self._right:
-            ctrl[i] = control[1]
+        for side, value in zip(self._actuators, control, strict=True):
+            for i in side:
+                ctrl[i] = value
         mujoco.mj_step(self.model, self.data, steps)
 
     def settle(self, T_world_base: Pose3, seconds: float) -> None:
-        """Let the robot go in a pose with its wheels held, and wait; the time then is 0."""
+        """Let the robot go in a pose with its wheels held, and wait; the time then is 0.
+
+        A robot that flies begins in the air, with the thrust that carries it.
+        """
         mujoco.mj_resetData(self.model, self.data)
         self._qpos[:7] = (*T_world_base.position, *T_world_base.quaternion)
-        self.step((0.0, 0.0), math.ceil(seconds / self.timestep))
+        if self._flies:
+            weight = float(self.model.body("base_link").subtreemass[0]) * -float(self.model.opt.gravity[2])
+            self._ctrl[[i for side in self._actuators for i in side]] = weight / len(self._actuators)
+            mujoco.mj_forward(self.model, self.data)
+        else:
+            self.step((0.0, 0.0), math.ceil(seconds / self.timestep))
         self.data.time = 0.0
 
     def state(self) -> NDArray[np.float64]:
@@ -151,7 +160,7 @@ class RobotModel:
         return state
 
     def replay(
-        self, initial: NDArray[np.float64], controls: Sequence[tuple[float, float]]
+        self, initial: NDArray[np.float64], controls: Sequence[tuple[float, ...]]
     ) -> tuple[float, Pose3]:
         """Step from a state with given controls, one each control update; put the present state back.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from lirs_envs.robots import Robot
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.pose import Pose2, wrap_angle
+from lirs_wct.pose import Pose2, Pose3, wrap_angle
 
 METHODS = ("gyro", "ekf")
 
@@ -135,6 +135,41 @@ class Odometry:
 
     def _add(self, way: Way) -> None:
         self.pose = integrated(self.pose, way.ahead, way.turn)
+
+
+class FlowOdometry(Odometry):
+    """Odometry of a robot that flies: velocity over ground by a camera that looks down, heading by the gyro.
+
+    The velocity has the scale error of the config, as an optical flow has by its height.
+    """
+
+    def flow(
+        self,
+        T_world_base: Pose3,
+        velocity: tuple[float, float, float],
+        rates: tuple[float, float, float],
+        roll: float,
+        pitch: float,
+        dt: float,
+    ) -> None:
+        """Add a piece of way.
+
+        Args:
+            T_world_base: true pose.
+            velocity: true, along x, y, z of the base, m/s.
+            rates: measured rates about x, y, z of the base, rad/s.
+            roll: measured attitude, radians.
+            pitch: measured attitude, radians.
+            dt: seconds.
+        """
+        east, north, _ = (T_world_base.rotation @ np.array(velocity) * dt).tolist()
+        c, s = math.cos(T_world_base.yaw), math.sin(T_world_base.yaw)
+        length = math.hypot(east, north)
+        scale = self._wheels.measured(length) / length if length > 0 else 1.0
+        turn = Way(0.0, 0.0, rates, roll, pitch, dt).turn
+        # True yaw's axes: what the camera sees is turned with the body.
+        moved = Pose2((c * east + s * north) * scale, (c * north - s * east) * scale, turn)
+        self.pose = self.pose @ moved
 
 
 def integrated(pose: Pose2, ahead: float, turn: float) -> Pose2:

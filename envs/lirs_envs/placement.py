@@ -56,6 +56,8 @@ def standing_pose(world: World, robot: Robot, start: Pose2) -> Pose3:
     z = world.surface.height_at(x, y)
     plane, *_ = np.linalg.lstsq(np.stack((x - start.x, y - start.y, np.ones_like(x)), axis=1), z)
     a, b, height = plane.tolist()
+    if robot.flies:
+        return Pose3.from_pose2(start, float(np.max(z)) + robot.base_height)
     rough = float(np.max(z - (a * (x - start.x) + b * (y - start.y) + height)))
     if rough > robot.base_height:
         raise SimulationError(f"{where}: an obstacle stands {rough:.2f} m out of the ground there")

@@ -109,6 +109,22 @@ ROBOTS: dict[str, Robot] = {
             lidar="lds01",
             T_base_laser=Pose3(-0.064, 0.0, 0.12),
         ),
+        Robot(
+            name="quadrotor",
+            rotors=("front_rotor", "left_rotor", "rear_rotor", "right_rotor"),
+            # Where it begins, and what it keeps above the terrain.
+            base_height=1.0,
+            radius=0.43,
+            max_speed=10.0,
+            # No published figures: a usual turn rate, and what a tilt of 45 deg gives.
+            max_turn_rate=3.0,
+            max_acceleration=9.81,
+            max_turn_acceleration=10.0,
+            max_slope=math.radians(45),
+            friction=0.6,
+            lidar="utm30lx",
+            T_base_laser=Pose3(0.0, 0.0, -0.10),
+        ),
     )
 }
 """Robots by name."""

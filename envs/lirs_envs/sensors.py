@@ -11,7 +11,7 @@ from lirs_envs.imu import ImuConfig, ImuSensor
 from lirs_envs.lidar import Lidar, LidarPreset, Motion
 from lirs_envs.lidar_noise import LidarNoise, NoiseLevel, lidar_noise
 from lirs_envs.model import RobotModel
-from lirs_envs.odometry import Odometry, OdometryConfig
+from lirs_envs.odometry import FlowOdometry, Odometry, OdometryConfig
 from lirs_envs.raycast import RayCaster
 from lirs_envs.robots import Robot
 from lirs_wct.errors import ConfigError
@@ -73,7 +73,8 @@ class Sensors:
         ranges = noise.lidar if isinstance(noise.lidar, LidarNoise) else lidar_noise(preset, noise.lidar)
         self._lidar = Lidar(preset, caster, robot.T_base_laser, lidar, ranges, sweep=noise.sweep)
         self._imu = ImuSensor(noise.imu, imu)
-        self._odometry = (
+        self._flow = FlowOdometry(robot, noise.odometry, odometry) if robot.flies else None
+        self._odometry: Odometry = self._flow or (
             FusedOdometry(robot, noise.odometry, odometry, noise.imu)
             if noise.odometry.method == "ekf"
             else Odometry(robot, noise.odometry, odometry)
@@ -90,8 +91,11 @@ class Sensors:
 
     def dead_reckon(self, dt: float) -> None:
         """Read gyro and wheels after a piece of way."""
-        left, right = self._body.wheel_angles()
         self._rates = self._imu.rates(self._body.rates())
+        if self._flow is not None:
+            self._flow.flow(self._body.pose(), self._body.velocity(), self._rates, *self._attitude, dt)
+            return
+        left, right = self._body.wheel_angles()
         left_turned, right_turned = left - self._wheel_angles[0], right - self._wheel_angles[1]
         turned, difference = (left_turned + right_turned) / 2, right_turned - left_turned
         self._odometry.update(turned, self._rates, *self._attitude, dt, difference)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lirs_envs.collisions import Collisions, ContactWatch, check_sane
-from lirs_envs.drive import Drive, Twist
+from lirs_envs.drive import Drive, Twist, Waypoint
+from lirs_envs.flight import Pilot
 from lirs_envs.lidar import make_lidar_preset
 from lirs_envs.model import RobotModel
 from lirs_envs.placement import standing_pose, start_of
@@ -101,9 +102,10 @@ class Simulation:
         """Forget all that was recorded; draw noise anew."""
         self._seed = self._seed if seed is None else seed
         self._sensors = Sensors(self.robot, self.body, self.preset, self._caster, self._noise, self._seed)
-        self._drive = Drive(self.robot)
+        robot, body = self.robot, self.body
+        self._drive = Pilot(robot, body, self.world.surface) if robot.flies else Drive(robot)
         self._watch = ContactWatch(self.body.wheel_geoms, self.body.own_geoms)
-        self._controls: list[tuple[float, float]] = []
+        self._controls: list[tuple[float, ...]] = []
         self._initial: NDArray[np.float64] | None = None
         self.timing = Timing()
 
@@ -132,7 +134,7 @@ class Simulation:
         self._initial = self.body.state()
         return self._sensors.observe(0.0, self.period)
 
-    def advance(self, command: Twist) -> Observation:
+    def advance(self, command: Twist | Waypoint) -> Observation:
         """Drive for one LRF period; return what the robot then knows.
 
         Raises:
@@ -141,7 +143,7 @@ class Simulation:
         """
         if self._initial is None:
             raise SimulationError("a simulation must be reset before it is advanced")
-        if not (math.isfinite(command.v) and math.isfinite(command.omega)):
+        if not all(math.isfinite(value) for value in astuple(command)):
             raise ConfigError(f"a command must be finite, got {command}")
         body, clock, physics, sensors = self.body, time.perf_counter, 0.0, 0.0
         for steps in body.pieces:
@@ -198,8 +200,9 @@ class Simulation:
 
     @property
     def controls(self) -> NDArray[np.float64]:
-        """(n, 2) speeds of left and right wheels since the reset, rad/s, one row a control update."""
-        return np.array(self._controls, dtype=np.float64).reshape(-1, 2)
+        """(n, 2) speeds of left and right wheels, rad/s, or (n, rotors) thrusts, newtons; a row an update."""
+        width = len(self.robot.rotors) or 2
+        return np.array(self._controls, dtype=np.float64).reshape(-1, width)
 
     def replay(self) -> Replay:
         """Send the recorded controls through MuJoCo's step alone; the simulation stays as it is.

@@ -1,0 +1,147 @@
+"""The quadrotor hovers, steps, follows terrain and meets walls."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+
+from lirs_envs.drive import Twist, Waypoint
+from lirs_envs.flight import FlightConfig
+from lirs_envs.robots import Robot, make_robot
+from lirs_envs.simulation import Simulation
+from lirs_wct.errors import ConfigError
+from lirs_wct.pose import Pose2
+from lirs_wct.world import World, build_world
+
+TICK = 0.04
+
+
+@pytest.fixture
+def robot() -> Robot:
+    return make_robot("quadrotor")
+
+
+def simulation(world: World, robot: Robot) -> Simulation:
+    return Simulation(world, robot, lidar="lms111")
+
+
+def test_the_published_figures(robot: Robot) -> None:
+    model = mujoco.MjModel.from_xml_path(str(robot.mjcf))
+    assert model.body("base_link").mass[0] == pytest.approx(1.477)
+    np.testing.assert_allclose(model.body("base_link").inertia, (0.01152, 0.01152, 0.0218))
+    assert model.actuator_ctrlrange[:, 1].sum() == pytest.approx(30)
+    arms = np.hypot(*model.site_pos[model.actuator_trnid[:, 0]][:, :2].T)
+    np.testing.assert_allclose(arms, 0.275)
+    assert model.actuator_gear[:, 5].sum() == 0, "the rotors' drags are in balance"
+
+
+def test_hovers_within_five_centimetres(plane: World, robot: Robot) -> None:
+    sim = simulation(plane, robot)
+    sim.reset(Pose2(1.0, 2.0, 0.5))
+    for k in range(375):
+        if k == 125:
+            sim.body.data.qvel[:6] += (0.3, -0.2, 0.2, 0.5, -0.5, 0.5)  # a gust
+        sim.advance(Twist())
+        T = sim.T_world_base
+        away = math.dist(T.position, (1.0, 2.0, 1.0))
+        assert away < (0.25 if 125 <= k < 250 else 0.05)
+    assert pytest.approx(0.5, abs=0.02) == sim.T_world_base.yaw
+
+
+@pytest.mark.parametrize(
+    "goal", [Waypoint(2, 0, 1), Waypoint(0, -2, 1), Waypoint(0, 0, 3), Waypoint(1.2, 1.2, 2.06, 1.5)]
+)
+def test_a_step_of_two_metres_in_three_seconds(goal: Waypoint, plane: World, robot: Robot) -> None:
+    sim = simulation(plane, robot)
+    sim.reset()
+    start, end, along = np.array((0, 0, 1.0)), np.array((goal.x, goal.y, goal.z)), []
+    for k in range(125):
+        sim.advance(goal)
+        p = sim.T_world_base.position
+        along.append((p - start) @ (end - start) / 4)
+        if k >= 74:
+            assert np.linalg.norm(p - end) < 0.05
+        assert not sim.tipped
+    assert np.linalg.norm(end - start) == pytest.approx(2, abs=0.02)
+    assert max(along) < 1.2
+    assert along[10] > 0.02
+    assert sim.T_world_base.yaw == pytest.approx(goal.yaw, abs=0.02)
+
+
+def test_commanded_is_flown(plane: World, robot: Robot) -> None:
+    sim = simulation(plane, robot)
+    for command in (Twist(2.0), Twist(-2.0), Twist(0.0, 3.0), Twist(1.0, 0.5), Twist(8.0)):
+        sim.reset(Pose2(0.0 if command.v < 5 else -9.0, 0.0))
+        for _ in range(25 if command.v > 5 else 50):
+            sim.advance(command)
+        way = turned = 0.0
+        for _ in range(10):
+            before = sim.T_world_base.to_pose2()
+            sim.advance(command)
+            moved = before.inverse() @ sim.T_world_base.to_pose2()
+            way, turned = way + moved.x, turned + moved.yaw
+        assert way / (10 * TICK) == pytest.approx(command.v, abs=max(0.05 * abs(command.v), 0.02))
+        assert turned / (10 * TICK) == pytest.approx(command.omega, abs=max(0.05 * abs(command.omega), 0.01))
+
+
+@pytest.mark.parametrize("where", ["hills", "medium"])
+def test_follows_terrain_at_three_metres_a_second(
+    where: str, make_world: Callable[..., World], robot: Robot
+) -> None:
+    hills = make_world(lambda x, y: 1.5 * np.sin(x / 1.5) * np.cos(y / 2), nodes=401)
+    world = hills if where == "hills" else build_world("medium")
+    sim = simulation(world, robot)
+    sim.reset()
+    heights, speeds = [], []
+    for _ in range(125):
+        sim.advance(Twist(3.0))
+        T = sim.T_world_base
+        heights.append(T.z - float(world.surface.height_at(T.x, T.y)))
+        speeds.append(math.hypot(*sim.body.data.qvel[:2]))
+    assert min(heights) > 0.4
+    assert max(heights) < 2.5
+    assert np.mean(speeds[40:]) == pytest.approx(3.0, rel=0.05)
+    assert sim.collisions.body_contacts == 0
+    assert sim.replay().T_world_base == sim.T_world_base
+    assert sim.controls.shape == (125 * len(sim.body.pieces), 4)
+
+
+def test_a_wall_stops_it(walled: World, T_world_wall: Pose2, robot: Robot) -> None:
+    sim = simulation(walled, robot)
+    sim.reset(T_world_wall @ Pose2(1.0))
+    for _ in range(75):
+        sim.advance(Twist(2.0))
+        assert (T_world_wall.inverse() @ sim.T_world_base.to_pose2()).x < 3.0
+    assert sim.collisions.body_contacts > 0
+    assert sim.collisions.max_penetration < 0.020
+
+
+def test_odometry_and_determinism(plane: World, robot: Robot) -> None:
+    ends = []
+    for seed in (1, 1, 2):
+        sim = Simulation(plane, robot, seed=seed, lidar="lms111")
+        sim.reset(Pose2(-3.0, 0.0, 0.4))
+        T_world_odom = sim.T_world_base.to_pose2()
+        for k in range(100):
+            seen = sim.advance(Twist(1.0, 0.4 * math.sin(k / 20)))
+        guess = T_world_odom @ seen.odometry
+        assert guess.distance(sim.T_world_base.to_pose2()) < 0.06 * 4
+        ends.append((seen.odometry, seen.scan.ranges.tobytes()))
+    assert ends[0] == ends[1] != ends[2]
+
+
+def test_commands_that_cannot_be(plane: World, robot: Robot, husky: Robot) -> None:
+    sim = Simulation(plane, husky)
+    sim.reset()
+    with pytest.raises(ConfigError, match="husky drives: it takes a Twist"):
+        sim.advance(Waypoint(1.0, 0.0, 1.0))
+    sim = simulation(plane, robot)
+    sim.reset()
+    with pytest.raises(ConfigError, match="finite"):
+        sim.advance(Waypoint(1.0, math.nan, 1.0))
+    with pytest.raises(ConfigError, match="tilt"):
+        FlightConfig(tilt=0.0)
