@@ -1,9 +1,10 @@
-"""The command line: `lirs-wct build | validate | view | info | convert`."""
+"""The command line: `lirs-wct build | validate | view | info | convert | robot`."""
 
 from __future__ import annotations
 
 import sys
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +14,7 @@ from typer.exceptions import TyperException
 
 from lirs_validation.build_options import gazebo_terrain, mujoco_terrain, with_build_options
 from lirs_validation.option_words import RotateX
+from lirs_validation.robot_card import robot
 from lirs_wct.errors import WctError
 from lirs_wct.options import BuildOptions
 
@@ -29,6 +31,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, judge the result.",
 )
+app.command()(robot)
 out, err = Console(), Console(stderr=True)
 
 Sources = Annotated[
@@ -210,10 +213,16 @@ def main() -> None:
         _fail("interrupted; nothing half-written was left", INTERRUPTED)
     except SystemError as error:
         # Ctrl-C inside a compiled kernel comes out wrapped.
-        if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+        if not any(isinstance(cause, KeyboardInterrupt) for cause in _causes(error)):
             raise
         _fail("interrupted; nothing half-written was left", INTERRUPTED)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
 
 
 def _fail(message: str, code: int = BAD_INPUT) -> None:
