@@ -17,6 +17,7 @@ from lirs_wct.grid import OccupancyGrid
 from lirs_wct.pose import Pose2
 from lirs_wct.scan import Imu, LaserScan
 from lirs_wct.trajectory import Trajectory
+from slam_baselines.calibration import CalibrationConfig
 from slam_baselines.keyframes import Keyframe, KeyframeTrajectory
 from slam_baselines.levelling import LevelledScan, ScanLeveller
 from slam_baselines.map_builder import BuilderConfig, MapBuilder
@@ -33,6 +34,7 @@ class HectorConfig(BuilderConfig):
 
     Attributes:
         motion: confidence in the odometry.
+        calibration: how fast the odometry's constant errors are learnt.
         registration: how a scan is fitted into the map.
         second_look: when the map is built again.
         laser_max_dist: hits farther away are not used, metres.
@@ -45,6 +47,7 @@ class HectorConfig(BuilderConfig):
     """
 
     motion: MotionConfig = field(default_factory=MotionConfig)
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
     second_look: SecondLookConfig = field(default_factory=SecondLookConfig)
     laser_max_dist: float = math.inf
@@ -71,7 +74,7 @@ class HectorMapper:
     def __init__(self, config: HectorConfig | None = None) -> None:
         self.config = config or HectorConfig()
         self._leveller = ScanLeveller(self.config.laser_clear_dist, self.config.laser_max_dist)
-        self._reckoning = DeadReckoning(self.config.motion)
+        self._reckoning = DeadReckoning(self.config.motion, self.config.calibration)
         self._registration = Registration(self.config.registration)
         self._builder = MapBuilder(self.config)
         self._second_look = SecondLook(self.config.second_look)
@@ -133,7 +136,10 @@ class HectorMapper:
         self._estimate, match = self._registration.fit(
             self._builder.pyramid, scan.hits, weights, expected, before
         )
-        self._matched += match is not None
+        if match is not None:
+            self._matched += 1
+            if match.score >= self.config.registration.poor_score:
+                self._reckoning.learn(before, self._estimate.pose)
         return match
 
     def _fits(self, match: Match | None) -> bool:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose2, wrap_angle
 from lirs_wct.scan import Imu
+from slam_baselines.calibration import Calibration, CalibrationConfig
 from slam_baselines.small_matrices import moved_covariance
 
 Array = NDArray[np.float64]
@@ -119,12 +120,16 @@ class DeadReckoning:
     """Turns absolute odometry and rates into the estimate to expect at the next scan.
 
     Attributes:
-        pose: the odometry last given, None without.
+        pose: sum of all steps as corrected, in a frame of its own; None without odometry.
+        calibration: what the odometry always gets wrong.
     """
 
-    def __init__(self, config: MotionConfig) -> None:
+    def __init__(self, config: MotionConfig, calibration: CalibrationConfig | None = None) -> None:
         self.config = config
         self.pose: Pose2 | None = None
+        self.calibration = Calibration(calibration or CalibrationConfig())
+        self._odometry: Pose2 | None = None
+        self._step: Pose2 | None = None
         self._rate: float | None = None
         self._stamp: float | None = None
 
@@ -137,12 +142,23 @@ class DeadReckoning:
             imu: reading at `stamp`.
             stamp: seconds.
         """
-        before, self.pose = self.pose, odometry
+        before, self._odometry = self._odometry, odometry
         rate, self._rate = self._rate, None if imu is None else yaw_rate(imu)
         then, self._stamp = self._stamp, stamp
+        if before is None or odometry is None:
+            self._step, self.pose = None, odometry
+        else:
+            self._step = before.inverse() @ odometry
         if then is None:
             return last
-        delta = None if before is None or odometry is None else before.inverse() @ odometry
+        delta = None if self._step is None else self.calibration.corrected(self._step)
+        if delta is not None and self.pose is not None:
+            self.pose = self.pose @ delta
         turned = None if rate is None or self._rate is None else (rate + self._rate) / 2 * (stamp - then)
         tilt = 0.0 if imu is None else math.hypot(imu.roll, imu.pitch)
         return self.config.predict(last, delta, stamp - then, turned, tilt)
+
+    def learn(self, before: Pose2, now: Pose2) -> None:
+        """Take note of where the last step truly led: from `before` to `now` in the map."""
+        if self._step is not None:
+            self.calibration.learn(self._step, before.inverse() @ now)

@@ -30,6 +30,7 @@ class RegistrationConfig:
         poor_score: mean occupancy at the ends of the beams below which the wider search begins.
         known_share: share of beams on known cells that a score needs to be believed.
         least_beams: fewer beams on known cells than this say nothing.
+        gain: the wider search must raise the score by this to be believed against the odometry.
         fresh_distance: scans closer together than this see the same cells with the same errors, so that
             each adds only its share of information, metres.
         least_share: ... but never less than this.
@@ -43,6 +44,7 @@ class RegistrationConfig:
     poor_score: float = 0.4
     known_share: float = 0.3
     least_beams: int = 15
+    gain: float = 0.05
     fresh_distance: float = 0.4
     least_share: float = 0.02
 
@@ -88,9 +90,12 @@ class Registration:
             return expected, None
         if match.known >= c.known_share and match.score < c.poor_score:
             self.searches += 1
+            window = c.search.linear_search_window, c.search.angular_search_window
+            loose = Estimate(start, np.diag((window[0] ** 2, window[0] ** 2, window[1] ** 2)))
             found = search(pyramid.maps[-1].grid, hits, weights, start.as_array(), c.search)
-            wider = self._fit_from(pyramid, hits, weights * share, expected, found)
-            match = max(match, wider, key=lambda m: m.score)
+            wider = self._fit_from(pyramid, hits, weights, loose, found)
+            if wider.score > match.score + c.gain:
+                expected, match = loose, wider
         x, y, yaw = match.pose.tolist()
         covariance = invert3(invert3(expected.covariance) + match.information)
         return Estimate(Pose2(x, y, wrap_angle(yaw)), covariance), match

@@ -1,0 +1,81 @@
+"""What an odometry always gets wrong, learnt while driving.
+
+Wheels of unequal size, a wrong track, a laser that is not where the log says: such errors are the same
+in every step, so a prior that is right on average needs them taken out. The correction of a step is
+linear in the way driven and the angle turned; recursive least squares with forgetting finds it from the
+poses that scan matching confirms (Haykin 2002, "Adaptive filter theory", table 9.1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.pose import Pose2, wrap_angle
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationConfig:
+    """How fast the correction is learnt.
+
+    Attributes:
+        per_metre: standard deviation of the correction per metre before anything is known (m/m, rad/m).
+        per_radian: the same per radian turned (m/rad, rad/rad).
+        noise: of the correction seen in one step, metres and radians.
+        memory: steps after which what was learnt counts 1/e.
+
+    Raises:
+        ConfigError: a value is not above 0.
+    """
+
+    per_metre: float = 0.05
+    per_radian: float = 0.05
+    noise: float = 0.02
+    memory: float = 500.0
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name} of the calibration must be above 0, got {getattr(self, name)}")
+
+
+class Calibration:
+    """Corrects odometry's steps, and learns from where they truly led.
+
+    Attributes:
+        gain: (3, 2) correction of x, y, yaw per metre ahead and per radian.
+    """
+
+    def __init__(self, config: CalibrationConfig) -> None:
+        self.gain: Array = np.zeros((3, 2))
+        self._start = config.per_metre**2, config.per_radian**2
+        self._P = self._start[0], 0.0, self._start[1]
+        self._noise = config.noise**2
+        self._keep = np.exp(-1 / config.memory)
+
+    def corrected(self, step: Pose2) -> Pose2:
+        """Return the step `T_before_now` to expect when odometry says `step`."""
+        (xx, xt), (yx, yt), (tx, tt) = self.gain.tolist()
+        d, a = step.x, step.yaw
+        return Pose2(d + xx * d + xt * a, step.y + yx * d + yt * a, wrap_angle(a + tx * d + tt * a))
+
+    def learn(self, step: Pose2, true: Pose2) -> None:
+        """Take note that what odometry called `step` was `true`."""
+        p, q, r = self._P
+        d, a = step.x, step.yaw
+        u, v = p * d + q * a, q * d + r * a
+        scale = 1 / (self._noise + u * d + v * a)
+        c = self.corrected(step)
+        error = true.x - c.x, true.y - c.y, wrap_angle(true.yaw - c.yaw)
+        self.gain += np.outer(error, (u * scale, v * scale))
+        k = self._keep
+        self._P = (
+            min((p - u * u * scale) / k, self._start[0]),
+            (q - u * v * scale) / k,
+            min((r - v * v * scale) / k, self._start[1]),
+        )
