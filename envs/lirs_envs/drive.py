@@ -55,12 +55,8 @@ class Drive:
             command: wanted motion; beyond the robot's limits it is clipped.
             yaw_rate: measured by the gyro, rad/s.
             dt: time for which the speeds will hold, seconds.
-
-        Raises:
-            ConfigError: the command is a waypoint; those are for robots that fly.
         """
-        if not isinstance(command, Twist):
-            raise ConfigError(f"{self.robot.name} drives: it takes a Twist, got {command}")
+        assert isinstance(command, Twist), "a waypoint is for robots that fly"
         robot, config = self.robot, self.config
         v = _clip(command.v, robot.max_speed)
         omega = _clip(command.omega, robot.max_turn_rate)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lirs_envs.checks import check_arguments, check_command, check_start
 from lirs_envs.collisions import Collisions, ContactWatch, check_sane
 from lirs_envs.drive import Drive, Twist, Waypoint
 from lirs_envs.flight import Pilot
@@ -20,9 +20,10 @@ from lirs_envs.props import Parked, Prop
 from lirs_envs.robots import Robot
 from lirs_envs.seen import caster_of
 from lirs_envs.sensors import Noise, Observation, Sensors
+from lirs_envs.timing import Replay, Timing
 from lirs_wct.contact_grid import ContactGrid
 from lirs_wct.contact_parts import Terrain
-from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.errors import SimulationError
 from lirs_wct.pose import Pose2, Pose3
 from lirs_wct.world import World
 
@@ -34,23 +35,6 @@ SETTLING = 0.6
 """Time that a robot is given to come to rest after it was set down, seconds."""
 STAYS = 0.1
 """A robot that moves farther than this while it settles cannot stand there, metres."""
-
-
-@dataclass
-class Timing:
-    """Wall-clock seconds of each `advance`: in MuJoCo's step, and in all sensors."""
-
-    physics: list[float] = field(default_factory=list)
-    sensors: list[float] = field(default_factory=list)
-
-
-@dataclass(frozen=True)
-class Replay:
-    """The recorded controls through MuJoCo's step alone, in `seconds` of wall clock."""
-
-    seconds: float
-    simulated: float
-    T_world_base: Pose3
 
 
 class Simulation:
@@ -87,13 +71,14 @@ class Simulation:
         props: Sequence[Prop | Parked] = (),
         terrain: Terrain = "hfield",
     ) -> None:
+        self._noise = Noise() if noise is None else noise
+        check_arguments(world, robot, seed, self._noise)
         self.world = world
         self.robot = robot
         self.preset = make_lidar_preset(lidar or robot.lidar)
         self.period = self.preset.period
         self.terrain = terrain
         self.body = RobotModel(world, robot, self.period, CONTROL_PERIOD, props, terrain)
-        self._noise = noise or Noise()
         self._caster = caster_of(world)
         self._seed = seed
         self._start_over(None)
@@ -121,6 +106,7 @@ class Simulation:
             SimulationError: the robot cannot stand there.
         """
         self._initial = None
+        check_start(start)
         start = start_of(self.world, start)
         self.body.settle(standing_pose(self.world, self.robot, start), SETTLING)
         there = self.body.pose()
@@ -143,8 +129,7 @@ class Simulation:
         """
         if self._initial is None:
             raise SimulationError("a simulation must be reset before it is advanced")
-        if not all(math.isfinite(value) for value in astuple(command)):
-            raise ConfigError(f"a command must be finite, got {command}")
+        check_command(self.robot, command)
         body, clock, physics, sensors = self.body, time.perf_counter, 0.0, 0.0
         for steps in body.pieces:
             dt = steps * body.timestep

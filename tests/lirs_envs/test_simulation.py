@@ -220,3 +220,28 @@ def test_odometry_scale_is_what_it_claims(plane: World, husky: Robot) -> None:
         odometry.update(0.1 / husky.wheel_radius, (0.0, 0.0, 0.0), 0.0, 0.0, 0.1)
         lengths.append(odometry.pose.x / 0.1 - 1)
     assert np.std(lengths) == pytest.approx(config.scale_sigma, rel=0.1)
+
+
+def test_arguments_of_the_wrong_type(plane: World, husky: Robot, make_world: Callable[..., World]) -> None:
+    for arguments, options, words in (
+        (("simple", husky), {}, "world must be a World, got 'simple'"),
+        ((plane, "husky"), {}, "robot must be a Robot, got 'husky'"),
+        ((plane, husky), {"seed": "one"}, "seed must be a int, got 'one'"),
+        ((plane, husky), {"noise": "much"}, "noise must be a Noise"),
+        ((plane, husky), {"lidar": 5}, "unknown lidar 5; legal"),
+        ((plane, husky), {"terrain": "mud"}, "'mud'; legal"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            Simulation(*arguments, **options)
+    sim = Simulation(plane, husky)
+    with pytest.raises(ConfigError, match="a start must be a Pose2"):
+        sim.reset((0.0, 0.0))  # type: ignore[arg-type]
+    sim.reset()
+    for command in (None, (1.0, 0.0), Twist("fast")):  # type: ignore[arg-type]
+        with pytest.raises(ConfigError, match="a command must be"):
+            sim.advance(command)  # type: ignore[arg-type]
+
+
+def test_a_robot_too_large_for_the_world(husky: Robot, make_world: Callable[..., World]) -> None:
+    with pytest.raises(ConfigError, match=r"husky is 1\.16 m wide: too large for 'synthetic' of 1 x 1 m"):
+        Simulation(make_world(lambda x, y: 0 * x, nodes=11), husky)
