@@ -26,6 +26,7 @@ from slam_baselines.particle_filter import effective_number, normalised, systema
 from slam_baselines.patch_map import PatchMaps
 from slam_baselines.proposal import Proposal, ProposalConfig, Proposer
 from slam_baselines.relief import Relief, ReliefConfig
+from slam_baselines.retrace import Frame, Retrace
 
 Array = NDArray[np.float64]
 NO_STEP = Estimate(Pose2(), np.zeros((3, 3)))
@@ -63,10 +64,10 @@ class GmappingConfig(ProposalConfig):
     linearUpdate: float = 1.0  # noqa: N815  the original's names
     angularUpdate: float = 0.5  # noqa: N815
     resampleThreshold: float = 0.5  # noqa: N815
-    srr: float = 0.1
-    srt: float = 0.2
-    str: float = 0.1
-    stt: float = 0.2
+    srr: float = 0.05
+    srt: float = 0.05
+    str: float = 0.05
+    stt: float = 0.1
     ogain: float = 3.0
     delta: float = 0.05
     maxUrange: float = math.inf  # noqa: N815
@@ -107,11 +108,13 @@ class GmappingMapper:
         self._relief = Relief(c.relief)
         self._maps = PatchMaps(c.particles, c.delta)
         self._lineage = Lineage()
+        self._retrace = Retrace()
+        self._reckoned = NO_STEP
         self._poses = np.zeros((c.particles, 3))
         self._parents = np.arange(c.particles)
         self._log_weights, self._totals = np.zeros(c.particles), np.zeros(c.particles)
         self._step, self._way, self._turn = NO_STEP, 0.0, 0.0
-        self._new = self._spread = np.zeros((3, 3))
+        self._reckoned = NO_STEP
         self._best = self._received = self._resamplings = self._lost_scans = self._poor_in_a_row = 0
         self._stopwatch = Stopwatch()
 
@@ -183,7 +186,12 @@ class GmappingMapper:
         """Carry the step since the last processed scan on by odometry."""
         before, here = self._step, self._pose
         self._step = self._reckoning.predict(Estimate(before.pose, np.zeros((3, 3))), odometry, imu, scan.stamp)
-        self._new, self._spread = self._step.covariance, self._spread + self._step.covariance
+        # Dead reckoning alone, beside the step that is corrected on the way.
+        self._reckoned = Estimate(
+            self._reckoned.pose @ before.pose.inverse() @ self._step.pose,
+            self._reckoned.covariance + self._step.covariance,
+        )
+        self._new = self._step.covariance
         delta = before.pose.inverse() @ self._step.pose
         self._way += math.hypot(delta.x, delta.y)
         self._turn += abs(delta.yaw)
@@ -211,9 +219,13 @@ class GmappingMapper:
             self._note_fit(proposal)
         self._lineage.add_generation(self._poses, self._parents, self._step.pose)
         self._parents = np.arange(len(self._poses))
-        self._step, self._way, self._turn = NO_STEP, 0.0, 0.0
-        self._new = self._spread = np.zeros((3, 3))
-        self._draw(scan)
+        reckoned = self._reckoned
+        self._step, self._reckoned, self._way, self._turn = NO_STEP, NO_STEP, 0.0, 0.0
+        steep = self._draw(scan)
+        if scan.levelled:
+            frame = Frame(scan, reckoned.pose, reckoned.covariance, self._relief.height, steep)
+            if self._retrace.note(frame, self._relief.travelled) and self._relief.match_bound > 0:
+                self._go_over()
         weights = normalised(self._log_weights)
         if effective_number(weights) < self.config.resampleThreshold * len(weights):
             self._descend(systematic_resample(weights, self._rng))
@@ -223,7 +235,7 @@ class GmappingMapper:
         expected = np.array([(Pose2(*pose) @ self._step.pose).as_array() for pose in self._poses.tolist()])
         c, s, o = np.cos(self._poses[:, 2]), np.sin(self._poses[:, 2]), np.zeros(len(self._poses))
         R = np.stack((c, -s, o, s, c, o, o, o, o + 1), axis=-1).reshape(-1, 3, 3)
-        covariances = R @ self._spread @ R.transpose(0, 2, 1)
+        covariances = R @ self._reckoned.covariance @ R.transpose(0, 2, 1)
         bound = self._relief.match_bound
         weights = self._weights(scan, bound)
         return self._proposer.propose(
@@ -239,8 +251,22 @@ class GmappingMapper:
         proven = np.maximum(proven, self._maps.steepness(self._best, hits))
         return (proven >= bound).astype(np.float64)
 
-    def _draw(self, scan: LevelledScan) -> None:
-        """Enter the scan into every particle's map, and into the relief from where the best one is."""
+    def _go_over(self) -> None:
+        """Replace all paths and maps of the first metres by one that was traced with better knowledge."""
+        maps = PatchMaps(1, self.config.delta)
+        path = np.array([pose.as_array() for pose in self._retrace.trace(maps, self._proposer, self._relief)])
+        self._lineage.rewrite(path)
+        n = self.config.particles
+        self._parents, self._best = np.zeros(n, np.int64), 0
+        maps.descend(self._parents)
+        self._maps, self._poses = maps, np.tile(path[-1], (n, 1))
+        self._log_weights, self._totals = np.zeros(n), np.zeros(n)
+
+    def _draw(self, scan: LevelledScan) -> NDArray[np.uint8]:
+        """Enter the scan into every particle's map, and into the relief from where the best one is.
+
+        Return what is proven of its hits.
+        """
         lift = np.array((0.0, 0.0, self._relief.height))
         if scan.levelled:
             steep = self._relief.observe(*scan.placed(self._pose, self._relief.height), self._pose)
@@ -248,6 +274,7 @@ class GmappingMapper:
             steep = self._relief.unproven(len(scan.hits))
         bound = self._relief.match_bound
         self._maps.enter(self._poses, scan.origin + lift, scan.hits + lift, scan.free + lift, steep, bound)
+        return steep
 
     def _descend(self, parents: NDArray[np.int64]) -> None:
         """Replace the particles by copies of those that live on."""

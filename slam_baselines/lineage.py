@@ -48,6 +48,11 @@ class Lineage:
         """
         self._scans[stamp] = self.generations - 1, since, _way(since)
 
+    def rewrite(self, path: Array) -> None:
+        """Replace the paths of all particles by one, (generations, 3); all are children of its end."""
+        self._poses = list(path[:, None].copy())
+        self._parents = [np.zeros(1, np.int32) for _ in path]
+
     def path(self, particle: int) -> Array:
         """Return (generations, 3) the poses of a particle and its ancestors."""
         path = np.empty((self.generations, 3))

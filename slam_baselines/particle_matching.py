@@ -39,6 +39,7 @@ class Tuning(NamedTuple):
     lasamplerange: float
     poor_score: float
     minimumScore: float  # noqa: N815
+    least_beams: int
 
 
 @njit(cache=True)

@@ -45,6 +45,8 @@ class ProposalConfig:
         poor_score: share of the beams on known cells that must end at a wall, else the wider search begins.
         minimumScore: share below which the match has failed and the odometry alone is believed.
 
+        least_beams: fewer beams at walls than this say nothing.
+
     Raises:
         ConfigError: a value that is not above 0, or minimumScore above poor_score.
     """
@@ -61,6 +63,7 @@ class ProposalConfig:
     spread: float = 2.0
     poor_score: float = 0.5
     minimumScore: float = 0.15  # noqa: N815
+    least_beams: int = 15
 
     def __post_init__(self) -> None:
         for name in ProposalConfig.__dataclass_fields__:
@@ -145,8 +148,10 @@ class Proposer:
             expected: (3,) pose by odometry.
             covariance: (3, 3) of it.
         """
+        if weights.sum() < self.config.least_beams:
+            return None
         pose, met, known = _track(view, Beams(points, weights), expected, covariance, self._tuning)
-        return pose if met > max(self.config.poor_score * known, 0) else None
+        return pose if met >= max(self.config.poor_score * known, self.config.least_beams) else None
 
 
 def _points(n: int) -> Array:
@@ -187,7 +192,7 @@ def _propose(
                 value, met, known = log_likelihood(view, beams, peak, tuning.kernelSize, tuning.lsigma)
         if step == 0:
             correction = between(prior.pose, peak)
-        if met < tuning.minimumScore * known:
+        if met < max(tuning.minimumScore * known, tuning.least_beams):
             means[k], sigmas[k], told[k, 0] = (
                 prior.pose,
                 covariances[k],
