@@ -41,7 +41,7 @@ class MatchConfig:
     iterations: tuple[int, ...] = (5, 3, 3)
     sigma: float = 0.3
     converged: float = 0.02
-    lever: float = 5.0
+    lever: float = 3.0
 
     def __post_init__(self) -> None:
         if min(self.iterations) < 1:

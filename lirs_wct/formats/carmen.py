@@ -148,7 +148,7 @@ def _flaser(words: list[str]) -> tuple[float, Pose2, LaserScan]:
 
 
 def _robotlaser(words: list[str]) -> tuple[float, Pose2, LaserScan]:
-    """`ROBOTLASER1 type start fov step max accuracy remission n r... m rem... laser robot ... stamp host t`."""
+    """`ROBOTLASER1 type start fov step max accuracy remission n r... m rem... laser robot ... stamp`."""
     start, step, most = float(words[2]), float(words[4]), float(words[5])
     n = _count(words[8])
     rest = words[9 + n :]

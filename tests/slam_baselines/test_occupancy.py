@@ -1,0 +1,115 @@
+"""The update's rules: every cell at most once a scan, a hit wins, walls are not worn away from above."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from slam_baselines.occupancy import STEP, OccupancyMap, UpdateConfig
+
+Array = NDArray[np.float64]
+NONE = np.zeros((0, 3))
+MISS, HIT, LIMIT = UpdateConfig().steps
+
+
+def enter(
+    grid: OccupancyMap,
+    hits: Array,
+    *,
+    origin: Array | None = None,
+    free: Array = NONE,
+    steep: int = 0,
+    bound: int = 0,
+) -> None:
+    origin = np.array((0.02, 0.02, 0.4)) if origin is None else origin
+    ends = np.concatenate((hits, free, origin[None]))
+    box = np.concatenate((ends[:, :2].min(axis=0), ends[:, :2].max(axis=0)))
+    grid.update(origin, hits, free, np.full(len(hits), steep, np.uint8), bound, box)
+
+
+def at(grid: OccupancyMap, x: float, y: float) -> float:
+    return grid.occupancy_grid(0).log_odds[tuple(grid.occupancy_grid(0).cells((x, y)))]
+
+
+def ring(n: int, radius: float, z: float = 0.4) -> Array:
+    a = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    return np.stack((radius * np.cos(a), radius * np.sin(a), 0 * a + z), axis=-1)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(1, 400), st.floats(0.1, 8.0), st.integers(1, 4))
+def test_no_cell_changes_twice_in_a_scan(n: int, radius: float, times: int) -> None:
+    grid = OccupancyMap(0.05)
+    for _ in range(times):
+        enter(grid, ring(n, radius))
+    values = grid.occupancy_grid(0).log_odds
+    legal = {min(LIMIT, HIT * times), max(-LIMIT, MISS * times)}
+    assert {round(v / STEP) for v in values[~np.isnan(values)].tolist()} <= legal
+
+
+def test_a_hit_wins_over_beams_that_pass() -> None:
+    grid = OccupancyMap(0.05)
+    beyond = np.array(((1.0, 0.02, 0.4), (2.0, 0.02, 0.4)))
+    enter(grid, beyond)
+    assert at(grid, 1.0, 0.02) == pytest.approx(HIT * STEP)
+    assert at(grid, 0.5, 0.02) == pytest.approx(MISS * STEP)
+
+
+def test_the_map_grows_and_keeps_what_it_knew() -> None:
+    grid = OccupancyMap(0.1)
+    enter(grid, np.array(((1.0, 1.0, 0.4),)))
+    enter(grid, np.array(((-40.0, 33.0, 0.4),)))
+    assert at(grid, 1.0, 1.0) == pytest.approx(HIT * STEP)
+    assert at(grid, -40.0, 33.0) == pytest.approx(HIT * STEP)
+
+
+def test_log_odds_stay_within_their_limit_and_recover() -> None:
+    grid = OccupancyMap(0.05)
+    for _ in range(50):
+        enter(grid, np.array(((1.0, 0.02, 0.4),)))
+    assert at(grid, 1.0, 0.02) == pytest.approx(LIMIT * STEP)
+    for _ in range(2 * LIMIT // -MISS + 1):
+        enter(grid, np.array(((2.0, 0.02, 0.4),)))
+    assert at(grid, 1.0, 0.02) < 0
+
+
+def test_what_may_be_ground_is_not_known_to_be_occupied() -> None:
+    grid = OccupancyMap(0.05)
+    enter(grid, np.array(((1.0, 0.02, 0.4),)), steep=20, bound=30)
+    assert not grid.occupancy_grid(30).occupied.any()
+    assert grid.occupancy_grid(30).free.any() or grid.occupancy_grid(30).known.any()
+    assert grid.occupancy_grid(20).occupied.sum() == 1
+    assert grid.layers.value.max() == 1
+    grid.revalue(20)
+    assert grid.layers.value.max() > 100
+
+
+def test_a_beam_high_above_a_proven_wall_leaves_it_alone() -> None:
+    high, low = (OccupancyMap(0.05) for _ in range(2))
+    for grid, z in ((high, 1.5), (low, 0.4)):
+        enter(grid, np.array(((1.0, 0.02, 0.4),)), steep=90, bound=50)
+        for _ in range(9):
+            enter(grid, np.array(((2.0, 0.02, z),)), origin=np.array((0.02, 0.02, z)), steep=90, bound=50)
+    assert at(high, 1.0, 0.02) > 0 > at(low, 1.0, 0.02)
+
+
+def test_beams_without_return_clear_to_their_end() -> None:
+    grid = OccupancyMap(0.05)
+    enter(grid, NONE, free=np.array(((1.0, 0.02, 0.4),)))
+    assert at(grid, 0.99, 0.02) == pytest.approx(MISS * STEP)
+
+
+def test_a_map_that_saw_nothing_is_unknown() -> None:
+    assert not OccupancyMap(0.05).occupancy_grid(0).known.any()
+
+
+@pytest.mark.parametrize(
+    "bad", [{"update_factor_free": 0.5}, {"update_factor_occupied": 0.5}, {"limit": 0.0}, {"limit": 13.0}]
+)
+def test_illegal_config(bad: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match=next(iter(bad))):
+        UpdateConfig(**bad)

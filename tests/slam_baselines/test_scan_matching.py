@@ -1,0 +1,136 @@
+"""The matcher's gradient against differences, and offsets that it must find."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lirs_wct.pose import Pose2
+from slam_baselines.correlative import SearchConfig, search
+from slam_baselines.levelling import ScanLeveller
+from slam_baselines.map_builder import BuilderConfig, MapBuilder
+from slam_baselines.scan_matching import MatchConfig, ScanMatcher, linearise
+from slam_baselines.small_matrices import invert3, moved_covariance, solve3
+from tests.slam_baselines.synthetic import ranges_to, room_scan
+
+Array = NDArray[np.float64]
+LOOSE = np.diag((1e-6, 1e-6, 1e-6))
+
+
+def room_map(pose: Pose2) -> tuple[MapBuilder, Array]:
+    """The map of one scan, and the scan's points."""
+    level = ScanLeveller().level(room_scan(pose, 0.0, np.random.default_rng(0)), None)
+    builder = MapBuilder(BuilderConfig())
+    for _ in range(3):
+        builder.enter(level, pose)
+    return builder, level.hits
+
+
+def cost(value: NDArray[np.uint8], frame: Array, points: Array, pose: Array) -> float:
+    """Sum of (1 - M)^2 with M written out plainly."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    total = 0.0
+    for x, y in points[:, :2]:
+        u = (pose[0] + c * x - s * y) / frame[2] - 0.5 - frame[1]
+        v = (pose[1] + s * x + c * y) / frame[2] - 0.5 - frame[0]
+        i, j = math.floor(u), math.floor(v)
+        du, dv = u - i, v - j
+        m = value[j : j + 2, i : i + 2].astype(float) / 255
+        total += (1 - np.array((1 - dv, dv)) @ m @ np.array((1 - du, du))) ** 2
+    return total
+
+
+def test_gradient_equals_finite_differences() -> None:
+    builder, points = room_map(Pose2())
+    level = builder.pyramid.maps[1]
+    points = points[::7]
+    pose = np.array((0.031, -0.017, 0.012))
+    H, g = np.empty((3, 3)), np.empty(3)
+    linearise(level.layers.value, level.frame, points, np.ones(len(points)), 1, pose, H, g)
+    for k, h in enumerate((1e-7, 1e-7, 1e-8)):
+        step = np.eye(3)[k] * h
+        ahead, behind = (cost(level.layers.value, level.frame, points, pose + s) for s in (step, -step))
+        assert -0.5 * (ahead - behind) / (2 * h) == pytest.approx(g[k], rel=1e-4, abs=1e-4)
+    assert np.linalg.eigvalsh(H).min() >= -1e-9
+
+
+@pytest.mark.parametrize(
+    "offset", [(0.1, 0.0, 0.0), (-0.08, 0.12, 0.03), (0.0, 0.0, -0.06), (0.15, -0.1, 0.05)]
+)
+def test_known_offsets_are_found(offset: tuple[float, float, float]) -> None:
+    true = Pose2(0.5, -0.3, 0.4)
+    builder, points = room_map(true)
+    start = true.as_array() + offset
+    match = ScanMatcher(MatchConfig(iterations=(10, 6, 6))).match(
+        builder.pyramid, points, np.ones(len(points)), start, LOOSE, 3
+    )
+    np.testing.assert_allclose(match.pose, true.as_array(), atol=0.02)
+    assert match.score > 0.5
+
+
+def test_in_a_corridor_the_odometry_holds_the_direction_along_it() -> None:
+    corridor = np.array(((-50.0, -1.0, 50.0, -1.0), (-50.0, 1.0, 50.0, 1.0)))
+    angles = np.linspace(-math.pi, math.pi, 361)
+    r = ranges_to(corridor, Pose2(), angles, 8.0)
+    angles, r = angles[np.isfinite(r)], r[np.isfinite(r)]
+    points = np.stack((r * np.cos(angles), r * np.sin(angles), 0 * r), axis=-1)
+    builder = MapBuilder(BuilderConfig())
+    level = ScanLeveller().level(room_scan(Pose2(), 0.0, np.random.default_rng(0)), None)
+    for shift in np.linspace(-3, 3, 13):
+        moved = type(level)(
+            level.origin, points + np.array((shift, 0, 0)), level.free, (0.0, 0.0), math.nan, 0.0
+        )
+        builder.enter(moved, Pose2())
+    prior = np.array((0.2, 0.05, 0.02))
+    information = np.diag((1 / 0.05**2, 1 / 0.05**2, 1 / 0.02**2))
+    match = ScanMatcher(MatchConfig()).match(
+        builder.pyramid, points, np.ones(len(points)), prior, information, 3
+    )
+    # Cells are ragged, so even a straight wall seems to say something: less than across it, though.
+    assert match.pose[0] == pytest.approx(0.2, abs=0.1)
+    np.testing.assert_allclose(match.pose[1:], 0, atol=0.025)
+    assert match.information[0, 0] < 0.5 * match.information[1, 1]
+
+
+def test_open_ground_follows_the_odometry() -> None:
+    builder, _ = room_map(Pose2())
+    nothing = np.zeros((0, 3))
+    prior = np.array((0.2, 0.05, 0.02))
+    match = ScanMatcher(MatchConfig()).match(builder.pyramid, nothing, np.zeros(0), prior, np.eye(3), 3)
+    np.testing.assert_array_equal(match.pose, prior)
+    assert not match.information.any()
+
+
+def test_the_wider_search_survives_a_sharp_turn() -> None:
+    true = Pose2(0.5, -0.3, 0.4)
+    builder, points = room_map(true)
+    start = true.as_array() + np.array((0.4, -0.3, 0.42))
+    found = search(builder.pyramid.maps[2].grid, points, np.ones(len(points)), start, SearchConfig())
+    np.testing.assert_allclose(found[:2], true.as_array()[:2], atol=0.2)
+    assert found[2] == pytest.approx(0.4, abs=0.04)
+
+
+def test_nothing_known_says_nothing() -> None:
+    builder, points = room_map(Pose2())
+    far = np.array((500.0, 500.0, 0.0))
+    match = ScanMatcher(MatchConfig()).match(builder.pyramid, points, np.ones(len(points)), far, np.eye(3), 3)
+    assert (match.score, match.beams, match.known) == (0.0, 0.0, 0.0)
+    np.testing.assert_allclose(match.pose, far)
+
+
+def test_small_matrices_equal_numpy() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        B = rng.standard_normal((3, 3))
+        A, b = B @ B.T + 0.1 * np.eye(3), rng.standard_normal(3)
+        np.testing.assert_allclose(invert3(A), np.linalg.inv(A), rtol=1e-9)
+        np.testing.assert_allclose(solve3(A, b), np.linalg.solve(A, b), rtol=1e-9)
+        dx, dy, shift, turn = rng.random(4).tolist()
+        G = np.array(((1, 0, -dy), (0, 1, dx), (0, 0, 1)))
+        np.testing.assert_allclose(
+            moved_covariance(A, dx, dy, shift, turn), G @ A @ G.T + np.diag((shift, shift, turn)), rtol=1e-9
+        )
+    assert not invert3(np.zeros((3, 3))).any()
