@@ -9,8 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from lirs_wct.errors import ConfigError
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.pose import Pose2
@@ -22,7 +20,6 @@ from slam_baselines.mapper import MapperStats, Stopwatch
 from slam_baselines.node_map import NodeMap
 from slam_baselines.node_trajectory import NodeTrajectory
 from slam_baselines.occupancy import UpdateConfig
-from slam_baselines.odometry import DeadReckoning, Estimate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +31,8 @@ class CartographerConfig:
         graph: loops and optimisation.
         map_resolution: edge of a cell of the final map, metres.
         update: how a scan changes the final map.
+        first_look: on uneven ground, submaps are drawn again after so much way, and when it has doubled, until
+            the first one is finished, metres.
         max_range: hits farther away are not used, metres.
         clear_range: a beam without return is believed to be free up to here, metres.
 
@@ -45,6 +44,7 @@ class CartographerConfig:
     graph: GlobalConfig = field(default_factory=GlobalConfig)
     map_resolution: float = 0.05
     update: UpdateConfig = field(default_factory=UpdateConfig)
+    first_look: float = 4.0
     max_range: float = math.inf
     clear_range: float = 0.0
 
@@ -62,25 +62,36 @@ class CartographerMapper:
         self._graph = GlobalSlam(c.graph, self._local)
         self._map = NodeMap(c.map_resolution, c.update, c.local.relief)
         self._scans = NodeTrajectory()
-        self._reckoning = DeadReckoning(c.local.motion)
-        self._since_submap = Estimate(Pose2(), np.zeros((3, 3)))
+        self._look_again_at = c.first_look
+        self._looks = 0
         self._stopwatch = Stopwatch()
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Match the scan to its submap, do a share of the work on the graph, return `T_map_base`."""
         started = self._stopwatch.start()
-        self._since_submap = self._reckoning.predict(self._since_submap, odometry, imu, scan.stamp)
-        submaps = len(self._local.submaps.all)
         node = self._local.update(scan, odometry, imu)
         if node is not None:
-            began = len(self._local.submaps.all) > submaps
-            self._graph.add(node, self._since_submap if began and submaps else None)
-            if began:
-                self._since_submap = Estimate(Pose2(), np.zeros((3, 3)))
-        self._scans.add(scan.stamp, len(self._graph.nodes) - 1, self._local.estimate.pose)
+            self._graph.add(node)
+            if self._look_again_at <= node.way:
+                self._look_again()
+        nodes = self._graph.nodes
+        self._scans.add(scan.stamp, self._local.estimate.pose, len(nodes), nodes[-1].pose if nodes else None)
         self._graph.work()
         self._stopwatch.stop(started)
         return self._graph.T_map_local @ self._local.estimate.pose
+
+    def _look_again(self) -> None:
+        """Begin the graph again with what is known by now about the ground, as long as no submap is finished."""
+        self._look_again_at *= 2
+        local = self._local
+        if local.relief.match_bound == 0 or local.submaps.all[0].finished:
+            self._look_again_at = math.inf
+            return
+        self._looks += 1
+        nodes = local.look_again(self._graph.nodes)
+        self._graph = GlobalSlam(self.config.graph, local)
+        for node in nodes:
+            self._graph.add(node)
 
     def map(self) -> OccupancyGrid:
         """Return the map, drawn from all nodes where they are believed to be now."""
@@ -119,7 +130,8 @@ class CartographerMapper:
                 "loop_searches_waiting": len(graph.queue),
                 "loop_searches_dropped": graph.queue.dropped,
                 "optimizations": graph.optimizations,
-                "searches": local.registration.searches,
+                "second_looks": self._looks,
+                "searches": local.matcher.searches,
                 "matches_implausible": local.implausible,
             },
             **self._stopwatch.summary(),

@@ -17,9 +17,8 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose2
 from slam_baselines.confirmation import Confirmation, ConfirmationConfig
 from slam_baselines.constraint import Constraint, ConstraintBuilder, ConstraintConfig, seen_from
-from slam_baselines.local_slam import LocalSlam, Node
+from slam_baselines.local_slam import NOWHERE, LocalSlam, Node, compounded
 from slam_baselines.loop_queue import LoopQueue, QueueConfig
-from slam_baselines.odometry import Estimate
 from slam_baselines.pose_graph import Edges, OptimizationConfig, Problem, Solution, begin, improve
 
 Array = NDArray[np.float64]
@@ -94,18 +93,13 @@ class GlobalSlam:
         self._loops_begun = 0
         self._sampled = 0.0
         self._finished: list[int] = []
+        self._since_submap = NOWHERE
         self._ties: dict[int, list[float]] = {}
         t, r = config.matcher_translation_error, config.matcher_rotation_error
         self._matcher_covariance = np.diag((t**2, t**2, r**2))
 
-    def add(self, node: Node, odometry: Estimate | None) -> None:
-        """Tie a new node to the submaps that it entered, and ask for loops.
-
-        Args:
-            node: as local SLAM made it.
-            odometry: `T_before_now` by dead reckoning from the first node of the submap before, where the node
-                began a submap that is not the first one.
-        """
+    def add(self, node: Node) -> None:
+        """Tie a new node to the submaps that it entered, and ask for loops."""
         index, submaps = len(self.nodes), self._local.submaps.all
         self.nodes.append(node)
         self.poses.append(self.T_map_local @ node.pose)
@@ -115,10 +109,17 @@ class GlobalSlam:
         for i in node.submaps:
             z = (submaps[i].pose.inverse() @ node.pose).as_array()
             self._to_nodes.append((i, index, z, seen_from(submaps[i].pose, information), False))
-        if odometry is not None:
-            z, information = odometry.pose.as_array(), np.linalg.inv(odometry.covariance)
-            self._to_submaps.append((len(submaps) - 2, len(submaps) - 1, z, information, True))
+        self._since_submap = compounded(self._since_submap, node.odometry)
+        if len(submaps[-1].nodes) == 1:
+            self._tie_submap(len(submaps) - 1)
         self._ask(index, node)
+
+    def _tie_submap(self, index: int) -> None:
+        """Tie a submap that has just begun to the one before by odometry."""
+        odometry, self._since_submap = self._since_submap, NOWHERE
+        if index > 0:
+            z, information = odometry.pose.as_array(), np.linalg.inv(odometry.covariance)
+            self._to_submaps.append((index - 1, index, z, information, True))
 
     def work(self) -> None:
         """Do a bounded share of what is to be done."""

@@ -6,7 +6,8 @@ Hess et al. 2016, section IV. The local frame is continuous: what is added to it
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +16,16 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose2, wrap_angle
 from lirs_wct.scan import Imu, LaserScan
 from slam_baselines.levelling import LevelledScan, ScanLeveller
+from slam_baselines.local_matching import LocalMatcher, LocalMatchingConfig
 from slam_baselines.odometry import DeadReckoning, Estimate, MotionConfig
-from slam_baselines.registration import Registration, RegistrationConfig
 from slam_baselines.relief import Relief, ReliefConfig
 from slam_baselines.scan_matching import Match
 from slam_baselines.submap import SubmapConfig, Submaps
 
 Array = NDArray[np.float64]
+
+NOWHERE = Estimate(Pose2(), np.zeros((3, 3)))
+"""Dead reckoning that has just begun."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +61,7 @@ class LocalConfig:
         submaps: how submaps are drawn.
         motion_filter: which scans enter them.
         motion: confidence in the odometry.
-        registration: how a scan is fitted into a submap.
+        matching: how a scan is fitted into a submap.
         relief: how ground is told from walls.
         slip_speed: on uneven ground, a match is not believed that lies farther from where odometry puts the robot than this allows in
             the time since the last scan, m/s and rad/s ...
@@ -66,13 +70,13 @@ class LocalConfig:
         lost_after: ... and after so many of them in a row the mapper is lost.
 
     Raises:
-        ConfigError: lost_score above the registration's poor_score.
+        ConfigError: lost_score above the matching's poor_score.
     """
 
     submaps: SubmapConfig = field(default_factory=SubmapConfig)
     motion_filter: MotionFilterConfig = field(default_factory=MotionFilterConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
-    registration: RegistrationConfig = field(default_factory=RegistrationConfig)
+    matching: LocalMatchingConfig = field(default_factory=LocalMatchingConfig)
     relief: ReliefConfig = field(default_factory=ReliefConfig)
     slip_speed: float = 1.0
     slip_deviations: float = 4.0
@@ -80,9 +84,9 @@ class LocalConfig:
     lost_after: int = 10
 
     def __post_init__(self) -> None:
-        if not 0 < self.lost_score <= self.registration.poor_score:
+        if not 0 < self.lost_score <= self.matching.poor_score:
             raise ConfigError(
-                f"lost_score must be within (0, poor_score = {self.registration.poor_score}], got {self.lost_score}"
+                f"lost_score must be within (0, poor_score = {self.matching.poor_score}], got {self.lost_score}"
             )
 
 
@@ -97,6 +101,7 @@ class Node:
         height: of the base in the local frame, metres.
         steep: (n,) rise over run of its hits as proven when it entered, STEEP_STEP.
         submaps: indices of the submaps that it entered.
+        odometry: its pose in the frame of the node before, by dead reckoning.
         travelled: way driven until then, as the relief counts it, metres.
         way: the same, with and without attitude.
         tilt: the most that the robot had leaned until then, radians.
@@ -108,6 +113,7 @@ class Node:
     height: float
     steep: NDArray[np.uint8]
     submaps: range
+    odometry: Estimate
     travelled: float
     tilt: float
     way: float
@@ -124,7 +130,7 @@ class LocalSlam:
     Attributes:
         submaps: all of them.
         relief: of the ground, in the local frame.
-        registration: with the count of its searches.
+        matcher: with the count of its searches.
         estimate: `T_local_base`.
         received: scans so far.
         matched: of these, fitted into a submap.
@@ -137,12 +143,14 @@ class LocalSlam:
         self.config = config
         self.submaps = Submaps(config.submaps)
         self.relief = Relief(config.relief)
-        self.registration = Registration(config.registration)
+        self.matcher = LocalMatcher(config.matching)
         self.estimate = Estimate(Pose2(), np.zeros((3, 3)))
         self.received = self.matched = self.lost_scans = self.implausible = self.nodes = 0
         self._stamp = -math.inf
         self._leveller = ScanLeveller(clear_range, max_range)
         self._reckoning = DeadReckoning(config.motion)
+        self._since_node = DeadReckoning(config.motion)
+        self._step = NOWHERE
         self._poor_in_a_row = 0
         self._way = 0.0
         self._entered: tuple[Pose2, tuple[float, float], float] | None = None
@@ -157,6 +165,7 @@ class LocalSlam:
         level = self._leveller.level(scan, imu)
         before = self.estimate.pose
         expected = self._reckoning.predict(self.estimate, odometry, imu, scan.stamp)
+        self._step = self._since_node.predict(self._step, odometry, imu, scan.stamp)
         seconds, self._stamp = scan.stamp - self._stamp, scan.stamp
         fits = self._count(self._match(level, expected, seconds))
         self._way += before.distance(self.estimate.pose)
@@ -190,7 +199,7 @@ class LocalSlam:
         weights = self.walls(scan, expected.pose, self.relief.height, None)
         front = self.submaps.front
         front.revalue(self.relief.match_bound)
-        fitted, match = self.registration.fit(front.pyramid, scan.hits, weights, expected, before)
+        fitted, match = self.matcher.fit(front.pyramid, scan.hits, weights, expected, before)
         if self.relief.match_bound > 0 and not self._plausible(expected, fitted.pose, seconds):
             self.implausible += 1
             return None
@@ -212,7 +221,7 @@ class LocalSlam:
 
     def _count(self, match: Match | None) -> bool:
         """Keep count of poor matches; return whether the scan may enter the submaps."""
-        known = self.config.registration.known_share
+        known = self.config.matching.known_share
         fits = match is None or match.known < known or match.score >= self.config.lost_score
         self._poor_in_a_row = 0 if fits else self._poor_in_a_row + 1
         self.lost_scans += self.lost
@@ -234,18 +243,63 @@ class LocalSlam:
 
     def _enter(self, scan: LevelledScan) -> Node:
         """Draw the scan into the submaps."""
-        pose, height = self.estimate.pose, self.relief.height
+        pose, height, relief = self.estimate.pose, self.relief.height, self.relief
         origin, hits, free = scan.placed(pose, height)
-        if scan.levelled:
-            steep = self.relief.observe(origin, hits, free, pose)
-        else:
-            steep = self.relief.unproven(len(hits))
-        entered = self.submaps.insert(
-            self.nodes, pose, origin, hits, free, steep, self.relief.match_bound
-        )
+        steep = relief.observe(origin, hits, free, pose) if scan.levelled else relief.unproven(len(hits))
+        entered = self.submaps.insert(self.nodes, pose, origin, hits, free, steep, relief.match_bound)
+        step, self._step = self._step, NOWHERE
         self.nodes += 1
         self._entered = pose, scan.ground_slope, scan.stamp
-        covariance = self.estimate.covariance
         return Node(
-            scan, pose, covariance, height, steep, entered, self.relief.travelled, self.relief.tilt, self._way
-        )
+            scan, pose, self.estimate.covariance, height, steep, entered, step, relief.travelled, relief.tilt,
+            self._way,
+        )  # fmt: skip
+
+    def look_again(self, nodes: Sequence[Node]) -> list[Node]:
+        """Draw the submaps again from the start with what is known by now about ground and walls.
+
+        On uneven ground nothing is known to be a wall at first: the robot begins on odometry alone, and the
+        first scans would stand where it put them for ever.
+
+        Args:
+            nodes: all so far.
+
+        Returns:
+            The same nodes with new poses.
+        """
+        self.submaps = Submaps(self.config.submaps)
+        again: list[Node] = []
+        estimate = Estimate(nodes[0].pose, np.zeros((3, 3)))
+        for node in nodes:
+            if again:
+                estimate = self._again(node, compounded(estimate, node.odometry))
+            origin, hits, free = node.scan.placed(estimate.pose, node.height)
+            steep = np.maximum(node.steep, self.relief.steepness(origin, hits, estimate.pose))
+            entered = self.submaps.insert(
+                len(again), estimate.pose, origin, hits, free, steep, self.relief.match_bound
+            )
+            again.append(
+                replace(node, pose=estimate.pose, covariance=estimate.covariance, steep=steep, submaps=entered)
+            )
+        T_new_old = estimate.pose @ nodes[-1].pose.inverse()
+        self.estimate = Estimate(T_new_old @ self.estimate.pose, self.estimate.covariance)
+        if self._entered is not None:
+            self._entered = estimate.pose, *self._entered[1:]
+        return again
+
+    def _again(self, node: Node, expected: Estimate) -> Estimate:
+        weights = self.walls(node.scan, expected.pose, node.height, None)
+        front = self.submaps.front
+        front.revalue(self.relief.match_bound)
+        fitted, _ = self.matcher.fit(front.pyramid, node.scan.hits, weights, expected, expected.pose)
+        return fitted
+
+
+def compounded(first: Estimate, then: Estimate) -> Estimate:
+    """Return `first @ then`; the errors of the two are independent."""
+    pose = first.pose @ then.pose
+    c, s = math.cos(first.pose.yaw), math.sin(first.pose.yaw)
+    R = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
+    G = np.eye(3)
+    G[0, 2], G[1, 2] = first.pose.y - pose.y, pose.x - first.pose.x
+    return Estimate(pose, G @ first.covariance @ G.T + R @ then.covariance @ R.T)

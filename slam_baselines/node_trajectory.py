@@ -15,17 +15,21 @@ Array = NDArray[np.float64]
 
 
 class NodeTrajectory:
-    """Poses of all scans in the local frame, and after which node each was taken."""
+    """Poses of all scans in the frame of the last node before each."""
 
     def __init__(self) -> None:
         self._scans: dict[float, tuple[int, Pose2]] = {}
 
-    def add(self, stamp: float, node: int, pose: Pose2) -> None:
-        """Note `T_local_base` of a scan; a later scan of the same stamp takes the place of the earlier.
+    def add(self, stamp: float, pose: Pose2, nodes: int, last: Pose2 | None) -> None:
+        """Note a scan; a later scan of the same stamp takes the place of the earlier.
 
-        `node` is the index of the last node, the scan's own if it is one.
+        Args:
+            stamp: seconds.
+            pose: `T_local_base`.
+            nodes: how many there are so far, with the scan itself if it is one.
+            last: `T_local_base` of the last of them.
         """
-        self._scans[stamp] = node, pose
+        self._scans[stamp] = nodes - 1, pose if last is None else last.inverse() @ pose
 
     def trajectory(self, local: Sequence[Pose2], final: Sequence[Pose2], T_map_local: Pose2) -> Trajectory:
         """Return the poses in the map frame, by stamp.
@@ -42,6 +46,7 @@ class NodeTrajectory:
         last = np.array([self._scans[t][0] for t in stamps])
         before, after = np.clip(last, 0, len(local) - 1), np.clip(last + 1, 0, len(local) - 1)
         L, G = (np.array([p.as_array() for p in poses]) for poses in (local, final))
+        scans = np.where((last >= 0)[:, None], composed(L[before], scans), scans)
         a = composed(G[before], relative_poses(L[before], scans))
         b = composed(G[after], relative_poses(L[after], scans))
         near, far = (np.hypot(*(scans - L[k])[:, :2].T) + 0.5 * abs(wrap((scans - L[k])[:, 2])) for k in (before, after))
