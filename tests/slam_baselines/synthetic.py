@@ -14,7 +14,8 @@ from lirs_wct.scan import Imu, LaserScan
 
 Array = NDArray[np.float64]
 ROOM = np.array(((-4.0, -3.0, 5.0, -3.0), (5.0, -3.0, 5.0, 4.0), (5.0, 4.0, -4.0, 4.0),
-                 (-4.0, 4.0, -4.0, -3.0), (1.0, 1.5, 2.5, 1.5), (2.5, 1.5, 2.5, 2.2), (-2.0, -1.5, -1.0, -2.0)))  # fmt: skip
+                 (-4.0, 4.0, -4.0, -3.0), (1.0, 1.5, 2.5, 1.5), (2.5, 1.5, 2.5, 2.2),
+                 (-2.0, -1.5, -1.0, -2.0)))  # fmt: skip
 """A room of 9 x 7 m with two things in it: (n, 4) segments x0, y0, x1, y1, metres."""
 MOUNT = Pose3.from_rpy(0.22, 0.0, 0.32, 0.0, 0.0, 0.0)
 BASE_HEIGHT = 0.13
