@@ -117,14 +117,14 @@ def branch_and_bound(
         left_out[:2] = (apart_from[:2] - start[:2])[::-1] / grids.resolution
         left_out[2] = apart / grids.resolution
     _search(
-        grids.levels, grids.row0, grids.col0, grids.resolution, points, start, reach, turns, step, min_score, limit,
-        left_out, out,
+        grids.levels, grids.row0, grids.col0, grids.resolution, points, start, reach, turns, step,
+        min_score, limit, left_out, out,
     )  # fmt: skip
     return Found(out[:3].copy(), float(out[3]), int(out[4]), bool(out[5]))
 
 
 @njit(cache=True)
-def _turned(points, start, yaw, res, row0, col0, rows, cols):
+def _turned(points, start, yaw, res, row0, col0, rows, cols):  # type: ignore[no-untyped-def]
     """Fill the cells of the points at one turn and no shift."""
     c, s = np.cos(yaw), np.sin(yaw)
     for i in range(len(points)):
@@ -133,7 +133,7 @@ def _turned(points, start, yaw, res, row0, col0, rows, cols):
 
 
 @njit(cache=True)
-def _sum(level, rows, cols, dr, dc):
+def _sum(level, rows, cols, dr, dc):  # type: ignore[no-untyped-def]
     """Add up a level at shifted cells."""
     height, width = level.shape
     total = 0
@@ -145,12 +145,12 @@ def _sum(level, rows, cols, dr, dc):
 
 
 @njit(cache=True)
-def _put(row, score, level, turn, dr, dc):
+def _put(row, score, level, turn, dr, dc):  # type: ignore[no-untyped-def]
     row[0], row[1], row[2], row[3], row[4] = score, level, turn, dr, dc
 
 
 @njit(cache=True)
-def _search(levels, row0, col0, res, points, start, reach, turns, step, min_score, limit, left_out, out):
+def _search(levels, row0, col0, res, points, start, reach, turns, step, min_score, limit, left_out, out):  # type: ignore[no-untyped-def]
     """Depth-first search, the most promising branch first; fill `out` (6,)."""
     n, depth = len(points), len(levels) - 1
     count = 2 * turns + 1
@@ -187,7 +187,11 @@ def _search(levels, row0, col0, res, points, start, reach, turns, step, min_scor
                 if (dr - left_out[0]) ** 2 + (dc - left_out[1]) ** 2 < left_out[2] * abs(left_out[2]):
                     continue
                 best = score
-                out[0], out[1], out[2] = start[0] + dc * res, start[1] + dr * res, start[2] + (t - turns) * step
+                out[0], out[1], out[2] = (
+                    start[0] + dc * res,
+                    start[1] + dr * res,
+                    start[2] + (t - turns) * step,
+                )
                 out[3] = score / (n * FULL)
                 continue
             half, m = 1 << (h - 1), 0

@@ -14,8 +14,10 @@ from lirs_wct.grid import OccupancyGrid
 from lirs_wct.pose import Pose2
 from lirs_wct.scan import Imu, LaserScan
 from lirs_wct.trajectory import Trajectory
-from slam_baselines.global_slam import GlobalConfig, GlobalSlam
-from slam_baselines.local_slam import LocalConfig, LocalSlam
+from slam_baselines.global_config import GlobalConfig
+from slam_baselines.global_slam import GlobalSlam
+from slam_baselines.local_config import LocalConfig
+from slam_baselines.local_slam import LocalSlam
 from slam_baselines.mapper import MapperStats, Stopwatch
 from slam_baselines.node_map import NodeMap
 from slam_baselines.node_trajectory import NodeTrajectory
@@ -31,8 +33,8 @@ class CartographerConfig:
         graph: loops and optimisation.
         map_resolution: edge of a cell of the final map, metres.
         update: how a scan changes the final map.
-        first_look: on uneven ground, submaps are drawn again after so much way, and when it has doubled, until
-            the first one is finished, metres.
+        first_look: on uneven ground, submaps are drawn again after so much way, metres, and when it has
+            doubled, until the first one is finished.
         max_range: hits farther away are not used, metres.
         clear_range: a beam without return is believed to be free up to here, metres.
 
@@ -44,7 +46,7 @@ class CartographerConfig:
     graph: GlobalConfig = field(default_factory=GlobalConfig)
     map_resolution: float = 0.05
     update: UpdateConfig = field(default_factory=UpdateConfig)
-    first_look: float = 4.0
+    first_look: float = 2.0
     max_range: float = math.inf
     clear_range: float = 0.0
 
@@ -81,7 +83,7 @@ class CartographerMapper:
         return self._graph.T_map_local @ self._local.estimate.pose
 
     def _look_again(self) -> None:
-        """Begin the graph again with what is known by now about the ground, as long as no submap is finished."""
+        """Begin again with what is known by now about the ground, as long as no submap is finished."""
         self._look_again_at *= 2
         local = self._local
         if local.relief.match_bound == 0 or local.submaps.all[0].finished:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose2, wrap_angle
 from slam_baselines.branch_and_bound import branch_and_bound
+from slam_baselines.pose_arrays import inverted
 from slam_baselines.scan_matching import Match, MatchConfig, ScanMatcher
 from slam_baselines.submap import Submap
 
@@ -26,8 +27,8 @@ class ConstraintConfig:
     """Where loops are searched for and which are believed; names as in constraint_builder.
 
     Attributes:
-        min_score: mean occupancy at the ends of the beams that a loop needs in the search; where the submap knows
-            nothing, it is 0.
+        min_score: mean occupancy at the ends of the beams that a loop needs in the search; it is 0 where the
+            submap knows nothing.
         min_refined_score: mean occupancy that it needs after refinement, where the submap knows something ...
         min_known: ... and the share of beams that end there.
         global_min_score: the same in the widest search: the more poses there are, the more fit by chance.
@@ -79,7 +80,8 @@ class ConstraintConfig:
                 raise ConfigError(f"{name} of the constraints must be above 0, got {getattr(self, name)}")
         if not self.min_score <= self.global_min_score <= 1:
             raise ConfigError(
-                f"global_min_score must be within [min_score = {self.min_score}, 1], got {self.global_min_score}"
+                f"global_min_score must be at least min_score = {self.min_score} and at most 1, "
+                f"got {self.global_min_score}"
             )
 
 
@@ -152,11 +154,11 @@ class ConstraintBuilder:
             return None
         self.counts.found += 1
         x, y, yaw = match.pose.tolist()
-        information = np.linalg.inv(np.linalg.inv(match.information + 1e-3 * np.eye(3)) + self._floor)
+        information = inverted(inverted(match.information + 1e-3 * np.eye(3)) + self._floor)
         return Pose2(x, y, wrap_angle(yaw)), information, match.score * match.known
 
     def _fit(self, submap: Submap, points: Array, sparse: Array, start: Array, way: float) -> Match | None:
-        """Fit from the expected pose, if that is well known; else from the best pose of a window around it."""
+        """Fit from the expected pose, if that is well known; else from the best pose of a window."""
         c = self.config
         linear = min(c.linear_search_window, c.linear_start + c.linear_drift * way)
         angular = min(c.angular_search_window, c.angular_start + c.angular_drift * way)
@@ -174,8 +176,10 @@ class ConstraintBuilder:
             return None
         return match
 
-    def _best(self, submap: Submap, points: Array, start: Array, linear: float, angular: float) -> Array | None:
-        """Search a window; None where nothing fits well or, as along a corridor, two places fit equally well."""
+    def _best(
+        self, submap: Submap, points: Array, start: Array, linear: float, angular: float
+    ) -> Array | None:
+        """Search a window; None where nothing fits or, as along a corridor, two places fit equally well."""
         c = self.config
         least = c.min_score + (c.global_min_score - c.min_score) * linear / c.linear_search_window
         found = branch_and_bound(submap.bounds, points, start, linear, angular, least, c.bounded)
@@ -184,7 +188,15 @@ class ConstraintBuilder:
             self.counts.poor += 1
             return None
         rival = branch_and_bound(
-            submap.bounds, points, start, linear, angular, c.rival * found.score, c.bounded, found.pose, c.apart
+            submap.bounds,
+            points,
+            start,
+            linear,
+            angular,
+            c.rival * found.score,
+            c.bounded,
+            found.pose,
+            c.apart,
         )
         if rival.score >= 0 or not rival.complete:
             self.counts.ambiguous += 1
@@ -198,12 +210,4 @@ def spread(points: Array, size: float, most: int) -> Array:
     _, first = np.unique(cells[:, 0] * (1 << 20) + cells[:, 1], return_index=True)
     first.sort()
     stride = max(1, -(-len(first) // most))
-    return points[first[::stride]]
-
-
-def seen_from(submap: Pose2, information: Array) -> Array:
-    """Turn the information of x, y, yaw from the local frame into the axes of a submap."""
-    c, s = math.cos(submap.yaw), math.sin(submap.yaw)
-    R = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
-    turned: Array = R @ information @ R.T
-    return turned
+    return np.asarray(points[first[::stride]], dtype=np.float64)

@@ -7,56 +7,22 @@ searches and at most one step of an optimisation; its result is taken over when 
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
-
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose2
-from slam_baselines.confirmation import Confirmation, ConfirmationConfig
-from slam_baselines.constraint import Constraint, ConstraintBuilder, ConstraintConfig, seen_from
-from slam_baselines.local_slam import NOWHERE, LocalSlam, Node, compounded
-from slam_baselines.loop_queue import LoopQueue, QueueConfig
-from slam_baselines.pose_graph import Edges, OptimizationConfig, Problem, Solution, begin, improve
+from slam_baselines.confirmation import Confirmation
+from slam_baselines.constraint import Constraint, ConstraintBuilder
+from slam_baselines.global_config import GlobalConfig
+from slam_baselines.graph_edges import Edges
+from slam_baselines.local_slam import LocalSlam
+from slam_baselines.loop_queue import LoopQueue
+from slam_baselines.node import NOWHERE, Node, compounded
+from slam_baselines.pose_arrays import inverted, turned_information
+from slam_baselines.pose_graph import Problem, Solution, begin, improve
 
 Array = NDArray[np.float64]
 Row = tuple[int, int, Array, Array, bool]
-
-
-@dataclass(frozen=True, kw_only=True)
-class GlobalConfig:
-    """Parameters of global SLAM; names as in Cartographer's pose_graph.
-
-    Attributes:
-        queue: which searches are made.
-        constraints: how they are made.
-        confirmation: which loops need a second one.
-        optimization: of the graph.
-        optimize_every_n_nodes: the graph is solved after so many new nodes, if there are new loops.
-        searches_per_update: at most so many searches in one update.
-        matcher_translation_error: standard deviation of a node's place in a submap that it entered, metres.
-        matcher_rotation_error: likewise of its yaw, radians.
-
-    Raises:
-        ConfigError: a value that is not above 0.
-    """
-
-    queue: QueueConfig = field(default_factory=QueueConfig)
-    constraints: ConstraintConfig = field(default_factory=ConstraintConfig)
-    confirmation: ConfirmationConfig = field(default_factory=ConfirmationConfig)
-    optimization: OptimizationConfig = field(default_factory=OptimizationConfig)
-    optimize_every_n_nodes: int = 20
-    searches_per_update: int = 1
-    matcher_translation_error: float = 0.02
-    matcher_rotation_error: float = math.radians(0.2)
-
-    def __post_init__(self) -> None:
-        if min(self.optimize_every_n_nodes, self.searches_per_update) < 1:
-            raise ConfigError("optimize_every_n_nodes and searches_per_update must be at least 1")
-        if not (self.matcher_translation_error > 0 and self.matcher_rotation_error > 0):
-            raise ConfigError("matcher_translation_error and matcher_rotation_error must be above 0")
 
 
 class GlobalSlam:
@@ -105,10 +71,10 @@ class GlobalSlam:
         self.poses.append(self.T_map_local @ node.pose)
         while len(self.submap_poses) < len(submaps):
             self.submap_poses.append(self.T_map_local @ submaps[len(self.submap_poses)].pose)
-        information = np.linalg.inv(self._matcher_covariance + node.covariance)
+        information = inverted(self._matcher_covariance + node.covariance)
         for i in node.submaps:
             z = (submaps[i].pose.inverse() @ node.pose).as_array()
-            self._to_nodes.append((i, index, z, seen_from(submaps[i].pose, information), False))
+            self._to_nodes.append((i, index, z, turned_information(submaps[i].pose, information), False))
         self._since_submap = compounded(self._since_submap, node.odometry)
         if len(submaps[-1].nodes) == 1:
             self._tie_submap(len(submaps) - 1)
@@ -118,7 +84,7 @@ class GlobalSlam:
         """Tie a submap that has just begun to the one before by odometry."""
         odometry, self._since_submap = self._since_submap, NOWHERE
         if index > 0:
-            z, information = odometry.pose.as_array(), np.linalg.inv(odometry.covariance)
+            z, information = odometry.pose.as_array(), inverted(odometry.covariance)
             self._to_submaps.append((index - 1, index, z, information, True))
 
     def work(self) -> None:
@@ -184,11 +150,13 @@ class GlobalSlam:
             return
         pose, information, score = found
         T_submap_node = submap.pose.inverse() @ pose
-        loop = Constraint(submap_index, index, T_submap_node, seen_from(submap.pose, information), score)
-        for loop in self._confirmation.admit(loop, node.way, self.submap_poses, self.poses):
-            z = loop.T_submap_node.as_array()
-            self._to_nodes.append((loop.submap, loop.node, z, loop.information, True))
-            self.loops.append(loop)
+        loop = Constraint(
+            submap_index, index, T_submap_node, turned_information(submap.pose, information), score
+        )
+        for believed in self._confirmation.admit(loop, node.way, self.submap_poses, self.poses):
+            z = believed.T_submap_node.as_array()
+            self._to_nodes.append((believed.submap, believed.node, z, believed.information, True))
+            self.loops.append(believed)
 
     def _optimization_due(self) -> bool:
         nodes, loops = self._optimized_at

@@ -15,6 +15,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose2, wrap_angle
 from slam_baselines.correlative import SearchConfig, search
 from slam_baselines.odometry import Estimate
+from slam_baselines.pose_arrays import inverted
 from slam_baselines.scan_matching import MapPyramid, Match, MatchConfig, ScanMatcher
 
 Array = NDArray[np.float64]
@@ -83,7 +84,7 @@ class LocalMatcher:
             return expected, None
         moved = start.distance(before) + 0.5 * abs(wrap_angle(start.yaw - before.yaw))
         share = min(1.0, max(c.least_share, moved / c.fresh_distance))
-        prior, information = start.as_array(), np.linalg.inv(expected.covariance)
+        prior, information = start.as_array(), inverted(expected.covariance)
         levels = self._matcher.levels(pyramid, expected.covariance)
         fresh = weights * share
         match = self._matcher.match(pyramid, hits, fresh, prior, information, levels)
@@ -96,4 +97,4 @@ class LocalMatcher:
             wider = self._matcher.match(pyramid, hits, fresh, prior, information, every, found)
             match = max(match, wider, key=lambda m: m.score)
         x, y, yaw = match.pose.tolist()
-        return Estimate(Pose2(x, y, wrap_angle(yaw)), np.linalg.inv(information + match.information)), match
+        return Estimate(Pose2(x, y, wrap_angle(yaw)), inverted(information + match.information)), match

@@ -7,121 +7,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose2, wrap_angle
 from lirs_wct.scan import Imu, LaserScan
 from slam_baselines.levelling import LevelledScan, ScanLeveller
-from slam_baselines.local_matching import LocalMatcher, LocalMatchingConfig
-from slam_baselines.odometry import DeadReckoning, Estimate, MotionConfig
-from slam_baselines.relief import Relief, ReliefConfig
+from slam_baselines.local_config import LocalConfig
+from slam_baselines.local_matching import LocalMatcher
+from slam_baselines.motion_filter import MotionFilter
+from slam_baselines.node import NOWHERE, Node, compounded
+from slam_baselines.odometry import DeadReckoning, Estimate
+from slam_baselines.relief import Relief
 from slam_baselines.scan_matching import Match
-from slam_baselines.submap import SubmapConfig, Submaps
+from slam_baselines.submap import Submaps
 
 Array = NDArray[np.float64]
-
-NOWHERE = Estimate(Pose2(), np.zeros((3, 3)))
-"""Dead reckoning that has just begun."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class MotionFilterConfig:
-    """Which scans become nodes; names as in Cartographer's motion_filter.
-
-    Attributes:
-        max_time_seconds: a node at least so often ...
-        max_distance_meters: ... and after so much way ...
-        max_angle_radians: ... or turning ...
-        max_tilt_radians: ... or leaning, since leaning shows other heights of the same things.
-
-    Raises:
-        ConfigError: a negative value.
-    """
-
-    max_time_seconds: float = math.inf
-    max_distance_meters: float = 0.2
-    max_angle_radians: float = math.radians(10.0)
-    max_tilt_radians: float = math.radians(1.0)
-
-    def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            if getattr(self, name) < 0:
-                raise ConfigError(f"{name} of the motion filter must not be negative, got {getattr(self, name)}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class LocalConfig:
-    """Parameters of local SLAM.
-
-    Attributes:
-        submaps: how submaps are drawn.
-        motion_filter: which scans enter them.
-        motion: confidence in the odometry.
-        matching: how a scan is fitted into a submap.
-        relief: how ground is told from walls.
-        slip_speed: on uneven ground, a match is not believed that lies farther from where odometry puts the robot than this allows in
-            the time since the last scan, m/s and rad/s ...
-        slip_deviations: ... and so many standard deviations of that prediction.
-        lost_score: mean occupancy at the ends of the beams below which a scan enters no submap ...
-        lost_after: ... and after so many of them in a row the mapper is lost.
-
-    Raises:
-        ConfigError: lost_score above the matching's poor_score.
-    """
-
-    submaps: SubmapConfig = field(default_factory=SubmapConfig)
-    motion_filter: MotionFilterConfig = field(default_factory=MotionFilterConfig)
-    motion: MotionConfig = field(default_factory=MotionConfig)
-    matching: LocalMatchingConfig = field(default_factory=LocalMatchingConfig)
-    relief: ReliefConfig = field(default_factory=ReliefConfig)
-    slip_speed: float = 1.0
-    slip_deviations: float = 4.0
-    lost_score: float = 0.2
-    lost_after: int = 10
-
-    def __post_init__(self) -> None:
-        if not 0 < self.lost_score <= self.matching.poor_score:
-            raise ConfigError(
-                f"lost_score must be within (0, poor_score = {self.matching.poor_score}], got {self.lost_score}"
-            )
-
-
-@dataclass(frozen=True, slots=True)
-class Node:
-    """A scan that entered submaps.
-
-    Attributes:
-        scan: levelled.
-        pose: `T_local_base`.
-        covariance: (3, 3) of x, y, yaw in the local frame, as far as they are not tied to the submap in front.
-        height: of the base in the local frame, metres.
-        steep: (n,) rise over run of its hits as proven when it entered, STEEP_STEP.
-        submaps: indices of the submaps that it entered.
-        odometry: its pose in the frame of the node before, by dead reckoning.
-        travelled: way driven until then, as the relief counts it, metres.
-        way: the same, with and without attitude.
-        tilt: the most that the robot had leaned until then, radians.
-    """
-
-    scan: LevelledScan
-    pose: Pose2
-    covariance: Array
-    height: float
-    steep: NDArray[np.uint8]
-    submaps: range
-    odometry: Estimate
-    travelled: float
-    tilt: float
-    way: float
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the scan."""
-        return self.scan.hits.nbytes + self.scan.free.nbytes + self.steep.nbytes
 
 
 class LocalSlam:
@@ -153,7 +56,7 @@ class LocalSlam:
         self._step = NOWHERE
         self._poor_in_a_row = 0
         self._way = 0.0
-        self._entered: tuple[Pose2, tuple[float, float], float] | None = None
+        self._filter = MotionFilter(config.motion_filter)
 
     @property
     def lost(self) -> bool:
@@ -171,7 +74,8 @@ class LocalSlam:
         self._way += before.distance(self.estimate.pose)
         if level.levelled:
             self.relief.move(before.inverse() @ self.estimate.pose, level)
-        return self._enter(level) if fits and self._due(level) else None
+        due = fits and self._filter.due(level, self.estimate.pose)
+        return self._enter(level) if due else None
 
     def walls(self, scan: LevelledScan, pose: Pose2, height: float, steep: NDArray[np.uint8] | None) -> Array:
         """Return (n,) 1 for hits on what is known by now to be a wall, 0 for those that may be ground.
@@ -216,7 +120,8 @@ class LocalSlam:
         slip, turn = pose.distance(expected.pose), abs(wrap_angle(pose.yaw - expected.pose.yaw))
         reach = c.slip_speed * seconds
         return bool(
-            slip <= reach + c.slip_deviations * max(sd[0], sd[1]) and turn <= reach + c.slip_deviations * sd[2]
+            slip <= reach + c.slip_deviations * max(sd[0], sd[1])
+            and turn <= reach + c.slip_deviations * sd[2]
         )
 
     def _count(self, match: Match | None) -> bool:
@@ -227,20 +132,6 @@ class LocalSlam:
         self.lost_scans += self.lost
         return fits
 
-    def _due(self, scan: LevelledScan) -> bool:
-        """Whether the robot has moved enough since the last node (the motion filter)."""
-        if self._entered is None:
-            return True
-        c, pose = self.config.motion_filter, self.estimate.pose
-        before, slope, stamp = self._entered
-        lean = math.hypot(scan.ground_slope[0] - slope[0], scan.ground_slope[1] - slope[1])
-        return (
-            pose.distance(before) > c.max_distance_meters
-            or abs(wrap_angle(pose.yaw - before.yaw)) > c.max_angle_radians
-            or lean > c.max_tilt_radians
-            or scan.stamp - stamp > c.max_time_seconds
-        )
-
     def _enter(self, scan: LevelledScan) -> Node:
         """Draw the scan into the submaps."""
         pose, height, relief = self.estimate.pose, self.relief.height, self.relief
@@ -249,7 +140,7 @@ class LocalSlam:
         entered = self.submaps.insert(self.nodes, pose, origin, hits, free, steep, relief.match_bound)
         step, self._step = self._step, NOWHERE
         self.nodes += 1
-        self._entered = pose, scan.ground_slope, scan.stamp
+        self._filter.note(scan, pose)
         return Node(
             scan, pose, self.estimate.covariance, height, steep, entered, step, relief.travelled, relief.tilt,
             self._way,
@@ -279,12 +170,13 @@ class LocalSlam:
                 len(again), estimate.pose, origin, hits, free, steep, self.relief.match_bound
             )
             again.append(
-                replace(node, pose=estimate.pose, covariance=estimate.covariance, steep=steep, submaps=entered)
+                replace(
+                    node, pose=estimate.pose, covariance=estimate.covariance, steep=steep, submaps=entered
+                )
             )
         T_new_old = estimate.pose @ nodes[-1].pose.inverse()
         self.estimate = Estimate(T_new_old @ self.estimate.pose, self.estimate.covariance)
-        if self._entered is not None:
-            self._entered = estimate.pose, *self._entered[1:]
+        self._filter.moved(estimate.pose)
         return again
 
     def _again(self, node: Node, expected: Estimate) -> Estimate:
@@ -293,13 +185,3 @@ class LocalSlam:
         front.revalue(self.relief.match_bound)
         fitted, _ = self.matcher.fit(front.pyramid, node.scan.hits, weights, expected, expected.pose)
         return fitted
-
-
-def compounded(first: Estimate, then: Estimate) -> Estimate:
-    """Return `first @ then`; the errors of the two are independent."""
-    pose = first.pose @ then.pose
-    c, s = math.cos(first.pose.yaw), math.sin(first.pose.yaw)
-    R = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
-    G = np.eye(3)
-    G[0, 2], G[1, 2] = first.pose.y - pose.y, pose.x - first.pose.x
-    return Estimate(pose, G @ first.covariance @ G.T + R @ then.covariance @ R.T)

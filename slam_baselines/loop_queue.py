@@ -29,10 +29,10 @@ class QueueConfig:
         ConfigError: a value that is not above 0, or a ratio above 1.
     """
 
-    sampling_ratio: float = 0.3
-    max_constraint_distance: float = 15.0
-    found_per_pair: int = 6
-    tries_per_pair: int = 12
+    sampling_ratio: float = 0.2
+    max_constraint_distance: float = 12.0
+    found_per_pair: int = 8
+    tries_per_pair: int = 8
     max_num_candidates: int = 2000
 
     def __post_init__(self) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.pose import Pose2
-from slam_baselines.local_slam import Node
+from slam_baselines.node import Node
 from slam_baselines.occupancy import OccupancyMap, UpdateConfig
 from slam_baselines.relief import Relief, ReliefConfig
 from slam_baselines.submap import bounding_box

@@ -49,7 +49,10 @@ class NodeTrajectory:
         scans = np.where((last >= 0)[:, None], composed(L[before], scans), scans)
         a = composed(G[before], relative_poses(L[before], scans))
         b = composed(G[after], relative_poses(L[after], scans))
-        near, far = (np.hypot(*(scans - L[k])[:, :2].T) + 0.5 * abs(wrap((scans - L[k])[:, 2])) for k in (before, after))
+        near, far = (
+            np.hypot(*(scans - L[k])[:, :2].T) + 0.5 * abs(wrap((scans - L[k])[:, 2]))
+            for k in (before, after)
+        )
         share = (near / np.maximum(near + far, 1e-12))[:, None]
         delta = b - a
         delta[:, 2] = wrap(delta[:, 2])

@@ -7,6 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from lirs_wct.pose import Pose2
+
 Array = NDArray[np.float64]
 
 
@@ -29,3 +31,15 @@ def relative_poses(a: Array, b: Array) -> Array:
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     dx, dy = b[..., 0] - a[..., 0], b[..., 1] - a[..., 1]
     return np.stack((c * dx + s * dy, -s * dx + c * dy, wrap(b[..., 2] - a[..., 2])), axis=-1)
+
+
+def inverted(matrices: Array) -> Array:
+    """Return the inverses of (..., n, n) matrices."""
+    return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
+
+
+def turned_information(frame: Pose2, information: Array) -> Array:
+    """Return the information (3, 3) of x, y, yaw in the axes of a frame that is turned by its yaw."""
+    c, s = math.cos(frame.yaw), math.sin(frame.yaw)
+    R = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
+    return np.asarray(R @ information @ R.T, dtype=np.float64)

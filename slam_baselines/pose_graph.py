@@ -8,19 +8,18 @@ they are eliminated block by block, and what is factorised is as large as the nu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from lirs_wct.errors import ConfigError
-from slam_baselines.pose_arrays import relative_poses, wrap
+from slam_baselines.block_matrices import block_matrix, sum_blocks, sum_vectors
+from slam_baselines.graph_edges import Edges, errors, jacobians
+from slam_baselines.pose_arrays import inverted, wrap
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,36 +47,6 @@ class OptimizationConfig:
         for name in self.__dataclass_fields__:
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} of the optimization must be above 0, got {getattr(self, name)}")
-
-
-@dataclass(frozen=True, slots=True)
-class Edges:
-    """Constraints as arrays.
-
-    Attributes:
-        a: (m,) index of the submap in whose frame it was measured.
-        b: (m,) index of the node, or of another submap.
-        z: (m, 3) measured x, y, yaw of b in the frame of a.
-        information: (m, 3, 3) inverse covariance of z.
-        robust: (m,) whether it may be wrong altogether.
-    """
-
-    a: Indices
-    b: Indices
-    z: Array
-    information: Array
-    robust: NDArray[np.bool_]
-
-    @staticmethod
-    def of(rows: Sequence[tuple[int, int, Array, Array, bool]]) -> Edges:
-        """Stack (a, b, z, information, robust) of each constraint."""
-        return Edges(
-            np.array([r[0] for r in rows], dtype=np.int64),
-            np.array([r[1] for r in rows], dtype=np.int64),
-            np.array([r[2] for r in rows], dtype=np.float64).reshape(-1, 3),
-            np.array([r[3] for r in rows], dtype=np.float64).reshape(-1, 3, 3),
-            np.array([r[4] for r in rows], dtype=np.bool_),
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,22 +80,22 @@ class Problem:
         """Return submaps and nodes after one Gauss-Newton step with Levenberg's damping."""
         n, s = len(nodes), len(submaps)
         A, B, C, ga, gb = self._linearised(self.to_nodes, submaps, nodes)
-        Hnn, gn = _sum_blocks(C, self.to_nodes.b, n), _sum_vectors(gb, self.to_nodes.b, n)
+        Hnn, gn = sum_blocks(C, self.to_nodes.b, n), sum_vectors(gb, self.to_nodes.b, n)
         Hnn[0] += self.config.gauge * np.eye(3)
         tie = nodes[0] - self.origin
         gn[0] += self.config.gauge * np.array((tie[0], tie[1], wrap(tie[2])))
-        Hsn = _block_matrix(B, self.to_nodes.a, self.to_nodes.b, s, n)
+        Hsn = block_matrix(B, self.to_nodes.a, self.to_nodes.b, s, n)
         A2, B2, C2, ga2, gb2 = self._linearised(self.to_submaps, submaps, submaps)
-        gs = _sum_vectors(ga, self.to_nodes.a, s) + _sum_vectors(ga2, self.to_submaps.a, s)
-        gs += _sum_vectors(gb2, self.to_submaps.b, s)
-        diagonal = _sum_blocks(A, self.to_nodes.a, s) + _sum_blocks(A2, self.to_submaps.a, s)
-        diagonal += _sum_blocks(C2, self.to_submaps.b, s)
-        cross = _block_matrix(B2, self.to_submaps.a, self.to_submaps.b, s, s)
+        gs = sum_vectors(ga, self.to_nodes.a, s) + sum_vectors(ga2, self.to_submaps.a, s)
+        gs += sum_vectors(gb2, self.to_submaps.b, s)
+        diagonal = sum_blocks(A, self.to_nodes.a, s) + sum_blocks(A2, self.to_submaps.a, s)
+        diagonal += sum_blocks(C2, self.to_submaps.b, s)
+        cross = block_matrix(B2, self.to_submaps.a, self.to_submaps.b, s, s)
         eye = damping * np.eye(3)
-        Hss = _block_matrix(diagonal * (1 + eye), np.arange(s), np.arange(s), s, s) + cross + cross.T
+        Hss = block_matrix(diagonal * (1 + eye), np.arange(s), np.arange(s), s, s) + cross + cross.T
         # Schur complement: the nodes' blocks are inverted one by one.
-        inverse = np.linalg.inv(Hnn * (1 + eye))
-        Y = Hsn @ _block_matrix(inverse, np.arange(n), np.arange(n), n, n)
+        inverse = inverted(Hnn * (1 + eye))
+        Y = Hsn @ block_matrix(inverse, np.arange(n), np.arange(n), n, n)
         ds = splu((Hss - Y @ Hsn.T).tocsc()).solve(-(gs.ravel() - Y @ gn.ravel()))
         rest = gn + (Hsn.T @ ds).reshape(-1, 3)
         dn = -np.einsum("nij,nj->ni", inverse, rest)
@@ -145,7 +114,13 @@ class Problem:
         WJa, WJb = W @ Ja, W @ Jb
         JaT, JbT = Ja.transpose(0, 2, 1), Jb.transpose(0, 2, 1)
         We = np.einsum("mij,mj->mi", W, e)
-        return JaT @ WJa, JaT @ WJb, JbT @ WJb, np.einsum("mij,mj->mi", JaT, We), np.einsum("mij,mj->mi", JbT, We)
+        return (
+            JaT @ WJa,
+            JaT @ WJb,
+            JbT @ WJb,
+            np.einsum("mij,mj->mi", JaT, We),
+            np.einsum("mij,mj->mi", JbT, We),
+        )
 
     def _rho(self, chi2: Array) -> Array:
         """Cauchy's loss: quadratic near 0, logarithmic far out, so that wrong loops lose their pull."""
@@ -204,43 +179,7 @@ def solve(problem: Problem, submaps: Array, nodes: Array) -> Solution:
     return solution
 
 
-def errors(a: Array, b: Array, z: Array) -> Array:
-    """Return (m, 3) the estimated minus the measured pose of b in the frame of a (eq. 6)."""
-    e = relative_poses(a, b) - z
-    e[:, 2] = wrap(e[:, 2])
-    return e
-
-
-def jacobians(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return (m, 3, 3) the derivatives of the errors with respect to a and to b."""
-    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-    dx, dy = b[:, 0] - a[:, 0], b[:, 1] - a[:, 1]
-    Jb = np.zeros((len(a), 3, 3))
-    Jb[:, 0, 0], Jb[:, 0, 1], Jb[:, 1, 0], Jb[:, 1, 1], Jb[:, 2, 2] = c, s, -s, c, 1
-    Ja = -Jb
-    Ja[:, 0, 2], Ja[:, 1, 2] = c * dy - s * dx, -s * dy - c * dx
-    return Ja, Jb
-
-
 def _moved(poses: Array, step: Array) -> Array:
     moved = poses + step
     moved[:, 2] = wrap(moved[:, 2])
     return moved
-
-
-def _sum_blocks(blocks: Array, index: Indices, n: int) -> Array:
-    return _sum_vectors(blocks.reshape(-1, 9), index, n).reshape(n, 3, 3)
-
-
-def _sum_vectors(vectors: Array, index: Indices, n: int) -> Array:
-    """Return (n, k) the sums of the vectors of each index."""
-    columns = [np.bincount(index, weights=column, minlength=n) for column in vectors.T]
-    return np.stack(columns, axis=-1)
-
-
-def _block_matrix(blocks: Array, rows: Indices, cols: Indices, n: int, m: int) -> sparse.csr_matrix:
-    """Return the sparse matrix of (k, 3, 3) blocks at block rows and columns; equal places add up."""
-    three = np.arange(3)
-    r = np.broadcast_to((3 * rows)[:, None, None] + three[:, None], blocks.shape)
-    c = np.broadcast_to((3 * cols)[:, None, None] + three, blocks.shape)
-    return sparse.coo_matrix((blocks.ravel(), (r.ravel(), c.ravel())), shape=(3 * n, 3 * m)).tocsr()

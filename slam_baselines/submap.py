@@ -38,7 +38,7 @@ class SubmapConfig:
         ConfigError: a number that is not above 0, or a search_level that is no level.
     """
 
-    num_range_data: int = 45
+    num_range_data: int = 60
     resolution: float = 0.05
     levels: int = 3
     search_level: int = 1
@@ -81,7 +81,8 @@ class Submap:
         self.revalue(bound)
         self.nodes.append(node)
         box = bounding_box(origin, hits, free)
-        if any([level.update(origin, hits, free, steep, bound, box) for level in self.pyramid.maps]):
+        grew = [level.update(origin, hits, free, steep, bound, box) for level in self.pyramid.maps]
+        if any(grew):
             self.pyramid.refresh()
 
     def revalue(self, bound: int) -> None:
