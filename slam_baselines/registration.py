@@ -31,7 +31,6 @@ class RegistrationConfig:
         known_share: share of beams on known cells that a score needs to be believed.
         least_beams: fewer beams on known cells than this say nothing.
         gain: the wider search must raise the score by this to be believed against the odometry.
-        refuse_poor: whether to stay with dead reckoning where nothing fits, near or far.
         fresh_distance: scans closer together than this see the same cells with the same errors, so that
             each adds only its share of information, metres.
         least_share: ... but never less than this.
@@ -44,9 +43,8 @@ class RegistrationConfig:
     search: SearchConfig = field(default_factory=SearchConfig)
     poor_score: float = 0.4
     known_share: float = 0.3
-    least_beams: int = 15
+    least_beams: int = 40
     gain: float = 0.05
-    refuse_poor: bool = False
     fresh_distance: float = 0.4
     least_share: float = 0.02
 
@@ -96,8 +94,8 @@ class Registration:
             loose = Estimate(start, np.diag((window[0] ** 2, window[0] ** 2, window[1] ** 2)))
             found = search(pyramid.maps[-1].grid, hits, weights, start.as_array(), c.search)
             wider = self._fit_from(pyramid, hits, weights, loose, found)
-            if c.refuse_poor and max(match.score, wider.score) < c.poor_score:
-                # Nothing fits, near or far: dead reckoning may err less than a forced fit.
+            if max(match.score, wider.score) < c.poor_score and not weights.all():
+                # Among hills, what passed for a wall may be ground: dead reckoning errs less than a forced fit.
                 return expected, match
             if wider.score > match.score + c.gain:
                 expected, match = loose, wider
