@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.pose import Pose2
 from lirs_wct.scan import Imu, LaserScan
@@ -17,7 +15,7 @@ class KnownPoseMapper:
     def __init__(self, resolution: float = 0.05, config: BuilderConfig | None = None) -> None:
         """Use `config`, or the default one at `resolution`."""
         self._builder = MapBuilder(config or BuilderConfig(map_resolution=resolution, map_multi_res_levels=1))
-        self._leveller = ScanLeveller(clear_range=math.inf)
+        self._leveller = ScanLeveller()
 
     def update(self, scan: LaserScan, T_map_base: Pose2, imu: Imu | None) -> None:
         """Take in a scan; it changes the map where the robot has moved enough."""
