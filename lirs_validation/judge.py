@@ -44,7 +44,11 @@ def judge_trajectory(log: DriveLog) -> dict[str, Any]:
     if len(truth) < 2:
         return {"length": 0.0, "poses": len(truth)}
     figures = asdict(trajectory_errors(truth, estimate))
-    return figures | {"odometry_ate_rmse": trajectory_errors(truth, odometry).ate_rmse}
+    online = log.online().moved(log.truth[0].to_pose2())
+    return figures | {
+        "ate_rmse_online": trajectory_errors(truth, online).ate_rmse,
+        "odometry_ate_rmse": trajectory_errors(truth, odometry).ate_rmse,
+    }
 
 
 def judge_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:

@@ -32,6 +32,7 @@ class DriveLog:
         observations: what the mapper was fed.
         truth: `T_world_base`, from the simulator.
         estimates: `T_map_base`, the mapper's online answers.
+        final: the mapper's trajectory in the map frame after the drive; None while it lasts.
         walls: wall-clock seconds of each tick.
         mapper_seconds: of these, spent in the mapper.
         status: how it ended, `reason` in words.
@@ -40,6 +41,7 @@ class DriveLog:
     observations: list[Observation] = field(default_factory=list)
     truth: list[Pose3] = field(default_factory=list)
     estimates: list[Pose2] = field(default_factory=list)
+    final: Trajectory | None = None
     walls: list[float] = field(default_factory=list)
     mapper_seconds: list[float] = field(default_factory=list)
     status: Status = "ok"
@@ -50,15 +52,22 @@ class DriveLog:
         """Seconds since the start, one a scan."""
         return [o.scan.stamp for o in self.observations]
 
+    def online(self) -> Trajectory:
+        """Return the mapper's answers as it gave them, in the map frame."""
+        return Trajectory.from_poses(self.stamps, self.estimates)
+
     def trajectories(self) -> tuple[Trajectory, Trajectory, Trajectory]:
-        """Return truth, estimate and odometry, all in the world frame."""
+        """Return truth, final estimate and odometry, all in the world frame.
+
+        The final estimate is the mapper's own, with all that it learnt later; see `online`.
+        """
         T_world_map = self.truth[0].to_pose2()
         T_odom_base = self.observations[0].odometry
         T_world_odom = T_world_map @ T_odom_base.inverse()
         odometry = [o.odometry for o in self.observations]
         return (
             Trajectory.from_poses(self.stamps, self.truth),
-            Trajectory.from_poses(self.stamps, self.estimates).moved(T_world_map),
+            (self.online() if self.final is None else self.final).moved(T_world_map),
             Trajectory.from_poses(self.stamps, odometry).moved(T_world_odom),
         )
 

@@ -124,6 +124,7 @@ def run(config: RunConfig, *, out: Path | None = None, report: Report | None = N
     compile_seconds = warm_up(stage, robot)
     simulation = simulate(stage, robot)
     log = drive(simulation, driver, mapper, config.seconds, lambda done: tell("drive", done / config.seconds))
+    log.final = mapper.trajectory()
     tell("judge", 1.0)
     maps = judge_maps(stage.world, log, mapper)
     record = judge(stage, simulation, mapper, log, maps, compile_seconds)

@@ -30,6 +30,7 @@ class RegistrationConfig:
         poor_score: mean occupancy at the ends of the beams below which the wider search begins.
         known_share: share of beams on known cells that a score needs to be believed.
         least_beams: fewer beams on known cells than this say nothing.
+        least_walls: among hills, where what passes for a wall may be ground, fewer walls say nothing.
         gain: the wider search must raise the score by this to be believed against the odometry.
         fresh_distance: scans closer together than this see the same cells with the same errors, so that
             each adds only its share of information, metres.
@@ -43,7 +44,8 @@ class RegistrationConfig:
     search: SearchConfig = field(default_factory=SearchConfig)
     poor_score: float = 0.4
     known_share: float = 0.3
-    least_beams: int = 40
+    least_beams: int = 15
+    least_walls: int = 40
     gain: float = 0.05
     fresh_distance: float = 0.4
     least_share: float = 0.02
@@ -83,7 +85,8 @@ class Registration:
         c, start = self.config, expected.pose
         moved = start.distance(before) + 0.5 * abs(wrap_angle(start.yaw - before.yaw))
         share = min(1.0, max(c.least_share, moved / c.fresh_distance))
-        if weights.sum() < c.least_beams:
+        hills = not weights.all()
+        if weights.sum() < (c.least_walls if hills else c.least_beams):
             return expected, None
         match = self._fit_from(pyramid, hits, weights * share, expected)
         if match.beams < c.least_beams * share:
@@ -94,8 +97,8 @@ class Registration:
             loose = Estimate(start, np.diag((window[0] ** 2, window[0] ** 2, window[1] ** 2)))
             found = search(pyramid.maps[-1].grid, hits, weights, start.as_array(), c.search)
             wider = self._fit_from(pyramid, hits, weights, loose, found)
-            if max(match.score, wider.score) < c.poor_score and not weights.all():
-                # Among hills, what passed for a wall may be ground: dead reckoning errs less than a forced fit.
+            if hills and max(match.score, wider.score) < c.poor_score:
+                # Nothing fits, near or far: dead reckoning errs less than a forced fit.
                 return expected, match
             if wider.score > match.score + c.gain:
                 expected, match = loose, wider
