@@ -8,7 +8,7 @@ is GmappingMapper._process.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,15 +68,15 @@ class GmappingConfig(ProposalConfig):
     srt: float = 0.05
     str: float = 0.05
     stt: float = 0.1
-    ogain: float = 3.0
+    ogain: float = 0.5
     delta: float = 0.05
     maxUrange: float = math.inf  # noqa: N815
     lost_score: float = 0.3
     lost_after: int = 3
-    relief: ReliefConfig = ReliefConfig()
+    relief: ReliefConfig = field(default_factory=ReliefConfig)
 
     def __post_init__(self) -> None:
-        super(GmappingConfig, self).__post_init__()
+        super().__post_init__()
         for name in ("particles", "srr", "srt", "str", "stt", "ogain", "delta", "maxUrange", "lost_after"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} must be above 0, got {getattr(self, name)}")

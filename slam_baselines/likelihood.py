@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 NOTHING = 0.5
 """Loss of log-likelihood of a beam that ends where nothing is."""
+EPS = 0.09
+"""Variance of a wall across itself, square cells."""
 
 
 class Beams(NamedTuple):
@@ -42,12 +44,42 @@ def _cell(table, row0, col0, row, col):
     return (table[r, c] if inside else ABSENT), ((row & MASK) << BITS) | (col & MASK)
 
 
+@njit(cache=True, inline="always")
+def _attraction(table, top, left, log_odds, mean, steep, bound, u, v, reach, narrow):
+    """Return how strongly walls attract a beam's end (u, v in cells), whereto, and by which matrix.
+
+    The walls' cells within `reach` weigh exp(narrow d^2). The end is drawn to their weighted mean m, across
+    the wall but not along it: by A = eps (S + eps I)^-1, S their weighted covariance, eps = (0.3 cells)^2.
+    """
+    row0, col0 = int(np.floor(v)), int(np.floor(u))
+    w = su = sv = suu = suv = svv = 0.0
+    for row in range(row0 - reach, row0 + reach + 1):
+        for col in range(col0 - reach, col0 + reach + 1):
+            p, cell = _cell(table, top, left, row, col)
+            if p != ABSENT and log_odds[p, cell] > 0 and steep[p, cell] >= bound:
+                du = col + mean[p, cell, 0] / MEAN_STEPS - u
+                dv = row + mean[p, cell, 1] / MEAN_STEPS - v
+                a = np.exp(narrow * (du * du + dv * dv))
+                w += a
+                su += a * du
+                sv += a * dv
+                suu += a * du * du
+                suv += a * du * dv
+                svv += a * dv * dv
+    total = max(w, 1e-30)
+    du, dv = su / total, sv / total
+    cuu, cuv, cvv = suu / total - du * du + EPS, suv / total - du * dv, svv / total - dv * dv + EPS
+    k = EPS / (cuu * cvv - cuv * cuv)
+    return w, du, dv, k * cvv, -k * cuv, k * cuu
+
+
 @njit(cache=True)
-def log_likelihood(view, beams, pose, reach, lsigma):
+def log_likelihood(view, beams, pose, reach, lsigma, width):
     """Return the log-likelihood of a scan, and the weights of beams that met a wall and known cells.
 
-    Each beam gives -d^2 / lsigma, d metres from its end to the nearest mean of a wall's cell within
-    `reach` cells, and -NOTHING without one.
+    Each beam gives -d^2 / lsigma, d metres from its end to the wall within `reach` cells, and -NOTHING
+    without one. The distance is taken across the wall: taken to the nearest cell's mean, a likelihood this
+    sharp would prefer poses that fall in step with the lattice.
 
     Args:
         view: the map.
@@ -55,35 +87,32 @@ def log_likelihood(view, beams, pose, reach, lsigma):
         pose: (3,) x, y, yaw.
         reach: cells looked at to each side of a beam's end.
         lsigma: square metres.
+        width: standard deviation of the attraction, cells.
     """
     points, weights, res, bound = beams.points, beams.weights, view.resolution, view.bound
     table, top, left = view.table, view.corner[0], view.corner[1]
     log_odds, mean, steep = view.patches.log_odds, view.patches.mean, view.patches.steep
     c, s = np.cos(pose[2]) / res, np.sin(pose[2]) / res
     x, y = pose[0] / res, pose[1] / res
+    narrow, sharp = -0.5 / width**2, res * res / lsigma
     total = met = known = 0.0
     for i in range(len(points)):
         if weights[i] == 0:
             continue
         u, v = x + c * points[i, 0] - s * points[i, 1], y + s * points[i, 0] + c * points[i, 1]
-        row0, col0 = int(np.floor(v)), int(np.floor(u))
-        nearest = np.inf
-        for row in range(row0 - reach, row0 + reach + 1):
-            for col in range(col0 - reach, col0 + reach + 1):
-                p, cell = _cell(table, top, left, row, col)
-                if p != ABSENT and log_odds[p, cell] > 0 and steep[p, cell] >= bound:
-                    du = col + mean[p, cell, 0] / MEAN_STEPS - u
-                    dv = row + mean[p, cell, 1] / MEAN_STEPS - v
-                    nearest = min(nearest, du * du + dv * dv)
-        loss = min(NOTHING, nearest * res * res / lsigma)
-        total -= weights[i] * loss
-        if nearest < np.inf:
+        w, du, dv, auu, auv, avv = _attraction(
+            table, top, left, log_odds, mean, steep, bound, u, v, reach, narrow
+        )
+        if w > 0:
+            d2 = auu * du * du + 2 * auv * du * dv + avv * dv * dv
+            total -= weights[i] * min(NOTHING, d2 * sharp)
             met += weights[i]
             known += weights[i]
-        else:
-            p, cell = _cell(table, top, left, row0, col0)
-            if p != ABSENT and log_odds[p, cell] != UNKNOWN:
-                known += weights[i]
+            continue
+        total -= weights[i] * NOTHING
+        p, cell = _cell(table, top, left, int(np.floor(v)), int(np.floor(u)))
+        if p != ABSENT and log_odds[p, cell] != UNKNOWN:
+            known += weights[i]
     return total, met, known
 
 
@@ -91,9 +120,7 @@ def log_likelihood(view, beams, pose, reach, lsigma):
 def linearise(view, beams, stride, pose, reach, width, H, g):
     """Fill H (3, 3) and g (3,) of a Gauss-Newton step that moves the beams' ends onto the walls.
 
-    Each end is drawn to the mean m of the walls around it, weighted by exp(-d^2 / 2 width^2), across the
-    wall but not along it: the error e = m - end counts by A = eps (S + eps I)^-1, S the weighted
-    covariance of the walls' cells and eps = (0.3 cells)^2. In units of one over the variance of a beam.
+    In units of one over the variance of a beam.
 
     Args:
         view: the map.
@@ -112,34 +139,18 @@ def linearise(view, beams, stride, pose, reach, width, H, g):
     x, y = pose[0] / res, pose[1] / res
     H[:] = 0
     g[:] = 0
-    narrow, eps = -0.5 / width**2, 0.09
+    narrow = -0.5 / width**2
     for i in range(0, len(points), stride):
         if weights[i] == 0:
             continue
         pu, pv = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
-        u, v = x + pu, y + pv
-        row0, col0 = int(np.floor(v)), int(np.floor(u))
-        w = su = sv = suu = suv = svv = 0.0
-        for row in range(row0 - reach, row0 + reach + 1):
-            for col in range(col0 - reach, col0 + reach + 1):
-                p, cell = _cell(table, top, left, row, col)
-                if p == ABSENT or log_odds[p, cell] <= 0 or steep[p, cell] < bound:
-                    continue
-                du = col + mean[p, cell, 0] / MEAN_STEPS - u
-                dv = row + mean[p, cell, 1] / MEAN_STEPS - v
-                a = np.exp(narrow * (du * du + dv * dv))
-                w += a
-                su += a * du
-                sv += a * dv
-                suu += a * du * du
-                suv += a * du * dv
-                svv += a * dv * dv
+        w, du, dv, auu, auv, avv = _attraction(
+            table, top, left, log_odds, mean, steep, bound, x + pu, y + pv, reach, narrow
+        )
         if w < 1e-6:
             continue
-        du, dv = su / w, sv / w
-        cuu, cuv, cvv = suu / w - du * du + eps, suv / w - du * dv, svv / w - dv * dv + eps
-        k = weights[i] * stride * min(1.0, w) * eps / (cuu * cvv - cuv * cuv)
-        auu, auv, avv = k * cvv, -k * cuv, k * cuu
+        k = weights[i] * stride * min(1.0, w)
+        auu, auv, avv = k * auu, k * auv, k * avv
         # du/dyaw = -pv, dv/dyaw = pu; lengths in metres from here on.
         pu, pv, du, dv = pu * res, pv * res, du * res, dv * res
         fu, fv = auu * du + auv * dv, auv * du + avv * dv

@@ -45,7 +45,7 @@ class Tuning(NamedTuple):
 @njit(cache=True)
 def score(view, beams, pose, tuning):
     """Return the log-likelihood of a scan at a pose."""
-    return log_likelihood(view, beams, pose, tuning.kernelSize, tuning.lsigma)[0]
+    return log_likelihood(view, beams, pose, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution)[0]
 
 
 @njit(cache=True)

@@ -59,7 +59,7 @@ class ProposalConfig:
     astep: float = 0.05
     llsamplerange: float = 0.5
     lasamplerange: float = 0.35
-    samples: int = 24
+    samples: int = 16
     spread: float = 2.0
     poor_score: float = 0.5
     minimumScore: float = 0.15  # noqa: N815
@@ -183,13 +183,13 @@ def _propose(
                 start = other
         H = np.empty((3, 3))
         peak = match(view, beams, prior, start, tuning, H)
-        value, met, known = log_likelihood(view, beams, peak, tuning.kernelSize, tuning.lsigma)
-        if step == 0 and met < tuning.poor_score * known:
+        value, met, known = log_likelihood(view, beams, peak, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution)
+        if met < tuning.poor_score * known:
             searches += 1
             other = match(view, beams, prior, search(view, beams, prior, tuning), tuning, H)
             if score(view, beams, other, tuning) > value:
                 peak = other
-                value, met, known = log_likelihood(view, beams, peak, tuning.kernelSize, tuning.lsigma)
+                value, met, known = log_likelihood(view, beams, peak, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution)
         if step == 0:
             correction = between(prior.pose, peak)
         if met < max(tuning.minimumScore * known, tuning.least_beams):
@@ -211,7 +211,7 @@ def _track(view, beams, expected, covariance, tuning):
     """Return the pose that fits best, and the weights of beams that met a wall and known cells."""
     prior = Prior(expected, np.linalg.inv(covariance))
     pose = match(view, beams, prior, expected, tuning, np.empty((3, 3)))
-    _, met, known = log_likelihood(view, beams, pose, tuning.kernelSize, tuning.lsigma)
+    _, met, known = log_likelihood(view, beams, pose, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution)
     return pose, met, known
 
 

@@ -1,0 +1,166 @@
+"""GMapping as a whole: a synthetic room with bad odometry, and a slice of a real log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lirs_validation.relations import read_relations, relation_errors
+from lirs_wct.errors import ConfigError
+from lirs_wct.formats.carmen import read_carmen
+from lirs_wct.pose import Pose2
+from lirs_wct.scan import LaserScan
+from lirs_wct.trajectory import Trajectory
+from slam_baselines.lineage import Lineage
+from slam_baselines.mapper import Mapper, make_mapper
+
+WALLS = ((-4.0, -3.0, 5.0, -3.0), (5.0, -3.0, 5.0, 4.0), (5.0, 4.0, -4.0, 4.0), (-4.0, 4.0, -4.0, -3.0),
+         (1.5, -0.5, 2.5, -0.5), (2.5, -0.5, 2.5, 1.0), (2.5, 1.0, 1.5, 1.0), (1.5, 1.0, 1.5, -0.5))  # fmt: skip
+BEAMS = 181
+
+
+def scan_at(pose: Pose2, stamp: float, rng: np.random.Generator) -> LaserScan:
+    angles = np.linspace(-np.pi / 2, np.pi / 2, BEAMS) + pose.yaw
+    best = np.full(BEAMS, np.inf)
+    for ax, ay, bx, by in WALLS:
+        dx, dy, ex, ey = np.cos(angles), np.sin(angles), bx - ax, by - ay
+        det = dy * ex - dx * ey
+        with np.errstate(divide="ignore", invalid="ignore"):
+            r = ((ay - pose.y) * ex - (ax - pose.x) * ey) / det
+            along = ((ay - pose.y) * dx - (ax - pose.x) * dy) / det
+        best = np.where((r > 0) & (along >= 0) & (along <= 1), np.minimum(best, r), best)
+    ranges = (best + rng.normal(0, 0.01, BEAMS)).astype(np.float32)
+    return LaserScan(ranges, -np.pi / 2, np.pi / (BEAMS - 1), 0.05, 20.0, stamp)
+
+
+def circuit() -> list[Pose2]:
+    """Twice around the block in the room, 10 cm a step, starting at the origin of nothing in particular."""
+    angle = np.linspace(0, 4 * np.pi, 260)
+    x, y = 2.0 + 2.0 * np.cos(angle), 0.25 + 2.2 * np.sin(angle)
+    yaw = np.arctan2(np.gradient(y), np.gradient(x))
+    return [Pose2(*p) for p in zip(x.tolist(), y.tolist(), yaw.tolist(), strict=True)]
+
+
+def run(mapper: Mapper, truth: list[Pose2], seed: int) -> tuple[list[Pose2], list[Pose2]]:
+    """Feed the mapper with a drifting odometry; return its answers and that odometry."""
+    rng = np.random.default_rng(seed)
+    odometry, answers, track = Pose2(7, -3, 1), [], []
+    for i, pose in enumerate(truth):
+        if i:
+            step = truth[i - 1].inverse() @ pose
+            # 3 % too far and 6 % too little turn, as a worn wheel does.
+            odometry = odometry @ Pose2(step.x * 1.03, step.y, step.yaw * 0.94)
+        answers.append(mapper.update(scan_at(pose, 0.2 * i, rng), odometry, None))
+        track.append(odometry)
+    return answers, track
+
+
+def errors(poses: list[Pose2], truth: list[Pose2]) -> np.ndarray:
+    return np.array([p.distance(truth[0].inverse() @ t) for p, t in zip(poses, truth, strict=True)])
+
+
+def test_a_room_with_bad_odometry() -> None:
+    truth = circuit()
+    mapper = make_mapper("gmapping", particles=10, seed=3)
+    answers, track = run(mapper, truth, 1)
+    assert errors([track[0].inverse() @ o for o in track], truth).max() > 0.5
+    assert errors(answers, truth).max() < 0.06
+    path = mapper.trajectory()
+    assert len(path) == len(truth)
+    final = errors([path.pose2(i) for i in range(len(path))], truth)
+    assert np.sqrt((final**2).mean()) < 0.03
+    stats = mapper.stats
+    assert stats.received == len(truth) == stats.used + stats.skipped["not moved"]
+    assert 20 < stats.used < 80
+    assert not mapper.lost
+    walls = mapper.map().moved(truth[0]).occupied_points()
+    segments = np.array(WALLS)
+    a, d = segments[:, :2], segments[:, 2:] - segments[:, :2]
+    t = np.clip(((walls[:, None] - a) * d).sum(-1) / (d**2).sum(-1), 0, 1)
+    off = np.linalg.norm(walls[:, None] - a - t[..., None] * d, axis=-1).min(axis=1)
+    assert len(walls) > 500
+    assert (off < 0.1).mean() > 0.99
+
+
+def test_same_seed_same_bytes() -> None:
+    truth = circuit()[:80]
+    first, again, other = (make_mapper("gmapping", particles=5, seed=s) for s in (1, 1, 2))
+    answers = [run(m, truth, 1)[0] for m in (first, again, other)]
+    assert answers[0] == answers[1] != answers[2]
+    np.testing.assert_array_equal(first.map().log_odds, again.map().log_odds)
+
+
+def test_standing_still_processes_nothing() -> None:
+    mapper = make_mapper("gmapping", particles=3)
+    run(mapper, [Pose2(0, 0, 0)] * 20, 1)
+    assert (mapper.stats.used, mapper.stats.skipped) == (1, {"not moved": 19})
+
+
+def test_no_odometry_is_said_so() -> None:
+    mapper = make_mapper("gmapping")
+    with pytest.raises(ConfigError, match="needs odometry"):
+        mapper.update(scan_at(Pose2(), 0.0, np.random.default_rng(0)), None, None)
+
+
+def test_lost_after_being_carried_away_and_not_before() -> None:
+    rng = np.random.default_rng(1)
+    mapper = make_mapper("gmapping", particles=5)
+    run(mapper, circuit()[:130], 1)
+    assert not mapper.lost
+    for i in range(60):
+        noise = LaserScan(rng.uniform(0.3, 1.5, BEAMS).astype(np.float32), -1.57, 0.0174, 0.05, 20.0, 100 + i)
+        mapper.update(noise, Pose2(0.2 * (i % 2), 0, 0), None)
+    assert mapper.lost
+    assert mapper.stats.lost > 0
+
+
+@pytest.mark.parametrize(("name", "value"), [("particles", 0), ("resampleThreshold", 1.5), ("linearUpdate", -1)])
+def test_illegal_configuration_is_named(name: str, value: float) -> None:
+    with pytest.raises(ConfigError, match=name):
+        make_mapper("gmapping", **{name: value})
+
+
+def test_lineage_follows_the_survivors_and_forgets_the_dead() -> None:
+    rng = np.random.default_rng(4)
+    lineage, plain = Lineage(), []
+    parents = np.arange(6)
+    for _ in range(40):
+        poses = rng.normal(size=(6, 3))
+        lineage.add_generation(poses, parents, Pose2(1, 0, 0))
+        plain.append((poses, parents))
+        parents = np.sort(rng.integers(0, 6, 6))
+    k, expected = 2, []
+    for poses, parents in reversed(plain):
+        expected.append(poses[k])
+        k = parents[k]
+    np.testing.assert_array_equal(lineage.path(2), np.array(expected[::-1]))
+    assert sum(len(p) for p in lineage._poses) < 40 * 6 / 2
+
+
+def test_between_processed_scans_the_error_is_spread_along_the_way() -> None:
+    lineage = Lineage()
+    lineage.add_generation(np.zeros((1, 3)), np.zeros(1, np.int64), Pose2())
+    for i in range(4):
+        lineage.add_scan(float(i), Pose2(0.25 * i, 0, 0))
+    lineage.add_generation(np.array([[1.0, 0.4, 0.0]]), np.zeros(1, np.int64), Pose2(1, 0, 0))
+    lineage.add_scan(4.0, Pose2())
+    np.testing.assert_allclose(lineage.trajectory(0).xy[:, 1], (0, 0.1, 0.2, 0.3, 0.4), atol=1e-12)
+
+
+@pytest.mark.shared
+def test_first_part_of_the_intel_log(shared_data: Path) -> None:
+    """Twice as exact as the odometry by far: the log's first 900 scans, 10 particles."""
+    log = read_carmen(shared_data / "logs" / "intel" / "intel.clf.gz")
+    relations = read_relations(shared_data / "logs" / "intel" / "intel.relations.gz")
+    mapper = make_mapper("gmapping", particles=10, seed=1)
+    for scan, odometry in zip(log.scans[:900], log.odometry[:900], strict=True):
+        mapper.update(scan, odometry, None)
+    error = relation_errors(mapper.trajectory(), relations, log.track)
+    raw = Trajectory.from_poses(log.stamps[:900].tolist(), list(log.odometry[:900]))
+    by_odometry = relation_errors(raw, relations, log.track)
+    assert len(error.translation) > 100
+    assert error.translation.mean() < 0.075
+    assert np.degrees(error.rotation.mean()) < 2.0
+    assert by_odometry.translation.mean() > 2 * error.translation.mean()

@@ -1,0 +1,108 @@
+"""Maps in shared patches: copy on write, growth, and the same cells as one plain map."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lirs_wct.pose import Pose2
+from slam_baselines.occupancy import OccupancyMap
+from slam_baselines.patch_map import ABSENT, PatchMaps
+
+NO_FREE = np.zeros((0, 3))
+
+
+def a_circle(radius: float, beams: int = 400) -> np.ndarray:
+    angle = np.linspace(0, 2 * np.pi, beams, endpoint=False)
+    return np.stack((radius * np.cos(angle), radius * np.sin(angle), np.zeros(beams)), axis=-1)
+
+
+def enter(maps: PatchMaps, poses: list[tuple[float, float, float]], hits: np.ndarray, bound: int = 0) -> None:
+    maps.enter(np.array(poses), np.zeros(3), hits, NO_FREE, np.zeros(len(hits), np.uint8), bound)
+
+
+def cells(maps: PatchMaps, particle: int) -> tuple[np.ndarray, Pose2]:
+    grid = maps.occupancy_grid(particle, 0)
+    return grid.log_odds, grid.origin
+
+
+def test_one_map_holds_the_same_as_the_plain_occupancy_map() -> None:
+    maps, plain = PatchMaps(1, 0.05), OccupancyMap(0.05)
+    for pose in ((0.31, -0.12, 0.4), (1.37, 0.53, -2.0), (-6.2, 0.53, 1.0)):
+        hits = a_circle(3.0)[::3]
+        enter(maps, [pose], hits)
+        moved = np.column_stack((Pose2(*pose).apply(hits[:, :2]), hits[:, 2]))
+        origin = np.array((pose[0], pose[1], 0.0))
+        ends = np.concatenate((moved[:, :2], origin[None, :2]))
+        box = np.concatenate((ends.min(axis=0), ends.max(axis=0)))
+        plain.update(origin, moved, NO_FREE, np.zeros(len(hits), np.uint8), 0, box)
+    ours, theirs = maps.occupancy_grid(0, 0), plain.occupancy_grid(0)
+    assert (ours.origin.x, ours.origin.y) == pytest.approx((theirs.origin.x, theirs.origin.y))
+    same = np.isclose(ours.log_odds, theirs.log_odds, equal_nan=True)
+    # Ends of beams are computed in another order: a cell on the edge may fall the other way.
+    assert ours.shape == theirs.shape
+    assert same.mean() > 0.9995
+
+
+def test_children_share_all_patches_until_one_writes() -> None:
+    maps = PatchMaps(2, 0.05)
+    enter(maps, [(0, 0, 0), (0.4, 0, 0)], a_circle(3.0))
+    maps.descend(np.array([0, 0]))
+    assert np.array_equal(maps.tables[0], maps.tables[1])
+    assert maps.in_use == np.count_nonzero(maps.tables[0] != ABSENT)
+
+
+def test_writing_into_one_child_leaves_the_other() -> None:
+    maps = PatchMaps(2, 0.05)
+    enter(maps, [(0, 0, 0), (0, 0, 0)], a_circle(3.0))
+    maps.descend(np.array([0, 0]))
+    before = cells(maps, 1)[0].copy()
+    shared = maps.in_use
+    tables, patches = maps.tables, maps.patches
+    # Only the first child draws: the kernel is handed its table alone.
+    only = PatchMaps(1, 0.05)
+    only.tables, only.corner, only.patches = tables[:1], maps.corner, patches
+    enter(only, [(0, 0, 0)], a_circle(0.5))
+    maps.tables[0], maps.patches = only.tables[0], only.patches
+    np.testing.assert_array_equal(cells(maps, 1)[0], before)
+    assert not np.array_equal(cells(maps, 0)[0], before, equal_nan=True)
+    # Half a metre around the laser is a few patches: only these were copied.
+    assert 0 < maps.in_use - shared <= 16
+    assert np.all(maps.patches.owners[np.unique(maps.tables[maps.tables != ABSENT])] >= 1)
+
+
+def test_patches_of_the_dead_are_used_again() -> None:
+    maps = PatchMaps(3, 0.05)
+    enter(maps, [(0, 0, 0), (0.5, 0, 0), (1, 0, 0)], a_circle(3.0))
+    for _ in range(20):
+        maps.descend(np.array([1, 1, 1]))
+        enter(maps, [(0, 0, 0), (0.5, 0, 0), (1, 0, 0)], a_circle(3.0))
+    assert maps.in_use <= np.count_nonzero(maps.tables != ABSENT)
+    assert len(maps.patches.owners) < 6 * np.count_nonzero(maps.tables[0] != ABSENT)
+
+
+def test_memory_grows_with_the_area_not_with_time() -> None:
+    maps = PatchMaps(4, 0.05)
+    way = [(x, 0.0, 0.0) for x in np.arange(0, 20, 1.0)]
+
+    def drive() -> int:
+        for pose in way + way[::-1]:
+            enter(maps, [pose] * 4, a_circle(3.0))
+            maps.descend(np.array([0, 0, 1, 2]))
+        return maps.nbytes
+
+    once = drive()
+    for _ in range(3):
+        again = drive()
+    assert again <= 1.3 * once
+
+
+def test_the_mean_of_a_cell_is_where_its_hits_are() -> None:
+    maps = PatchMaps(1, 0.05)
+    for x in (1.01, 1.02, 1.03):
+        enter(maps, [(0, 0, 0)], np.array([[x, 0.02, 0.0]]))
+    view = maps.view(0, 0)
+    row, col = 0 >> 4, 20 >> 4
+    patch = view.table[row - view.corner[0], col - view.corner[1]]
+    mean = view.patches.mean[patch, (0 & 15) * 16 + (20 & 15)] / 65536
+    np.testing.assert_allclose(mean * 0.05, (0.02, 0.02), atol=1e-4)

@@ -1,0 +1,104 @@
+"""The improved proposal in a room that is known: offsets are recovered, corridors keep the odometry."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.pose import Pose2
+from slam_baselines.patch_map import PatchMaps
+from slam_baselines.proposal import Proposal, ProposalConfig, Proposer
+
+
+def ends(pose: Pose2, west: float, east: float, south: float, north: float, beams: int = 360, most: float = 12) -> np.ndarray:
+    """Where beams from `pose` meet the walls of a rectangle, in the base frame; too far ones are left out."""
+    angle = np.linspace(-np.pi, np.pi, beams, endpoint=False)
+    c, s = np.cos(angle + pose.yaw), np.sin(angle + pose.yaw)
+    with np.errstate(divide="ignore"):
+        x = np.where(c >= 0, (east - pose.x) / c, (west - pose.x) / c)
+        y = np.where(s >= 0, (north - pose.y) / s, (south - pose.y) / s)
+    r = np.minimum(x, y)
+    near = r < most
+    r, angle = r[near], angle[near]
+    return np.stack((r * np.cos(angle), r * np.sin(angle), np.zeros(len(r))), axis=-1)
+
+
+def mapped(particles: int, *box: float, beams: int = 360, most: float = 12) -> PatchMaps:
+    maps = PatchMaps(particles, 0.05)
+    for x, y, yaw in ((0, 0, 0), (0.5, 0.3, 0.7), (-0.6, -0.2, 2.0), (0.1, -0.4, -1.1)):
+        hits = ends(Pose2(x, y, yaw), *box, beams=beams, most=most)
+        maps.enter(
+            np.tile((x, y, yaw), (particles, 1)), np.zeros(3), hits, np.zeros((0, 3)),
+            np.zeros(len(hits), np.uint8), 0,
+        )  # fmt: skip
+    return maps
+
+
+def proposed(maps: PatchMaps, points: np.ndarray, expected: np.ndarray, seed: int = 0) -> Proposal:
+    covariances = np.tile(np.diag((0.1**2, 0.1**2, 0.1**2)), (len(expected), 1, 1))
+    return Proposer(ProposalConfig()).propose(
+        maps, points, np.ones(len(points)), 0, expected, covariances, 0, np.random.default_rng(seed)
+    )
+
+
+@pytest.mark.parametrize(
+    "offset", [(0.12, -0.1, 0.08), (-0.15, 0.05, -0.1), (0.0, 0.0, 0.15), (0.02, 0.01, -0.01)]
+)
+def test_a_known_offset_is_recovered(offset: tuple[float, float, float]) -> None:
+    room = (-3.0, 4.0, -2.5, 2.0)
+    maps, truth = mapped(3, *room), np.array((0.2, 0.1, 0.3))
+    points = ends(Pose2(*truth), *room)
+    got = proposed(maps, points, np.tile(truth + offset, (3, 1)))
+    np.testing.assert_allclose(got.means[:, :2], np.tile(truth[:2], (3, 1)), atol=0.01)
+    np.testing.assert_allclose(got.means[:, 2], truth[2], atol=0.004)
+    np.testing.assert_allclose(got.poses, got.means, atol=0.03)
+    assert np.all(got.met > 0.95)
+
+
+def test_a_corridor_keeps_the_odometry_along_and_the_walls_across() -> None:
+    corridor = (-500.0, 500.0, -1.0, 1.2)
+    # So many beams that the walls are drawn without gaps: single cells would hold on to the scan.
+    maps = mapped(1, *corridor, beams=3600, most=5)
+    truth = Pose2(0.2, 0.1, 0.0)
+    got = proposed(maps, ends(truth, *corridor, most=4), np.array([[0.28, 0.18, 0.05]]))
+    x, y, yaw = got.means[0]
+    assert x == pytest.approx(0.28, abs=0.04)
+    assert (y, yaw) == (pytest.approx(0.1, abs=0.01), pytest.approx(0.0, abs=0.005))
+    spread = np.sqrt(np.diag(got.covariances[0]))
+    assert spread[0] > 5 * spread[1]
+
+
+def test_a_scan_that_fits_better_weighs_more() -> None:
+    room = (-3.0, 4.0, -2.5, 2.0)
+    maps = mapped(2, *room)
+    points = ends(Pose2(), *room)
+    fits = proposed(maps, points, np.zeros((2, 3)))
+    off = proposed(maps, points + np.random.default_rng(1).normal(0, 0.1, points.shape), np.zeros((2, 3)))
+    assert np.all(fits.log_eta > off.log_eta)
+
+
+def test_without_walls_the_odometry_is_drawn_from() -> None:
+    maps = PatchMaps(2000, 0.05)
+    maps.enter(
+        np.zeros((2000, 3)), np.zeros(3), np.array([[1.0, 0, 0]]), np.zeros((0, 3)), np.zeros(1, np.uint8), 0
+    )
+    got = proposed(maps, np.array([[5.0, 0.0, 0.0]]), np.tile((1.0, 2.0, 0.5), (2000, 1)))
+    np.testing.assert_allclose(got.poses.mean(axis=0), (1.0, 2.0, 0.5), atol=0.01)
+    np.testing.assert_allclose(got.poses.std(axis=0), 0.1, rtol=0.08)
+
+
+def test_same_seed_same_draw() -> None:
+    room = (-3.0, 4.0, -2.5, 2.0)
+    points, expected = ends(Pose2(), *room), np.full((4, 3), 0.02)
+    maps = mapped(4, *room)
+    a, b, c = (proposed(maps, points, expected, seed) for seed in (5, 5, 6))
+    np.testing.assert_array_equal(a.poses, b.poses)
+    assert not np.array_equal(a.poses, c.poses)
+
+
+def test_illegal_numbers_are_named() -> None:
+    with pytest.raises(ConfigError, match="lsigma"):
+        ProposalConfig(lsigma=0)
+    with pytest.raises(ConfigError, match="minimumScore"):
+        ProposalConfig(minimumScore=0.9)
