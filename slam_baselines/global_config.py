@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 from lirs_wct.errors import ConfigError
@@ -36,8 +35,8 @@ class GlobalConfig:
     optimization: OptimizationConfig = field(default_factory=OptimizationConfig)
     optimize_every_n_nodes: int = 20
     searches_per_update: int = 1
-    matcher_translation_error: float = 0.02
-    matcher_rotation_error: float = math.radians(0.2)
+    matcher_translation_error: float = 0.03
+    matcher_rotation_error: float = 0.01
 
     def __post_init__(self) -> None:
         if min(self.optimize_every_n_nodes, self.searches_per_update) < 1:

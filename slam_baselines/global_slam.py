@@ -56,7 +56,7 @@ class GlobalSlam:
         self._to_submaps: list[Row] = []
         self._running: tuple[Problem, Solution] | None = None
         self._optimized_at = (0, 0)
-        self._loops_begun = 0
+        self._loops_begun = self._rows_solved = 0
         self._sampled = 0.0
         self._finished: list[int] = []
         self._since_submap = NOWHERE
@@ -95,6 +95,7 @@ class GlobalSlam:
                 self._search(*pair)
         if self._running is None and self._optimization_due():
             self._running, self._loops_begun = self._begin(), len(self.loops)
+            self._rows_solved = len(self._to_nodes)
         elif self._running is not None:
             problem, solution = self._running
             solution = improve(problem, solution)
@@ -169,7 +170,7 @@ class GlobalSlam:
         )
         submaps = np.array([p.as_array() for p in self.submap_poses])
         nodes = np.array([p.as_array() for p in self.poses])
-        return problem, begin(problem, submaps, nodes)
+        return problem, begin(problem, submaps, nodes, self._rows_solved)
 
     def _take(self, solution: Solution) -> None:
         """Take the solution over; what was added since moves along with the last node in it."""

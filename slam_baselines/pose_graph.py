@@ -8,7 +8,8 @@ they are eliminated block by block, and what is factorised is as large as the nu
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,17 +29,19 @@ class OptimizationConfig:
 
     Attributes:
         huber_scale: error, in standard deviations, from which on a loop counts less and less ...
+        narrowing: the kernel starts wide and is narrowed by this factor from step to step.
         max_num_iterations: of Levenberg and Marquardt, at most, each time.
         converged: ends when a step lowers the cost by less than this share.
         damping: Levenberg's, at first, as a share of the diagonal.
         gauge: information of the tie that holds the first node where it is.
 
     Raises:
-        ConfigError: a value that is not above 0.
+        ConfigError: a value that is not above 0, or narrowing not above 1.
     """
 
     huber_scale: float = 3.0
-    max_num_iterations: int = 20
+    narrowing: float = 2.0
+    max_num_iterations: int = 30
     converged: float = 1e-4
     damping: float = 1e-4
     gauge: float = 1e8
@@ -47,6 +50,8 @@ class OptimizationConfig:
         for name in self.__dataclass_fields__:
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} of the optimization must be above 0, got {getattr(self, name)}")
+        if not self.narrowing > 1:
+            raise ConfigError(f"narrowing of the optimization must be above 1, got {self.narrowing}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,27 +70,41 @@ class Problem:
     to_submaps: Edges
     origin: Array
 
-    def cost(self, submaps: Array, nodes: Array) -> float:
-        """Return half the sum of the robust squared errors of (s, 3) submaps and (n, 3) nodes."""
+    def cost(self, submaps: Array, nodes: Array, width: float) -> float:
+        """Return half the sum of the robust squared errors of (s, 3) submaps and (n, 3) nodes.
+
+        The kernel is `width` times as wide as configured.
+        """
         total = 0.0
         for edges, targets in ((self.to_nodes, nodes), (self.to_submaps, submaps)):
             e = errors(submaps[edges.a], targets[edges.b], edges.z)
             chi2 = np.einsum("mi,mij,mj->m", e, edges.information, e)
-            total += float(np.where(edges.robust, self._rho(chi2), chi2).sum())
+            total += float(np.where(edges.robust, self._rho(chi2, width), chi2).sum())
         tie = nodes[0] - self.origin
         tie[2] = wrap(tie[2])
         return 0.5 * (total + self.config.gauge * float(tie @ tie))
 
-    def step(self, submaps: Array, nodes: Array, damping: float) -> tuple[Array, Array]:
+    def width(self, submaps: Array, nodes: Array, since: int) -> float:
+        """Return how wide the kernel must be for none of the loops from row `since` on to lose its pull."""
+        late = slice(since, None)
+        robust = self.to_nodes.robust[late]
+        if not robust.any():
+            return 1.0
+        a, b = self.to_nodes.a[late][robust], self.to_nodes.b[late][robust]
+        e = errors(submaps[a], nodes[b], self.to_nodes.z[late][robust])
+        chi2 = np.einsum("mi,mij,mj->m", e, self.to_nodes.information[late][robust], e)
+        return max(1.0, math.sqrt(float(chi2.max())) / self.config.huber_scale)
+
+    def step(self, submaps: Array, nodes: Array, damping: float, width: float) -> tuple[Array, Array]:
         """Return submaps and nodes after one Gauss-Newton step with Levenberg's damping."""
         n, s = len(nodes), len(submaps)
-        A, B, C, ga, gb = self._linearised(self.to_nodes, submaps, nodes)
+        A, B, C, ga, gb = self._linearised(self.to_nodes, submaps, nodes, width)
         Hnn, gn = sum_blocks(C, self.to_nodes.b, n), sum_vectors(gb, self.to_nodes.b, n)
         Hnn[0] += self.config.gauge * np.eye(3)
         tie = nodes[0] - self.origin
         gn[0] += self.config.gauge * np.array((tie[0], tie[1], wrap(tie[2])))
         Hsn = block_matrix(B, self.to_nodes.a, self.to_nodes.b, s, n)
-        A2, B2, C2, ga2, gb2 = self._linearised(self.to_submaps, submaps, submaps)
+        A2, B2, C2, ga2, gb2 = self._linearised(self.to_submaps, submaps, submaps, width)
         gs = sum_vectors(ga, self.to_nodes.a, s) + sum_vectors(ga2, self.to_submaps.a, s)
         gs += sum_vectors(gb2, self.to_submaps.b, s)
         diagonal = sum_blocks(A, self.to_nodes.a, s) + sum_blocks(A2, self.to_submaps.a, s)
@@ -102,7 +121,7 @@ class Problem:
         return _moved(submaps, ds.reshape(-1, 3)), _moved(nodes, dn)
 
     def _linearised(
-        self, edges: Edges, submaps: Array, targets: Array
+        self, edges: Edges, submaps: Array, targets: Array, width: float
     ) -> tuple[Array, Array, Array, Array, Array]:
         """Return the blocks Ja'WJa, Ja'WJb, Jb'WJb (m, 3, 3) and the gradients Ja'We, Jb'We (m, 3)."""
         e = errors(submaps[edges.a], targets[edges.b], edges.z)
@@ -110,7 +129,7 @@ class Problem:
         W = edges.information
         if edges.robust.any():
             chi2 = np.einsum("mi,mij,mj->m", e, W, e)
-            W = W * np.where(edges.robust, self._weight(chi2), 1.0)[:, None, None]
+            W = W * np.where(edges.robust, self._weight(chi2, width), 1.0)[:, None, None]
         WJa, WJb = W @ Ja, W @ Jb
         JaT, JbT = Ja.transpose(0, 2, 1), Jb.transpose(0, 2, 1)
         We = np.einsum("mij,mj->mi", W, e)
@@ -122,25 +141,29 @@ class Problem:
             np.einsum("mij,mj->mi", JbT, We),
         )
 
-    def _rho(self, chi2: Array) -> Array:
+    def _rho(self, chi2: Array, width: float) -> Array:
         """Cauchy's loss: quadratic near 0, logarithmic far out, so that wrong loops lose their pull."""
-        c2 = self.config.huber_scale**2
+        c2 = (width * self.config.huber_scale) ** 2
         return c2 * np.log1p(chi2 / c2)
 
-    def _weight(self, chi2: Array) -> Array:
+    def _weight(self, chi2: Array, width: float) -> Array:
         """Derivative of the loss."""
-        return 1 / (1 + chi2 / self.config.huber_scale**2)
+        return 1 / (1 + chi2 / (width * self.config.huber_scale) ** 2)
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
     """Where an optimisation stands.
 
+    The kernel starts so wide that every new loop pulls, however far the map has drifted, and is narrowed
+    from step to step (graduated non-convexity): what contradicts all others loses its pull in the end.
+
     Attributes:
         submaps: (s, 3) poses.
         nodes: (n, 3) poses.
         cost: of them.
         damping: Levenberg's, for the next step.
+        width: of the kernel, times the configured one.
         iterations: steps so far.
         done: whether no further step is worth while.
     """
@@ -149,26 +172,35 @@ class Solution:
     nodes: Array
     cost: float
     damping: float
+    width: float = 1.0
     iterations: int = 0
     done: bool = False
 
 
-def begin(problem: Problem, submaps: Array, nodes: Array) -> Solution:
-    """Start from poses."""
-    return Solution(submaps, nodes, problem.cost(submaps, nodes), problem.config.damping)
+def begin(problem: Problem, submaps: Array, nodes: Array, since: int = 0) -> Solution:
+    """Start from poses; the constraints to nodes from row `since` on are new."""
+    width = problem.width(submaps, nodes, since)
+    return Solution(submaps, nodes, problem.cost(submaps, nodes, width), problem.config.damping, width)
 
 
 def improve(problem: Problem, now: Solution) -> Solution:
     """Try one step of Levenberg and Marquardt; a step that does not lower the cost is not taken."""
     c = problem.config
-    submaps, nodes = problem.step(now.submaps, now.nodes, now.damping)
-    cost, count = problem.cost(submaps, nodes), now.iterations + 1
+    submaps, nodes = problem.step(now.submaps, now.nodes, now.damping, now.width)
+    cost, count = problem.cost(submaps, nodes, now.width), now.iterations + 1
     last = count >= c.max_num_iterations
     if not cost < now.cost:
         hopeless = cost <= now.cost * (1 + c.converged) or now.damping > 1e4
-        return Solution(now.submaps, now.nodes, now.cost, now.damping * 10, count, last or hopeless)
-    done = now.cost - cost <= c.converged * now.cost
-    return Solution(submaps, nodes, cost, max(now.damping / 10, 1e-9), count, last or done)
+        if not hopeless:
+            return replace(now, damping=now.damping * 10, iterations=count, done=last)
+        submaps, nodes, cost = now.submaps, now.nodes, now.cost
+    damping = max(now.damping / 10, 1e-9)
+    if now.width > 1:
+        width = max(1.0, now.width / c.narrowing)
+        cost = problem.cost(submaps, nodes, width)
+        return Solution(submaps, nodes, cost, damping, width, count, last)
+    done = last or now.cost - cost <= c.converged * now.cost
+    return Solution(submaps, nodes, cost, damping, 1.0, count, done)
 
 
 def solve(problem: Problem, submaps: Array, nodes: Array) -> Solution:

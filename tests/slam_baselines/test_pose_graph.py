@@ -1,0 +1,138 @@
+"""The pose graph: derivatives, a square loop, outliers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lirs_wct.errors import ConfigError
+from slam_baselines.graph_edges import Edges, errors, jacobians
+from slam_baselines.pose_arrays import composed, relative_poses, wrap
+from slam_baselines.pose_graph import OptimizationConfig, Problem, solve
+
+TIGHT = np.diag((0.02**-2, 0.02**-2, 0.004**-2))
+LOCAL = np.diag((0.03**-2, 0.03**-2, 0.01**-2))
+NO_EDGES = Edges.of([])
+
+
+def square(side=10.0, per_side=20, per_submap=10):
+    """True poses of nodes along a square, driven twice, and of the submaps that begin on the way."""
+    steps = np.zeros((8 * per_side, 3))
+    steps[:, 0] = side / per_side
+    steps[per_side - 1 :: per_side, 2] = np.pi / 2
+    nodes = [np.zeros(3)]
+    for step in steps[:-1]:
+        nodes.append(composed(nodes[-1], step))
+    nodes = np.array(nodes)
+    return nodes, nodes[::per_submap].copy(), per_submap
+
+
+def edges_of(nodes, local, per_submap, rng, outliers=0.0):
+    """Edges of each node to its two submaps as local SLAM drifts; true loops from round two to round one."""
+    submaps, rows = nodes[::per_submap], []
+    for k in range(len(submaps)):
+        first = k * per_submap
+        members = range(first, min(len(nodes), first + 2 * per_submap))
+        rows += [(k, j, relative_poses(local[first], local[j]), LOCAL, False) for j in members]
+    half = len(nodes) // 2
+    for j in range(half, len(nodes), 2):
+        k = (j - half) // per_submap
+        z = relative_poses(submaps[k], nodes[j]) + rng.normal(0, (0.01, 0.01, 0.002))
+        if rng.random() < outliers:
+            z = z + rng.normal(0, (3.0, 3.0, 1.0))
+        rows.append((k, j, z, TIGHT, True))
+    return Edges.of(rows)
+
+
+def drifted(nodes, rng):
+    """The same way with a turn that is wrong by a little at each step."""
+    wrong = rng.normal((0, 0, 0.003), (0.002, 0.002, 0.002), (len(nodes) - 1, 3))
+    steps = relative_poses(nodes[:-1], nodes[1:]) + wrong
+    poses = [nodes[0]]
+    for step in steps:
+        poses.append(composed(poses[-1], step))
+    return np.array(poses)
+
+
+def rmse(estimate, truth):
+    return np.sqrt(((estimate - truth)[:, :2] ** 2).sum(axis=1).mean())
+
+
+def test_jacobians_are_the_derivatives():
+    rng = np.random.default_rng(1)
+    a, b, z = rng.uniform(-3, 3, (3, 50, 3))
+    Ja, Jb = jacobians(a, b)
+    for k in range(3):
+        h = np.zeros(3)
+        h[k] = 1e-6
+        for J, plus, minus in ((Ja, (a + h, b), (a - h, b)), (Jb, (a, b + h), (a, b - h))):
+            difference = errors(*plus, z) - errors(*minus, z)
+            difference[:, 2] = wrap(difference[:, 2])
+            np.testing.assert_allclose(J[:, :, k], difference / 2e-6, atol=1e-6)
+
+
+def test_errors_vanish_at_the_measured_poses_and_yaw_wraps():
+    a = np.array([[1.0, 2.0, 3.0]])
+    z = np.array([[0.5, -0.2, 3.1]])
+    np.testing.assert_allclose(errors(a, composed(a, z), z), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("outliers", [0.0, 0.05])
+def test_a_square_is_recovered(outliers):
+    rng = np.random.default_rng(3)
+    nodes, _, per = square()
+    start = drifted(nodes, rng)
+    edges = edges_of(nodes, start, per, rng, outliers)
+    solution = solve(Problem(OptimizationConfig(), edges, NO_EDGES, np.zeros(3)), start[::per], start)
+    second = len(nodes) // 2  # the first round closes nowhere: that the second lies on it is what loops say
+    assert rmse(start[second:], start[:second]) > 1.0
+    assert rmse(solution.nodes[second:], solution.nodes[:second]) < 0.05
+    assert rmse(solution.nodes, nodes) < 0.5 * rmse(start, nodes)
+    np.testing.assert_allclose(solution.nodes[0], 0, atol=1e-4)  # the gauge holds the first node
+
+
+def test_outliers_ruin_it_without_the_robust_kernel():
+    rng = np.random.default_rng(3)
+    nodes, _, per = square()
+    start = drifted(nodes, rng)
+    edges = edges_of(nodes, start, per, rng, 0.05)
+    least_squares = Problem(OptimizationConfig(huber_scale=1e6), edges, NO_EDGES, np.zeros(3))
+    robust = Problem(OptimizationConfig(), edges, NO_EDGES, np.zeros(3))
+    plain, resistant = (solve(p, start[::per], start) for p in (least_squares, robust))
+    half = len(nodes) // 2
+    assert rmse(plain.nodes[half:], plain.nodes[:half]) > 3 * rmse(
+        resistant.nodes[half:], resistant.nodes[:half]
+    )
+
+
+def test_the_step_solves_the_whole_system():
+    """The Schur complement gives what the dense normal equations give."""
+    rng = np.random.default_rng(5)
+    nodes, submaps, per = square(per_side=5, per_submap=5)
+    edges = edges_of(nodes, drifted(nodes, rng), per, rng)
+    odometry = [(k, k + 1, relative_poses(submaps[k], submaps[k + 1]), TIGHT / 4, False) for k in range(7)]
+    problem = Problem(OptimizationConfig(gauge=100.0), edges, Edges.of(odometry), np.zeros(3))
+    s0, n0 = submaps + rng.normal(0, 0.05, submaps.shape), nodes + rng.normal(0, 0.05, nodes.shape)
+    s, n = len(s0), len(n0)
+
+    def stacked(x):
+        S, N = x[: 3 * s].reshape(s, 3), x[3 * s :].reshape(n, 3)
+        e = []
+        for part, ends in ((edges, N), (problem.to_submaps, S)):
+            roots = np.sqrt(np.diagonal(part.information, axis1=1, axis2=2))
+            e.append(errors(S[part.a], ends[part.b], part.z) * roots)
+        return np.concatenate([*(v.ravel() for v in e), 10 * N[0]])
+
+    x = np.concatenate((s0.ravel(), n0.ravel()))
+    J = np.stack([(stacked(x + d) - stacked(x - d)) / 2e-6 for d in 1e-6 * np.eye(len(x))], axis=1)
+    # Loops are robust: hold their weights at 1 by a wide kernel.
+    wide = Problem(OptimizationConfig(gauge=100.0, huber_scale=1e6), edges, problem.to_submaps, np.zeros(3))
+    step = -np.linalg.solve(J.T @ J + 1e-9 * np.diag(np.diag(J.T @ J)), J.T @ stacked(x))
+    got_s, got_n = wide.step(s0, n0, 1e-9, 1.0)
+    np.testing.assert_allclose(wrap(got_s - s0).ravel(), step[: 3 * s], atol=1e-5)
+    np.testing.assert_allclose(wrap(got_n - n0).ravel(), step[3 * s :], atol=1e-5)
+
+
+def test_illegal_settings_are_refused():
+    with pytest.raises(ConfigError, match="damping"):
+        OptimizationConfig(damping=0.0)
