@@ -51,8 +51,10 @@ class GmappingConfig(ProposalConfig):
         delta: edge of a map's cell, metres.
         maxUrange: hits farther away are not used, but free up to here, metres. Without it, beams without
             return say nothing.
-        lost_score: share of the beams on known cells that must end at a wall ...
-        lost_after: ... or, after so many processed scans in a row below it, the mapper is lost.
+        lost_score: share of the beams on known cells that must end at a wall, else a scan does not enter
+            the maps ...
+        lost_after: ... and after so many processed scans in a row the mapper is lost ...
+        known_share: ... where at least so many of its beams end on known cells.
         relief: how ground is told from walls.
 
     Raises:
@@ -73,6 +75,7 @@ class GmappingConfig(ProposalConfig):
     maxUrange: float = math.inf  # noqa: N815
     lost_score: float = 0.3
     lost_after: int = 3
+    known_share: float = 0.3
     relief: ReliefConfig = field(default_factory=ReliefConfig)
 
     def __post_init__(self) -> None:
@@ -115,6 +118,7 @@ class GmappingMapper:
         self._log_weights, self._totals = np.zeros(c.particles), np.zeros(c.particles)
         self._step, self._way, self._turn = NO_STEP, 0.0, 0.0
         self._reckoned = NO_STEP
+        self._settled = False
         self._best = self._received = self._resamplings = self._lost_scans = self._poor_in_a_row = 0
         self._stopwatch = Stopwatch()
 
@@ -126,7 +130,8 @@ class GmappingMapper:
         """
         if odometry is None:
             raise ConfigError(
-                f"gmapping needs odometry with every scan, the one at {scan.stamp} s has none; hector maps without"
+                f"gmapping needs odometry with every scan, the one at {scan.stamp} s has none; "
+                "hector maps without"
             )
         started = self._stopwatch.start()
         self._received += 1
@@ -185,7 +190,8 @@ class GmappingMapper:
     def _follow(self, scan: LevelledScan, odometry: Pose2, imu: Imu | None) -> None:
         """Carry the step since the last processed scan on by odometry."""
         before, here = self._step, self._pose
-        self._step = self._reckoning.predict(Estimate(before.pose, np.zeros((3, 3))), odometry, imu, scan.stamp)
+        sure = Estimate(before.pose, np.zeros((3, 3)))
+        self._step = self._reckoning.predict(sure, odometry, imu, scan.stamp)
         # Dead reckoning alone, beside the step that is corrected on the way.
         self._reckoned = Estimate(
             self._reckoned.pose @ before.pose.inverse() @ self._step.pose,
@@ -221,11 +227,8 @@ class GmappingMapper:
         self._parents = np.arange(len(self._poses))
         reckoned = self._reckoned
         self._step, self._reckoned, self._way, self._turn = NO_STEP, NO_STEP, 0.0, 0.0
-        steep = self._draw(scan)
-        if scan.levelled:
-            frame = Frame(scan, reckoned.pose, reckoned.covariance, self._relief.height, steep)
-            if self._retrace.note(frame, self._relief.travelled) and self._relief.match_bound > 0:
-                self._go_over()
+        if self._poor_in_a_row == 0:
+            self._enter(scan, reckoned)
         weights = normalised(self._log_weights)
         if effective_number(weights) < self.config.resampleThreshold * len(weights):
             self._descend(systematic_resample(weights, self._rng))
@@ -250,6 +253,15 @@ class GmappingMapper:
         proven = self._relief.steepness(origin, hits, self._pose)
         proven = np.maximum(proven, self._maps.steepness(self._best, hits))
         return (proven >= bound).astype(np.float64)
+
+    def _enter(self, scan: LevelledScan, reckoned: Estimate) -> None:
+        """Draw the scan; on uneven ground, go over the first metres again when it is time."""
+        steep = self._draw(scan)
+        if not scan.levelled:
+            return
+        frame = Frame(scan, reckoned.pose, reckoned.covariance, self._relief.height, steep)
+        if self._retrace.note(frame, self._relief.travelled) and self._relief.match_bound > 0:
+            self._go_over()
 
     def _go_over(self) -> None:
         """Replace all paths and maps of the first metres by one that was traced with better knowledge."""
@@ -290,5 +302,8 @@ class GmappingMapper:
 
     def _note_fit(self, proposal: Proposal) -> None:
         """Count the scans in a row that do not fit the best particle's map."""
-        poor = proposal.known[self._best] > 0.3 and proposal.met[self._best] < self.config.lost_score
-        self._poor_in_a_row = self._poor_in_a_row + 1 if poor else 0
+        known = proposal.known[self._best] > self.config.known_share
+        poor = known and proposal.met[self._best] < self.config.lost_score
+        # Before the first good match nothing is known that a scan could contradict.
+        self._settled |= known and not poor
+        self._poor_in_a_row = self._poor_in_a_row + 1 if poor and self._settled else 0

@@ -37,7 +37,7 @@ class Beams(NamedTuple):
 
 # Inlined with plain arrays: handing tuples of arrays on for every cell would cost more than the work.
 @njit(cache=True, inline="always")
-def _cell(table, row0, col0, row, col):
+def _cell(table, row0, col0, row, col):  # type: ignore[no-untyped-def]
     """Return the patch (or ABSENT) and the cell in it at a cell of the lattice; corner at row0, col0."""
     r, c = (row >> BITS) - row0, (col >> BITS) - col0
     inside = 0 <= r < table.shape[0] and 0 <= c < table.shape[1]
@@ -45,7 +45,7 @@ def _cell(table, row0, col0, row, col):
 
 
 @njit(cache=True, inline="always")
-def _attraction(table, top, left, log_odds, mean, steep, bound, u, v, reach, narrow):
+def _attraction(table, top, left, log_odds, mean, steep, bound, u, v, reach, narrow):  # type: ignore[no-untyped-def]
     """Return how strongly walls attract a beam's end (u, v in cells), whereto, and by which matrix.
 
     The walls' cells within `reach` weigh exp(narrow d^2). The end is drawn to their weighted mean m, across
@@ -74,7 +74,7 @@ def _attraction(table, top, left, log_odds, mean, steep, bound, u, v, reach, nar
 
 
 @njit(cache=True)
-def log_likelihood(view, beams, pose, reach, lsigma, width):
+def log_likelihood(view, beams, pose, reach, lsigma, width):  # type: ignore[no-untyped-def]
     """Return the log-likelihood of a scan, and the weights of beams that met a wall and known cells.
 
     Each beam gives -d^2 / lsigma, d metres from its end to the wall within `reach` cells, and -NOTHING
@@ -117,7 +117,7 @@ def log_likelihood(view, beams, pose, reach, lsigma, width):
 
 
 @njit(cache=True)
-def linearise(view, beams, stride, pose, reach, width, H, g):
+def linearise(view, beams, stride, pose, reach, width, H, g):  # type: ignore[no-untyped-def]
     """Fill H (3, 3) and g (3,) of a Gauss-Newton step that moves the beams' ends onto the walls.
 
     In units of one over the variance of a beam.

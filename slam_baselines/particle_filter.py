@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 def normalised(log_weights: Array) -> Array:
     """Return (n,) weights that sum to 1, of logarithms up to a constant."""
     weights: Array = np.exp(log_weights - log_weights.max())
-    return weights / weights.sum()
+    return weights / weights.sum()  # type: ignore[no-any-return]
 
 
 def effective_number(weights: Array) -> float:

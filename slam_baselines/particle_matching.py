@@ -43,20 +43,21 @@ class Tuning(NamedTuple):
 
 
 @njit(cache=True)
-def score(view, beams, pose, tuning):
+def score(view, beams, pose, tuning):  # type: ignore[no-untyped-def]
     """Return the log-likelihood of a scan at a pose."""
-    return log_likelihood(view, beams, pose, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution)[0]
+    spread = tuning.sigma / view.resolution
+    return log_likelihood(view, beams, pose, tuning.kernelSize, tuning.lsigma, spread)[0]
 
 
 @njit(cache=True)
-def log_prior(pose, prior):
+def log_prior(pose, prior):  # type: ignore[no-untyped-def]
     """Return the logarithm of the odometry's density at a pose, up to a constant."""
     d = _difference(pose, prior.pose)
     return -0.5 * (d @ (prior.information @ d))
 
 
 @njit(cache=True)
-def match(view, beams, prior, start, tuning, H):
+def match(view, beams, prior, start, tuning, H):  # type: ignore[no-untyped-def]
     """Return the (3,) pose at which the scan fits best near the start; fill H with its information.
 
     Gauss-Newton in two stages: few beams and a wide view, then all beams and a narrow one. The odometry
@@ -79,7 +80,7 @@ def match(view, beams, prior, start, tuning, H):
 
 
 @njit(cache=True)
-def search(view, beams, prior, tuning):
+def search(view, beams, prior, tuning):  # type: ignore[no-untyped-def]
     """Return the (3,) pose of the best score in a window around the prior, by trying all."""
     stride = max(1, len(beams.points) // 60)
     some = Beams(np.ascontiguousarray(beams.points[::stride]), beams.weights[::stride] * stride)
@@ -99,14 +100,14 @@ def search(view, beams, prior, tuning):
 
 
 @njit(cache=True)
-def moved(pose, by):
+def moved(pose, by):  # type: ignore[no-untyped-def]
     """Return pose @ by, all (3,)."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return np.array((pose[0] + c * by[0] - s * by[1], pose[1] + s * by[0] + c * by[1], pose[2] + by[2]))
 
 
 @njit(cache=True)
-def between(a, b):
+def between(a, b):  # type: ignore[no-untyped-def]
     """Return a^-1 @ b, all (3,)."""
     c, s = np.cos(a[2]), np.sin(a[2])
     dx, dy = b[0] - a[0], b[1] - a[1]
@@ -114,7 +115,7 @@ def between(a, b):
 
 
 @njit(cache=True)
-def _difference(pose, other):
+def _difference(pose, other):  # type: ignore[no-untyped-def]
     d = pose - other
     d[2] = (d[2] + np.pi) % (2 * np.pi) - np.pi
     return d

@@ -129,9 +129,21 @@ class PatchMaps:
         while done < len(poses):
             self._reserve(needed)
             done = _enter_scans(
-                self.tables, self.corner, self.patches, self.resolution, poses, origin, hits, free, steep, bound,
-                np.array(self._steps), int(span) + 4, needed, done,
-            )  # fmt: skip
+                self.tables,
+                self.corner,
+                self.patches,
+                self.resolution,
+                poses,
+                origin,
+                hits,
+                free,
+                steep,
+                bound,
+                np.array(self._steps),
+                int(span) + 4,
+                needed,
+                done,
+            )
 
     def view(self, particle: int, bound: int) -> MapView:
         """Return one map for the kernels; void after the next change."""
@@ -166,7 +178,7 @@ class PatchMaps:
         end = np.array([math.floor(v / edge) + 1 for v in high[::-1]])
         n, rows, cols = self.tables.shape
         if rows:
-            first, end = np.minimum(first, self.corner), np.maximum(end, self.corner + (rows, cols))
+            first, end = np.minimum(first, self.corner), np.maximum(end, self.corner + np.array((rows, cols)))
             if (end - first == (rows, cols)).all():
                 return
         new = np.full((n, *(end - first)), ABSENT, np.int32)
@@ -186,12 +198,17 @@ def _resized(old: Patches | None, size: int) -> Patches:
     """Return `size` patches of which the first are the old ones."""
     shape = size, PATCH * PATCH
     new = Patches(
-        np.empty(shape, np.int8), np.empty(shape, np.uint8), np.empty((*shape, 2), np.uint16),
-        np.empty(shape, np.uint8), np.empty(shape, np.int16), np.zeros(size, np.int32), np.empty(size + 1, np.int32),
-    )  # fmt: skip
+        np.empty(shape, np.int8),
+        np.empty(shape, np.uint8),
+        np.empty((*shape, 2), np.uint16),
+        np.empty(shape, np.uint8),
+        np.empty(shape, np.int16),
+        np.zeros(size, np.int32),
+        np.empty(size + 1, np.int32),
+    )
     if old is not None:
         for source, target in zip(old[:-1], new[:-1], strict=True):
-            target[: len(source)] = source
+            target[: len(source)] = source  # type: ignore[arg-type, index]
     _list_free(new)
     return new
 
@@ -204,7 +221,7 @@ def _list_free(patches: Patches) -> None:
 
 
 @njit(cache=True)
-def _own(table, patches, row, col):
+def _own(table, patches, row, col):  # type: ignore[no-untyped-def]
     """Put a patch of its own, new or copied, at a place of a table; return which."""
     p = table[row, col]
     patches.free[0] -= 1
@@ -228,7 +245,7 @@ def _own(table, patches, row, col):
 
 
 @njit(cache=True)
-def _enter_scans(
+def _enter_scans(  # type: ignore[no-untyped-def]
     tables, corner, patches, res, poses, origin, hits, free, steep, bound, steps, side, needed, first
 ):
     """Draw the scan into the maps from the first on; return how many are done when patches run out."""
@@ -253,7 +270,7 @@ def _enter_scans(
 
 
 @njit(cache=True)
-def _hit(table, corner, patches, touched, window, u, v, z, steep, steps):
+def _hit(table, corner, patches, touched, window, u, v, z, steep, steps):  # type: ignore[no-untyped-def]
     """Raise the cell where a beam ends (u, v in cells), once a scan, and move its mean."""
     row, col = int(np.floor(v)), int(np.floor(u))
     r, c = (row >> BITS) - corner[0], (col >> BITS) - corner[1]
@@ -279,7 +296,7 @@ def _hit(table, corner, patches, touched, window, u, v, z, steep, steps):
 
 
 @njit(cache=True)
-def _pass(table, corner, patches, touched, window, start, u, v, z, to_end, bound, steps):
+def _pass(table, corner, patches, touched, window, start, u, v, z, to_end, bound, steps):  # type: ignore[no-untyped-def]
     """Lower the cells between the laser and the end of one beam (u, v in cells), each once a scan.
 
     A beam that passes above where a proven wall was hit says nothing about the wall.
@@ -303,14 +320,14 @@ def _pass(table, corner, patches, touched, window, start, u, v, z, to_end, bound
             p = _own(table, patches, r, c)
         cell = ((row & MASK) << BITS) | (col & MASK)
         before = log_odds[p, cell]
-        if before > 0 and 0 < bound <= steep[p, cell]:
-            if (z0 + i * dz) / TOP_STEP > tops[p, cell] + 10:
-                continue
+        above = (z0 + i * dz) / TOP_STEP > tops[p, cell] + 10
+        if before > 0 and 0 < bound <= steep[p, cell] and above:
+            continue
         log_odds[p, cell] = max(-most, (0 if before == UNKNOWN else before) + miss)
 
 
 @njit(cache=True)
-def _steepness(table, corner, patches, res, points, out):
+def _steepness(table, corner, patches, res, points, out):  # type: ignore[no-untyped-def]
     """Read the layer `steep` of one map at points; 0 where nothing was drawn."""
     rows, cols = table.shape
     for i in range(len(points)):

@@ -110,9 +110,16 @@ class Proposer:
         self._tuning = Tuning(*(getattr(config, name) for name in Tuning._fields))
 
     def propose(
-        self, maps: PatchMaps, points: Array, weights: Array, bound: int, expected: Array, covariances: Array,
-        best: int, rng: np.random.Generator,
-    ) -> Proposal:  # fmt: skip
+        self,
+        maps: PatchMaps,
+        points: Array,
+        weights: Array,
+        bound: int,
+        expected: Array,
+        covariances: Array,
+        best: int,
+        rng: np.random.Generator,
+    ) -> Proposal:
         """Return new poses for all particles.
 
         The odometry's error is common to all particles: `best` is matched first, and the others try its
@@ -131,9 +138,23 @@ class Proposer:
         n = len(expected)
         poses, means, sigmas, told = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3))
         self.searches += _propose(
-            maps.tables, maps.corner, maps.patches, maps.resolution, bound, Beams(points, weights), expected,
-            covariances, best, self._cube, rng.standard_normal((n, 3)), self._tuning, poses, means, sigmas, told,
-        )  # fmt: skip
+            maps.tables,
+            maps.corner,
+            maps.patches,
+            maps.resolution,
+            bound,
+            Beams(points, weights),
+            expected,
+            covariances,
+            best,
+            self._cube,
+            rng.standard_normal((n, 3)),
+            self._tuning,
+            poses,
+            means,
+            sigmas,
+            told,
+        )
         return Proposal(poses, means, sigmas, told[:, 0], told[:, 1], told[:, 2])
 
     def track(
@@ -163,15 +184,29 @@ def _points(n: int) -> Array:
 
 
 @njit(cache=True)
-def _propose(
-    tables, corner, patches, res, bound, beams, expected, covariances, best, cube, normals, tuning, poses, means,
-    sigmas, told,
-):  # fmt: skip
+def _propose(  # type: ignore[no-untyped-def]
+    tables,
+    corner,
+    patches,
+    res,
+    bound,
+    beams,
+    expected,
+    covariances,
+    best,
+    cube,
+    normals,
+    tuning,
+    poses,
+    means,
+    sigmas,
+    told,
+):
     """Fill poses, means, sigmas, and told (log eta, met, known); return how many wider searches were made."""
     n = len(expected)
     correction = np.zeros(3)
     searches = 0
-    total = max(beams.weights.sum(), 1e-9)
+    total, width = max(beams.weights.sum(), 1e-9), tuning.sigma / res
     for step in range(n):
         k = best if step == 0 else step - 1 if step <= best else step
         view = MapView(tables[k], corner, patches, res, bound)
@@ -183,13 +218,18 @@ def _propose(
                 start = other
         H = np.empty((3, 3))
         peak = match(view, beams, prior, start, tuning, H)
-        value, met, known = log_likelihood(view, beams, peak, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution)
-        if met < tuning.poor_score * known:
+        value, met, known = log_likelihood(
+            view, beams, peak, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution
+        )
+        if tuning.least_beams <= known and met < tuning.poor_score * known:
             searches += 1
+            curvature = H.copy()
             other = match(view, beams, prior, search(view, beams, prior, tuning), tuning, H)
-            if score(view, beams, other, tuning) > value:
-                peak = other
-                value, met, known = log_likelihood(view, beams, peak, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution)
+            better, there, seen = log_likelihood(view, beams, other, tuning.kernelSize, tuning.lsigma, width)
+            if there >= tuning.poor_score * seen and better + log_prior(other, prior) > value + log_prior(peak, prior):
+                peak, met, known = other, there, seen
+            else:
+                H = curvature
         if step == 0:
             correction = between(prior.pose, peak)
         if met < max(tuning.minimumScore * known, tuning.least_beams):
@@ -207,16 +247,18 @@ def _propose(
 
 
 @njit(cache=True)
-def _track(view, beams, expected, covariance, tuning):
+def _track(view, beams, expected, covariance, tuning):  # type: ignore[no-untyped-def]
     """Return the pose that fits best, and the weights of beams that met a wall and known cells."""
     prior = Prior(expected, np.linalg.inv(covariance))
     pose = match(view, beams, prior, expected, tuning, np.empty((3, 3)))
-    _, met, known = log_likelihood(view, beams, pose, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution)
+    _, met, known = log_likelihood(
+        view, beams, pose, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution
+    )
     return pose, met, known
 
 
 @njit(cache=True)
-def _fit(view, beams, prior, peak, around, cube, tuning, mu, Sigma):
+def _fit(view, beams, prior, peak, around, cube, tuning, mu, Sigma):  # type: ignore[no-untyped-def]
     """Fill mu and Sigma by eqs. 15-17 from points around the peak; return log eta."""
     L = np.linalg.cholesky(around)
     n = len(cube)

@@ -1,7 +1,7 @@
 """A mapper's rehearsal: a short made-up drive that compiles its kernels before the clock starts.
 
-A room is driven around until a known place comes again, leaning a little; then the robot is moved by hand, so that the
-rarely used parts (wider search, loop closure) come on stage too.
+A room is driven around until a known place comes again, leaning a little; then the robot is moved by
+hand, so that the rarely used parts (wider search, loop closure) come on stage too.
 """
 
 from __future__ import annotations

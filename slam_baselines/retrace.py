@@ -87,10 +87,17 @@ class Retrace:
 
     @staticmethod
     def _matched(
-        frame: Frame, expected: Pose2, steep: NDArray[np.uint8], maps: PatchMaps, proposer: Proposer, bound: int
+        frame: Frame,
+        expected: Pose2,
+        steep: NDArray[np.uint8],
+        maps: PatchMaps,
+        proposer: Proposer,
+        bound: int,
     ) -> Pose2:
         """Return where the frame fits into the map so far; the expected pose if nowhere."""
         _, hits, _ = frame.scan.placed(expected, frame.height)
         weights = (np.maximum(steep, maps.steepness(0, hits)) >= bound).astype(np.float64)
-        found = proposer.track(maps.view(0, bound), frame.scan.hits, weights, expected.as_array(), frame.covariance)
+        found = proposer.track(
+            maps.view(0, bound), frame.scan.hits, weights, expected.as_array(), frame.covariance
+        )
         return expected if found is None else Pose2(*found.tolist())

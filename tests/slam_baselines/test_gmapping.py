@@ -16,8 +16,16 @@ from lirs_wct.trajectory import Trajectory
 from slam_baselines.lineage import Lineage
 from slam_baselines.mapper import Mapper, make_mapper
 
-WALLS = ((-4.0, -3.0, 5.0, -3.0), (5.0, -3.0, 5.0, 4.0), (5.0, 4.0, -4.0, 4.0), (-4.0, 4.0, -4.0, -3.0),
-         (1.5, -0.5, 2.5, -0.5), (2.5, -0.5, 2.5, 1.0), (2.5, 1.0, 1.5, 1.0), (1.5, 1.0, 1.5, -0.5))  # fmt: skip
+WALLS = (
+    (-4.0, -3.0, 5.0, -3.0),
+    (5.0, -3.0, 5.0, 4.0),
+    (5.0, 4.0, -4.0, 4.0),
+    (-4.0, 4.0, -4.0, -3.0),
+    (1.5, -0.5, 2.5, -0.5),
+    (2.5, -0.5, 2.5, 1.0),
+    (2.5, 1.0, 1.5, 1.0),
+    (1.5, 1.0, 1.5, -0.5),
+)
 BEAMS = 181
 
 
@@ -116,7 +124,9 @@ def test_lost_after_being_carried_away_and_not_before() -> None:
     assert mapper.stats.lost > 0
 
 
-@pytest.mark.parametrize(("name", "value"), [("particles", 0), ("resampleThreshold", 1.5), ("linearUpdate", -1)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("particles", 0), ("resampleThreshold", 1.5), ("linearUpdate", -1)]
+)
 def test_illegal_configuration_is_named(name: str, value: float) -> None:
     with pytest.raises(ConfigError, match=name):
         make_mapper("gmapping", **{name: value})

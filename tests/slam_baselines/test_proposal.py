@@ -11,7 +11,9 @@ from slam_baselines.patch_map import PatchMaps
 from slam_baselines.proposal import Proposal, ProposalConfig, Proposer
 
 
-def ends(pose: Pose2, west: float, east: float, south: float, north: float, beams: int = 360, most: float = 12) -> np.ndarray:
+def ends(
+    pose: Pose2, west: float, east: float, south: float, north: float, beams: int = 360, most: float = 12
+) -> np.ndarray:
     """Where beams from `pose` meet the walls of a rectangle, in the base frame; too far ones are left out."""
     angle = np.linspace(-np.pi, np.pi, beams, endpoint=False)
     c, s = np.cos(angle + pose.yaw), np.sin(angle + pose.yaw)
