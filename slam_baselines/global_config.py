@@ -33,7 +33,7 @@ class GlobalConfig:
     constraints: ConstraintConfig = field(default_factory=ConstraintConfig)
     confirmation: ConfirmationConfig = field(default_factory=ConfirmationConfig)
     optimization: OptimizationConfig = field(default_factory=OptimizationConfig)
-    optimize_every_n_nodes: int = 20
+    optimize_every_n_nodes: int = 40
     searches_per_update: int = 1
     matcher_translation_error: float = 0.03
     matcher_rotation_error: float = 0.01

@@ -150,7 +150,8 @@ class LocalSlam:
         """Draw the submaps again from the start with what is known by now about ground and walls.
 
         On uneven ground nothing is known to be a wall at first: the robot begins on odometry alone, and the
-        first scans would stand where it put them for ever.
+        first scans would stand where it put them for ever. So they are matched from the last to the first, to
+        a map that grows from where walls are known, and drawn where they fit.
 
         Args:
             nodes: all so far.
@@ -158,12 +159,10 @@ class LocalSlam:
         Returns:
             The same nodes with new poses.
         """
+        found = self._backwards(nodes)
         self.submaps = Submaps(self.config.submaps)
         again: list[Node] = []
-        estimate = Estimate(nodes[0].pose, np.zeros((3, 3)))
-        for node in nodes:
-            if again:
-                estimate = self._again(node, compounded(estimate, node.odometry))
+        for node, estimate in zip(nodes, found, strict=True):
             origin, hits, free = node.scan.placed(estimate.pose, node.height)
             steep = np.maximum(node.steep, self.relief.steepness(origin, hits, estimate.pose))
             entered = self.submaps.insert(
@@ -178,6 +177,26 @@ class LocalSlam:
         self.estimate = Estimate(T_new_old @ self.estimate.pose, self.estimate.covariance)
         self._filter.moved(estimate.pose)
         return again
+
+    def _backwards(self, nodes: Sequence[Node]) -> list[Estimate]:
+        """Match the nodes from the last to the first; return where they are, the first where it was."""
+        self.submaps = Submaps(replace(self.config.submaps, num_range_data=len(nodes) + 1))
+        found: list[Estimate] = []
+        estimate = Estimate(nodes[-1].pose, np.zeros((3, 3)))
+        for i in range(len(nodes) - 1, -1, -1):
+            node = nodes[i]
+            if found:
+                step = nodes[i + 1].odometry
+                estimate = self._again(
+                    node, compounded(estimate, Estimate(step.pose.inverse(), step.covariance))
+                )
+            found.append(estimate)
+            origin, hits, free = node.scan.placed(estimate.pose, node.height)
+            steep = np.maximum(node.steep, self.relief.steepness(origin, hits, estimate.pose))
+            self.submaps.insert(i, estimate.pose, origin, hits, free, steep, self.relief.match_bound)
+        found.reverse()
+        move = nodes[0].pose @ found[0].pose.inverse()
+        return [Estimate(move @ e.pose, e.covariance) for e in found]
 
     def _again(self, node: Node, expected: Estimate) -> Estimate:
         weights = self.walls(node.scan, expected.pose, node.height, None)
