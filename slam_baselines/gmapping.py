@@ -8,7 +8,6 @@ is GmappingMapper._process.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,85 +17,22 @@ from lirs_wct.grid import OccupancyGrid
 from lirs_wct.pose import Pose2
 from lirs_wct.scan import Imu, LaserScan
 from lirs_wct.trajectory import Trajectory
+from slam_baselines.fit_counter import FitCounter
+from slam_baselines.gmapping_config import GmappingConfig
 from slam_baselines.levelling import LevelledScan, ScanLeveller
 from slam_baselines.lineage import Lineage
 from slam_baselines.mapper import MapperStats, Stopwatch
-from slam_baselines.odometry import DeadReckoning, Estimate, MotionConfig
+from slam_baselines.odometry import Estimate
 from slam_baselines.particle_filter import effective_number, normalised, systematic_resample
 from slam_baselines.patch_map import PatchMaps
-from slam_baselines.proposal import Proposal, ProposalConfig, Proposer
-from slam_baselines.relief import Relief, ReliefConfig
+from slam_baselines.proposal import Proposal, Proposer, carried
+from slam_baselines.relief import Relief
 from slam_baselines.retrace import Frame, Retrace
+from slam_baselines.step import Step
 
 Array = NDArray[np.float64]
-NO_STEP = Estimate(Pose2(), np.zeros((3, 3)))
 
-
-@dataclass(frozen=True, kw_only=True)
-class GmappingConfig(ProposalConfig):
-    """Parameters of gmapping where they exist.
-
-    Attributes:
-        particles: how many paths are followed.
-        seed: of the random numbers.
-        linearUpdate: metres to drive before the next scan is processed.
-        angularUpdate: radians to turn before the next scan is processed.
-        resampleThreshold: particles are drawn anew when N_eff falls below this share of them.
-        srr: error of the odometry in translation after one metre, metres.
-        srt: ... in translation after one radian, metres.
-        str: ... in rotation after one metre, radians.
-        stt: ... in rotation after one radian, radians.
-        ogain: likelihoods are taken to the power 1 / (ogain * particles), so that single scans with
-            their correlated beams do not decide alone.
-        delta: edge of a map's cell, metres.
-        maxUrange: hits farther away are not used, but free up to here, metres. Without it, beams without
-            return say nothing.
-        lost_score: share of the beams on known cells that must end at a wall, else a scan does not enter
-            the maps ...
-        lost_after: ... and after so many processed scans in a row the mapper is lost ...
-        known_share: ... where at least so many of its beams end on known cells.
-        relief: how ground is told from walls.
-
-    Raises:
-        ConfigError: a value that is not legal.
-    """
-
-    particles: int = 30
-    seed: int = 0
-    linearUpdate: float = 1.0  # noqa: N815  the original's names
-    angularUpdate: float = 0.5  # noqa: N815
-    resampleThreshold: float = 0.5  # noqa: N815
-    srr: float = 0.05
-    srt: float = 0.05
-    str: float = 0.05
-    stt: float = 0.1
-    ogain: float = 0.5
-    delta: float = 0.05
-    maxUrange: float = math.inf  # noqa: N815
-    lost_score: float = 0.3
-    lost_after: int = 3
-    known_share: float = 0.3
-    relief: ReliefConfig = field(default_factory=ReliefConfig)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("particles", "srr", "srt", "str", "stt", "ogain", "delta", "maxUrange", "lost_after"):
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"{name} must be above 0, got {getattr(self, name)}")
-        if min(self.linearUpdate, self.angularUpdate) < 0:
-            raise ConfigError("linearUpdate and angularUpdate must not be negative")
-        if not 0 <= self.resampleThreshold <= 1:
-            raise ConfigError(f"resampleThreshold must be within [0, 1], got {self.resampleThreshold}")
-
-    @property
-    def motion(self) -> MotionConfig:
-        """The odometry's errors for dead reckoning."""
-        return MotionConfig(
-            translation_per_metre=self.srr,
-            translation_per_radian=self.srt,
-            rotation_per_metre=self.str,
-            rotation_per_radian=self.stt,
-        )
+__all__ = ["GmappingConfig", "GmappingMapper"]
 
 
 class GmappingMapper:
@@ -106,20 +42,17 @@ class GmappingMapper:
         self.config = c = config or GmappingConfig()
         self._rng = np.random.default_rng(c.seed)
         self._leveller = ScanLeveller(c.maxUrange if math.isfinite(c.maxUrange) else 0.0, c.maxUrange)
-        self._reckoning = DeadReckoning(c.motion)
         self._proposer = Proposer(c)
         self._relief = Relief(c.relief)
         self._maps = PatchMaps(c.particles, c.delta)
         self._lineage = Lineage()
         self._retrace = Retrace()
-        self._reckoned = NO_STEP
         self._poses = np.zeros((c.particles, 3))
         self._parents = np.arange(c.particles)
         self._log_weights, self._totals = np.zeros(c.particles), np.zeros(c.particles)
-        self._step, self._way, self._turn = NO_STEP, 0.0, 0.0
-        self._reckoned = NO_STEP
-        self._settled = False
-        self._best = self._received = self._resamplings = self._lost_scans = self._poor_in_a_row = 0
+        self._step = Step(c.motion)
+        self._fit = FitCounter(c.lost_score, c.known_share, c.lost_after)
+        self._best = self._received = self._resamplings = self._lost_scans = 0
         self._stopwatch = Stopwatch()
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
@@ -157,7 +90,7 @@ class GmappingMapper:
     @property
     def lost(self) -> bool:
         """Whether so many scans in a row fit nowhere that the pose is not to be believed."""
-        return self._poor_in_a_row >= self.config.lost_after
+        return self._fit.lost
 
     @property
     def stats(self) -> MapperStats:
@@ -185,33 +118,26 @@ class GmappingMapper:
     @property
     def _due(self) -> bool:
         c = self.config
-        return self._lineage.generations == 0 or self._way >= c.linearUpdate or self._turn >= c.angularUpdate
+        return (
+            self._lineage.generations == 0
+            or self._step.way >= c.linearUpdate
+            or self._step.turn >= c.angularUpdate
+        )
 
     def _follow(self, scan: LevelledScan, odometry: Pose2, imu: Imu | None) -> None:
         """Carry the step since the last processed scan on by odometry."""
-        before, here = self._step, self._pose
-        sure = Estimate(before.pose, np.zeros((3, 3)))
-        self._step = self._reckoning.predict(sure, odometry, imu, scan.stamp)
-        # Dead reckoning alone, beside the step that is corrected on the way.
-        self._reckoned = Estimate(
-            self._reckoned.pose @ before.pose.inverse() @ self._step.pose,
-            self._reckoned.covariance + self._step.covariance,
-        )
-        self._new = self._step.covariance
-        delta = before.pose.inverse() @ self._step.pose
-        self._way += math.hypot(delta.x, delta.y)
-        self._turn += abs(delta.yaw)
+        delta = self._step.follow(odometry, imu, scan.stamp)
         if scan.levelled:
-            self._relief.move(here.inverse() @ self._pose, scan)
+            self._relief.move(delta, scan)
 
     def _track(self, scan: LevelledScan) -> None:
         """Correct the step by matching the scan to the best particle's map."""
         bound = self._relief.match_bound
         view, expected = self._maps.view(self._best, bound), self._pose.as_array()
-        found = self._proposer.track(view, scan.hits, self._weights(scan, bound), expected, self._new)
+        found = self._proposer.track(view, scan.hits, self._weights(scan, bound), expected, self._step.newest)
         if found is not None:
             best = Pose2(*self._poses[self._best].tolist())
-            self._step = Estimate(best.inverse() @ Pose2(*found.tolist()), self._new)
+            self._step.pose = best.inverse() @ Pose2(*found.tolist())
 
     def _process(self, scan: LevelledScan) -> None:
         """Algorithm 1 of the paper, from line 3 on, for all particles."""
@@ -222,12 +148,13 @@ class GmappingMapper:
             self._log_weights += gain * proposal.log_eta
             self._totals += gain * proposal.log_eta
             self._best = int(np.argmax(self._totals))
-            self._note_fit(proposal)
+            self._fit.note(proposal.met[self._best], proposal.known[self._best])
         self._lineage.add_generation(self._poses, self._parents, self._step.pose)
         self._parents = np.arange(len(self._poses))
-        reckoned = self._reckoned
-        self._step, self._reckoned, self._way, self._turn = NO_STEP, NO_STEP, 0.0, 0.0
-        if self._poor_in_a_row == 0:
+        reckoned = self._step.reckoned
+        self._step.begin()
+        # While the way may be gone over again, every scan is a link of it.
+        if self._fit.good or (scan.levelled and self._retrace.open):
             self._enter(scan, reckoned)
         weights = normalised(self._log_weights)
         if effective_number(weights) < self.config.resampleThreshold * len(weights):
@@ -235,10 +162,7 @@ class GmappingMapper:
 
     def _propose(self, scan: LevelledScan) -> Proposal:
         """Draw the particles' new poses."""
-        expected = np.array([(Pose2(*pose) @ self._step.pose).as_array() for pose in self._poses.tolist()])
-        c, s, o = np.cos(self._poses[:, 2]), np.sin(self._poses[:, 2]), np.zeros(len(self._poses))
-        R = np.stack((c, -s, o, s, c, o, o, o, o + 1), axis=-1).reshape(-1, 3, 3)
-        covariances = R @ self._reckoned.covariance @ R.transpose(0, 2, 1)
+        expected, covariances = carried(self._poses, self._step.pose, self._step.reckoned.covariance)
         bound = self._relief.match_bound
         weights = self._weights(scan, bound)
         return self._proposer.propose(
@@ -299,11 +223,3 @@ class GmappingMapper:
         )
         self._log_weights[:] = 0
         self._best = int(np.argmax(self._totals))
-
-    def _note_fit(self, proposal: Proposal) -> None:
-        """Count the scans in a row that do not fit the best particle's map."""
-        known = proposal.known[self._best] > self.config.known_share
-        poor = known and proposal.met[self._best] < self.config.lost_score
-        # Before the first good match nothing is known that a scan could contradict.
-        self._settled |= known and not poor
-        self._poor_in_a_row = self._poor_in_a_row + 1 if poor and self._settled else 0

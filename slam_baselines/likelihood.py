@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from slam_baselines.occupancy import UNKNOWN
-from slam_baselines.patch_map import ABSENT, BITS, MASK, MEAN_STEPS
+from slam_baselines.patch_kernels import ABSENT, BITS, MASK, MEAN_STEPS
 
 Array = NDArray[np.float64]
 

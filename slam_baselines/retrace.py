@@ -55,11 +55,18 @@ class Retrace:
     def __init__(self) -> None:
         self.times = 0
         self._next = FIRST
+        self._closed = False
         self._frames: list[Frame] = []
+
+    @property
+    def open(self) -> bool:
+        """Whether frames are still kept."""
+        return not self._closed
 
     def note(self, frame: Frame, travelled: float) -> bool:
         """Keep a frame while it may be needed; return whether it is time to go over the way."""
         if max(self._next, travelled) > LAST:
+            self._closed = True
             self._frames.clear()
             return False
         self._frames.append(frame)

@@ -7,7 +7,8 @@ import pytest
 
 from lirs_wct.pose import Pose2
 from slam_baselines.occupancy import OccupancyMap
-from slam_baselines.patch_map import ABSENT, PatchMaps
+from slam_baselines.patch_kernels import ABSENT
+from slam_baselines.patch_map import PatchMaps
 
 NO_FREE = np.zeros((0, 3))
 
