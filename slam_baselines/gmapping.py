@@ -63,8 +63,7 @@ class GmappingMapper:
         """
         if odometry is None:
             raise ConfigError(
-                f"gmapping needs odometry with every scan, the one at {scan.stamp} s has none; "
-                "hector maps without"
+                f"gmapping needs odometry, the scan at {scan.stamp} s has none; hector maps without"
             )
         started = self._stopwatch.start()
         self._received += 1
@@ -117,12 +116,8 @@ class GmappingMapper:
 
     @property
     def _due(self) -> bool:
-        c = self.config
-        return (
-            self._lineage.generations == 0
-            or self._step.way >= c.linearUpdate
-            or self._step.turn >= c.angularUpdate
-        )
+        c, step = self.config, self._step
+        return self._lineage.generations == 0 or step.way >= c.linearUpdate or step.turn >= c.angularUpdate
 
     def _follow(self, scan: LevelledScan, odometry: Pose2, imu: Imu | None) -> None:
         """Carry the step since the last processed scan on by odometry."""
