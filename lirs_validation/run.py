@@ -115,7 +115,7 @@ def validate(
 def run(config: RunConfig, *, out: Path | None = None, report: Report | None = None) -> Run:
     """Run a config (see `validate`)."""
     tell = report or (lambda stage, share: None)
-    robot, mapper = make_robot(config.robot), make_mapper(config.mapper)
+    robot, mapper = make_robot(config.robot), make_mapper(config.mapper, seed=config.seed)
     tell("build", 0.0)
     stage = set_stage(config)
     tell("plan", 0.0)

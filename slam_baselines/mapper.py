@@ -87,11 +87,12 @@ class Mapper(Protocol):
         ...
 
 
-def make_mapper(name: str, **config: Any) -> Mapper:
+def make_mapper(name: str, *, seed: int | None = None, **config: Any) -> Mapper:
     """Make a mapper by its name.
 
     Args:
         name: one of MAPPERS.
+        seed: of the random numbers, for a method that draws any.
         **config: fields of the method's configuration.
 
     Raises:
@@ -102,6 +103,8 @@ def make_mapper(name: str, **config: Any) -> Mapper:
     module, config_name, class_name = MAPPERS[name]
     method = importlib.import_module(module)
     config_class = getattr(method, config_name)
+    if seed is not None and "seed" in config_class.__dataclass_fields__:
+        config["seed"] = seed
     for key in config:
         if key not in config_class.__dataclass_fields__:
             raise unknown_name(f"parameter of {name}", key, config_class.__dataclass_fields__)

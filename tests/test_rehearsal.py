@@ -25,3 +25,8 @@ def test_every_mapper_keeps_its_place_in_the_rehearsal_room(name: str) -> None:
         found = mapper.update(rehearsal._scan(pose, 0.2 * k), start.inverse() @ pose, None)
     assert found.distance(start.inverse() @ pose) < 0.1
     rehearsal.rehearse(name)
+
+
+def test_a_seed_reaches_the_mapper_that_draws_and_leaves_the_others_alone() -> None:
+    assert make_mapper("gmapping", seed=7).config.seed == 7  # type: ignore[attr-defined]
+    assert make_mapper("hector", seed=7).lost is False
