@@ -21,7 +21,13 @@ def listing(folder: Path) -> list[str]:
 def interrupted(folder: Path, begun: Callable[[], bool], *arguments: str) -> tuple[int, str]:
     """Send SIGINT as soon as `begun`; return exit code and what was said."""
     process = subprocess.Popen(
-        [*MAIN, *arguments], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*MAIN, *arguments],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell's background job ignores SIGINT, and its children inherit that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     deadline = time.monotonic() + 120
     while not begun():
