@@ -29,7 +29,7 @@ from lirs_wct.bundled import RECIPES
 from lirs_wct.errors import WctError
 from lirs_wct.heightfield import HeightField
 from lirs_wct.pose import Pose2
-from lirs_wct.traversability import start_poses
+from lirs_wct.starts import start_poses
 from lirs_wct.world import World, build_world
 
 LIDAR = "lms111"

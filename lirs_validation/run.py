@@ -29,7 +29,7 @@ from lirs_validation.results import write_results
 from lirs_wct.contact_parts import Terrain
 from lirs_wct.errors import ConfigError
 from lirs_wct.options import BuildOptions
-from lirs_wct.traversability import start_poses
+from lirs_wct.starts import start_poses
 from lirs_wct.window import Window
 from lirs_wct.world import World, build_world
 from slam_baselines.mapper import Mapper, make_mapper

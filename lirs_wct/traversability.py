@@ -6,6 +6,7 @@ import math
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lirs_wct.grid import OccupancyGrid
@@ -15,9 +16,6 @@ from lirs_wct.walls import WallGrid
 
 BASELINE = 0.3
 """Metres over which a slope counts: about a wheel. Shorter steps are roughness, not slope."""
-
-EDGE = 0.15
-"""Share of the free area's extent, on each side, where no robot starts."""
 
 Mask = NDArray[np.bool_]
 
@@ -53,35 +51,9 @@ def traversable(
     if walls is not None:
         blocked |= _wall_cells(walls, grid)
     if truth is not None:
-        blocked |= ~_lookup(truth.free, truth.resolution, truth.origin, _centres(grid))
-    distance = _distance_to(blocked, resolution)
+        blocked |= ~_lookup(truth.free, truth.resolution, truth.origin, grid)
+    distance = distance_to(blocked, resolution)
     return OccupancyGrid.from_probability(np.where(distance > clearance, 0.0, 1.0), resolution, grid.origin)
-
-
-def start_poses(free: OccupancyGrid, count: int = 8) -> tuple[Pose2, ...]:
-    """Return up to `count` poses spread over the largest connected free area, the roomiest first.
-
-    Each faces the middle of that area and lies in its inner part: at the edge of the world a robot
-    sees little of it. Farthest-point sampling, so the same grid gives the same poses.
-    """
-    area = largest_area(free.free)
-    cells = np.argwhere(area)
-    if len(cells) == 0:
-        return ()
-    low, high = cells.min(axis=0), cells.max(axis=0)
-    inner = np.all((cells >= low + EDGE * (high - low)) & (cells <= high - EDGE * (high - low)), axis=1)
-    if inner.any():
-        area[tuple(cells[~inner].T)] = False
-        cells = cells[inner]
-    room = _distance_to(~area, free.resolution)[area]
-    points = free.centres(cells)
-    middle = points.mean(axis=0)
-    chosen = [int(np.argmax(np.minimum(room, 3.0) - 0.02 * np.linalg.norm(points - middle, axis=1)))]
-    gap = np.linalg.norm(points - points[chosen[0]], axis=1)
-    while len(chosen) < min(count, len(points)):
-        chosen.append(int(np.argmax(gap + np.minimum(room, 2.0))))
-        gap = np.minimum(gap, np.linalg.norm(points - points[chosen[-1]], axis=1))
-    return tuple(_facing(points[i], middle) for i in chosen)
 
 
 def largest_area(mask: Mask) -> Mask:
@@ -92,11 +64,6 @@ def largest_area(mask: Mask) -> Mask:
         return np.zeros_like(mask)
     area: Mask = labels == 1 + int(np.argmax(sizes))
     return area
-
-
-def _facing(point: NDArray[np.float64], target: NDArray[np.float64]) -> Pose2:
-    dx, dy = (target - point).tolist()
-    return Pose2(float(point[0]), float(point[1]), math.atan2(dy, dx) if math.hypot(dx, dy) > 1e-9 else 0.0)
 
 
 def _steep_cells(surface: HeightField, max_slope: float, grid: OccupancyGrid) -> Mask:
@@ -144,7 +111,7 @@ def _wall_cells(walls: WallGrid, grid: OccupancyGrid) -> Mask:
     """Mark cells of the grid that touch a wall or hole: both grids' centres are looked up in the other."""
     barred = ~walls.floor
     local = (np.argwhere(barred)[:, ::-1] + 0.5) * walls.resolution
-    inside = _lookup(barred, walls.resolution, walls.origin, _centres(grid))
+    inside = _lookup(barred, walls.resolution, walls.origin, grid)
     return inside | _scatter(walls.origin.apply(local), grid)
 
 
@@ -153,12 +120,26 @@ def _centres(grid: OccupancyGrid) -> NDArray[np.float64]:
     return grid.centres(np.moveaxis(np.indices((rows, cols)), 0, -1))
 
 
-def _lookup(mask: Mask, resolution: float, origin: Pose2, points: NDArray[np.float64]) -> Mask:
-    """Return the mask's value at points; False outside."""
-    local = np.floor(origin.inverse().apply(points) / resolution).astype(np.int64)
-    col, row = local[..., 0], local[..., 1]
-    inside = (row >= 0) & (row < mask.shape[0]) & (col >= 0) & (col < mask.shape[1])
-    found: Mask = inside & mask[np.where(inside, row, 0), np.where(inside, col, 0)]
+def _lookup(mask: Mask, resolution: float, origin: Pose2, grid: OccupancyGrid) -> Mask:
+    """Return the mask's value at the centres of a grid's cells; False outside."""
+    T_mask_grid = origin.inverse() @ grid.origin
+    found: Mask = _values_at(mask, resolution, T_mask_grid.as_array(), grid.resolution, *grid.shape)
+    return found
+
+
+@njit(cache=True)
+def _values_at(mask, resolution, T_mask_grid, step, rows, cols):  # type: ignore[no-untyped-def]
+    """Return (rows, cols) values of a mask at cell centres `step` metres apart; False outside."""
+    x0, y0, yaw = T_mask_grid
+    c, s = math.cos(yaw), math.sin(yaw)
+    found = np.zeros((rows, cols), np.bool_)
+    for row in range(rows):
+        for col in range(cols):
+            x, y = (col + 0.5) * step, (row + 0.5) * step
+            at_col = math.floor((x0 + c * x - s * y) / resolution)
+            at_row = math.floor((y0 + s * x + c * y) / resolution)
+            if 0 <= at_row < mask.shape[0] and 0 <= at_col < mask.shape[1]:
+                found[row, col] = mask[at_row, at_col]
     return found
 
 
@@ -169,7 +150,7 @@ def _scatter(points: NDArray[np.float64], grid: OccupancyGrid) -> Mask:
     return marked
 
 
-def _distance_to(blocked: Mask, resolution: float) -> NDArray[np.float64]:
+def distance_to(blocked: Mask, resolution: float) -> NDArray[np.float64]:
     """Return metres from each cell to the nearest blocked one; beyond the border all is blocked."""
     padded = np.pad(~blocked, 1).astype(np.uint8)
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)

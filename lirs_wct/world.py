@@ -25,8 +25,9 @@ from lirs_wct.pose import Pose2
 from lirs_wct.simplify import simplified_solid
 from lirs_wct.solid import solid_mesh
 from lirs_wct.source import Source, SourceKind, find_source, warn_of_useless
+from lirs_wct.starts import start_poses
 from lirs_wct.terrain_source import read_terrain, scale_in_words
-from lirs_wct.traversability import start_poses, traversable
+from lirs_wct.traversability import traversable
 from lirs_wct.wall_solid import wall_mesh
 from lirs_wct.walls import WallGrid
 from lirs_wct.window import Window, cut_map, cut_nodes, cut_surface

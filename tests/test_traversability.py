@@ -10,7 +10,8 @@ import pytest
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.heightfield import HeightField
 from lirs_wct.pose import Pose2
-from lirs_wct.traversability import start_poses, traversable
+from lirs_wct.starts import start_poses
+from lirs_wct.traversability import traversable
 from lirs_wct.walls import WallGrid
 
 SLOPE = math.radians(20)

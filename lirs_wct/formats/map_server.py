@@ -24,6 +24,8 @@ BLACK, WHITE, UNKNOWN = 0, 254, 205
 """Pixels of occupied, free and unknown cells, as map_saver writes them."""
 WRITTEN_FREE = 0.196
 """`free_thresh` that keeps a pixel of 205 (p = 0.19608) unknown."""
+LEVELS = np.arange(256, dtype=np.uint8)[None, :]
+"""Every pixel that 8 bits can hold: a map of millions is graded by looking them up."""
 
 Array = NDArray[np.float64]
 
@@ -128,6 +130,9 @@ def _probability(pixels: NDArray[Any], metadata: MapMetadata) -> Array:
 
     Trinary and raw maps average alpha with the colours; scaled ones take any transparency as unknown.
     """
+    if pixels.ndim == 2 and pixels.dtype == np.uint8 and pixels.size > LEVELS.size:
+        graded: Array = _probability(LEVELS, metadata)[0][pixels]
+        return graded
     full = float(np.iinfo(pixels.dtype).max) if np.issubdtype(pixels.dtype, np.integer) else 1.0
     shade = pixels.astype(np.float64) / full
     clear = np.zeros(shade.shape[:2], np.bool_)
@@ -145,8 +150,7 @@ def _probability(pixels: NDArray[Any], metadata: MapMetadata) -> Array:
     if metadata.mode == "scale":
         span = metadata.occupied_thresh - metadata.free_thresh
         between = (p - metadata.free_thresh) / span if span > 0 else between
-    graded = np.where(occupied, 1.0, np.where(free, 0.0, between))
-    return np.where(clear, np.nan, graded)
+    return np.where(clear, np.nan, np.where(occupied, 1.0, np.where(free, 0.0, between)))
 
 
 def _checked(metadata: MapMetadata) -> MapMetadata:

@@ -18,7 +18,7 @@ from lirs_validation.pursuit import PursuitConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.pose import Pose2
-from lirs_wct.traversability import start_poses
+from lirs_wct.starts import start_poses
 from lirs_wct.world import build_world
 
 ROBOT, MARGIN = 0.61, 0.15

@@ -18,7 +18,7 @@ import trimesh
 
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.package import write_package
-from lirs_wct.traversability import start_poses
+from lirs_wct.starts import start_poses
 
 RADIUS = 0.3
 
