@@ -25,7 +25,7 @@ from lirs_wct.tiles import split_tiles
 
 TILE = 19_000
 """Triangles of a streamed tile: its 9,500 vertices have indices of four digits."""
-STREAM_ABOVE = 100_000
+STREAM_ABOVE = 20_000
 """Triangles above which the file is streamed: pycollada needs 20 s and 500 MB for each million."""
 
 
