@@ -28,8 +28,8 @@ TERRAIN_GROUP = 3
 """Geom group of ground and walls in a simulation: rays for robots and props leave it out."""
 BASE = 1.0
 """Metres that the ground reaches below its lowest point; contacts push out the shorter way: up."""
-SEEN_GROUP = 4
-"""Geom group of the true mesh where the laser must see it, since no height field can hold it."""
+SEEN_GROUP = 5
+"""Geom group of a true mesh that MuJoCo's rays see, since no height field can hold it; no robot uses it."""
 GROUND_COLOUR = (0.62, 0.57, 0.48, 1.0)
 WALL_COLOUR = (0.45, 0.5, 0.55, 1.0)
 
@@ -41,6 +41,7 @@ def world_spec(
     robot: mujoco.MjSpec | None = None,
     group: int = TERRAIN_GROUP,
     terrain: Terrain = "hfield",
+    seen: bool = False,
 ) -> mujoco.MjSpec:
     """Return the world as a specification to compile.
 
@@ -50,6 +51,7 @@ def world_spec(
         robot: specification that the world is added to; its options and defaults stay as they are.
         group: geom group of ground and walls.
         terrain: what is touched (see `TERRAINS`).
+        seen: whether MuJoCo's own rays are to meet the surface itself, where something else is touched.
 
     Raises:
         ConfigError: the terrain does not fit the world.
@@ -68,6 +70,9 @@ def world_spec(
         _add_boxes(spec, world.walls, world.walls.solid, (0.0, world.walls.height), group, WALL_COLOUR)
     if terrain == "mesh" or world.overhangs:
         _add_tiles(spec, world, SEEN_GROUP if world.overhangs else group)
+    elif seen and (terrain != "hfield" or surface.shape != world.surface.shape):
+        _hide(spec, group)
+        _add_ground(spec, world.surface, group, name="seen", contype=0, conaffinity=0)
     spec.worldbody.add_light(pos=(0, 0, 50), dir=(0.3, 0.2, -1), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     return spec
 
@@ -129,15 +134,18 @@ def _exact_xml(spec: mujoco.MjSpec) -> str:
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _add_ground(spec: mujoco.MjSpec, surface: HeightField, group: int) -> None:
+def _add_ground(
+    spec: mujoco.MjSpec, surface: HeightField, group: int, name: str = "ground", **options: int
+) -> None:
     west, south, east, north = surface.bounds
     low, relief = float(surface.z.min()), surface.relief
     half = ((east - west) / 2, (north - south) / 2)
     common = {
-        "name": "ground",
+        "name": name,
         "pos": ((west + east) / 2, (south + north) / 2, low),
         "group": group,
         "rgba": GROUND_COLOUR,
+        **options,
     }
     if relief == 0.0:
         # A plane costs a contact test, a flat height field all the prisms under a wheel.
@@ -145,13 +153,13 @@ def _add_ground(spec: mujoco.MjSpec, surface: HeightField, group: int) -> None:
         return
     rows, cols = surface.shape
     spec.add_hfield(
-        name="ground",
+        name=name,
         nrow=rows,
         ncol=cols,
         size=(*half, relief, BASE),
         userdata=surface.south_up.ravel(),
     )
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="ground", **common)
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, **common)
 
 
 def _add_boxes(
@@ -190,11 +198,16 @@ def _add_parts(spec: mujoco.MjSpec, world: Ground, terrain: Terrain, group: int)
     spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 
-def _add_tiles(spec: mujoco.MjSpec, world: Ground, group: int) -> None:
-    """Add the world's mesh to be seen only; what is touched becomes invisible."""
+def _hide(spec: mujoco.MjSpec, group: int) -> None:
+    """Make what is touched invisible, to cameras and to MuJoCo's rays."""
     for geom in spec.worldbody.geoms:
         if geom.group == TERRAIN_GROUP or geom.group == group:
             geom.rgba = (*geom.rgba[:3], 0.0)
+
+
+def _add_tiles(spec: mujoco.MjSpec, world: Ground, group: int) -> None:
+    """Add the world's mesh to be seen only; what is touched becomes invisible."""
+    _hide(spec, group)
     for k, tile in enumerate(split_tiles(world.mesh, aim=MUJOCO_FACES // 2)):
         name = f"seen{k}"
         spec.add_mesh(

@@ -24,7 +24,8 @@ __all__ = ["LIDARS", "Lidar", "LidarPreset", "Motion", "OtherRanges", "make_lida
 
 Array = NDArray[np.float64]
 OtherRanges = Callable[[Array, Array, float], Array]
-"""origin (3,), directions (n, 3), largest range -> (n,) ranges of what the world itself does not hold."""
+"""origin (3,) or origins (n, 3), directions (n, 3), largest range -> (n,) ranges of what the caster does not
+hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +86,7 @@ class Lidar:
         Args:
             T_world_base: pose of the robot at the first beam.
             stamp: seconds.
-            others: ranges of robots and props; the nearer of both counts. In a sweep all of theirs are
-                taken from where the laser is at the first beam.
+            others: ranges of what MuJoCo's rays meet; the nearer of both counts.
             motion: of the robot; only a sweep needs it. None = at rest.
 
         Raises:
@@ -96,7 +96,8 @@ class Lidar:
         origin, directions = self._rays(T_world_base, motion)
         if not (np.isfinite(origin).all() and np.isfinite(directions[0]).all()):
             raise SimulationError(f"the laser's pose must be finite, got {T_world_base}")
-        other = others(origin[0], directions, preset.range_max) if others else np.empty(0)
+        start = origin[0] if len(origin) == 1 else origin
+        other = others(start, directions, preset.range_max) if others else np.empty(0)
         normal, uniform = draws(self.noise, preset.beams, self._rng)
         ranges = np.empty(preset.beams, np.float32)
         limits, figures = (preset.range_min, preset.range_max), self.noise.figures

@@ -117,7 +117,7 @@ class MappingEnv(gym.Env[Observed, NDArray[np.float32]]):
         if self._renderer is None:
             self._renderer = _renderer(body.model)
         view = mujoco.MjvOption()
-        view.geomgroup[:] = (1, 1, 1, 1, 0, 0)
+        view.geomgroup[:] = (1, 1, 1, 1, 0, 1)
         mujoco.mj_forward(body.model, body.data)
         self._renderer.update_scene(body.data, camera="chase", scene_option=view)
         picture: NDArray[np.uint8] = self._renderer.render()

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_envs.imu import Vector
-from lirs_envs.props import PROP_GROUP, Parked, Prop, add_props
+from lirs_envs.props import Parked, Prop, add_props
 from lirs_envs.raycast import mujoco_ranges
 from lirs_envs.robots import Robot
+from lirs_envs.seen import Rays, seen_groups
 from lirs_wct.contact_grid import ContactGrid, contact_grid
 from lirs_wct.contact_parts import Terrain
-from lirs_wct.mjcf import SEEN_GROUP, world_spec
+from lirs_wct.mjcf import world_spec
 from lirs_wct.pose import Pose3
 from lirs_wct.world import World
 
@@ -44,6 +45,7 @@ class RobotModel:
         control_period: longest time between control updates, seconds.
         props: what else stands there.
         terrain: what is touched (see `lirs_wct.contact_parts.TERRAINS`).
+        rays: whose rays the laser's are (see `lirs_envs.seen.RAYS`).
     """
 
     def __init__(
@@ -54,6 +56,7 @@ class RobotModel:
         control_period: float,
         props: Sequence[Prop | Parked] = (),
         terrain: Terrain = "hfield",
+        rays: Rays = "ours",
     ) -> None:
         self.contact: ContactGrid = contact_grid(world.surface)
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
@@ -61,8 +64,11 @@ class RobotModel:
         self.timestep = period / steps
         spec.option.timestep = self.timestep
         add_props(spec, world, props)
-        self.prop_ranges = self._prop_ranges if props or world.overhangs else None
-        self.model = world_spec(world, contact=self.contact, robot=spec, terrain=terrain).compile()
+        self._groups = seen_groups(world, bool(props), rays)
+        self.geom_ranges = self._geom_ranges if self._groups else None
+        self.model = world_spec(
+            world, contact=self.contact, robot=spec, terrain=terrain, seen=rays == "mujoco"
+        ).compile()
         self.data = mujoco.MjData(self.model)
         piece = max(1, int(control_period / self.timestep + 1e-9))
         self.pieces = tuple(min(piece, steps - done) for done in range(0, steps, piece))
@@ -123,12 +129,11 @@ class RobotModel:
         right = sum([float(qpos[i]) for i in self._right_angles]) / max(len(self._right_angles), 1)
         return left, right
 
-    def _prop_ranges(self, origin: Array, directions: Array, max_range: float) -> Array:
-        """Return (n,) ranges to props, parked robots and a mesh with overhangs, not to the robot itself."""
+    def _geom_ranges(self, origin: Array, directions: Array, max_range: float) -> Array:
+        """Return (n,) ranges to what the laser sees through MuJoCo's rays; never the robot itself."""
         # Places of geoms are those before the last step: brought up to date, the stepping goes on as without.
         mujoco.mj_kinematics(self.model, self.data)
-        groups = (PROP_GROUP, SEEN_GROUP)
-        return mujoco_ranges(self.model, self.data, origin, directions, max_range, groups=groups)
+        return mujoco_ranges(self.model, self.data, origin, directions, max_range, groups=self._groups)
 
     def step(self, control: tuple[float, ...], steps: int) -> None:
         """Step with the speeds of left and right wheels, rad/s, or the rotors' thrusts, newtons."""

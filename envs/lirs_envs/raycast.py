@@ -88,11 +88,11 @@ def mujoco_ranges(
     Args:
         model: the compiled model.
         data: its state, after `mj_forward` or a step.
-        origin: (3,) start of all rays, world frame, metres.
+        origin: (3,) start of all rays, or (n, 3) of each; world frame, metres.
         directions: (n, 3) unit vectors, world frame.
         max_range: metres; inf where nothing is nearer.
         exclude_body: id of one body whose geoms are looked through.
-        groups: geom groups (0 to 5) that are seen; the terrain belongs into one that is not.
+        groups: geom groups (0 to 5) that are seen.
 
     Raises:
         ConfigError: a group is not 0 to 5, or an array has the wrong shape.
@@ -102,10 +102,15 @@ def mujoco_ranges(
     o, d = _rays(origin, directions)
     n = len(d)
     mask = np.array([g in groups for g in range(mujoco.mjNGROUP)], dtype=np.uint8)
-    geoms, distance = np.empty(n, np.int32), np.empty(n)
-    if n:
+    geoms, distance = np.full(n, -1, np.int32), np.empty(n)
+    if o.ndim == 2:
+        for k in range(n):
+            distance[k] = mujoco.mj_ray(
+                model, data, o[k], d[k], mask, True, exclude_body, geoms[k : k + 1], None
+            )
+    elif n:
         mujoco.mj_multiRay(
-            model, data, o, d.ravel(), mask, 1, exclude_body, geoms, distance, None, n, max_range
+            model, data, o, d.ravel(), mask, True, exclude_body, geoms, distance, None, n, max_range
         )
     return np.where((geoms >= 0) & (distance <= max_range), distance, np.inf)
 
@@ -114,7 +119,7 @@ def _rays(origin: ArrayLike, directions: ArrayLike) -> tuple[Array, Array]:
     """Return both as contiguous float64, checked."""
     o = np.ascontiguousarray(origin, dtype=np.float64)
     d = np.ascontiguousarray(directions, dtype=np.float64)
-    if o.shape != (3,) or d.ndim != 2 or d.shape[1] != 3:
+    if d.ndim != 2 or d.shape[1] != 3 or o.shape not in ((3,), d.shape):
         raise ConfigError(f"rays need an origin (3,) and directions (n, 3), got {o.shape} and {d.shape}")
     if not (np.isfinite(o).all() and np.isfinite(d).all()):
         raise ConfigError("origin and directions of rays must be finite")

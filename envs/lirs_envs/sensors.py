@@ -108,5 +108,5 @@ class Sensors:
         self._attitude = (imu.roll, imu.pitch)
         body = self._body
         motion = Motion(body.velocity(), body.rates()) if self._lidar.time_increment else None
-        scan = self._lidar.scan(T_world_base, stamp, body.prop_ranges, motion)
+        scan = self._lidar.scan(T_world_base, stamp, body.geom_ranges, motion)
         return Observation(scan, self._odometry.read(), imu)

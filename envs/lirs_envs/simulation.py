@@ -18,7 +18,7 @@ from lirs_envs.model import RobotModel
 from lirs_envs.placement import standing_pose, start_of
 from lirs_envs.props import Parked, Prop
 from lirs_envs.robots import Robot
-from lirs_envs.seen import caster_of
+from lirs_envs.seen import Rays, caster_of, check_rays
 from lirs_envs.sensors import Noise, Observation, Sensors
 from lirs_envs.timing import Replay, Timing
 from lirs_wct.contact_grid import ContactGrid
@@ -55,9 +55,11 @@ class Simulation:
         noise: of all sensors.
         props: things and parked robots that stand in the world; touched, and seen by the LRF.
         terrain: what MuJoCo touches: `hfield`, `mesh` (the same, and the mesh is seen), `prisms` or `convex`.
+        rays: whose rays meet the world: `ours`, or `mujoco` for comparison: those of its hfield, or with
+            terrain `mesh` those of its mesh. Noise and all else are the same.
 
     Raises:
-        ConfigError: no LRF has that name, the seed is negative, or the terrain does not fit the world.
+        ConfigError: no LRF or rays of that name, a negative seed, or a terrain that does not fit the world.
     """
 
     def __init__(
@@ -70,16 +72,18 @@ class Simulation:
         noise: Noise | None = None,
         props: Sequence[Prop | Parked] = (),
         terrain: Terrain = "hfield",
+        rays: Rays = "ours",
     ) -> None:
         self._noise = Noise() if noise is None else noise
         check_arguments(world, robot, seed, self._noise)
+        check_rays(rays)
         self.world = world
         self.robot = robot
         self.preset = make_lidar_preset(lidar or robot.lidar)
         self.period = self.preset.period
         self.terrain = terrain
-        self.body = RobotModel(world, robot, self.period, CONTROL_PERIOD, props, terrain)
-        self._caster = caster_of(world)
+        self.body = RobotModel(world, robot, self.period, CONTROL_PERIOD, props, terrain, rays)
+        self._caster = caster_of(world, rays)
         self._seed = seed
         self._start_over(None)
 

@@ -1,0 +1,89 @@
+"""MuJoCo's own rays in place of ours: the same world, the same robot, the same noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from lirs_envs.drive import Twist
+from lirs_envs.props import Parked, Prop
+from lirs_envs.robots import Robot
+from lirs_envs.sensors import Noise
+from lirs_envs.simulation import Simulation
+from lirs_wct.errors import ConfigError
+from lirs_wct.pose import Pose2
+from lirs_wct.world import World
+
+Array = np.ndarray
+
+
+@pytest.fixture(scope="module")
+def hills(make_world: Callable[..., World]) -> World:
+    """Smooth enough for a coarser contact grid, with a rim that most beams meet."""
+
+    def z(x: Array, y: Array) -> Array:
+        rim = np.clip(np.maximum(abs(x), abs(y)) - 4.0, 0.0, 0.5) * 3
+        return 0.15 * np.sin(x) * np.cos(y / 1.3) + rim
+
+    return make_world(z, nodes=241, cell=0.05)
+
+
+def scans(world: World, robot: Robot, **options: object) -> tuple[Array, str]:
+    sim = Simulation(world, robot, lidar="urg04lx", **options)  # type: ignore[arg-type]
+    seen = [sim.reset().scan.ranges]
+    seen += [sim.advance(Twist(0.4, 0.5)).scan.ranges for _ in range(3)]
+    return np.array(seen), repr(sim.T_world_base)
+
+
+@pytest.mark.parametrize("sweep", [False, True])
+@pytest.mark.parametrize("terrain", ["hfield", "mesh", "prisms"])
+def test_both_rays_agree(hills: World, husky: Robot, terrain: str, sweep: bool) -> None:
+    noise = Noise(lidar="none", sweep=sweep)
+    ours, end = scans(hills, husky, terrain=terrain, noise=noise)
+    theirs, other_end = scans(hills, husky, terrain=terrain, noise=noise, rays="mujoco")
+    assert end == other_end, "what is touched is the same"
+    finite = np.isfinite(ours)
+    assert 0.3 < finite.mean() < 1
+    np.testing.assert_allclose(theirs[finite], ours[finite], atol=1e-3)
+    assert (ours[~finite] == theirs[~finite]).all()
+
+
+def test_the_hfield_that_is_touched_is_another_one(hills: World, husky: Robot) -> None:
+    """Else the test above would not tell whether the rays see the right one."""
+    body = Simulation(hills, husky, rays="mujoco").body
+    assert body.contact.stride > 1
+    assert [body.model.hfield(name).nrow[0] for name in ("ground", "seen")] == [
+        240 // body.contact.stride + 1,
+        241,
+    ]
+
+
+def test_walls_props_and_parked_robots(walled: World, husky: Robot) -> None:
+    props = (
+        Prop(shape="sphere", size=(0.5,), place=Pose2(1.8, 1.0)),
+        Parked(husky, Pose2(-1.8, 0.3, 1.0)),
+    )
+    for terrain in ("hfield", "mesh"):
+        ours, theirs = (
+            scans(walled, husky, terrain=terrain, props=props, noise=Noise(lidar="none"), rays=rays)[0]
+            for rays in ("ours", "mujoco")
+        )
+        np.testing.assert_allclose(theirs, ours, atol=1e-3)
+        assert 0.1 < np.isfinite(ours).mean() < 1
+
+
+def test_the_same_noise(hills: World, husky: Robot) -> None:
+    ours, theirs = (scans(hills, husky, rays=rays)[0] for rays in ("ours", "mujoco"))
+    finite = np.isfinite(ours) & np.isfinite(theirs)
+    assert 0.3 < finite.mean() < 1
+    np.testing.assert_allclose(theirs[finite], ours[finite], atol=1e-3)
+    exact = scans(hills, husky, noise=Noise(lidar="none"))[0]
+    error = ours[finite] / exact[finite] - 1
+    assert error.std() == pytest.approx(0.01, rel=0.2)
+
+
+def test_unknown_rays(plane: World, husky: Robot) -> None:
+    with pytest.raises(ConfigError, match=r"unknown rays 'embree'; legal: mujoco, ours"):
+        Simulation(plane, husky, rays="embree")  # type: ignore[arg-type]
