@@ -28,6 +28,9 @@ TILE = 19_000
 STREAM_ABOVE = 20_000
 """Triangles above which the file is streamed: pycollada needs 20 s and 500 MB for each million."""
 
+BULK = 500_000
+"""Triangles above which positions are written to 2e-6 of the world's width instead of 2e-7: fewer digits."""
+
 
 def write_collada(
     path: Path, mesh: TriangleMesh, texture: str | None = None, *, stream_above: int = STREAM_ABOVE
@@ -53,7 +56,8 @@ def write_collada(
     tiles = split_tiles(mesh, aim=aim, groups=projection_groups(mesh))
     with atomic_write(path) as temporary:
         if streamed:
-            stream_collada(temporary, tiles, np.ptp(mesh.bounds, axis=0), texture)
+            step = 2e-6 if len(mesh.faces) > BULK else 2e-7
+            stream_collada(temporary, tiles, np.ptp(mesh.bounds, axis=0), texture, step)
         else:
             with temporary.open("wb") as file:
                 _document(tiles, texture).write(file)

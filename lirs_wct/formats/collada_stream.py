@@ -60,7 +60,9 @@ input_semantic="TEXCOORD" input_set="0"/></instance_material></technique_common>
 """
 
 
-def stream_collada(path: Path, tiles: Iterable[TriangleMesh], size: ArrayLike, texture: str | None) -> None:
+def stream_collada(
+    path: Path, tiles: Iterable[TriangleMesh], size: ArrayLike, texture: str | None, step: float = 2e-6
+) -> None:
     """Write tiles as they come.
 
     Args:
@@ -68,6 +70,7 @@ def stream_collada(path: Path, tiles: Iterable[TriangleMesh], size: ArrayLike, t
         tiles: meshes with texture coordinates and normals.
         size: extent of them all along x, y, z, metres: it gives the digits that are worth writing.
         texture: path of the picture relative to the file, or None for a plain colour.
+        step: share of the width that positions are exact to; heights, to ten times this share of their own.
 
     Raises:
         ConfigError: a tile lacks texture coordinates or normals.
@@ -82,7 +85,7 @@ def stream_collada(path: Path, tiles: Iterable[TriangleMesh], size: ArrayLike, t
     )
     with path.open("wb") as file:
         file.write(head.encode())
-        count, decimals = 0, _position_decimals(size)
+        count, decimals = 0, _position_decimals(size, step)
         for tile in tiles:
             _write_tile(file, count, tile, decimals)
             count += 1
@@ -114,9 +117,9 @@ def _write_source(
     file.write(_SOURCE_END.format(id=name, n=len(values), k=len(axes), params=params).encode())
 
 
-def _position_decimals(size: ArrayLike) -> tuple[int, int, int]:
-    """Return the digits that keep 2e-6 of the width and 2e-5 of the height (0.1 mm in 50 m and 5 m)."""
+def _position_decimals(size: ArrayLike, step: float) -> tuple[int, int, int]:
+    """Return the digits worth writing: with 2e-6, 0.1 mm in a world of 50 m and 5 m of relief."""
     x, y, z = np.asarray(size, dtype=np.float64)
-    step = np.array([max(x, y) * 2e-6, max(x, y) * 2e-6, z * 2e-5])
-    a, b, c = np.clip(np.ceil(-np.log10(np.maximum(step, 1e-9)) - 1e-9), 0, 6).astype(int).tolist()
+    least = np.array([max(x, y) * step, max(x, y) * step, z * 10 * step])
+    a, b, c = np.clip(np.ceil(-np.log10(np.maximum(least, 1e-9)) - 1e-9), 0, 6).astype(int).tolist()
     return a, b, c
