@@ -73,6 +73,15 @@ class Trajectory:
         """Return pose i projected on the plane."""
         return Pose2(float(self.positions[i, 0]), float(self.positions[i, 1]), float(self.yaw[i]))
 
+    def planar_at(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (m, 3) x, y, yaw at stamps (m,): linear between neighbours, the end pose beyond the ends.
+
+        Metres and radians; the yaw turns the short way round and may leave (-pi, pi].
+        """
+        yaw = np.unwrap(self.yaw)
+        columns = (self.positions[:, 0], self.positions[:, 1], yaw)
+        return np.column_stack([np.interp(stamps, self.stamps, column) for column in columns])
+
     def moved(self, T_new_frame: Pose2) -> Trajectory:
         """Return the same motion expressed in another frame (planar move)."""
         T = Pose3.from_pose2(T_new_frame)
