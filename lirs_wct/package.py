@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from pathlib import Path
 from typing import Literal
 
@@ -18,6 +18,7 @@ from lirs_wct.formats.stl import write_stl, write_triangles
 from lirs_wct.formats.world_json import TEXTURES
 from lirs_wct.mesh import TriangleMesh
 from lirs_wct.mjcf import hfield_bytes, write_mjcf
+from lirs_wct.progress import Report, Steps
 from lirs_wct.shade import ground_texture
 from lirs_wct.solid import solid_triangles
 from lirs_wct.texture import cube_uv
@@ -30,8 +31,6 @@ LARGE = 1_000_000
 """Nodes of a surface above which an STL of the full grid is written without making its mesh."""
 
 GazeboTerrain = Literal["solid", "heightmap"]
-Report = Callable[[str], None]
-"""Called with what is being written."""
 
 
 def write_package(
@@ -49,7 +48,7 @@ def write_package(
         parent: folder for the world's folder.
         formats: of `FORMATS`.
         terrain: what Gazebo's model is: the solid mesh, or a heightmap (8 bit, as the paper compares with).
-        report: called with each file's name.
+        report: called with what is being written and the share that is done.
 
     Raises:
         ConfigError: no such format, or the world cannot be written in it.
@@ -61,18 +60,19 @@ def write_package(
         raise OutputError(
             f"{folder}: holds files that are not a built world; choose another folder or --name"
         )
-    tell = report or (lambda name: None)
+    steps = Steps(2 + len(set(formats)), report)
     with atomic_folder(folder) as temporary:
-        tell("world.json")
+        steps.begin("world.json")
         world.save(temporary)
-        _write_meshes(world, temporary, formats, tell)
+        _write_meshes(world, temporary, formats, steps)
         if "sdf" in formats:
-            tell("model.sdf")
+            steps.begin("model.sdf")
             _write_model(world, temporary, formats, terrain)
         if "mjcf" in formats:
-            tell(f"{world.name}.xml")
+            steps.begin(f"{world.name}.xml")
             write_mjcf(world, temporary)
         if "hfield" in formats:
+            steps.begin(f"{world.name}.hfield")
             (temporary / f"{world.name}.hfield").write_bytes(hfield_bytes(world.surface))
     return folder
 
@@ -91,26 +91,40 @@ def _check(world: World, formats: Collection[str], terrain: str) -> None:
         raise ConfigError("sdf shows a mesh: ask for dae or stl as well, or for --terrain heightmap")
 
 
-def _write_meshes(world: World, folder: Path, formats: Collection[str], tell: Report) -> None:
-    finish, meshes = world.finish, folder / "meshes"
-    paths = {kind: meshes / f"{world.name}.{kind}" for kind in ("stl", "dae", "obj")}
-    if "stl" in formats:
-        tell(paths["stl"].name)
-        plain = world.kind == "terrain" and not finish.limited and finish.rotate_x == 0
-        if plain and world.surface.z.size > LARGE and not {"dae", "obj"} & set(formats):
-            write_triangles(paths["stl"], *solid_triangles(world.surface))
-        else:
-            write_stl(paths["stl"], _turned(world.mesh, finish.rotate_x))
-    if not {"dae", "obj"} & set(formats):
+def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: Steps) -> None:
+    kinds = [kind for kind in ("stl", "dae", "obj") if kind in formats]
+    if kinds == ["stl"] and _streams(world):
+        steps.begin("meshes")
+        write_triangles(_mesh_path(world, folder, "stl"), *solid_triangles(world.surface), steps.tick)
+        return
+    if not kinds:
+        return
+    finish = world.finish
+    steps.begin("triangles")
+    mesh = _turned(world.mesh, finish.rotate_x)
+    if "stl" in kinds:
+        steps.begin(f"{world.name}.stl")
+        write_stl(_mesh_path(world, folder, "stl"), mesh, steps.tick)
+    if kinds == ["stl"]:
         return
     texture = f"../{write_texture(world, folder).as_posix()}"
     dressed = _turned(cube_uv(world.mesh, finish.texture_size), finish.rotate_x)
-    if "dae" in formats:
-        tell(paths["dae"].name)
-        write_collada(paths["dae"], dressed, texture)
-    if "obj" in formats:
-        tell(paths["obj"].name)
-        write_obj(paths["obj"], dressed, texture)
+    if "dae" in kinds:
+        steps.begin(f"{world.name}.dae")
+        write_collada(_mesh_path(world, folder, "dae"), dressed, texture, tick=steps.tick)
+    if "obj" in kinds:
+        steps.begin(f"{world.name}.obj")
+        write_obj(_mesh_path(world, folder, "obj"), dressed, texture)
+
+
+def _streams(world: World) -> bool:
+    """Whether the mesh is the full grid of a large surface: its STL is written without making it."""
+    plain = world.kind == "terrain" and not world.finish.limited and world.finish.rotate_x == 0
+    return plain and world.surface.z.size > LARGE
+
+
+def _mesh_path(world: World, folder: Path, kind: str) -> Path:
+    return folder / "meshes" / f"{world.name}.{kind}"
 
 
 def _turned(mesh: TriangleMesh, degrees: float) -> TriangleMesh:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lirs_validation.build_options import gazebo_terrain, with_build_options
-from lirs_validation.commands.console import err, out
+from lirs_validation.commands.console import err, out, work_bar
 from lirs_validation.commands.words import Source
 from lirs_validation.option_words import RotateX
 from lirs_wct.options import BuildOptions
@@ -41,14 +41,14 @@ def build(
     from lirs_wct.world import build_world
 
     formats = [word.strip() for word in to.split(",") if word.strip()]
-    with err.status(f"building {source}") as status:
+    with work_bar(f"building {source}") as tell:
         world = build_world(source, options)
         folder = write_package(
             world,
             output,
             formats=formats,
             terrain=gazebo_terrain(terrain),
-            report=lambda name: status.update(f"{source}: writing {name}"),
+            report=lambda name, share: tell(f"{world.name}: {name}", share),
         )
     width, depth = world.surface.size
     out.print(f"{folder}: {world.kind}, {width:g} x {depth:g} m, relief {world.surface.relief:.2f} m")

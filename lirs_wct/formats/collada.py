@@ -20,6 +20,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.collada_stream import CREATED, GROUND, stream_collada
 from lirs_wct.mesh import TriangleMesh
+from lirs_wct.progress import Tick, ticking
 from lirs_wct.texture import cube_uv, projection_groups
 from lirs_wct.tiles import split_tiles
 
@@ -33,7 +34,12 @@ BULK = 500_000
 
 
 def write_collada(
-    path: Path, mesh: TriangleMesh, texture: str | None = None, *, stream_above: int = STREAM_ABOVE
+    path: Path,
+    mesh: TriangleMesh,
+    texture: str | None = None,
+    *,
+    stream_above: int = STREAM_ABOVE,
+    tick: Tick | None = None,
 ) -> None:
     """Write a mesh with its texture coordinates; missing ones are made by cube projection.
 
@@ -42,6 +48,7 @@ def write_collada(
         mesh: in the world frame.
         texture: path of the picture relative to the file, or None for a plain colour.
         stream_above: triangles above which the file is streamed in tiles.
+        tick: called with the share that is written, 0 to 1.
 
     Raises:
         ConfigError: the texture's path holds spaces, which Gazebo does not take.
@@ -54,6 +61,7 @@ def write_collada(
     streamed = len(mesh.faces) > stream_above
     aim = TILE if streamed else max(len(mesh.faces), 1)
     tiles = split_tiles(mesh, aim=aim, groups=projection_groups(mesh))
+    tiles = ticking(tiles, len(mesh.faces), lambda tile: len(tile.faces), tick)
     with atomic_write(path) as temporary:
         if streamed:
             step = 2e-6 if len(mesh.faces) > BULK else 2e-7

@@ -1,0 +1,58 @@
+"""Long work tells how far it has come: never backwards, never beyond the end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lirs_wct.formats.collada import write_collada
+from lirs_wct.heightfield import HeightField
+from lirs_wct.package import FORMATS, write_package
+from lirs_wct.progress import Steps, ticking
+from lirs_wct.solid import solid_mesh
+from lirs_wct.world import World
+
+
+@given(st.lists(st.integers(0, 9), max_size=8))
+def test_ticking_passes_everything_on_and_ends_at_one(weights: list[int]) -> None:
+    told: list[float] = []
+    assert list(ticking(weights, sum(weights), int, told.append)) == weights
+    assert told == sorted(told)
+    if sum(weights):
+        assert told[-1] == 1.0
+
+
+def test_steps_share_the_whole_evenly() -> None:
+    told: list[tuple[str, float]] = []
+    steps = Steps(4, lambda name, share: told.append((name, share)))
+    steps.begin("a")
+    steps.tick(0.5)
+    steps.begin("b")
+    assert told == [("a", 0.0), ("a", 0.125), ("b", 0.25)]
+
+
+@pytest.mark.parametrize("formats", [("stl",), ("dae", "sdf"), FORMATS])
+def test_a_package_tells_each_file(formats: tuple[str, ...], tmp_path: Path) -> None:
+    z = np.random.default_rng(1).random((150, 150)).astype(np.float32)
+    world = World("dunes", "terrain", HeightField(z, (0.1, 0.1), (0.0, 0.0)))
+    told: list[tuple[str, float]] = []
+    write_package(world, tmp_path, formats=formats, report=lambda name, share: told.append((name, share)))
+    shares = [share for _, share in told]
+    assert shares == sorted(shares)
+    assert shares[0] == 0.0
+    assert shares[-1] <= 1.0
+    assert "dunes.dae" not in [name for name, _ in told] or "dae" in formats
+    assert {"world.json"} < {name for name, _ in told}
+
+
+def test_a_streamed_file_ticks_tile_by_tile(tmp_path: Path) -> None:
+    z = np.random.default_rng(2).random((200, 200)).astype(np.float32)
+    told: list[float] = []
+    write_collada(tmp_path / "a.dae", solid_mesh(HeightField(z, (0.1, 0.1), (0.0, 0.0))), tick=told.append)
+    assert len(told) > 3
+    assert told == sorted(told)
+    assert told[-1] == 1.0
