@@ -9,7 +9,9 @@ import numpy as np
 
 from lirs_envs.simulation import Simulation
 from lirs_validation.loop import DriveLog, per_second
+from lirs_validation.mapper_checks import final_map
 from lirs_validation.metrics import map_scores, trajectory_errors
+from lirs_validation.stage import Stage
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.world import World
 from slam_baselines.known_pose import KnownPoseMapper
@@ -28,7 +30,7 @@ class Maps:
 def judge_maps(world: World, log: DriveLog, mapper: Mapper) -> Maps:
     """Compare the mapper's map with the one that the true poses give; move it by the true start only."""
     T_world_map = log.truth[0].to_pose2()
-    built = mapper.map()
+    built = final_map(mapper)
     reference = KnownPoseMapper(resolution=built.resolution)
     for observation, T_world_base in zip(log.observations, log.truth, strict=True):
         T_map_base = T_world_map.inverse() @ T_world_base.to_pose2()
@@ -70,6 +72,8 @@ def judge_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
         "physics_only": simulation.replay_rtf(),
         "simulated_seconds": len(log.walls) * period,
         "wall_seconds": sum(log.walls),
+        "concurrent": log.concurrent,
+        "extrapolated": log.status == "wall limit",
         "series": series.tolist(),
     }
 
@@ -86,3 +90,19 @@ def judge_contact(simulation: Simulation) -> dict[str, Any]:
 def judge_collisions(simulation: Simulation) -> dict[str, Any]:
     """Return contact figures of the whole run."""
     return asdict(simulation.collisions)
+
+
+def judge_world(stage: Stage, simulation: Simulation) -> dict[str, Any]:
+    """Describe the world and what is touched of it."""
+    world, surface = stage.world, stage.world.surface
+    return {
+        "name": world.name,
+        "kind": world.kind,
+        "scale": world.scale,
+        "size": surface.size,
+        "bounds": surface.bounds,
+        "relief": surface.relief,
+        "nodes": surface.shape,
+        "window": stage.window,
+        "contact": judge_contact(simulation),
+    }

@@ -11,6 +11,7 @@ import numpy as np
 
 from lirs_envs.simulation import Observation, Simulation
 from lirs_validation.drivers import CoverageDriver
+from lirs_validation.mapper_checks import check_pose
 from lirs_validation.record import Status
 from lirs_wct.errors import SimulationError
 from lirs_wct.pose import Pose2, Pose3
@@ -36,6 +37,7 @@ class DriveLog:
         walls: wall-clock seconds of each tick.
         mapper_seconds: of these, spent in the mapper.
         status: how it ended, `reason` in words.
+        concurrent: whether something else of ours ran at the same time.
     """
 
     observations: list[Observation] = field(default_factory=list)
@@ -46,6 +48,7 @@ class DriveLog:
     mapper_seconds: list[float] = field(default_factory=list)
     status: Status = "ok"
     reason: str = ""
+    concurrent: bool = False
 
     @property
     def stamps(self) -> list[float]:
@@ -55,6 +58,11 @@ class DriveLog:
     def online(self) -> Trajectory:
         """Return the mapper's answers as it gave them, in the map frame."""
         return Trajectory.from_poses(self.stamps, self.estimates)
+
+    def scans_dropped(self, driven: float, period: float) -> int:
+        """Return how many of the scans due in a time, one at its start, the mapper was not given."""
+        due = round(driven / period) + 1 - (self.status == "diverged")
+        return due - len(self.estimates)
 
     def trajectories(self) -> tuple[Trajectory, Trajectory, Trajectory]:
         """Return truth, final estimate and odometry, all in the world frame.
@@ -78,8 +86,14 @@ def drive(
     mapper: Mapper,
     seconds: float,
     progress: Progress | None = None,
+    *,
+    wall_limit: float | None = None,
 ) -> DriveLog:
-    """Drive for a time, or until something fails; the failure is in the log, not raised."""
+    """Drive for a time, or until something fails or the wall limit is over; the log says which.
+
+    Raises:
+        MapperError: the mapper answered with something other than a finite pose.
+    """
     log = DriveLog()
     _map(log, simulation.reset(driver.start), simulation, mapper, time.perf_counter())
     # The first scan comes before anything moves: no simulated time passes, so none is counted.
@@ -88,6 +102,7 @@ def drive(
     period = simulation.period
     next_report = 1.0
     lost_since: float | None = None
+    spent = 0.0
     for tick in range(max(1, math.ceil(seconds / period - 1e-9))):
         begun = time.perf_counter()
         try:
@@ -101,6 +116,9 @@ def drive(
         failure = _failure(simulation, driver, lost_since)
         if failure is not None:
             return _ended(log, *failure)
+        spent += log.walls[-1]
+        if wall_limit is not None and spent >= wall_limit and (tick + 1) * period < seconds:
+            return _ended(log, "wall limit", _over(spent, simulation.time, seconds))
         if progress is not None and (tick + 1) * period >= next_report:
             progress((tick + 1) * period)
             next_report += 1.0
@@ -114,6 +132,7 @@ def _map(
     handed = time.perf_counter()
     estimate = mapper.update(observation.scan, observation.odometry, observation.imu)
     done = time.perf_counter()
+    check_pose(estimate, observation.scan.stamp)
     log.observations.append(observation)
     log.truth.append(simulation.T_world_base)
     log.estimates.append(estimate)
@@ -133,6 +152,13 @@ def _failure(
     if lost_since is not None and simulation.time - lost_since >= LOST_SECONDS:
         return "lost", f"the mapper lost its place at {lost_since:.1f} s"
     return None
+
+
+def _over(spent: float, driven: float, seconds: float) -> str:
+    return (
+        f"stopped at the wall limit, after {spent:.0f} s for {driven:.1f} of {seconds:g} simulated seconds; "
+        "its real-time factor is extrapolated from these"
+    )
 
 
 def _ended(log: DriveLog, status: Status, reason: str) -> DriveLog:

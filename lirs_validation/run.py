@@ -2,60 +2,40 @@
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from lirs_envs.robots import Robot, make_robot
+from lirs_envs.robots import make_robot
+from lirs_envs.seen import Rays
 from lirs_envs.simulation import Simulation
-from lirs_validation.drivers import CoverageDriver, plan_coverage
+from lirs_validation.company import company
+from lirs_validation.cost import CostMeter
+from lirs_validation.drivers import CoverageDriver
 from lirs_validation.judge import (
     Maps,
     judge_collisions,
-    judge_contact,
     judge_maps,
     judge_rtf,
     judge_trajectory,
+    judge_world,
 )
 from lirs_validation.loop import DriveLog, drive
-from lirs_validation.pace import driver_config
-from lirs_validation.record import RunConfig, RunRecord, machine, versions
+from lirs_validation.mapper_checks import final_stats, final_trajectory
+from lirs_validation.mappers import mapper_named
+from lirs_validation.record import RunConfig, RunRecord
 from lirs_validation.results import write_results
+from lirs_validation.stage import Stage, StageCache
+from lirs_validation.tour import plan
+from lirs_validation.warm_up import warm_up
 from lirs_wct.contact_parts import Terrain
-from lirs_wct.errors import ConfigError
 from lirs_wct.options import BuildOptions
-from lirs_wct.starts import start_poses
-from lirs_wct.window import Window
-from lirs_wct.world import World, build_world
-from slam_baselines.mapper import Mapper, make_mapper
-from slam_baselines.rehearsal import rehearse
-
-LARGE = 200.0
-"""A terrain longer than this (metres) is validated on a window."""
-WINDOW = 50.0
-MARGIN = 0.15
-"""Metres that a plan keeps beyond the robot's radius."""
-PLAN_STREAM = 2
-"""Which of the seed's random streams the tour is drawn from; the simulation has others."""
-WARM_UP = 2.0
-"""Simulated seconds driven before the clock starts, so that compiled kernels are loaded."""
+from lirs_wct.world import World
+from slam_baselines.mapper import Mapper
 
 Report = Callable[[str, float], None]
 """Called with what is going on and the share that is done, 0 to 1."""
-
-
-@dataclass(frozen=True)
-class Stage:
-    """A config and its world; `window` is the square that was cut out of a larger one, if any."""
-
-    config: RunConfig
-    world: World
-    window: Window | None
 
 
 @dataclass(frozen=True)
@@ -76,8 +56,10 @@ def validate(
     mapper: str = "hector",
     lidar: str | None = None,
     terrain: Terrain = "hfield",
+    rays: Rays = "ours",
     seconds: float = 120.0,
     seed: int = 1,
+    wall_limit: float | None = None,
     options: BuildOptions | None = None,
     out: str | Path | None = None,
     report: Report | None = None,
@@ -87,11 +69,13 @@ def validate(
     Args:
         source: a bundled world's name, a built folder, a picture or a map YAML.
         robot: name of the robot.
-        mapper: name of the mapper.
+        mapper: name of the mapper, or `module:name` of your own.
         lidar: name of an LRF preset; None = the robot's own.
         terrain: what MuJoCo touches: `hfield`, `mesh`, `prisms` or `convex`.
+        rays: whose rays the LRF takes: `ours`, or `mujoco` for comparison.
         seconds: simulated time to drive.
         seed: of every random number in the run; same seed, same bytes.
+        wall_limit: wall seconds after which the drive is stopped; None = never.
         options: how the source becomes a world.
         out: folder that receives the run's folder; None = nothing is written.
         report: called with the stage and the share done.
@@ -105,81 +89,68 @@ def validate(
         mapper=mapper,
         lidar=lidar,
         terrain=terrain,
+        rays=rays,
         seconds=seconds,
         seed=seed,
+        wall_limit=wall_limit,
         build=options or BuildOptions(),
     )
     return run(config, out=None if out is None else Path(out), report=report)
 
 
-def run(config: RunConfig, *, out: Path | None = None, report: Report | None = None) -> Run:
-    """Run a config (see `validate`)."""
+def run(
+    config: RunConfig,
+    *,
+    out: Path | None = None,
+    report: Report | None = None,
+    stages: StageCache | None = None,
+    concurrent: bool = False,
+) -> Run:
+    """Run a config (see `validate`).
+
+    Args:
+        config: what to run.
+        out: folder that receives the run's folder; None = nothing is written.
+        report: called with the stage and the share done.
+        stages: worlds that were built before.
+        concurrent: whether other runs share the processor; found out beside that.
+    """
     tell = report or (lambda stage, share: None)
-    robot, mapper = make_robot(config.robot), make_mapper(config.mapper, seed=config.seed)
+    robot, mapper = make_robot(config.robot), mapper_named(config.mapper, config.seed)
     tell("build", 0.0)
-    stage = set_stage(config)
+    stage = (stages or StageCache()).stage(config)
     tell("plan", 0.0)
     driver = plan(stage.world, robot, config)
     tell("compile", 0.0)
-    compile_seconds = warm_up(stage, robot)
-    simulation = simulate(stage, robot)
-    log = drive(simulation, driver, mapper, config.seconds, lambda done: tell("drive", done / config.seconds))
-    log.final = mapper.trajectory()
+    compiled = {"compile_seconds": warm_up(stage, robot)}
+    simulation = stage.simulation(robot)
+    log, cost = _timed_drive(simulation, driver, mapper, config, tell)
     tell("judge", 1.0)
+    log.final = final_trajectory(mapper)
+    log.concurrent = log.concurrent or concurrent
     maps = judge_maps(stage.world, log, mapper)
-    record = judge(stage, simulation, mapper, log, maps, compile_seconds)
+    record = judge(stage, simulation, mapper, log, maps, cost | compiled)
     folder = None if out is None else write_results(out / record.name, record, log, maps, stage.world)
     return Run(record, log, maps, stage.world, folder)
 
 
-def simulate(stage: Stage, robot: Robot) -> Simulation:
-    """Put the robot into the config's world."""
-    config = stage.config
-    return Simulation(stage.world, robot, lidar=config.lidar, seed=config.seed, terrain=config.terrain)
-
-
-def set_stage(config: RunConfig) -> Stage:
-    """Build the config's world; of a terrain larger than 200 m, its middle 50 m."""
-    world = build_world(config.source, config.build)
-    if (
-        max(world.surface.size) <= LARGE
-        or world.kind == "map"
-        or world.overhangs
-        or config.build.window is not None
-    ):
-        return Stage(config, world, config.build.window)
-    west, south, east, north = world.surface.bounds
-    window = ((west + east) / 2, (south + north) / 2, WINDOW)
-    return Stage(config, build_world(config.source, replace(config.build, window=window)), window)
-
-
-def plan(world: World, robot: Robot, config: RunConfig) -> CoverageDriver:
-    """Plan a tour over the true ground; the mapper sees none of it.
-
-    Raises:
-        ConfigError: the robot fits nowhere in this world.
-    """
-    free = world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope)
-    starts = start_poses(free)
-    if not starts:
-        raise ConfigError(
-            f"{config.source}: no place for {robot.name}: it needs {2 * (robot.radius + MARGIN):.1f} m of "
-            f"free ground no steeper than {math.degrees(robot.max_slope):.0f} deg"
+def _timed_drive(
+    simulation: Simulation, driver: CoverageDriver, mapper: Mapper, config: RunConfig, tell: Report
+) -> tuple[DriveLog, dict[str, Any]]:
+    """Drive; return the log and what the drive cost."""
+    with company() as others:
+        meter = CostMeter()
+        log = drive(
+            simulation,
+            driver,
+            mapper,
+            config.seconds,
+            lambda done: tell("drive", done / config.seconds),
+            wall_limit=config.wall_limit,
         )
-    start = starts[(config.seed - 1) % len(starts)]
-    rng = np.random.default_rng((config.seed, PLAN_STREAM))
-    pace = driver_config(robot)
-    return plan_coverage(free, start, seconds=config.seconds, rng=rng, config=pace, surface=world.surface)
-
-
-def warm_up(stage: Stage, robot: Robot) -> float:
-    """Drive a throw-away simulation for a moment, so that every kernel is compiled; return the seconds."""
-    begun = time.perf_counter()
-    rehearse(stage.config.mapper)
-    config = replace(stage.config, seconds=WARM_UP)
-    simulation = simulate(stage, robot)
-    drive(simulation, plan(stage.world, robot, config), make_mapper(config.mapper), WARM_UP)
-    return time.perf_counter() - begun
+        cost = {"cpu_seconds": meter.cpu_seconds(), "peak_memory": meter.peak_memory()}
+    log.concurrent = others.found
+    return log, cost | {"scans_dropped": log.scans_dropped(simulation.time, simulation.period)}
 
 
 def judge(
@@ -188,34 +159,18 @@ def judge(
     mapper: Mapper,
     log: DriveLog,
     maps: Maps,
-    compile_seconds: float,
+    cost: dict[str, Any],
 ) -> RunRecord:
     """Turn a finished drive into a record."""
     return RunRecord(
         config=stage.config,
-        world=_described(stage, simulation),
+        world=judge_world(stage, simulation),
         status=log.status,
         reason=log.reason,
-        rtf=judge_rtf(log, simulation) | {"compile_seconds": compile_seconds},
+        rtf=judge_rtf(log, simulation) | {"compile_seconds": cost["compile_seconds"]},
         trajectory=judge_trajectory(log),
         map=maps.scores,
         collisions=judge_collisions(simulation),
-        mapper=asdict(mapper.stats),
-        versions=versions(),
-        machine=machine(),
+        mapper=asdict(final_stats(mapper)),
+        cost=cost,
     )
-
-
-def _described(stage: Stage, simulation: Simulation) -> dict[str, Any]:
-    world, surface = stage.world, stage.world.surface
-    return {
-        "name": world.name,
-        "kind": world.kind,
-        "scale": world.scale,
-        "size": surface.size,
-        "bounds": surface.bounds,
-        "relief": surface.relief,
-        "nodes": surface.shape,
-        "window": stage.window,
-        "contact": judge_contact(simulation),
-    }

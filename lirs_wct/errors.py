@@ -25,6 +25,10 @@ class SimulationError(WctError):
     """The simulation cannot go on (it diverged, or the robot cannot be placed)."""
 
 
+class MapperError(WctError):
+    """A mapper gave something that no mapper may give."""
+
+
 def unknown_name(kind: str, name: str, legal: Iterable[str]) -> ConfigError:
     """Return the error for a name that is none of the legal ones, which it lists.
 

@@ -13,7 +13,8 @@ from lirs_envs.drive import Twist
 from lirs_envs.simulation import Observation
 from lirs_validation import RunConfig, cli, read_record, validate
 from lirs_validation.loop import LOST_SECONDS, drive, per_second
-from lirs_validation.run import Run, set_stage
+from lirs_validation.run import Run
+from lirs_validation.stage import set_stage
 from lirs_wct.errors import ConfigError, SimulationError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum

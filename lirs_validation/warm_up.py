@@ -1,0 +1,35 @@
+"""A short drive before the clock starts, so that what is timed is not the compiler."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+from lirs_envs.robots import Robot
+from lirs_validation.loop import drive
+from lirs_validation.mappers import mapper_named, rehearse_named
+from lirs_validation.stage import Stage
+from lirs_validation.tour import plan
+
+WARM_UP = 2.0
+"""Simulated seconds of the drive."""
+_WARM: set[tuple[str | None, ...]] = set()
+"""What this process has driven already."""
+
+
+def warm_up(stage: Stage, robot: Robot) -> float:
+    """Drive a throw-away simulation for a moment, so that every kernel is compiled; return the seconds.
+
+    What this process drove before is compiled: then it takes none.
+    """
+    c = stage.config
+    kind = (stage.world.kind, c.robot, c.lidar, c.terrain, c.rays, c.mapper)
+    if kind in _WARM:
+        return 0.0
+    begun = time.perf_counter()
+    rehearse_named(c.mapper)
+    config = replace(c, seconds=WARM_UP)
+    mapper = mapper_named(c.mapper, c.seed)
+    drive(stage.simulation(robot), plan(stage.world, robot, config), mapper, WARM_UP, wall_limit=c.wall_limit)
+    _WARM.add(kind)
+    return time.perf_counter() - begun
