@@ -27,7 +27,14 @@ UNTAGGED_NODATA = (-9999.0, -32768.0)
 
 
 def read_height_field(path: Path, options: BuildOptions) -> HeightField:
-    """Read a picture as a terrain: bright is high, the lowest point is z = 0, the centre is the origin.
+    """Read a picture as a terrain (see `read_scaled`)."""
+    return read_scaled(path, options)[0]
+
+
+def read_scaled(path: Path, options: BuildOptions) -> tuple[HeightField, str]:
+    """Read a picture as a terrain, and say in words where its metres come from.
+
+    Bright is high, the lowest point is z = 0, the centre is the origin.
 
     A GeoTIFF keeps its own pixel size and heights unless the options say otherwise; any other picture
     is scaled to the options or their defaults. The pixels are the nodes. Options act in this order: crop,
@@ -52,7 +59,20 @@ def read_height_field(path: Path, options: BuildOptions) -> HeightField:
     sx, sy, sz = options.scale or (1.0, 1.0, 1.0)
     z = _heights(above, unit, options.height, sz * (options.z_scale or 1.0))
     rows, cols = z.shape
-    return HeightField.centred(z, (width * sx / (cols - 1), depth * sy / (rows - 1)))
+    surface = HeightField.centred(z, (width * sx / (cols - 1), depth * sy / (rows - 1)))
+    return surface, _in_words(own=pixel is not None, options=options)
+
+
+def _in_words(*, own: bool, options: BuildOptions) -> str:
+    """Say where the metres come from."""
+    size = height = "the file's own"
+    if not own:
+        size, height = f"{DEFAULT_SIZE:g} m on the longer side by default", f"{DEFAULT_HEIGHT:g} m by default"
+    if options.size is not None or options.pixel_size is not None:
+        size = "as given"
+    if options.height is not None:
+        height = "as given"
+    return size if size == height else f"size {size}, height {height}"
 
 
 def _cropped(path: Path, pixels: NDArray[Any], crop: tuple[int, int, int, int] | None) -> NDArray[Any]:

@@ -10,27 +10,17 @@ import cv2
 
 from lirs_wct.bundled import SIZE, bundled_picture
 from lirs_wct.heightfield import HeightField
-from lirs_wct.image import read_height_field
+from lirs_wct.image import read_height_field, read_scaled
 from lirs_wct.options import BuildOptions
 from lirs_wct.source import Source, SourceKind
 
 
-def read_terrain(source: Source, options: BuildOptions) -> HeightField:
-    """Return the ground of a picture or of a bundled world (see `read_height_field`)."""
-    if source.kind is SourceKind.BUNDLED:
-        return _bundled_surface(str(source.path), options)
-    return read_height_field(source.path, options)
-
-
-def scale_in_words(source: Source, options: BuildOptions) -> str:
-    """Say where the metres come from."""
-    if source.kind is SourceKind.BUNDLED:
-        return "as bundled" if not (options.size or options.pixel_size or options.height) else "as given"
-    given = (options.size or options.pixel_size) is not None, options.height is not None
-    return {
-        (True, True): "as given",
-        (False, False): "the file's own, else longer side 50 m, heights 6 m",
-    }.get(given, "as given, the rest the file's own or the default")
+def read_terrain(source: Source, options: BuildOptions) -> tuple[HeightField, str]:
+    """Return the ground of a picture or of a bundled world, and where its metres come from, in words."""
+    if source.kind is not SourceKind.BUNDLED:
+        return read_scaled(source.path, options)
+    resized = options.size or options.pixel_size or options.height
+    return _bundled_surface(str(source.path), options), "as given" if resized else "as bundled"
 
 
 def _bundled_surface(name: str, options: BuildOptions) -> HeightField:

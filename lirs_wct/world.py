@@ -26,7 +26,7 @@ from lirs_wct.simplify import simplified_solid
 from lirs_wct.solid import solid_mesh
 from lirs_wct.source import Source, SourceKind, find_source, warn_of_useless
 from lirs_wct.starts import start_poses
-from lirs_wct.terrain_source import read_terrain, scale_in_words
+from lirs_wct.terrain_source import read_terrain
 from lirs_wct.traversability import traversable
 from lirs_wct.wall_solid import wall_mesh
 from lirs_wct.walls import WallGrid
@@ -155,10 +155,10 @@ def _loaded_world(source: Source, options: BuildOptions) -> World:
 
 
 def _terrain_world(source: Source, options: BuildOptions) -> World:
-    surface = read_terrain(source, options)
+    surface, scale = read_terrain(source, options)
     if options.window is not None:
         surface = cut_surface(surface, options.window)
-    return _with_starts(World(source.name, "terrain", surface, scale=scale_in_words(source, options)))
+    return _with_starts(World(source.name, "terrain", surface, scale=scale))
 
 
 def _mesh_world(source: Source, options: BuildOptions) -> World:

@@ -6,6 +6,7 @@ import struct
 import warnings
 import zlib
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.heightfield import HeightField
 from lirs_wct.image import read_height_field
 from lirs_wct.options import BuildOptions
+from lirs_wct.world import build_world
 
 RAMP = np.arange(12, dtype=np.uint16).reshape(3, 4)
 
@@ -236,3 +238,19 @@ def test_nothing_but_our_warnings_reaches_stderr(tmp_path: Path, capfd: pytest.C
     with pytest.raises(SourceError):
         read(tmp_path / "short.pgm")
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({}, "size 50 m on the longer side by default, height 6 m by default"),
+        ({"size": 20}, "size as given, height 6 m by default"),
+        ({"pixel_size": 0.5, "height": 2}, "as given"),
+    ],
+)
+def test_the_world_says_where_its_metres_come_from(
+    options: dict[str, Any], words: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.png"
+    cv2.imwrite(str(path), np.arange(12, dtype=np.uint8).reshape(3, 4))
+    assert build_world(path, BuildOptions(**options)).scale == words
