@@ -1,4 +1,4 @@
-"""The command line: `lirs-wct build | validate | view | info | convert | robot`."""
+"""The command line: `lirs-wct build | validate | collide | view | info | convert | robot`."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 import typer
 from typer.exceptions import TyperException
 
+from lirs_validation.commands.collide import collide
 from lirs_validation.commands.console import BAD_INPUT, INTERRUPTED, err
 from lirs_validation.commands.runs import validate
 from lirs_validation.commands.worlds import build, convert, info, view
@@ -23,7 +24,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, judge the result.",
 )
-for command in (build, validate, view, info, convert, robot):
+for command in (build, validate, collide, view, info, convert, robot):
     app.command()(command)
 
 

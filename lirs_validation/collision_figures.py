@@ -1,0 +1,113 @@
+"""From the steps of a drive to figures: penetration, impacts, energy, forces, standing still."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+from lirs_validation.contact_log import DEEP, ContactLog, DeepContact
+from lirs_validation.random_drive import LEANS, Leg
+from lirs_validation.touched import Touched
+
+IMPACT = 0.010
+"""Metres of penetration that an impact may reach for each metre a second."""
+ONSET = 0.1
+"""Seconds before a deep contact in which its impact began."""
+WINDOW = 1.0
+"""Seconds over which energy and standing still are looked at."""
+RETURNED = math.exp(-4)
+"""Share of an impact's energy that a critically damped contact gives back."""
+STANDS = 0.1
+"""Below this share of the commanded way a robot counts as stuck."""
+GRAVITY = 9.81
+
+
+@dataclass(frozen=True)
+class Bounded:
+    """The worst of many values that each have a limit of their own, and that limit."""
+
+    value: float
+    limit: float
+
+    @property
+    def ratio(self) -> float:
+        """Value over limit."""
+        return self.value / self.limit
+
+
+def penetrations(legs: Sequence[Leg]) -> tuple[float, Bounded]:
+    """Return what penetration stays below in 99.9 % of all steps, and the worst peak; metres."""
+    depth = np.concatenate([leg.log.depth for leg in legs])
+    peaks = [_impact(leg.log, contact) for leg in legs for contact in leg.log.deep]
+    return float(np.quantile(depth, 0.999)), worst(peaks or [Bounded(float(depth.max()), DEEP)])
+
+
+def _impact(log: ContactLog, contact: DeepContact) -> Bounded:
+    """Return a deep contact and the depth that the speed of the impact allows it.
+
+    The speed is the highest at which the robot, as one rigid body, moved there into the ground just before.
+    """
+    since = slice(max(0, contact.step - round(ONSET / log.timestep)), contact.step + 1)
+    arm = contact.point - log.position[since]
+    speed = -(log.velocity[since] + np.cross(log.spin[since], arm)) @ contact.normal
+    return Bounded(contact.depth, max(DEEP, IMPACT * float(speed.max())))
+
+
+def energy_gain(legs: Sequence[Leg], mass: float) -> Bounded:
+    """Return the energy gained within a second beyond the motors' work where it is worst; joules."""
+    return worst(_gain(leg.log, mass) for leg in legs)
+
+
+def _gain(log: ContactLog, mass: float) -> Bounded:
+    span = max(1, round(WINDOW / log.timestep))
+    # A window that ends at each step: the filters are centred.
+    size, origin = span + 1, span // 2
+    balance = log.energy - (np.cumsum(log.work) - log.work)
+    gain = balance - minimum_filter1d(balance, size, origin=origin, mode="nearest")
+    kinetic = maximum_filter1d(log.kinetic, size, origin=origin, mode="nearest")
+    limit = mass * GRAVITY * DEEP + RETURNED * kinetic
+    k = int(np.argmax(gain / limit))
+    return Bounded(float(gain[k]), float(limit[k]))
+
+
+def inside_steps(legs: Sequence[Leg], touched: Touched) -> int:
+    """Return the number of steps in which a body's centre was inside ground or wall."""
+    return sum(
+        int(touched.holds(leg.log.bodies.reshape(-1, 3)).reshape(len(leg.log.depth), -1).any(axis=1).sum())
+        for leg in legs
+    )
+
+
+def stuck_seconds(legs: Sequence[Leg]) -> float:
+    """Return the time that the robot stood upright, was told to drive, and came nowhere."""
+    total = 0
+    for leg in legs:
+        log, span = leg.log, round(WINDOW / leg.log.timestep)
+        for k in range(0, len(log.depth) - span, span):
+            told = abs(sum(leg.commanded[k : k + span])) * log.timestep
+            moved = float(np.linalg.norm(log.position[k + span] - log.position[k]))
+            upright = bool((log.upright[k : k + span] >= LEANS).all())
+            total += told > 0 and upright and moved < STANDS * told
+    return total * WINDOW
+
+
+def forces(legs: Sequence[Leg]) -> tuple[float, float]:
+    """Return the largest normal force of a contact, and the mean of their sum while anything touches, N."""
+    total = np.concatenate([leg.log.force for leg in legs])
+    touching = total[total > 0]
+    peak = max(float(leg.log.peak_force.max(initial=0.0)) for leg in legs)
+    return peak, float(touching.mean()) if len(touching) else 0.0
+
+
+def driven(legs: Sequence[Leg]) -> float:
+    """Return the way of base_link, metres."""
+    return sum(float(np.linalg.norm(np.diff(leg.log.position, axis=0), axis=1).sum()) for leg in legs)
+
+
+def worst(values: Iterable[Bounded]) -> Bounded:
+    """Return the value that is highest against its limit."""
+    return max(values, key=lambda bounded: bounded.ratio)

@@ -1,0 +1,129 @@
+"""What every single step of MuJoCo did to a robot: motion, contacts, energy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_envs.model import RobotModel
+
+Array = NDArray[np.float64]
+DEEP = 0.010
+"""Penetration that a contact may have whatever happens, metres."""
+
+
+@dataclass(frozen=True)
+class DeepContact:
+    """A contact deeper than `DEEP`: its step, depth in metres, (3,) point, (3,) normal out of the ground."""
+
+    step: int
+    depth: float
+    point: Array
+    normal: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactLog:
+    """A row for each step; all of a row belongs to the step's beginning, where MuJoCo finds contacts.
+
+    Attributes:
+        position: (n, 3) of base_link, metres.
+        upright: (n,) cosine of the angle by which the robot leans.
+        velocity: (n, 3) of base_link in the world, m/s.
+        spin: (n, 3) turn rate in the world, rad/s.
+        bodies: (n, bodies, 3) centres of mass of all moving bodies, metres.
+        depth: (n,) deepest penetration, metres; 0 without contact.
+        peak_force: (n,) largest normal force of a contact, newtons.
+        force: (n,) sum of all normal forces, newtons.
+        energy: (n,) kinetic, potential and of springs, joules.
+        kinetic: (n,) kinetic energy alone, joules.
+        work: (n,) done by the motors during the step, joules.
+        deep: contacts deeper than `DEEP`.
+        timestep: seconds.
+    """
+
+    position: Array
+    upright: Array
+    velocity: Array
+    spin: Array
+    bodies: Array
+    depth: Array
+    peak_force: Array
+    force: Array
+    energy: Array
+    kinetic: Array
+    work: Array
+    deep: tuple[DeepContact, ...]
+    timestep: float
+
+
+COLUMNS = tuple(item.name for item in fields(ContactLog) if item.name not in ("deep", "timestep"))
+
+
+class ContactRecorder:
+    """Makes steps and notes each; nobody but the robot may touch anything in its model."""
+
+    def __init__(self, body: RobotModel) -> None:
+        self.body = body
+        model = body.model
+        model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+        self._own = model.geom_bodyid > 0
+        # A velocity servo's force changes with the speed within the step: integration is implicit.
+        self._damping = model.actuator_biasprm[:, 2].copy()
+        self._most = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], np.inf)
+        self._moment = np.zeros((model.nu, model.nv))
+        self._rows: list[tuple[Array | float, ...]] = []
+        self._deep: list[DeepContact] = []
+
+    def step(self, control: tuple[float, ...]) -> None:
+        """Make one step with wheel speeds or thrusts (see `RobotModel.step`)."""
+        body, data = self.body, self.body.data
+        pose = body.pose()
+        rotation = pose.rotation
+        before = (
+            data.qpos[:3].copy(),
+            float(rotation[2, 2]),
+            data.qvel[:3].copy(),
+            rotation @ data.qvel[3:6],
+        )
+        body.step(control, 1)
+        potential, kinetic = data.energy.tolist()
+        contacts = self._contacts() if data.ncon else (0.0, 0.0, 0.0)
+        self._rows.append(
+            (*before, data.xipos[1:].copy(), *contacts, potential + kinetic, kinetic, self._work())
+        )
+
+    def log(self) -> ContactLog:
+        """Return what was noted."""
+        columns = zip(*self._rows, strict=True) if self._rows else ((),) * len(COLUMNS)
+        noted = {name: np.array(column) for name, column in zip(COLUMNS, columns, strict=True)}
+        return ContactLog(**noted, deep=tuple(self._deep), timestep=self.body.timestep)
+
+    def _work(self) -> float:
+        """Return the motors' work in the step just made: force by the mean of speeds before and after."""
+        data, moment = self.body.data, self._moment
+        mujoco.mju_sparse2dense(
+            moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+        )
+        before = data.actuator_velocity
+        after = moment @ data.qvel
+        force = data.actuator_force
+        # At its limit it stays as it is.
+        force = force + np.where(np.abs(force) < self._most, self._damping * (after - before), 0.0)
+        return float(force @ (before + after) / 2 * self.body.timestep)
+
+    def _contacts(self) -> tuple[float, float, float]:
+        """Return the deepest penetration, the largest normal force and the sum of all; note the deep ones."""
+        data = self.body.data
+        contact = data.contact
+        depth = -contact.dist
+        for i in np.flatnonzero(depth > DEEP).tolist():
+            # MuJoCo's normal points from the first geom to the second.
+            out = contact.frame[i, :3] * (1.0 if self._own[contact.geom[i, 1]] else -1.0)
+            self._deep.append(DeepContact(len(self._rows), float(depth[i]), contact.pos[i].copy(), out))
+        rows = contact.efc_address
+        normal = data.efc_force[rows[rows >= 0]]
+        return max(float(depth.max()), 0.0), float(normal.max(initial=0.0)), float(normal.sum())

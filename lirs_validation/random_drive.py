@@ -1,0 +1,130 @@
+"""A robot driven at random at full speed: into walls, off ledges, onto its back, and set down anew."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from lirs_envs.collisions import check_sane
+from lirs_envs.drive import Drive, Twist
+from lirs_envs.flight import Pilot
+from lirs_envs.model import RobotModel
+from lirs_envs.placement import standing_pose
+from lirs_envs.robots import Robot
+from lirs_validation.contact_log import ContactLog, ContactRecorder
+from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.pose import Pose2
+from lirs_wct.starts import start_poses
+from lirs_wct.world import World
+
+PERIOD, CONTROL_PERIOD = 0.04, 0.008
+"""Seconds: a whole number of steps, and the longest time between two updates of the wheel speeds."""
+SETTLING = 0.6
+"""Seconds that a robot is given to come to rest after it was set down."""
+HELD = 1.6
+"""Seconds for which a command is held."""
+LYING = 1.0
+"""Seconds for which a robot that has tipped is driven on: its body must not sink either."""
+MARGIN = 0.1
+"""Metres beyond the robot's radius that are free where it is set down."""
+LEANS = 0.5
+"""Cosine of the angle from which a robot counts as tipped: 60 deg."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """From where a robot is set down to where it tips, leaves the world, or time is up.
+
+    Attributes:
+        log: every step.
+        commanded: (n,) wanted speed ahead at each step, m/s.
+        tipped: whether it ended lying.
+        diverged: why the simulation could not go on; empty = it could.
+    """
+
+    log: ContactLog
+    commanded: tuple[float, ...]
+    tipped: bool
+    diverged: str
+
+
+def set_down(world: World, robot: Robot) -> tuple[Pose2, ...]:
+    """Return the poses where a robot can be set down in a world.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    free = world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope)
+    places = []
+    for start in start_poses(free):
+        try:
+            standing_pose(world, robot, start)
+        except SimulationError:
+            continue
+        places.append(start)
+    if not places:
+        raise ConfigError(
+            f"{world.name}: no place for {robot.name}: it needs {2 * (robot.radius + MARGIN):.1f} m of free "
+            f"ground no steeper than {math.degrees(robot.max_slope):.0f} deg"
+        )
+    return tuple(places)
+
+
+def drive_at_random(
+    body: RobotModel, world: World, robot: Robot, seconds: float, rng: np.random.Generator
+) -> Iterator[Leg]:
+    """Drive for a time, leg after leg, each from another place.
+
+    Raises:
+        ConfigError: the robot can stand nowhere.
+    """
+    places = set_down(world, robot)
+    left, k = math.ceil(seconds / body.timestep), int(rng.integers(len(places)))
+    while left > 0:
+        body.settle(standing_pose(world, robot, places[k % len(places)]), SETTLING)
+        leg = _leg(body, world, robot, left, rng)
+        left, k = left - len(leg.commanded), k + 1
+        yield leg
+        if leg.diverged:
+            return
+
+
+def _leg(body: RobotModel, world: World, robot: Robot, steps: int, rng: np.random.Generator) -> Leg:
+    drive = Pilot(robot, body, world.surface) if robot.flies else Drive(robot)
+    recorder, commanded = ContactRecorder(body), list[float]()
+    every, tipped, diverged = round(HELD / body.timestep), False, ""
+    command, rest = Twist(), steps
+    while len(commanded) < steps and rest > 0:
+        for piece in body.pieces:
+            if len(commanded) % every < piece:
+                command = _command(robot, rng)
+            control = drive.update(command, body.rates()[2], piece * body.timestep)
+            for _ in range(piece):
+                recorder.step(control)
+            commanded += [command.v] * piece
+            rest -= piece
+        try:
+            check_sane(body.data)
+        except SimulationError as error:
+            diverged = str(error)
+            break
+        x, y, _ = body.pose().position.tolist()
+        if not world.surface.contains(x, y) or _fallen(body, world):
+            break
+        if not tipped and body.pose().rotation[2, 2] < LEANS:
+            tipped, rest = True, min(rest, round(LYING / body.timestep))
+    return Leg(recorder.log(), tuple(commanded), tipped, diverged)
+
+
+def _command(robot: Robot, rng: np.random.Generator) -> Twist:
+    """Return full speed ahead or, one time in three, back; straight or in a curve."""
+    ahead, turn = float(rng.choice((-1.0, 1.0, 1.0))), float(rng.uniform(-1, 1) * rng.integers(2))
+    return Twist(ahead * robot.max_speed, turn * robot.max_turn_rate)
+
+
+def _fallen(body: RobotModel, world: World) -> bool:
+    """Whether the robot fell into a hole of the floor."""
+    return body.pose().z < float(world.surface.z.min()) - 1.0

@@ -1,0 +1,92 @@
+"""The steepest ground of a world that a robot may drive: does it hold there, and climb?"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from lirs_envs.drive import Drive, Twist
+from lirs_envs.model import RobotModel
+from lirs_envs.placement import standing_pose
+from lirs_envs.robots import Robot
+from lirs_validation.random_drive import MARGIN, SETTLING
+from lirs_wct.errors import SimulationError
+from lirs_wct.pose import Pose2
+from lirs_wct.world import World
+
+PLACES = 20_000
+"""Free cells that are looked at, at most."""
+TRIES = 20
+"""Of the steepest places, so many are tried: on some an obstacle stands beside the slope."""
+HELD = 2.0
+"""Seconds for which the wheels hold before it climbs."""
+SPEED = 0.3
+"""Metres a second of the climb, or the robot's most."""
+
+
+@dataclass(frozen=True)
+class Climb:
+    """What came of the test.
+
+    Attributes:
+        slope: of the ground under the robot, degrees.
+        slid: while its wheels held, metres.
+        climbed: share of the commanded way that it came uphill.
+    """
+
+    slope: float
+    slid: float
+    climbed: float
+
+
+def climb(body: RobotModel, world: World, robot: Robot) -> Climb | None:
+    """Hold and climb at the steepest drivable place, one robot's length; None where it can stand nowhere."""
+    for slope, start in _steepest(world, robot):
+        try:
+            body.settle(standing_pose(world, robot, start), SETTLING)
+        except SimulationError:
+            continue
+        before = body.pose().position
+        body.step((0.0, 0.0), round(HELD / body.timestep))
+        slid = float(np.linalg.norm(body.pose().position - before))
+        return Climb(math.degrees(slope), slid, _climbed(body, robot, start.yaw))
+    return None
+
+
+def _climbed(body: RobotModel, robot: Robot, uphill: float) -> float:
+    """Return the share of the commanded way; both counted once the robot is up to speed."""
+    drive, v = Drive(robot), min(SPEED, robot.max_speed)
+    ramp, way = v / robot.max_acceleration + 0.2, 2 * robot.radius
+    axis = np.array((math.cos(uphill), math.sin(uphill)))
+    before, time = body.pose().position, 0.0
+    began: float | None = None
+    while time < ramp + way / v:
+        for piece in body.pieces:
+            dt = piece * body.timestep
+            body.step(drive.update(Twist(v), body.rates()[2], dt), piece)
+            time += dt
+        if began is None and time >= ramp:
+            before, began = body.pose().position, time
+    moved = body.pose().position - before
+    length = math.hypot(float(moved[:2] @ axis), float(moved[2])) if moved[:2] @ axis > 0 else 0.0
+    return length / (v * (time - (began or 0.0)))
+
+
+def _steepest(world: World, robot: Robot) -> list[tuple[float, Pose2]]:
+    """Return slopes (radians) and poses facing uphill, the steepest legal ones first."""
+    free = world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope)
+    cells = np.argwhere(free.free)
+    x, y = free.centres(cells[:: max(1, len(cells) // PLACES)]).T
+    if len(x) == 0:
+        return []
+    r, z = robot.radius, world.surface.height_at
+    east, north = (z(x + r, y) - z(x - r, y)) / (2 * r), (z(x, y + r) - z(x, y - r)) / (2 * r)
+    slope = np.nan_to_num(np.arctan(np.hypot(east, north)), nan=np.inf)
+    order = np.argsort(-np.where(slope <= robot.max_slope, slope, -1.0), kind="stable")[:TRIES]
+    return [
+        (float(slope[i]), Pose2(float(x[i]), float(y[i]), math.atan2(north[i], east[i])))
+        for i in order.tolist()
+        if slope[i] <= robot.max_slope
+    ]

@@ -1,0 +1,73 @@
+"""Whether points lie inside what a robot touches: ground, walls, or convex parts."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from lirs_envs.model import RobotModel
+from lirs_validation.info import mesh_error
+from lirs_wct.contact_parts import PRISM_ERROR, Terrain
+from lirs_wct.walls import WallGrid
+from lirs_wct.world import World
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class Touched:
+    """What MuJoCo touches in a world, as a solid of its own: told without MuJoCo's collision detection."""
+
+    def __init__(self, world: World, body: RobotModel, terrain: Terrain) -> None:
+        self._walls = world.walls
+        self._hulls: list[Array] = []
+        self._slack = 0.0
+        self._heights = world.surface
+        if terrain in ("hfield", "mesh"):
+            self._heights = body.contact.heights(world.surface)
+        elif terrain == "prisms":
+            limited = world.finish.limited or world.solid is not None
+            self._slack = mesh_error(world) if limited else PRISM_ERROR
+        else:
+            self._hulls = _hulls(body.model)
+
+    def holds(self, points: Array) -> Mask:
+        """Return (n,) whether points (n, 3) lie inside."""
+        if self._hulls:
+            inside = np.zeros(len(points), np.bool_)
+            for planes in self._hulls:
+                inside |= (points @ planes[:, :3].T + planes[:, 3] < 0).all(axis=1)
+            return inside
+        x, y, z = points.T
+        if self._walls is not None:
+            return _in_walls(self._walls, points)
+        # Beyond the border the height is NaN, and nothing is below it.
+        below: Mask = z < self._heights.height_at(x, y) - self._slack
+        return below
+
+
+def _in_walls(walls: WallGrid, points: Array) -> Mask:
+    """Return whether points are in a wall, or under a floor that is there."""
+    cells = np.floor(walls.origin.inverse().apply(points[:, :2]) / walls.resolution).astype(int)
+    col, row = cells.T
+    rows, cols = walls.shape
+    on = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    row, col = np.where(on, row, 0), np.where(on, col, 0)
+    z = points[:, 2]
+    inside: Mask = on & ((walls.solid[row, col] & (z < walls.height)) | (walls.floor[row, col] & (z < 0)))
+    return inside
+
+
+def _hulls(model: mujoco.MjModel) -> list[Array]:
+    """Return (n, 4) the outward planes of each convex part."""
+    hulls = []
+    for g in np.flatnonzero((model.geom_bodyid == 0) & (model.geom_contype > 0)).tolist():
+        mesh = int(model.geom_dataid[g])
+        start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        turn = np.empty(9)
+        mujoco.mju_quat2Mat(turn, model.geom_quat[g])
+        corners = model.mesh_vert[start : start + count] @ turn.reshape(3, 3).T + model.geom_pos[g]
+        hulls.append(np.array(ConvexHull(corners).equations))
+    return hulls
