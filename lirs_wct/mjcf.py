@@ -1,4 +1,4 @@
-"""A world as MuJoCo's model: the only file of this package that knows MuJoCo.
+"""A world as MuJoCo's model: only this file and `mjcf_file` know MuJoCo.
 
 MuJoCo's height field has row 0 at -y, where ours has it in the north; the flip is `HeightField.south_up`.
 Its heights are scaled to [0, 1] by their own lowest and highest, so that the geom carries both: the lowest as
@@ -8,9 +8,6 @@ its z, the relief as its elevation.
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from xml.etree import ElementTree
-from zlib import crc32
 
 import mujoco
 import numpy as np
@@ -18,7 +15,6 @@ from numpy.typing import NDArray
 
 from lirs_wct.contact_grid import ContactGrid
 from lirs_wct.contact_parts import Ground, Terrain, check_terrain, contact_parts
-from lirs_wct.files import atomic_write
 from lirs_wct.heightfield import HeightField
 from lirs_wct.occupancy import merged_boxes, merged_rectangles
 from lirs_wct.tiles import MUJOCO_FACES, split_tiles
@@ -77,36 +73,6 @@ def world_spec(
     return spec
 
 
-def write_mjcf(world: Ground, folder: str | Path) -> Path:
-    """Write NAME.xml and the surface's heights as float32, to the bit; return the path of NAME.xml.
-
-    The heights' file has their checksum in its name: MuJoCo caches assets by name, and would give the old
-    ground to a program that builds a world twice.
-
-    Raises:
-        OutputError: the folder cannot be written.
-    """
-    path = Path(folder) / f"{world.name}.xml"
-    # Seen in the viewer as it opens: it hides group 3.
-    spec = world_spec(world, group=0, terrain="convex" if world.overhangs else "hfield")
-    for hfield in spec.hfields:
-        data = hfield_bytes(world.surface)
-        hfield.file = f"{world.name}-{crc32(data):08x}.hfield"
-        hfield.userdata = []
-        hfield.nrow = hfield.ncol = 0
-        spec.assets = {hfield.file: data}
-        with atomic_write(path.with_name(hfield.file)) as temporary:
-            temporary.write_bytes(data)
-    with atomic_write(path) as temporary:
-        temporary.write_text(_exact_xml(spec), encoding="utf-8")
-    return path
-
-
-def hfield_bytes(surface: HeightField) -> bytes:
-    """Return MuJoCo's height-field file: rows and columns as int32, then heights, row 0 at -y, in metres."""
-    return np.array(surface.shape, "<i4").tobytes() + surface.south_up.astype("<f4").tobytes()
-
-
 def box_geoms(walls: WallGrid) -> NDArray[np.float64]:
     """Return (n, 4) the walls' boxes: centre x, y in the world, half extents along the grid's axes."""
     return _boxes(walls, merged_boxes(walls))
@@ -117,21 +83,6 @@ def _boxes(walls: WallGrid, rectangles: NDArray[np.int64]) -> NDArray[np.float64
     centre = walls.origin.apply((boxes[:, [1, 0]] + boxes[:, [3, 2]]) / 2)
     half = (boxes[:, [3, 2]] - boxes[:, [1, 0]]) / 2
     return np.concatenate((centre, half), axis=1)
-
-
-def _exact_xml(spec: mujoco.MjSpec) -> str:
-    """Return the specification's XML with sizes and positions in full; MuJoCo writes six digits."""
-    spec.compile()
-    root = ElementTree.fromstring(spec.to_xml())
-    for element, item in (
-        *zip(root.iterfind("asset/hfield"), spec.hfields, strict=True),
-        *zip(root.iterfind("worldbody/geom"), spec.worldbody.geoms, strict=True),
-    ):
-        for attribute in ("pos", "size", "quat"):
-            if attribute in element.attrib:
-                element.set(attribute, " ".join(f"{v:.12g}" for v in getattr(item, attribute)))
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
 def _add_ground(

@@ -17,7 +17,7 @@ from lirs_wct.formats.sdf import model_config, model_sdf, world_sdf
 from lirs_wct.formats.stl import write_stl, write_triangles
 from lirs_wct.formats.world_json import TEXTURES
 from lirs_wct.mesh import TriangleMesh
-from lirs_wct.mjcf import hfield_bytes, write_mjcf
+from lirs_wct.mjcf_file import hfield_bytes, write_mjcf
 from lirs_wct.progress import Report, Steps
 from lirs_wct.shade import ground_texture
 from lirs_wct.solid import solid_triangles
@@ -70,7 +70,8 @@ def write_package(
             _write_model(world, temporary, formats, terrain)
         if "mjcf" in formats:
             steps.begin(f"{world.name}.xml")
-            write_mjcf(world, temporary)
+            texture = write_texture(world, temporary) if world.kind == "terrain" else None
+            write_mjcf(world, temporary, texture, world.finish.texture_size)
         if "hfield" in formats:
             steps.begin(f"{world.name}.hfield")
             (temporary / f"{world.name}.hfield").write_bytes(hfield_bytes(world.surface))
@@ -154,6 +155,8 @@ def write_texture(world: World, folder: Path) -> Path:
     if given is not None:
         return TEXTURES / f"{world.name}{given.suffix.lower()}"
     path = TEXTURES / f"{world.name}.png"
+    if (folder / path).is_file():
+        return path
     (folder / TEXTURES).mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(folder / path), ground_texture(world.surface, world.walls))
     return path
