@@ -1,7 +1,8 @@
 """How well a built map agrees with a reference map, and with the world's geometry.
 
 All grids are given in the world frame: the built map moved by the true start pose and by nothing else.
-Cells count where they are known in both maps; occupied is p > 0.65.
+Cells count where they are known in both maps; occupied is p > 0.65. What is judged is what a map file
+says: a cell that is neither occupied nor free (p < 0.25) is unknown.
 """
 
 from __future__ import annotations
@@ -9,35 +10,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from lirs_validation.geometry import near_obstacle
+from lirs_validation.map_agreement import (
+    ROUNDING,
+    TOLERANCE,
+    Agreement,
+    CellDistance,
+    agreement,
+    cell_distance,
+    decided,
+    sampled,
+)
+from lirs_validation.ssim import map_ssim
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.heightfield import HeightField
 from lirs_wct.walls import WallGrid
-
-TOLERANCE = 0.10
-"""Two occupied cells agree where their centres are at most this far apart, metres."""
-ROUNDING = 1e-9
-"""Cell centres that are 0.10 m apart but for rounding agree, metres."""
-
-Points = NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Agreement:
-    """How the occupied cells of two maps agree; None where there is no occupied cell to ask.
-
-    Attributes:
-        precision: share of the built map's occupied cells with one of the reference within 0.10 m.
-        recall: share of the reference's occupied cells with one of the built map within 0.10 m.
-        f1: harmonic mean of both.
-    """
-
-    precision: float | None
-    recall: float | None
-    f1: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +42,9 @@ class MapScores:
         recall_input: share of the input laser map's occupied cells, where the built map knows, that it holds.
         false_occupied: share of the built occupied cells farther than 0.10 m from any steep face or wall.
         unknown: share of the true-pose map's known cells that the built map does not know.
+        to_reference: how far the built occupied cells lie from the true-pose map's nearest.
+        from_reference: how far the true-pose map's occupied cells lie from the built map's nearest.
+        ssim: structural similarity with the true-pose map.
         occupied_cells: how many occupied cells the built map has.
     """
 
@@ -66,6 +57,9 @@ class MapScores:
     recall_input: float | None
     false_occupied: float | None
     unknown: float | None
+    to_reference: CellDistance | None
+    from_reference: CellDistance | None
+    ssim: float | None
     occupied_cells: int
 
 
@@ -86,6 +80,8 @@ def map_scores(
         walls: the world's walls.
         truth: the input laser map, where there is one, in the world frame.
     """
+    built, true_pose = decided(built), decided(true_pose)
+    truth = None if truth is None else decided(truth)
     own = agreement(built, true_pose)
     other = Agreement(precision=None, recall=None, f1=None) if truth is None else agreement(built, truth)
     return MapScores(
@@ -98,22 +94,11 @@ def map_scores(
         recall_input=other.recall,
         false_occupied=false_occupied(built, surface, walls),
         unknown=unknown_share(built, true_pose),
+        to_reference=cell_distance(built, true_pose),
+        from_reference=cell_distance(true_pose, built),
+        ssim=map_ssim(built, true_pose),
         occupied_cells=int(built.occupied.sum()),
     )
-
-
-def agreement(built: OccupancyGrid, reference: OccupancyGrid, tolerance: float = TOLERANCE) -> Agreement:
-    """Compare occupied cells by the distance of their centres, in metres, where both maps know.
-
-    A cell is asked where the other map knows the cell under its centre; it agrees with any occupied
-    cell of the other map within the tolerance. Works for any two resolutions and rotations.
-    """
-    precision = _confirmed(built, reference, tolerance)
-    recall = _confirmed(reference, built, tolerance)
-    if precision is None or recall is None:
-        return Agreement(precision=precision, recall=recall, f1=None)
-    both = precision + recall
-    return Agreement(precision=precision, recall=recall, f1=2 * precision * recall / both if both else 0.0)
 
 
 def iou(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
@@ -148,51 +133,3 @@ def unknown_share(built: OccupancyGrid, reference: OccupancyGrid) -> float | Non
     if not reference.known.any():
         return None
     return float(np.isnan(sampled(built, reference))[reference.known].mean())
-
-
-def sampled(grid: OccupancyGrid, like: OccupancyGrid) -> NDArray[np.float32]:
-    """Return the log-odds of `grid` at the cell centres of another grid; NaN where unknown or outside."""
-    rows, cols = like.shape
-    cells = np.stack(np.meshgrid(np.arange(rows), np.arange(cols), indexing="ij"), axis=-1)
-    return _at(grid, like.centres(cells))
-
-
-def contradicted(
-    asked: OccupancyGrid, other: OccupancyGrid, tolerance: float = TOLERANCE
-) -> NDArray[np.bool_]:
-    """Return (rows, cols) the occupied cells of a map, where the other knows, that it does not confirm."""
-    cells, confirmed = _asked(asked, other, tolerance)
-    wrong = np.zeros(asked.shape, np.bool_)
-    wrong[tuple(cells[~confirmed].T)] = True
-    return wrong
-
-
-def _confirmed(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float) -> float | None:
-    """Return the share of occupied cells, where the other map knows, that it confirms."""
-    _, confirmed = _asked(asked, other, tolerance)
-    return float(confirmed.mean()) if len(confirmed) else None
-
-
-def _asked(
-    asked: OccupancyGrid, other: OccupancyGrid, tolerance: float
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return (n, 2) occupied cells where the other map knows, and whether it has one of its own near by."""
-    cells, targets = np.argwhere(asked.occupied).astype(np.int64), other.occupied_points()
-    points = asked.centres(cells)
-    known = ~np.isnan(_at(other, points))
-    if len(targets) == 0:
-        return cells[known], np.zeros(int(known.sum()), np.bool_)
-    limit = tolerance + ROUNDING
-    distance, _ = cKDTree(targets).query(points[known], distance_upper_bound=2 * limit)
-    return cells[known], np.asarray(distance <= limit, dtype=np.bool_)
-
-
-def _at(grid: OccupancyGrid, points: Points) -> NDArray[np.float32]:
-    """Return the log-odds of the cells that hold points (..., 2); NaN outside."""
-    cells = grid.cells(points)
-    inside = np.all((cells >= 0) & (cells < np.array(grid.shape)), axis=-1)
-    held = np.where(inside[..., None], cells, 0)
-    values: NDArray[np.float32] = np.where(
-        inside, grid.log_odds[held[..., 0], held[..., 1]], np.float32(np.nan)
-    )
-    return values

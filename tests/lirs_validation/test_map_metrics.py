@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +13,16 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from lirs_validation.geometry import near_obstacle
-from lirs_validation.metrics import agreement, false_occupied, iou, map_scores, unknown_share
+from lirs_validation.map_agreement import contradicted, decided
+from lirs_validation.metrics import (
+    agreement,
+    cell_distance,
+    false_occupied,
+    iou,
+    map_scores,
+    unknown_share,
+)
+from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.heightfield import HeightField
 from lirs_wct.pose import Pose2
@@ -128,6 +139,49 @@ def test_iou_of_a_turned_map_reads_the_nearest_cell() -> None:
     same = grid(upright, origin=Pose2(-20 * 0.05, 0.0, 0.0))
     assert iou(quarter, same) == 1.0
     assert agreement(quarter, same).f1 == 1.0
+
+
+def test_distances_by_hand_both_ways() -> None:
+    p, q = np.full((20, 30), 0.1), np.full((20, 30), 0.1)
+    p[5, 0:20] = 0.9
+    q[5, 0:19] = 0.9  # 0.05 m from the last built cell
+    q[9, 0] = 0.9  # 0.20 m from the nearest built cell
+    built, reference = grid(p), grid(q)
+    there, back = cell_distance(built, reference), cell_distance(reference, built)
+    assert there is not None
+    assert back is not None
+    assert there.mean == pytest.approx(0.05 / 20)
+    assert back.mean == pytest.approx(0.20 / 20)
+    assert there.p95 == pytest.approx(np.percentile([0.05] + [0.0] * 19, 95))
+    scores = map_scores(built, reference, surface=FLAT)
+    assert (scores.to_reference, scores.from_reference) == (there, back)
+
+
+@given(cells, cells, poses)
+def test_distances_confirm_what_the_tolerance_confirms(p: np.ndarray, q: np.ndarray, T: Pose2) -> None:
+    a, b = grid(p), grid(q, origin=Pose2(T.x / 40, T.y / 40, T.yaw))
+    wrong, distance = contradicted(a, b), cell_distance(a, b)
+    asked = agreement(a, b).precision
+    if distance is None:
+        assert asked in (None, 0.0)
+    else:
+        assert asked is not None
+        assert (distance.mean == 0.0) <= (asked == 1.0)
+        assert wrong.any() == (asked < 1.0)
+
+
+def test_a_map_is_judged_as_its_file_says_it(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    choices = (np.nan, 0.05, 0.24, 0.26, 0.5, 0.64, 0.66, 0.95)
+    built, reference = (grid(rng.choice(choices, (60, 80)), origin=Pose2(1.0, 2.0, 0.3)) for _ in range(2))
+    scores = map_scores(built, reference, surface=FLAT)
+    written = []
+    for name, one in (("built", built), ("reference", reference)):
+        write_map(tmp_path / name, one)
+        written.append(read_map(tmp_path / f"{name}.yaml"))
+    again = asdict(map_scores(written[0], written[1], surface=FLAT))
+    assert again == asdict(scores)
+    assert decided(built).known.sum() == (built.occupied | built.free).sum() < built.known.sum()
 
 
 # ---- geometry

@@ -10,6 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lirs_validation.metrics import associated, rigid_alignment, trajectory_errors
+from lirs_validation.planar import planar
+from lirs_validation.relations import Relation, relation_errors
+from lirs_validation.relative_metrics import related_pairs
 from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose2
 from lirs_wct.trajectory import Trajectory
@@ -95,3 +98,43 @@ def test_trajectories_of_other_times_are_refused() -> None:
     late = Trajectory.from_poses([100.0, 101.0], [Pose2(), Pose2(1, 0, 0)])
     with pytest.raises(ConfigError, match="at least 2 poses"):
         trajectory_errors(circle(), late)
+
+
+def test_relations_are_kuemmerles() -> None:
+    """The same relations through the reader's own implementation of the metric, and by hand."""
+    truth = circle()
+    bent = Trajectory.from_poses(
+        truth.stamps.tolist(),
+        [Pose2(p.x + 0.01 * k, p.y, p.yaw + 0.002 * k) for k, p in enumerate(map(truth.pose2, range(200)))],
+    )
+    errors = trajectory_errors(truth, bent).relations
+    pairs = list(zip(*(k.tolist() for k in related_pairs(planar(truth))), strict=True))
+    relations = tuple(
+        Relation(truth.stamps[i], truth.stamps[j], truth.pose2(i).inverse() @ truth.pose2(j))
+        for i, j in pairs
+    )
+    theirs = relation_errors(bent, relations, bent)
+    assert errors is not None
+    assert errors.relations == len(pairs)
+    assert errors.translation_mean == pytest.approx(theirs.translation.mean(), abs=1e-9)
+    assert errors.rotation_mean == pytest.approx(theirs.rotation.mean(), abs=1e-9)
+    assert errors.rotation_mean == pytest.approx(np.mean([0.002 * (j - i) for i, j in pairs]), abs=1e-9)
+
+
+def test_places_passed_again_are_related() -> None:
+    # Out and back along a line: each metre's mark meets its neighbours of both ways.
+    x = np.concatenate((np.linspace(0, 9.7, 101), np.linspace(9.7, 0, 101)[1:])).tolist()
+    there_and_back = Trajectory.from_poses(
+        (np.arange(201) * 0.1).tolist(), [Pose2(a, 0.0, 0.0 if k < 101 else math.pi) for k, a in enumerate(x)]
+    )
+    i, j = related_pairs(planar(there_and_back))
+    distance = np.abs(there_and_back.xy[i, 0] - there_and_back.xy[j, 0])
+    assert distance.max() <= 2.0 + 1e-9
+    assert (j - i).max() > 150
+    again = related_pairs(planar(there_and_back.moved(Pose2(5, 6, 1))))
+    assert np.array_equal(again[0], i)
+
+
+def test_a_short_path_has_no_relations() -> None:
+    stub = Trajectory.from_poses([0.0, 0.1, 0.2], [Pose2(), Pose2(0.1), Pose2(0.2)])
+    assert trajectory_errors(stub, stub).relations is None

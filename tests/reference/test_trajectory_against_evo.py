@@ -8,13 +8,24 @@ import numpy as np
 import pytest
 
 from lirs_validation.metrics import trajectory_errors
-from lirs_validation.trajectory_metrics import pairs_by_path, pairs_by_time, planar, relative_error
+from lirs_validation.planar import planar
+from lirs_validation.relative_metrics import (
+    pairs_by_path,
+    pairs_by_time,
+    related_pairs,
+    relation_error,
+    relative_error,
+)
 from lirs_wct.pose import Pose2
 from lirs_wct.trajectory import Trajectory
 
 metrics = pytest.importorskip("evo.core.metrics")
 sync = pytest.importorskip("evo.core.sync")
 trajectory = pytest.importorskip("evo.core.trajectory")
+
+
+RELATIVE = (("translation_part", "translation_rmse"), ("rotation_angle_rad", "rotation_rmse"))
+"""evo's names and ours."""
 
 
 def wander(rng: np.random.Generator, n: int = 1200, dt: float = 0.04) -> Trajectory:
@@ -63,6 +74,9 @@ def test_absolute_errors(case) -> None:  # type: ignore[no-untyped-def]
     assert ours.poses == ref.num_poses
     assert ours.ate_rmse_unaligned == pytest.approx(evo_figure(ape, (ref, est)), abs=1e-9)
     assert ours.final_drift == pytest.approx(float(ape.error[-1]), abs=1e-9)
+    turned = metrics.APE(metrics.PoseRelation.rotation_angle_rad)
+    turned.process_data((ref, est))
+    assert ours.final_yaw_drift == pytest.approx(float(turned.error[-1]), abs=1e-9)
     assert ours.length == pytest.approx(ref.path_length, abs=1e-9)
     est.align(ref)
     ape = metrics.APE(metrics.PoseRelation.translation_part)
@@ -78,10 +92,7 @@ def test_relative_errors_per_metre(case, delta: float) -> None:  # type: ignore[
     truth, estimate, start, pair = case
     true, est = (np.column_stack((t.positions_xyz[:, :2], yaws(t))) for t in pair)
     ours = relative_error(true, est, pairs_by_path(true, delta))
-    for relation, figure in (
-        ("translation_part", "translation_rmse"),
-        ("rotation_angle_rad", "rotation_rmse"),
-    ):
+    for relation, figure in RELATIVE:
         rpe = metrics.RPE(
             metrics.PoseRelation[relation], delta, metrics.Unit.meters, pairs_from_reference=True
         )
@@ -100,10 +111,34 @@ def test_relative_errors_per_second(case) -> None:  # type: ignore[no-untyped-de
     # Poses every 0.12 s: 8 frames (0.96 s) are nearest to a second.
     true, guess = (np.column_stack((t.positions_xyz[:, :2], yaws(t))) for t in (ref, est))
     ours = relative_error(true, guess, pairs_by_time(ref.timestamps, 1.0))
-    rpe = metrics.RPE(metrics.PoseRelation.translation_part, 8, metrics.Unit.frames, all_pairs=True)
     assert ours is not None
-    assert ours.translation_rmse == pytest.approx(evo_figure(rpe, (ref, est)), abs=1e-9)
-    assert ours.pairs == len(rpe.error)
+    for relation, figure in RELATIVE:
+        rpe = metrics.RPE(metrics.PoseRelation[relation], 8, metrics.Unit.frames, all_pairs=True)
+        assert getattr(ours, figure) == pytest.approx(evo_figure(rpe, (ref, est)), abs=1e-9)
+        assert ours.pairs == len(rpe.error)
+
+
+def test_relations(case) -> None:  # type: ignore[no-untyped-def]
+    """evo knows no such pairs, but computes the error of any pair: the relation's E of Eq. 1."""
+    truth, estimate, start, (ref, est) = case
+    true, guess = (np.column_stack((t.positions_xyz[:, :2], yaws(t))) for t in (ref, est))
+    pairs = list(zip(*(k.tolist() for k in related_pairs(true)), strict=True))
+    errors = [
+        metrics.RPE.rpe_base(ref.poses_se3[i], ref.poses_se3[j], est.poses_se3[i], est.poses_se3[j])
+        for i, j in pairs
+    ]
+    shift = np.array([np.linalg.norm(E[:3, 3]) for E in errors])
+    turn = np.abs([math.atan2(E[1, 0], E[0, 0]) for E in errors])
+    ours = relation_error(true, guess)
+    assert ours is not None
+    assert ours.relations == len(pairs) > 40
+    assert ours.translation_mean == pytest.approx(shift.mean(), abs=1e-9)
+    assert ours.translation_std == pytest.approx(shift.std(), abs=1e-9)
+    assert ours.rotation_mean == pytest.approx(turn.mean(), abs=1e-9)
+    assert ours.rotation_std == pytest.approx(turn.std(), abs=1e-9)
+    whole = trajectory_errors(truth, estimate, T_world_map=start).relations
+    assert whole is not None
+    assert whole.translation_mean == pytest.approx(ours.translation_mean, abs=1e-9)
 
 
 def yaws(t) -> np.ndarray:  # type: ignore[no-untyped-def]

@@ -1,0 +1,132 @@
+"""Where the occupied cells of two maps agree: distances between them, cell by cell or within a tolerance.
+
+Cells count where they are known in both maps; occupied is p > 0.65.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from lirs_wct.grid import OccupancyGrid
+
+TOLERANCE = 0.10
+"""Two occupied cells agree where their centres are at most this far apart, metres."""
+ROUNDING = 1e-9
+"""Cell centres that are 0.10 m apart but for rounding agree, metres."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Agreement:
+    """How the occupied cells of two maps agree; None where there is no occupied cell to ask.
+
+    Attributes:
+        precision: share of the built map's occupied cells with one of the reference within 0.10 m.
+        recall: share of the reference's occupied cells with one of the built map within 0.10 m.
+        f1: harmonic mean of both.
+    """
+
+    precision: float | None
+    recall: float | None
+    f1: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellDistance:
+    """How far the occupied cells of one map lie from the nearest one of another.
+
+    Attributes:
+        mean: metres.
+        p95: 95 % of the cells lie at most so far, metres.
+    """
+
+    mean: float
+    p95: float
+
+
+def agreement(built: OccupancyGrid, reference: OccupancyGrid, tolerance: float = TOLERANCE) -> Agreement:
+    """Compare occupied cells by the distance of their centres, in metres, where both maps know.
+
+    A cell is asked where the other map knows the cell under its centre; it agrees with any occupied
+    cell of the other map within the tolerance. Works for any two resolutions and rotations.
+    """
+    precision = _confirmed(built, reference, tolerance)
+    recall = _confirmed(reference, built, tolerance)
+    if precision is None or recall is None:
+        return Agreement(precision=precision, recall=recall, f1=None)
+    both = precision + recall
+    return Agreement(precision=precision, recall=recall, f1=2 * precision * recall / both if both else 0.0)
+
+
+def cell_distance(asked: OccupancyGrid, other: OccupancyGrid) -> CellDistance | None:
+    """Return how far the occupied cells of a map, where the other knows, lie from the other's nearest.
+
+    None where there is no cell to ask, or the other map has no occupied cell.
+    """
+    _, distance = nearest_occupied(asked, other)
+    if len(distance) == 0 or not np.isfinite(distance).all():
+        return None
+    return CellDistance(mean=float(distance.mean()), p95=float(np.percentile(distance, 95)))
+
+
+def contradicted(
+    asked: OccupancyGrid, other: OccupancyGrid, tolerance: float = TOLERANCE
+) -> NDArray[np.bool_]:
+    """Return (rows, cols) the occupied cells of a map, where the other knows, that it does not confirm."""
+    cells, distance = nearest_occupied(asked, other)
+    wrong = np.zeros(asked.shape, np.bool_)
+    wrong[tuple(cells[distance > tolerance + ROUNDING].T)] = True
+    return wrong
+
+
+def nearest_occupied(asked: OccupancyGrid, other: OccupancyGrid) -> tuple[NDArray[np.int64], Array]:
+    """Return (n, 2) occupied cells where the other map knows, and (n,) metres to its nearest occupied cell.
+
+    The distance is infinite where the other map has no occupied cell at all.
+    """
+    cells, targets = np.argwhere(asked.occupied).astype(np.int64), other.occupied_points()
+    points = asked.centres(cells)
+    known = ~np.isnan(log_odds_at(other, points))
+    if len(targets) == 0:
+        return cells[known], np.full(int(known.sum()), np.inf)
+    distance, _ = cKDTree(targets).query(points[known])
+    return cells[known], np.asarray(distance, dtype=np.float64)
+
+
+def decided(grid: OccupancyGrid) -> OccupancyGrid:
+    """Return what a map file says of the cells: occupied, free, and all else unknown.
+
+    A map is judged by this, so that one read from a file, of whatever program, is judged like one in
+    memory: a cell that a mapper saw and is in two minds about is unknown in both.
+    """
+    log_odds = np.where(grid.occupied | grid.free, grid.log_odds, np.float32(np.nan))
+    return replace(grid, log_odds=log_odds)
+
+
+def sampled(grid: OccupancyGrid, like: OccupancyGrid) -> NDArray[np.float32]:
+    """Return the log-odds of `grid` at the cell centres of another grid; NaN where unknown or outside."""
+    rows, cols = like.shape
+    cells = np.stack(np.meshgrid(np.arange(rows), np.arange(cols), indexing="ij"), axis=-1)
+    return log_odds_at(grid, like.centres(cells))
+
+
+def log_odds_at(grid: OccupancyGrid, points: Array) -> NDArray[np.float32]:
+    """Return the log-odds of the cells that hold points (..., 2); NaN outside."""
+    cells = grid.cells(points)
+    inside = np.all((cells >= 0) & (cells < np.array(grid.shape)), axis=-1)
+    held = np.where(inside[..., None], cells, 0)
+    values: NDArray[np.float32] = np.where(
+        inside, grid.log_odds[held[..., 0], held[..., 1]], np.float32(np.nan)
+    )
+    return values
+
+
+def _confirmed(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float) -> float | None:
+    """Return the share of occupied cells, where the other map knows, that it confirms."""
+    _, distance = nearest_occupied(asked, other)
+    return float((distance <= tolerance + ROUNDING).mean()) if len(distance) else None

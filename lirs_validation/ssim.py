@@ -1,0 +1,55 @@
+"""Structural similarity of two maps seen as pictures."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_validation.map_agreement import sampled
+from lirs_wct.grid import FREE, OCCUPIED, OccupancyGrid
+
+WINDOW, SIGMA = 11, 1.5
+"""Side and standard deviation of the Gaussian window, cells (Wang et al., Sec. III-C)."""
+K1, K2 = 0.01, 0.03
+"""Constants that keep the quotients finite, as in the paper, for pictures in [0, 1]."""
+
+Picture = NDArray[np.float64]
+
+
+def map_ssim(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
+    """Return the mean structural similarity over the cells known in both maps; None where there is none.
+
+    The built map is read at the centres of the reference's cells. Pictures hold 0 for occupied, 1 for
+    free and 0.5 for what is unknown or undecided.
+    """
+    moved = OccupancyGrid(sampled(built, reference), reference.resolution)
+    both = moved.known & reference.known
+    if not both.any():
+        return None
+    return float(similarity(as_picture(moved), as_picture(reference))[both].mean())
+
+
+def as_picture(grid: OccupancyGrid) -> Picture:
+    """Return (rows, cols) 0 for occupied, 1 for free, 0.5 for all else; row 0 = south."""
+    p = grid.probability
+    return np.where(p > OCCUPIED, 0.0, np.where(p < FREE, 1.0, 0.5))
+
+
+def similarity(x: Picture, y: Picture) -> Picture:
+    """Return the structural similarity about each pixel of two pictures (rows, cols) in [0, 1].
+
+    Wang et al., "Image Quality Assessment: From Error Visibility to Structural Similarity" (IEEE TIP
+    2004), Eq. 13 with the moments of Eqs. 14-16; pictures are mirrored at their borders.
+    """
+    c1, c2 = K1**2, K2**2
+    mx, my = _mean(x), _mean(y)
+    vx, vy, cov = _mean(x * x) - mx * mx, _mean(y * y) - my * my, _mean(x * y) - mx * my
+    above: Picture = (2 * mx * my + c1) * (2 * cov + c2)
+    return above / ((mx * mx + my * my + c1) * (vx + vy + c2))
+
+
+def _mean(picture: Picture) -> Picture:
+    """Return the mean under the Gaussian window about each pixel."""
+    blurred = cv2.GaussianBlur(picture, (WINDOW, WINDOW), SIGMA, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(blurred, dtype=np.float64)
