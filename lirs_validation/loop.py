@@ -156,7 +156,7 @@ def _failure(
 
 def _over(spent: float, driven: float, seconds: float) -> str:
     return (
-        f"stopped at the wall limit, after {spent:.0f} s for {driven:.1f} of {seconds:g} simulated seconds; "
+        f"stopped at the wall limit, after {spent:.1f} s for {driven:.1f} of {seconds:g} simulated seconds; "
         "its real-time factor is extrapolated from these"
     )
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from lirs_validation.record import RunConfig
-from lirs_validation.run import Run, run
+from lirs_validation.sweep.executor import Executor
+from lirs_validation.sweep.outcome import Outcome
+from lirs_validation.sweep.sweep import Sweep
 
 STAGES = {
     "build": "building",
@@ -17,29 +17,40 @@ STAGES = {
     "compile": "compiling",
     "drive": "driving",
     "judge": "judging",
+    "collide": "colliding",
 }
+LONG = 3600.0
+"""The time left is estimated from the last so many seconds: cells take minutes, and differ."""
 
 
-def run_with_progress(configs: list[RunConfig], out: Path, console: Console) -> Iterator[Run]:
-    """Run configs one after the other, since a shared processor spoils the RTF.
+def run_with_progress(sweep: Sweep, executor: Executor, console: Console) -> Iterator[Outcome]:
+    """Run a sweep's cells under a bar with the time left for all of them.
 
     Raises:
-        WctError: a config cannot be run; the runs before it stand.
+        WctError: the only cell cannot be run as it was asked for, or not be written.
     """
     bar = Progress(
-        TextColumn("[bold]{task.description}"),
+        TextColumn("{task.description}", style="bold", markup=False),
         BarColumn(),
+        TextColumn("{task.completed:.0f}/{task.total:.0f}" if len(sweep.pending) > 1 else ""),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=console,
         transient=True,
+        speed_estimate_period=LONG,
     )
+    running: dict[str, float] = {}
+    done = 0
     with bar:
-        task = bar.add_task("", total=float(len(configs)))
-        for done, config in enumerate(configs):
+        task = bar.add_task("", total=float(len(sweep.pending)))
 
-            def tell(stage: str, share: float, config: RunConfig = config, done: int = done) -> None:
-                bar.update(task, description=f"{config.source}: {STAGES[stage]}", completed=done + share)
+        def tell(name: str, stage: str, share: float) -> None:
+            running[name] = share
+            bar.update(task, description=f"{name}: {STAGES[stage]}", completed=done + sum(running.values()))
 
-            yield run(config, out=out, report=tell)
+        for outcome in sweep.run(executor, tell):
+            running.pop(outcome.cell, None)
+            done += 1
+            bar.update(task, completed=done + sum(running.values()))
+            yield outcome

@@ -17,8 +17,12 @@ OWN = ("lirs_wct", "lirs_envs", "slam_baselines", "lirs_validation")
 
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the packages that decide the result, and `code` (see there)."""
-    found = {p: importlib.metadata.version(p) for p in PACKAGES}
-    return {"python": platform.python_version()} | found | {"code": code()}
+    return {"python": platform.python_version()} | _installed() | {"code": code()}
+
+
+@cache
+def _installed() -> dict[str, str]:
+    return {p: importlib.metadata.version(p) for p in PACKAGES}
 
 
 @cache

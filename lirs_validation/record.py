@@ -123,7 +123,7 @@ class RunRecord:
     def to_json(self) -> str:
         """Return the record as JSON; figures that do not exist are null."""
         entry = {"schema": SCHEMA, "seed": self.config.seed, "name": self.name} | asdict(self)
-        return json.dumps(entry, indent=1, default=_plain, allow_nan=False) + "\n"
+        return json.dumps(entry, indent=1, default=plain, allow_nan=False) + "\n"
 
     def save(self, folder: Path) -> None:
         """Write `record.json`.
@@ -152,7 +152,8 @@ def read_record(folder: Path) -> dict[str, Any]:
     return entry
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Return what JSON has a word for, of what it has none for."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, Path):

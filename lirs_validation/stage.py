@@ -58,8 +58,12 @@ class StageCache:
         """Return the config's stage (see `set_stage`)."""
         key = (config.source, config.build)
         if key not in self._kept:
-            while len(self._kept) >= KEPT:
-                self._kept.popitem(last=False)
-            self._kept[key] = set_stage(config)
+            self.put(set_stage(config))
         self._kept.move_to_end(key)
         return replace(self._kept[key], config=config)
+
+    def put(self, stage: Stage) -> None:
+        """Keep a stage that was built elsewhere."""
+        self._kept[(stage.config.source, stage.config.build)] = stage
+        while len(self._kept) > KEPT:
+            self._kept.popitem(last=False)

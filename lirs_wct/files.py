@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from lirs_wct.errors import OutputError
+
+_TEMPORARY = re.compile(r"(\..*)\.(\d+)-[0-9a-f]{8}(|\.[^.]*)")
+"""What `_beside` names: stem, process, random digits, suffix."""
 
 
 @contextmanager
@@ -53,6 +57,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
             raise OutputError(f"{path}: is a file, a folder is to be written there")
         temporary.mkdir(parents=True)
         yield temporary
+        _flush(temporary)
         if path.exists():
             path.rename(old)
         try:
@@ -66,6 +71,38 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
         shutil.rmtree(old, ignore_errors=True)
+
+
+def _flush(folder: Path) -> None:
+    """Wait until the disk has every file: else a power cut after the rename leaves empty ones."""
+    for path in folder.rglob("*"):
+        if path.is_file():
+            with path.open("rb+") as file:
+                os.fsync(file.fileno())
+
+
+def remove_leftovers(paths: Iterable[Path]) -> None:
+    """Remove what processes that were killed left behind while they wrote these paths.
+
+    What a process that still lives is writing stays.
+    """
+    wanted = {(path.parent, f".{path.stem[:80]}", path.suffix) for path in paths}
+    for folder in {parent for parent, _, _ in wanted}:
+        for entry in folder.iterdir() if folder.is_dir() else ():
+            found = _TEMPORARY.fullmatch(entry.name)
+            if found and (folder, found[1], found[3]) in wanted and not _lives(int(found[2])):
+                with _quiet():
+                    shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+
+
+def _lives(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def _beside(path: Path) -> Path:

@@ -2,67 +2,107 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lirs_validation.build_options import mujoco_terrain, with_build_options
+from lirs_validation.build_options import with_build_options
+from lirs_validation.commands import sweep_words as word
 from lirs_validation.commands.console import RUN_FAILED, err, out
-from lirs_validation.commands.words import Sources
+from lirs_validation.commands.words import SOURCE_HELP
+from lirs_wct.errors import ConfigError, OutputError
 from lirs_wct.options import BuildOptions
 
 if TYPE_CHECKING:
-    from lirs_validation.run import Run
+    from lirs_validation.sweep.executor import Executor
+    from lirs_validation.sweep.sweep import Sweep
+
+FEW = 10
+"""Folders that are listed one by one."""
 
 
 @with_build_options
 def validate(
-    sources: Sources,
-    robot: Annotated[str, typer.Option(help="Robot that drives.")] = "husky",
-    mapper: Annotated[str, typer.Option(help="SLAM method that maps.")] = "hector",
-    lidar: Annotated[str | None, typer.Option(help="LRF preset; default: the robot's own.")] = None,
-    terrain: Annotated[
-        str,
-        typer.Option(
-            metavar="hfield|mesh|prisms|convex",
-            help="What MuJoCo touches: a height field; the same, and the mesh is seen; a prism for each "
-            "triangle within --max-error; the convex parts of a closed mesh.",
-        ),
-    ] = "hfield",
-    seconds: Annotated[float, typer.Option(help="Simulated seconds to drive.")] = 120.0,
-    seed: Annotated[int, typer.Option(help="Seed of every random number.")] = 1,
+    sources: Annotated[list[str] | None, typer.Argument(help=SOURCE_HELP)] = None,
+    suite: word.SuiteName = None,
+    robot: word.Robots = None,
+    mapper: word.Mappers = None,
+    lidar: word.Lidars = None,
+    terrain: word.Terrains = None,
+    rays: word.RayKinds = None,
+    seconds: word.Seconds = None,
+    seed: word.Seed = None,
+    seeds: word.Seeds = None,
+    wall_limit: word.WallLimit = None,
+    engine: word.EngineName = None,
+    jobs: word.Jobs = None,
+    address: word.Address = None,
+    cell_timeout: word.CellTimeout = None,
+    cell_memory: word.CellMemory = None,
+    retry_failed: word.RetryFailed = False,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the runs' folders.")] = Path(
         "out"
     ),
     *,
     options: BuildOptions,
 ) -> None:
-    """Drive a robot through worlds with SLAM running, and judge map, path and speed."""
-    from lirs_validation.progress import run_with_progress
-    from lirs_validation.record import RunConfig
-    from lirs_validation.report.table import results_table
+    """Drive robots through worlds with SLAM running, and judge map, path and speed.
 
-    configs = [
-        RunConfig(
-            source=source,
-            robot=robot,
-            mapper=mapper,
-            lidar=lidar,
-            terrain=mujoco_terrain(terrain),
-            seconds=seconds,
-            seed=seed,
-            build=options,
-        )
-        for source in sources
-    ]
-    runs: list[Run] = []
+    Run again, the same command goes on where it was interrupted.
+    """
+    from lirs_validation.commands.sweep_options import axes_cells, seeds_of, suite_cells
+    from lirs_validation.sweep.executor import Limits, make_executor
+    from lirs_validation.sweep.manifest import Manifest
+    from lirs_validation.sweep.sweep import Sweep
+
+    chosen = seeds_of(seed, seeds)
+    axes = {"robot": robot, "mapper": mapper, "lidar": lidar, "terrain": terrain, "rays": rays}
+    if suite is not None:
+        others = {f"--{axis}": given is not None for axis, given in axes.items()}
+        others |= {"sources": bool(sources), "options of build": options != BuildOptions()}
+        cells = suite_cells(suite, others, chosen, seconds, wall_limit)
+    elif sources:
+        cells = axes_cells(sources, axes, chosen, seconds, wall_limit, options)
+    else:
+        raise ConfigError("nothing to validate: name a source (simple, a picture, a map, ...) or a --suite")
+    memory = None if cell_memory is None else int(cell_memory * 1e9)
+    executor = make_executor(
+        engine, jobs=jobs, address=address, limits=Limits(seconds=cell_timeout, memory=memory)
+    )
+    manifest = Manifest(command=shlex.join(["lirs-wct", *sys.argv[1:]]), suite=suite)
+    sweep = Sweep(cells, output, manifest=manifest, retry_failed=retry_failed)
+    _run(sweep, executor)
+
+
+def _run(sweep: Sweep, executor: Executor) -> None:
+    """Run what is pending; show what there is then, also after Ctrl-C."""
+    from lirs_validation.progress import run_with_progress
+
+    if sweep.kept:
+        again = f"; {len(sweep.pending)} to run" if sweep.pending else ""
+        err.print(f"kept {sweep.kept} of {len(sweep.cells)} from before{again}", highlight=False)
     try:
-        runs.extend(run_with_progress(configs, output, err))
+        for _ in run_with_progress(sweep, executor, err):
+            pass
     finally:
-        if runs:
-            out.print(results_table([run.record for run in runs]))
-        for run in runs:
-            out.print(f"{run.folder}", soft_wrap=True, highlight=False)
-    if any(run.record.status != "ok" for run in runs):
+        _show(sweep)
+    if sweep.unwritten:
+        name, reason = next(iter(sweep.unwritten.items()))
+        raise OutputError(f"{reason} ({len(sweep.unwritten)} not written, {name} among them; run it again)")
+    if sweep.failed:
         raise typer.Exit(RUN_FAILED)
+
+
+def _show(sweep: Sweep) -> None:
+    from lirs_validation.commands.sweep_tables import sweep_tables
+
+    if not sweep.outcomes:
+        return
+    for table in sweep_tables(sweep):
+        out.print(table)
+    folders = [sweep.out / cell.name for cell in sweep.cells if cell.name in sweep.outcomes]
+    for folder in folders if len(folders) <= FEW else [sweep.out]:
+        out.print(f"{folder}", soft_wrap=True, highlight=False)

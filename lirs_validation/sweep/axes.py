@@ -1,0 +1,95 @@
+"""The axes of a sweep, and the cells at their crossings."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from dataclasses import dataclass, field
+
+from lirs_envs.seen import Rays
+from lirs_validation.record import RunConfig
+from lirs_validation.sweep.run_cell import RunCell
+from lirs_wct.contact_parts import Terrain
+from lirs_wct.errors import ConfigError
+from lirs_wct.options import BuildOptions
+
+MAX_SEEDS = 100_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """A way to represent a world: what is touched, and whose rays see it."""
+
+    terrain: Terrain = "hfield"
+    rays: Rays = "ours"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axes:
+    """What to cross; every combination is a cell, a source's cells beside each other.
+
+    Attributes:
+        sources: worlds.
+        robots: names.
+        mappers: names, or `module:name` of your own.
+        lidars: names of LRF presets; None = the robot's own.
+        views: representations.
+        seeds: of every random number.
+        seconds: simulated time to drive.
+        wall_limit: wall seconds after which a drive is stopped.
+        build: how sources become worlds.
+    """
+
+    sources: tuple[str, ...]
+    robots: tuple[str, ...] = ("husky",)
+    mappers: tuple[str, ...] = ("hector",)
+    lidars: tuple[str | None, ...] = (None,)
+    views: tuple[View, ...] = (View(),)
+    seeds: tuple[int, ...] = (1,)
+    seconds: float = 120.0
+    wall_limit: float | None = None
+    build: BuildOptions = field(default_factory=BuildOptions)
+
+    def cells(self, tables: tuple[str, ...] = ()) -> tuple[RunCell, ...]:
+        """Return the cells.
+
+        Raises:
+            ConfigError: a config is not legal.
+        """
+        crossings = itertools.product(
+            self.sources, self.views, self.robots, self.lidars, self.mappers, self.seeds
+        )
+        return tuple(
+            RunCell(
+                RunConfig(
+                    source=source,
+                    robot=robot,
+                    mapper=mapper,
+                    lidar=lidar,
+                    terrain=view.terrain,
+                    rays=view.rays,
+                    seconds=self.seconds,
+                    seed=seed,
+                    wall_limit=self.wall_limit,
+                    build=self.build,
+                ),
+                tables,
+            )
+            for source, view, robot, lidar, mapper, seed in crossings
+        )
+
+
+def read_seeds(text: str) -> tuple[int, ...]:
+    """Return the seeds of a list such as `1-5` or `1,3,7-9`.
+
+    Raises:
+        ConfigError: it is no such list, or has too many seeds.
+    """
+    seeds: list[int] = []
+    for part in text.split(","):
+        found = re.fullmatch(r"\s*(\d{1,9})(?:-(\d{1,9}))?\s*", part)
+        first, last = (int(found[1]), int(found[2] or found[1])) if found else (1, 0)
+        if last < first or last - first >= MAX_SEEDS:
+            raise ConfigError(f"--seeds must be a list such as 1-5 or 1,3,7-9, got {text!r}")
+        seeds += range(first, last + 1)
+    return tuple(dict.fromkeys(seeds))

@@ -1,0 +1,127 @@
+"""A cell that checks contacts: one collision validation."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lirs_envs.robots import make_robot
+from lirs_validation.provenance import versions
+from lirs_validation.record import RunConfig, run_name
+from lirs_validation.stage import StageCache
+from lirs_validation.sweep.cell import Tell
+from lirs_validation.sweep.freshness import is_older, same_code, world_files
+from lirs_validation.sweep.outcome import Outcome
+from lirs_validation.sweep.run_cell import world_name
+from lirs_wct.contact_parts import Terrain
+from lirs_wct.errors import SourceError
+from lirs_wct.files import atomic_folder
+
+if TYPE_CHECKING:
+    from lirs_validation.collision import CollisionVerdict
+
+STATUS = "cell.json"
+"""How the cell ended, and which code says so."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CollisionCell:
+    """The collision validation of a robot in a world.
+
+    Attributes:
+        source: the world.
+        robot: name.
+        terrain: what is touched.
+        seconds: simulated time of the random drive.
+        seed: of the random drive.
+    """
+
+    source: str
+    robot: str
+    terrain: Terrain = "hfield"
+    seconds: float = 60.0
+    seed: int = 1
+
+    @property
+    def name(self) -> str:
+        """Name of its folder."""
+        return run_name(self.place, world_name(self.place))
+
+    @property
+    def place(self) -> RunConfig:
+        """A config that stands for the world, and for the name: `collisions` drives in the mapper's place."""
+        return RunConfig(
+            source=self.source,
+            robot=self.robot,
+            mapper="collisions",
+            terrain=self.terrain,
+            seconds=self.seconds,
+            seed=self.seed,
+        )
+
+    def check(self) -> None:
+        """Look for source and robot."""
+        make_robot(self.robot)
+        world_name(self.place)
+
+    def perform(self, out: Path, stages: StageCache, tell: Tell, *, concurrent: bool) -> Outcome:
+        """Check the contacts; a figure over its limit is a finding, and no failure of the cell."""
+        from lirs_validation.collision import check_collisions
+        from lirs_validation.collision_files import write_verdicts
+
+        tell("build", 0.0)
+        world = stages.stage(self.place).world
+        tell("collide", 0.0)
+        verdict = check_collisions(
+            world, make_robot(self.robot), terrain=self.terrain, seconds=self.seconds, seed=self.seed
+        )
+        outcome = Outcome(cell=self.name, status="ok", written=True)
+        with atomic_folder(out / self.name) as folder:
+            write_verdicts(folder, [verdict])
+            self._write_status(folder, outcome)
+        return outcome
+
+    def write_failure(self, out: Path, outcome: Outcome) -> None:
+        """Write how the cell failed, and where."""
+        with atomic_folder(out / self.name) as folder:
+            self._write_status(folder, outcome)
+            (folder / "error.txt").write_text(outcome.trace or outcome.reason, encoding="utf-8")
+
+    def finished(self, out: Path) -> Outcome | None:
+        """Return how the cell ended, if this code wrote it after the source changed last."""
+        path = out / self.name / STATUS
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+            status, reason, written_by = found["status"], found["reason"], found["versions"]
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        if not same_code(written_by) or is_older(path, world_files(self.place)):
+            return None
+        return Outcome(cell=self.name, status=status, reason=reason, written=True)
+
+    def described(self) -> dict[str, Any]:
+        """Return name and config."""
+        return {"name": self.name, "world": world_name(self.place), "tables": ["collisions"]} | asdict(self)
+
+    def _write_status(self, folder: Path, outcome: Outcome) -> None:
+        entry = {"status": outcome.status, "reason": outcome.reason, "versions": versions()}
+        text = json.dumps({"config": asdict(self)} | entry, indent=1)
+        (folder / STATUS).write_text(text + "\n", encoding="utf-8")
+
+
+def read_verdict(folder: Path) -> CollisionVerdict:
+    """Read the verdict that a cell wrote.
+
+    Raises:
+        SourceError: it is missing or damaged.
+    """
+    from lirs_validation.collision import CollisionVerdict
+
+    path = folder / "collisions.json"
+    try:
+        entry = json.loads(path.read_text(encoding="utf-8"))["collisions"][0]
+        return CollisionVerdict(**{f.name: entry[f.name] for f in fields(CollisionVerdict)})
+    except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
+        raise SourceError(f"{path}: not a collision check, or damaged ({type(error).__name__})") from error

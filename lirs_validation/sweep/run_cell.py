@@ -1,0 +1,111 @@
+"""A cell that drives, maps and judges: one validation run."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any
+
+from lirs_envs.lidar_presets import make_lidar_preset
+from lirs_envs.robots import make_robot
+from lirs_validation.mappers import mapper_named, source_file
+from lirs_validation.record import RunConfig, RunRecord, read_record, run_name
+from lirs_validation.run import run
+from lirs_validation.stage import StageCache
+from lirs_validation.sweep.cell import Tell
+from lirs_validation.sweep.freshness import is_older, same_code, world_files
+from lirs_validation.sweep.outcome import Outcome
+from lirs_wct.errors import SourceError
+from lirs_wct.files import atomic_folder
+from lirs_wct.source import SourceKind, find_source
+
+
+@dataclass(frozen=True)
+class RunCell:
+    """One validation run of a sweep.
+
+    Attributes:
+        config: what to run.
+        tables: parts of the suite that its figures belong to; empty outside suites.
+    """
+
+    config: RunConfig
+    tables: tuple[str, ...] = ()
+
+    @cached_property
+    def world(self) -> str:
+        """The world's name, known before the world is built."""
+        return world_name(self.config)
+
+    @cached_property
+    def name(self) -> str:
+        """Name of its folder."""
+        return run_name(self.config, self.world)
+
+    @property
+    def place(self) -> RunConfig:
+        """The config itself."""
+        return self.config
+
+    def check(self) -> None:
+        """Look for source, robot, LRF and mapper."""
+        _check_names(self.config.robot, self.config.lidar, self.config.mapper)
+        world_name(self.config)
+
+    def perform(self, out: Path, stages: StageCache, tell: Tell, *, concurrent: bool) -> Outcome:
+        """Run the config and write its folder."""
+        record = run(self.config, out=out, report=tell, stages=stages, concurrent=concurrent).record
+        return Outcome(cell=self.name, status=record.status, reason=record.reason, written=True)
+
+    def write_failure(self, out: Path, outcome: Outcome) -> None:
+        """Write a record without figures, and where the run failed."""
+        record = RunRecord(
+            config=self.config, world={"name": self.world}, status=outcome.status, reason=outcome.reason
+        )
+        with atomic_folder(out / self.name) as folder:
+            record.save(folder)
+            (folder / "error.txt").write_text(outcome.trace or outcome.reason, encoding="utf-8")
+
+    def finished(self, out: Path) -> Outcome | None:
+        """Return how the run ended, if this code wrote it after source and mapper changed last."""
+        folder = out / self.name
+        try:
+            record = read_record(folder)
+            status, reason, limit = record["status"], record["reason"], record["config"]["wall_limit"]
+        except (SourceError, KeyError, TypeError):
+            return None
+        inputs = [*world_files(self.config), source_file(self.config.mapper)]
+        if not same_code(record.get("versions")) or is_older(folder / "record.json", inputs):
+            return None
+        if status == "wall limit" and limit != self.config.wall_limit:
+            return None
+        return Outcome(cell=self.name, status=status, reason=reason, written=True)
+
+    def described(self) -> dict[str, Any]:
+        """Return name, world and config, and the parts of the suite."""
+        config = asdict(self.config)
+        return {"name": self.name, "world": self.world, "tables": list(self.tables)} | config
+
+
+@cache
+def _check_names(robot: str, lidar: str | None, mapper: str) -> None:
+    make_lidar_preset(lidar or make_robot(robot).lidar)
+    mapper_named(mapper, 0)
+
+
+def world_name(config: RunConfig) -> str:
+    """Return the name that a config's world will have.
+
+    Raises:
+        SourceError: there is no such source.
+    """
+    source = find_source(config.source, config.build)
+    if source.kind is not SourceKind.FOLDER or config.build.name is not None:
+        return source.name
+    path = source.path / "world.json"
+    try:
+        return str(json.loads(path.read_text(encoding="utf-8"))["name"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SourceError(f"{path}: damaged ({type(error).__name__})") from error

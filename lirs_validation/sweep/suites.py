@@ -1,0 +1,112 @@
+"""Suites: experiments that were published, as data. A new one is a new row of SUITES."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from lirs_validation.record import RunConfig
+from lirs_validation.sweep.axes import Axes, View
+from lirs_validation.sweep.cell import Cell
+from lirs_validation.sweep.collision_cell import CollisionCell
+from lirs_validation.sweep.run_cell import RunCell
+from lirs_wct.errors import unknown_name
+
+HEIGHTMAP_BASED = View(terrain="hfield", rays="mujoco")
+SOLID_BASED = View(terrain="mesh", rays="mujoco")
+OURS = View(terrain="hfield", rays="ours")
+"""The paper's two ways to represent a terrain as MuJoCo has them, and ours."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """Cells that belong together: some axes, and the published tables that their figures are for."""
+
+    axes: Axes
+    tables: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suite:
+    """A published experiment.
+
+    Attributes:
+        title: what it is.
+        blocks: its runs; one that two blocks name is run once.
+        collisions: the worlds and robots whose contacts are checked.
+        seconds: simulated time of a run.
+        seeds: of the runs.
+        wall_limit: wall seconds after which a hopelessly slow drive is stopped and extrapolated.
+    """
+
+    title: str
+    blocks: tuple[Block, ...]
+    collisions: Axes | None = None
+    seconds: float = 120.0
+    seeds: tuple[int, ...] = (1,)
+    wall_limit: float = 120.0
+
+    def cells(
+        self,
+        *,
+        seconds: float | None = None,
+        seeds: tuple[int, ...] | None = None,
+        wall_limit: float | None = None,
+    ) -> tuple[Cell, ...]:
+        """Return the suite's cells, world by world; what is given takes the place of the suite's own."""
+        tables: dict[RunConfig, tuple[str, ...]] = {}
+        for block in self.blocks:
+            axes = replace(
+                block.axes,
+                seconds=seconds or self.seconds,
+                seeds=seeds or self.seeds,
+                wall_limit=wall_limit or self.wall_limit,
+            )
+            for cell in axes.cells():
+                tables[cell.config] = tuple(dict.fromkeys(tables.get(cell.config, ()) + block.tables))
+        runs = [RunCell(config, names) for config, names in tables.items()]
+        checks = [
+            CollisionCell(source=config.source, robot=config.robot, seed=config.seed)
+            for config in ([cell.config for cell in self.collisions.cells()] if self.collisions else [])
+        ]
+        order = list(dict.fromkeys(cell.place.source for cell in runs))
+        return tuple(sorted([*runs, *checks], key=lambda cell: order.index(cell.place.source)))
+
+
+MAPPERS = ("gmapping", "hector", "cartographer")
+ROBOTS = ("husky", "turtlebot2", "jackal")
+WORLDS = ("simple", "medium", "advanced")
+
+
+def _terrain_construction(world: str, *tables: str) -> Block:
+    """Return the runs behind one of the paper's Tables II to IV and its part of Fig. 13."""
+    axes = Axes(sources=(world,), mappers=MAPPERS, views=(OURS, SOLID_BASED, HEIGHTMAP_BASED))
+    return Block(axes=axes, tables=tables)
+
+
+SUITES: Mapping[str, Suite] = {
+    "paper": Suite(
+        title="LIRS-WCT (2021), Section V and III-D: terrain representations x SLAM methods x robots",
+        blocks=(
+            _terrain_construction("simple", "II", "fig13a"),
+            _terrain_construction("medium", "III", "fig13b"),
+            _terrain_construction("advanced", "IV", "fig13c"),
+            Block(
+                axes=Axes(sources=WORLDS, robots=ROBOTS, mappers=MAPPERS, views=(OURS, SOLID_BASED)),
+                tables=("robots",),
+            ),
+        ),
+        collisions=Axes(sources=WORLDS, robots=ROBOTS),
+    ),
+}
+
+
+def suite_named(name: str) -> Suite:
+    """Return a suite.
+
+    Raises:
+        ConfigError: there is no such suite.
+    """
+    if name not in SUITES:
+        raise unknown_name("suite", name, SUITES)
+    return SUITES[name]
