@@ -30,9 +30,9 @@ FIELDS = {
 REAR = ("RLASER", "ROBOTLASER2", "RAWLASER2")
 """Messages of the laser that looks back."""
 
-CODE_SHARE, CODE_BEAMS, CODE_CONTRAST = 0.001, 0.05, 20
+CODE_SHARE, CODE_BEAMS, CODE_CONTRAST, CODE_MOST = 0.001, 0.05, 20, 100
 """A range is a code where it is the largest, makes up this share of all, comes on this share of the beams,
-and is so many times as frequent as those of the three metres below it."""
+is so many times as frequent as each of the three metres below it, and at most so many times as all others."""
 MOUNT_SPREAD = 0.05
 """Metres and radians within which the laser's pose must follow the base's to tell the mount."""
 MOUNT_REACH = 3.0
@@ -117,7 +117,7 @@ def no_return(ranges: Ranges) -> float:
         below = counts[max(0, top - 300) : top]
         count, rest = int(counts[top]), int(counts[:top].sum())
         usual = CODE_CONTRAST * max(1.0, float(np.median(below)))
-        if rest <= count or count < max(usual, CODE_SHARE * ranges.size):
+        if CODE_MOST * rest < count or count < max(usual, CODE_SHARE * ranges.size):
             return limit
         if (cm == top).any(axis=0).sum() < CODE_BEAMS * ranges.shape[1]:
             return limit

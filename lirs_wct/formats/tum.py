@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import gzip
+import zlib
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.files import atomic_write
@@ -27,20 +30,34 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
 
 
 def read_tum(path: Path) -> Trajectory:
-    """Read a trajectory.
+    """Read a trajectory, gzipped or not.
 
     Raises:
-        SourceError: missing, or not eight numbers a line with stamps that increase.
+        SourceError: missing or damaged, or not eight finite numbers a line with stamps that increase.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        rows = np.array([line.split() for line in lines if line and line[0] != "#"], dtype=np.float64)
-        if rows.shape[1:] != (8,) or not np.isfinite(rows).all():
-            raise SourceError(f"{path}: a TUM trajectory has eight finite numbers a line")
-        quaternions = np.roll(rows[:, 4:], 1, axis=1)
-        quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-        return Trajectory(rows[:, 0], rows[:, 1:4], quaternions)
+        data = path.read_bytes()
+        text = (gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data).decode()
+        lines = [line.split() for line in text.splitlines()]
+        rows = [[float(word) for word in words] for words in lines if words and words[0][0] != "#"]
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise SourceError(f"{path}: the gzip stream is damaged or cut off ({error})") from error
     except OSError as error:
         raise SourceError(f"{path}: {error.strerror or 'no such file'}") from error
-    except (ValueError, ConfigError) as error:
+    except ValueError as error:
+        raise SourceError(f"{path}: not a TUM trajectory: {error}") from error
+    if not rows or any(len(row) != 8 for row in rows) or not np.isfinite(rows).all():
+        raise SourceError(f"{path}: a TUM trajectory has eight finite numbers a line")
+    return _trajectory(path, np.array(rows))
+
+
+def _trajectory(path: Path, rows: NDArray[np.float64]) -> Trajectory:
+    """Return the poses of rows (n, 8) as the file orders them."""
+    quaternions = np.roll(rows[:, 4:], 1, axis=1)
+    length = np.linalg.norm(quaternions, axis=1, keepdims=True)
+    if not length.all():
+        raise SourceError(f"{path}: not a TUM trajectory: a quaternion is zero")
+    try:
+        return Trajectory(rows[:, 0], rows[:, 1:4], quaternions / length)
+    except ConfigError as error:
         raise SourceError(f"{path}: not a TUM trajectory: {error}") from error

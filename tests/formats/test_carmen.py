@@ -90,18 +90,6 @@ def test_gzip_is_known_by_its_content(tmp_path: Path) -> None:
     assert read_carmen(path).stamps.tolist() == [3.0]
 
 
-@pytest.mark.parametrize(
-    "content",
-    [b"", b"# nothing\n", b"PARAM a b\n", b"\xff\xfe\x00FLASER", gzip.compress(b"FLASER 1 " * 99)[:20]],
-)
-def test_what_is_no_log_says_so_in_one_line(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "bad.clf"
-    path.write_bytes(content)
-    with pytest.raises(SourceError, match=r"^.*bad\.clf: ") as told:
-        read_carmen(path)
-    assert "\n" not in str(told.value)
-
-
 def test_missing_log(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match=r"none\.clf: cannot be read: No such file"):
         read_carmen(tmp_path / "none.clf")

@@ -1,0 +1,166 @@
+"""Damaged CARMEN logs: what is sound is kept, what is not is counted, what is no log says so in one line."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lirs_wct.errors import SourceError
+from lirs_wct.formats.carmen import CarmenLog, read_carmen
+from tests.carmen_room import START, room_lines, write_log
+
+LINES, _ = room_lines(12, beams=181)
+STAMPS = [START + 0.2 * k for k in range(12)]
+WORDS = LINES[5].split()
+
+
+def with_word(at: int, word: str) -> str:
+    words = list(WORDS)
+    words[at] = word
+    return " ".join(words)
+
+
+def read(tmp_path: Path, lines: list[str]) -> CarmenLog:
+    return read_carmen(write_log(tmp_path / "x.clf", lines))
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("logs")
+
+
+BROKEN = {
+    "no beams": ("FLASER", "FLASER cut off or malformed"),
+    "one word less": (" ".join(WORDS[:-3]), "FLASER cut off or malformed"),
+    "one range less": (" ".join(WORDS[:2] + WORDS[3:]), "FLASER cut off or malformed"),
+    "one range more": (" ".join([*WORDS[:2], "1.0", *WORDS[2:]]), "FLASER cut off or malformed"),
+    "two ranges less": (" ".join(WORDS[:2] + WORDS[4:]), "FLASER cut off or malformed"),
+    "a word among the ranges": (with_word(9, "1.2.3"), "FLASER cut off or malformed"),
+    "a count that is none": (with_word(1, "many"), "FLASER cut off or malformed"),
+    "a count below zero": (with_word(1, "-181"), "FLASER cut off or malformed"),
+    "a huge count": (with_word(1, "999999999999"), "FLASER cut off or malformed"),
+    "a NaN pose": (with_word(-6, "nan"), "FLASER whose stamp or pose is not finite"),
+    "an endless stamp": (with_word(-3, "inf"), "FLASER whose stamp or pose is not finite"),
+    "another number of beams": (
+        " ".join(["FLASER", "90", *WORDS[2:92], *WORDS[183:]]),
+        "FLASER of 90 beams where the log's have 181",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_broken_line_is_left_out_and_counted(tmp_path: Path, case: str) -> None:
+    line, reason = BROKEN[case]
+    log = read(tmp_path, [*LINES[:5], line, *LINES[6:]])
+    assert log.skipped == {reason: 1}
+    assert log.stamps.tolist() == [t for k, t in enumerate(STAMPS) if k != 5]
+
+
+@given(cut=st.data())
+def test_a_log_that_ends_anywhere_keeps_what_is_whole(scratch: Path, cut: st.DataObject) -> None:
+    whole = "\n".join(LINES[:4]).encode()
+    end = cut.draw(st.integers(0, len(whole)))
+    path = scratch / "cut.clf"
+    path.write_bytes(whole[:end])
+    ends = [len("\n".join(LINES[: k + 1])) for k in range(4)]
+    # Host and logger's stamp may be missing, and a stamp may have lost digits: no word tells that.
+    sure = sum(e <= end for e in ends)
+    told, stamps = "", set[float]()
+    try:
+        stamps = set(read_carmen(path).stamps.tolist())
+    except SourceError as error:
+        told = str(error)
+    assert set(STAMPS[:sure]) <= stamps
+    assert len(stamps) <= sure + 1
+    assert told == "" if stamps else told.startswith(f"{path}: no usable laser scan")
+
+
+@given(order=st.permutations(range(12)))
+def test_lines_in_any_order_are_sorted_kept_and_counted(scratch: Path, order: list[int]) -> None:
+    log = read_carmen(write_log(scratch / "mixed.clf", [LINES[k] for k in order]))
+    assert log.stamps.tolist() == STAMPS
+    assert log.skipped == {}
+    assert log.late == sum(any(order[j] > k for j in range(i)) for i, k in enumerate(order))
+
+
+def test_ranges_that_are_no_numbers_are_no_walls(tmp_path: Path) -> None:
+    words = list(WORDS)
+    words[2:9] = ["nan", "inf", "-inf", "-1.0", "0.0", "1e300", "81.91"]
+    log = read(tmp_path, [" ".join(words)])
+    np.testing.assert_array_equal(
+        log.scans[0].ranges[:7], np.array([np.nan, np.inf, -np.inf, -np.inf, -np.inf, np.inf, np.nan])
+    )
+    assert not log.scans[0].hits[:7].any()
+    assert log.scans[0].hits[7:].all()
+
+
+def test_a_stamp_of_another_year_is_left_out(tmp_path: Path) -> None:
+    lines, _ = room_lines(120)
+    lines[7] = lines[7].replace(f"{START + 1.4:.6f}", "3.5")
+    log = read(tmp_path, lines)
+    assert (len(log.scans), log.skipped) == (119, {"stamp more than a day from the others": 1})
+
+
+def test_unknown_messages_are_counted_by_name(tmp_path: Path) -> None:
+    other = ["TRUEPOS 1 2 3", "SYNC x", "SYNC y", "Laser: 1 2", "12 13", "NMEAGGA 1 49.0 N"]
+    log = read(tmp_path, [*LINES, *other])
+    assert log.skipped == {"message TRUEPOS": 1, "message SYNC": 2, "message NMEAGGA": 1, "not a message": 2}
+    assert len(log.scans) == 12
+
+
+def test_comments_may_be_in_any_encoding(tmp_path: Path) -> None:
+    path = tmp_path / "x.clf"
+    path.write_bytes("# gebaut in Tübingen\n".encode("latin-1") + "\r\n".join(LINES).encode())
+    assert len(read_carmen(path).scans) == 12
+
+
+PNG = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + bytes(range(256))
+ZIPPED = gzip.compress("\n".join(LINES).encode())
+NO_LOG = {
+    "empty": (b"", "no usable laser scan"),
+    "empty gzip": (gzip.compress(b""), "no usable laser scan"),
+    "comments": (b"# nothing\n\n", "no usable laser scan"),
+    "parameters": (b"PARAM a b\n", "no usable laser scan"),
+    "a picture": (PNG, "not a text file, a CARMEN log is one"),
+    "a zipped picture": (gzip.compress(PNG), "not a text file, a CARMEN log is one"),
+    "UTF-16": ("FLASER 1 2".encode("utf-16"), "not a text file, a CARMEN log is one"),
+    "bytes": (bytes(k * 37 % 251 + 1 for k in range(5000)), "no usable laser scan"),
+    "a letter": (b"Dear Sir,\nplease find enclosed\n", "no usable laser scan"),
+    "cut gzip": (ZIPPED[: len(ZIPPED) // 2], "the gzip stream is damaged or cut off"),
+    "gzip head": (ZIPPED[:7], "the gzip stream is damaged or cut off"),
+    "wrong gzip": (ZIPPED[:60] + b"?" * 60 + ZIPPED[120:], "the gzip stream is damaged or cut off"),
+    "wrong checksum": (ZIPPED[:-6] + b"??" + ZIPPED[-4:], "the gzip stream is damaged or cut off"),
+}
+
+
+@pytest.mark.parametrize("case", NO_LOG)
+def test_what_is_no_log_says_so_in_one_line(tmp_path: Path, case: str) -> None:
+    content, expected = NO_LOG[case]
+    path = tmp_path / "bad.clf"
+    path.write_bytes(content)
+    with pytest.raises(SourceError, match=expected) as told:
+        read_carmen(path)
+    assert str(told.value).startswith(f"{path}: ")
+    assert "\n" not in str(told.value)
+    assert len(str(told.value)) < len(str(path)) + 400
+
+
+@pytest.mark.shared
+def test_no_file_that_is_no_log_is_taken_for_one(shared_data: Path) -> None:
+    files = [p for kind in ("broken", "textures") for p in sorted((shared_data / kind).iterdir())]
+    assert len(files) > 20
+    for path in files:
+        with pytest.raises(SourceError) as told:
+            read_carmen(path)
+        assert str(told.value).startswith(f"{path}: ")
+        assert "\n" not in str(told.value)
+
+
+def test_a_folder_is_no_log(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match="cannot be read: Is a directory"):
+        read_carmen(tmp_path)
