@@ -1,4 +1,4 @@
-"""The folder of a run: record, maps, trajectories, RTF over time, overview picture."""
+"""The folder of a run: record, maps, trajectories, recorded scans, RTF over time, overview picture."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from lirs_validation.loop import DriveLog
 from lirs_validation.record import RunRecord
 from lirs_validation.report.overview import overview_figure
 from lirs_wct.files import atomic_folder
+from lirs_wct.formats.carmen_writer import write_log
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.tum import write_tum
 from lirs_wct.world import World
@@ -27,6 +28,7 @@ def write_results(folder: Path, record: RunRecord, log: DriveLog, maps: Maps, wo
         write_map(temporary / "map_true_pose", maps.true_pose)
         for name, trajectory in (("truth", truth), ("estimate", estimate), ("odometry", odometry)):
             write_tum(temporary / f"{name}.tum", trajectory)
+        write_log(temporary / "scans.clf.gz", [(o.scan, o.odometry) for o in log.observations])
         rows = [f"{second},{rtf:.4f}" for second, rtf in enumerate(record.rtf["series"], start=1)]
         (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *rows]) + "\n", encoding="utf-8")
         overview_figure(world, record, truth, estimate, maps.true_pose, maps.built).savefig(
