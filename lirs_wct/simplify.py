@@ -5,9 +5,6 @@ Unlike a grid thinned out, the result is as fine as the ground asks for, place b
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any, cast
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,11 +12,14 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.heightfield import HeightField
 from lirs_wct.mesh import TriangleMesh
 from lirs_wct.solid import base_height, close_solid, node_axes
-from lirs_wct.tin import BORDER, POINTS, STRIDE, TRIANGLES, Tin, new_triangle, set_triangle
+from lirs_wct.tin import BORDER, POINTS, STRIDE, TRIANGLES, WORST, Ints, Tin
+from lirs_wct.tin_queue import count_bins
 from lirs_wct.tin_search import FULL, refine
 
 LEAST_FACES = 14
 """Two triangles, four skirts of two, a base of four."""
+_FIRST_SIZE = 1 << 16
+"""Triangles that there is room for at first."""
 _ROUNDING = 1e-6
 """Share of the budget kept back for rounding, and share of the relief below which an error is rounding."""
 
@@ -67,9 +67,9 @@ def triangulate(
     floor = surface.relief * _ROUNDING
     budget = floor if max_error is None else max(max_error * (1 - _ROUNDING), floor)
     most = np.iinfo(np.int64).max if max_triangles is None else max_triangles
-    z = np.ascontiguousarray(surface.z)
-    tin = _two_triangles(*surface.shape)
-    while refine(tin, z, budget, most) == FULL:
+    z, cols = surface.z.ravel(), surface.shape[1]
+    tin = _two_triangles(*surface.shape, count_bins(budget, max(budget, surface.relief)))
+    while refine(tin, z, cols, budget, most) == FULL:
         tin = _grown(tin)
     points, triangles = int(tin.used[POINTS]), int(tin.used[TRIANGLES])
     return tin.point[:points].copy(), tin.link.reshape(-1, STRIDE)[:triangles, :3].copy()
@@ -86,36 +86,40 @@ def _check(max_error: float | None, max_triangles: int | None) -> None:
         )
 
 
-def _two_triangles(rows: int, cols: int) -> Tin:
-    tin = _empty(1024)
+def _two_triangles(rows: int, cols: int, bins: int) -> Tin:
+    tin = _empty(_FIRST_SIZE)._replace(bins=np.full(bins, -1, np.int32))
     south, east = rows - 1, cols - 1
     tin.point[:4] = (0, 0), (0, east), (south, 0), (south, east)
     nw, ne, sw, se = range(4)
-    first, second = new_triangle(tin.link, tin.used), new_triangle(tin.link, tin.used)
-    set_triangle(tin.link, tin.pending, tin.used, first, nw, sw, ne, -1, -1, -1)
-    set_triangle(tin.link, tin.pending, tin.used, second, sw, se, ne, -1, -1, first + 1)
-    tin.used[[POINTS, BORDER]] = 4
+    triangles = tin.link.reshape(-1, STRIDE)
+    # They share the diagonal: edge 1 of the first, edge 2 of the second.
+    triangles[0, :WORST] = nw, sw, ne, -1, STRIDE + 2, -1
+    triangles[1, :WORST] = sw, se, ne, -1, -1, 1
+    tin.used[[POINTS, TRIANGLES, BORDER]] = 4, 2, 4
     return tin
 
 
 def _empty(triangles: int) -> Tin:
     t = triangles
     return Tin(
-        point=np.zeros((t, 2), np.int32),
-        link=np.zeros(STRIDE * t, np.int32),
-        heap=np.zeros(t, np.int32),
-        key=np.zeros(t),
-        pending=np.zeros(t, np.int32),
-        stack=np.zeros(3 * t, np.int32),
-        used=np.zeros(5, np.int64),
+        point=np.empty((t, 2), np.int32),
+        link=np.empty(STRIDE * t, np.int32),
+        queue=np.empty(2 * t, np.int32),
+        bins=np.empty(0, np.int32),
+        fan=np.empty(t, np.int32),
+        rim=np.empty(2 * t + 1, np.int32),
+        stack=np.empty(t + 3, np.int32),
+        used=np.zeros(4, np.int64),
     )
 
 
 def _grown(tin: Tin) -> Tin:
     """Return the same triangulation with room for twice as much."""
-    larger = _empty(2 * len(tin.heap))
-    pairs = cast(Iterable[tuple[NDArray[Any], NDArray[Any]]], zip(tin, larger, strict=True))
-    return Tin(*(np.concatenate((part, spare[len(part) :])) for part, spare in pairs))
+    larger = _empty(2 * len(tin.fan))._replace(bins=tin.bins, used=tin.used)
+    for name in ("point", "link", "queue"):
+        part: Ints = getattr(tin, name)
+        getattr(larger, name)[: len(part)] = part
+    return larger
 
 
 def _border(points: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.int32]:

@@ -1,8 +1,13 @@
-"""Kernels of a Delaunay triangulation that grows: the data, and the insertion of one point.
+"""A Delaunay triangulation that grows by one point after another: its arrays, and the insertion.
 
-A triangle is eight numbers side by side, one half of a cache line, since the insertions jump about:
-three corners, three twins, its place in the heap, its worst pixel. Half-edge e = 8 t + k runs from
-corner k of triangle t to the next; its twin is the same edge of the neighbour, or -1 on the border.
+Bowyer 1981, "Computing Dirichlet tessellations", and Watson 1981: the triangles whose circumcircle holds
+the new point make a hole around it without a point inside, so that they hang together like a tree; a fan
+from the new point to the hole's rim closes it again.
+
+A triangle is eight numbers side by side, half a cache line, since insertions jump about: three corners,
+three twins, its worst pixel, and one to spare. Half-edge e = 8 t + k runs from corner k of triangle t to
+the next corner, counter-clockwise as the picture is seen; its twin is the same edge of the neighbour, or
+-1 on the border.
 """
 
 from __future__ import annotations
@@ -16,10 +21,13 @@ from numpy.typing import NDArray
 Ints = NDArray[np.int32]
 Counts = NDArray[np.int64]
 
-STRIDE, TWIN, SLOT, WORST = 8, 3, 6, 7
-"""Numbers of a triangle, and where its twins, its place in the heap and its worst pixel begin."""
-POINTS, TRIANGLES, BORDER, PENDING, QUEUED = range(5)
+STRIDE, TWIN, WORST = 8, 3, 6
+"""Numbers of a triangle, and where its twins and its worst pixel begin."""
+POINTS, TRIANGLES, BORDER, TOP = range(4)
 """Places in `Tin.used`."""
+
+# The kernels own no memory; numba's counting of the arrays in and out of every call took a third of the time.
+kernel = njit(cache=True, error_model="numpy", _nrt=False)
 
 
 class Tin(NamedTuple):
@@ -27,131 +35,120 @@ class Tin(NamedTuple):
 
     Attributes:
         point: (p, 2) row and column.
-        link: (8 t,) triangles (see the module); corners counter-clockwise as the picture is seen. The
-            worst pixel is row * columns + column, -1 while it is to be searched; the place is -1 where
-            the triangle is within the budget.
-        heap: (t,) triangles beyond the budget, the worst first.
-        key: (t,) float64 errors of the triangles in the heap.
-        pending: (t,) triangles changed since the last search.
-        stack: (3 t,) half-edges to be tested for a flip.
-        used: (5,) points, triangles, border edges, pending, queued.
+        link: (8 t,) triangles (see the module); the worst pixel is row * columns + column.
+        queue: (2 t,) for each triangle the one before and after it in its bin (see `tin_queue`).
+        bins: (b,) the first triangle of each bin, -1 if empty.
+        fan: (t,) triangles of the last insertion.
+        rim: (2 t + 1,) corners around the hole, each followed by the half-edge outside.
+        stack: (t + 3,) half-edges of the hole still to be looked across.
+        used: (4,) points, triangles, border edges, and the highest bin that may hold something.
     """
 
     point: Ints
     link: Ints
-    heap: Ints
-    key: NDArray[np.float64]
-    pending: Ints
+    queue: Ints
+    bins: Ints
+    fan: Ints
+    rim: Ints
     stack: Ints
     used: Counts
 
 
-@njit(cache=True)
-def set_triangle(
-    link: Ints, pending: Ints, used: Counts, e: int, a: int, b: int, c: int, ab: int, bc: int, ca: int
-) -> int:
-    """Make a triangle of three points and the twins of its edges; return e, its first half-edge."""
-    link[e], link[e + 1], link[e + 2] = a, b, c
-    link[e + TWIN], link[e + TWIN + 1], link[e + TWIN + 2] = ab, bc, ca
-    if ab >= 0:
-        link[ab + TWIN] = e
-    if bc >= 0:
-        link[bc + TWIN] = e + 1
-    if ca >= 0:
-        link[ca + TWIN] = e + 2
-    if link[e + WORST] != -1:
-        link[e + WORST] = -1
-        pending[used[PENDING]] = e // STRIDE
-        used[PENDING] += 1
-    return e
+@kernel
+def insert_point(tin: Tin, t: int) -> tuple[int, int]:
+    """Insert the newest point, which lies inside triangle t or on one of its edges.
+
+    Returns:
+        How many triangles of `fan` were there before, and how many it has now.
+    """
+    k = _border_edge(tin, t)
+    old, new = _dig(tin, t, k)
+    for i in range(new - old):
+        tin.fan[old + i] = tin.used[TRIANGLES] + i
+    tin.used[TRIANGLES] += new - old
+    _fill(tin, new)
+    if k >= 0:
+        # The fan is open: its first and its last edge are halves of the border edge.
+        tin.used[BORDER] += 1
+        tin.link[STRIDE * tin.fan[0] + TWIN + 2] = -1
+        tin.link[STRIDE * tin.fan[new - 1] + TWIN + 1] = -1
+    return old, new
 
 
-@njit(cache=True)
-def new_triangle(link: Ints, used: Counts) -> int:
-    """Return the first half-edge of a triangle that is not yet in the heap nor pending."""
-    e = int(STRIDE * used[TRIANGLES])
-    used[TRIANGLES] += 1
-    link[e + SLOT], link[e + WORST] = -1, 0
-    return e
-
-
-@njit(cache=True)
-def insert_point(point: Ints, link: Ints, pending: Ints, stack: Ints, used: Counts, t: int) -> None:
-    """Insert the newest point, which lies inside triangle t or on one of its edges."""
-    p, e = used[POINTS] - 1, STRIDE * t
+@kernel
+def _border_edge(tin: Tin, t: int) -> int:
+    """Return which edge of t is on the border and holds the newest point, -1 if none."""
+    p = tin.used[POINTS] - 1
     for k in range(3):
-        a, b = link[e + k], link[e + (k + 1) % 3]
-        rise, run = point[b, 0] - point[a, 0], point[b, 1] - point[a, 1]
-        if run * np.int64(point[p, 0] - point[a, 0]) == rise * np.int64(point[p, 1] - point[a, 1]):
-            _insert_on_edge(point, link, pending, stack, used, e + k)
-            return
-    a, b, c = link[e], link[e + 1], link[e + 2]
-    ab, bc, ca = link[e + TWIN], link[e + TWIN + 1], link[e + TWIN + 2]
-    f, g = new_triangle(link, used), new_triangle(link, used)
-    set_triangle(link, pending, used, e, a, b, p, ab, -1, -1)
-    set_triangle(link, pending, used, f, b, c, p, bc, -1, e + 1)
-    set_triangle(link, pending, used, g, c, a, p, ca, e + 2, f + 1)
-    for edge in (e, f, g):
-        _legalise(point, link, pending, stack, used, edge)
+        e = STRIDE * t + k
+        if tin.link[e + TWIN] < 0:
+            a, b = tin.link[e], tin.link[_after(e)]
+            for axis in range(2):
+                # Border edges are parallel to the axes.
+                if tin.point[a, axis] == tin.point[b, axis] == tin.point[p, axis]:
+                    return k
+    return -1
 
 
-@njit(cache=True)
-def _insert_on_edge(point: Ints, link: Ints, pending: Ints, stack: Ints, used: Counts, e: int) -> None:
-    """Insert the newest point on half-edge e: the triangles beside it are halved."""
-    p = used[POINTS] - 1
-    t = e & -STRIDE
-    after, before = t + (e - t + 1) % 3, t + (e - t + 2) % 3
-    left, right, tip = link[e], link[after], link[before]
-    h_after, h_before, other = link[after + TWIN], link[before + TWIN], link[e + TWIN]
-    f = new_triangle(link, used)
-    if other < 0:
-        used[BORDER] += 1
-        set_triangle(link, pending, used, t, tip, left, p, h_before, -1, -1)
-        set_triangle(link, pending, used, f, right, tip, p, h_after, t + 2, -1)
-        _legalise(point, link, pending, stack, used, t)
-        _legalise(point, link, pending, stack, used, f)
-        return
-    u = other & -STRIDE
-    o_after, o_before = u + (other - u + 1) % 3, u + (other - u + 2) % 3
-    far, h_o_after, h_o_before = link[o_before], link[o_after + TWIN], link[o_before + TWIN]
-    g = new_triangle(link, used)
-    set_triangle(link, pending, used, t, tip, left, p, h_before, -1, -1)
-    set_triangle(link, pending, used, u, left, far, p, h_o_after, -1, t + 1)
-    set_triangle(link, pending, used, f, far, right, p, h_o_before, -1, u + 1)
-    set_triangle(link, pending, used, g, right, tip, p, h_after, t + 2, f + 1)
-    for edge in (t, u, f, g):
-        _legalise(point, link, pending, stack, used, edge)
+@kernel
+def _dig(tin: Tin, t: int, k: int) -> tuple[int, int]:
+    """Find the hole around the newest point and its rim, counter-clockwise; edge k of t is left out.
 
-
-@njit(cache=True)
-def _legalise(point: Ints, link: Ints, pending: Ints, stack: Ints, used: Counts, edge: int) -> None:
-    """Flip the edge and those around it until each is Delaunay again."""
-    depth = 1
-    stack[0] = edge
-    while depth > 0:
+    Returns:
+        Triangles of the hole, edges of the rim.
+    """
+    link, fan, rim, stack = tin.link, tin.fan, tin.rim, tin.stack
+    p = tin.used[POINTS] - 1
+    row, col = np.int64(tin.point[p, 0]), np.int64(tin.point[p, 1])
+    last = STRIDE * t + max(k, 0)
+    first = _after(last)
+    fan[0] = t
+    stack[0], stack[1], stack[2] = last, _after(first), first
+    holes, edges, depth, least = 1, 0, 3, (1 if k >= 0 else 0)
+    while depth > least:
         depth -= 1
-        a = stack[depth]
-        b = link[a + TWIN]
-        if b < 0:
-            continue
-        ta, tb = a & -STRIDE, b & -STRIDE
-        a_next, a_last = ta + (a - ta + 1) % 3, ta + (a - ta + 2) % 3
-        b_next, b_last = tb + (b - tb + 1) % 3, tb + (b - tb + 2) % 3
-        right, left, near, far = link[a], link[a_next], link[a_last], link[b_last]
-        if not _in_circle(point, near, right, left, far):
-            continue
-        h_al, h_ar = link[a_next + TWIN], link[a_last + TWIN]
-        h_bl, h_br = link[b_last + TWIN], link[b_next + TWIN]
-        set_triangle(link, pending, used, ta, near, far, left, -1, h_bl, h_al)
-        set_triangle(link, pending, used, tb, far, near, right, ta, h_ar, h_br)
-        stack[depth], stack[depth + 1] = tb + 2, ta + 1
-        depth += 2
+        inside = stack[depth]
+        outside = link[inside + TWIN]
+        u = outside & -STRIDE
+        if outside >= 0 and _in_circle(tin.point, link[u], link[u + 1], link[u + 2], row, col):
+            fan[holes] = u // STRIDE
+            holes += 1
+            next_edge = _after(outside)
+            stack[depth], stack[depth + 1] = _after(next_edge), next_edge
+            depth += 2
+        else:
+            rim[2 * edges], rim[2 * edges + 1] = link[inside], outside
+            edges += 1
+    rim[2 * edges] = link[last] if k >= 0 else rim[0]
+    return holes, edges
 
 
-@njit(cache=True)
-def _in_circle(point: Ints, a: int, b: int, c: int, p: int) -> bool:
-    """Whether p lies inside the circle through a, b, c (exact for pictures up to 5,000 px a side)."""
-    row, col = float(point[p, 0]), float(point[p, 1])
+@kernel
+def _fill(tin: Tin, edges: int) -> None:
+    """Join the newest point to each edge of the rim: triangles one beside the other, all around."""
+    link, fan, rim = tin.link, tin.fan, tin.rim
+    p = tin.used[POINTS] - 1
+    e = STRIDE * fan[edges - 1]
+    for i in range(edges):
+        before, e = e, STRIDE * fan[i]
+        outside = rim[2 * i + 1]
+        link[e], link[e + 1], link[e + 2] = rim[2 * i], rim[2 * i + 2], p
+        link[e + TWIN], link[e + TWIN + 2] = outside, before + 1
+        link[before + TWIN + 1] = e + 2
+        if outside >= 0:
+            link[outside + TWIN] = e
+
+
+@kernel
+def _after(e: int) -> int:
+    """Return the half-edge that follows in the triangle: 0, 1, 2 become 1, 2, 0, two bits each."""
+    t = e & -STRIDE
+    return t + (0b00_10_01 >> 2 * (e - t) & 3)
+
+
+@kernel
+def _in_circle(point: Ints, a: int, b: int, c: int, row: int, col: int) -> bool:
+    """Whether a pixel lies inside the circle through a, b, c: exact for sides below 29,000 px."""
     dx, dy = point[a, 1] - col, point[a, 0] - row
     ex, ey = point[b, 1] - col, point[b, 0] - row
     fx, fy = point[c, 1] - col, point[c, 0] - row

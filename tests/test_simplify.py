@@ -56,6 +56,8 @@ def test_the_budget_holds_at_every_pixel(rows: int, cols: int, seed: int, blur: 
     off = errors(surface, points, faces)
     assert not np.isnan(off).any()
     assert np.abs(off).max() <= max(budget, 2e-6 * surface.relief)
+    on_border = np.isin(points[:, 0], (0, rows - 1)) | np.isin(points[:, 1], (0, cols - 1))
+    assert len(faces) == 2 * len(points) - on_border.sum() - 2  # Euler: a disc without holes
     mesh = simplified_solid(surface, max_error=budget)
     assert mesh.is_watertight
     assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).is_volume
@@ -114,6 +116,27 @@ def test_more_triangles_less_error() -> None:
         np.abs(errors(surface, *triangulate(surface, max_triangles=n))).max() for n in (50, 200, 800, 3200)
     ]
     assert all(a > 1.3 * b for a, b in itertools.pairwise(worst))
+
+
+def test_the_worst_pixel_goes_in_next() -> None:
+    """Greedy to one bin of the queue: 1/128 of the error."""
+    surface = hills(30, 40, blur=1.0)
+    whole = triangulate(surface, max_triangles=400)[0]
+    for most in range(14, 140, 5):
+        points, faces = triangulate(surface, max_triangles=most)
+        np.testing.assert_array_equal(points, whole[: len(points)])
+        off = np.abs(errors(surface, points, faces))
+        assert off[tuple(whole[len(points)])] >= off.max() / (1 + 1 / 128)
+
+
+def test_long_thin_pictures() -> None:
+    z = np.random.default_rng(3).random((3, 20_000)).astype(np.float32)
+    z[1, 10_000], z[0, 17] = 5, 4
+    surface = HeightField.centred(z, (1, 1))
+    points, faces = triangulate(surface, max_error=1.0)
+    assert len(faces) < 40
+    assert np.abs(errors(surface, points, faces)).max() <= 1.0
+    assert simplified_solid(surface, max_error=1.0).is_watertight
 
 
 def test_a_plane_needs_two_triangles() -> None:
