@@ -24,10 +24,10 @@ INVALID = 81.91
 """Written for a beam whose measurement is invalid, metres."""
 HOST = "lirs-wct"
 HEADER = (
-    "# CARMEN log: ROBOTLASER1 laser_type start_angle field_of_view angular_resolution maximum_range "
-    "accuracy remission_mode num_readings [ranges] num_remissions laser_x laser_y laser_theta robot_x robot_y "
-    "robot_theta laser_tv laser_rv forward_safety_dist side_safety_dist turn_axis timestamp host "
-    "logger_timestamp\n"
+    "# CARMEN log: ROBOTLASER1 laser_type start_angle field_of_view angular_resolution maximum_range\n"
+    "#   accuracy remission_mode num_readings [ranges] num_remissions laser_x laser_y laser_theta\n"
+    "#   robot_x robot_y robot_theta laser_tv laser_rv forward_safety_dist side_safety_dist turn_axis\n"
+    "#   timestamp host logger_timestamp\n"
     "# metres, radians, seconds since the start; the robot's pose is its odometry\n"
 )
 LEVEL = 1
