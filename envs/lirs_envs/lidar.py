@@ -7,14 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lirs_envs.lidar_noise import LidarNoise, draws, lidar_noise, measure
 from lirs_envs.lidar_presets import LIDARS, LidarPreset, make_lidar_preset
-from lirs_envs.mipmap import Terrain
-from lirs_envs.raycast import RayCaster, cast_rays
-from lirs_envs.wall_cells import WallCells
+from lirs_envs.raycast import Caster
 from lirs_wct.deskew import moved_frames
 from lirs_wct.errors import SimulationError
 from lirs_wct.pose import Pose3
@@ -46,7 +43,7 @@ class Lidar:
 
     Args:
         preset: figures of the device.
-        caster: the world's rays.
+        caster: what the beams meet.
         T_base_laser: mount.
         rng: of the noise.
         noise: default: Gaussian with the preset's deviation.
@@ -58,7 +55,7 @@ class Lidar:
     def __init__(
         self,
         preset: LidarPreset,
-        caster: RayCaster,
+        caster: Caster,
         T_base_laser: Pose3,
         rng: np.random.Generator,
         noise: LidarNoise | None = None,
@@ -96,13 +93,12 @@ class Lidar:
         origin, directions = self._rays(T_world_base, motion)
         if not (np.isfinite(origin).all() and np.isfinite(directions[0]).all()):
             raise SimulationError(f"the laser's pose must be finite, got {T_world_base}")
-        start = origin[0] if len(origin) == 1 else origin
-        other = others(start, directions, preset.range_max) if others else np.empty(0)
+        exact = self.caster.ranges(origin, directions, preset.range_max)
+        if others is not None:
+            exact = np.minimum(exact, others(origin, directions, preset.range_max))
         normal, uniform = draws(self.noise, preset.beams, self._rng)
         ranges = np.empty(preset.beams, np.float32)
-        limits, figures = (preset.range_min, preset.range_max), self.noise.figures
-        terrain, walls = self.caster.terrain, self.caster.walls
-        _sweep(terrain, walls, origin, directions, other, normal, uniform, limits, figures, ranges)
+        measure(exact, normal, uniform, (preset.range_min, preset.range_max), self.noise.figures, ranges)
         return LaserScan(
             ranges,
             preset.angle_min,
@@ -115,10 +111,10 @@ class Lidar:
         )
 
     def _rays(self, T_world_base: Pose3, motion: Motion | None) -> tuple[Array, Array]:
-        """Return origins (1 or n, 3) and directions (n, 3) of the beams in the world."""
+        """Return origin (3,) or origins (n, 3), and directions (n, 3) of the beams in the world."""
         if self.time_increment == 0.0 or motion is None:
             T_world_laser = T_world_base @ self.T_base_laser
-            return T_world_laser.position[None], self._beams @ T_world_laser.rotation.T
+            return T_world_laser.position, self._beams @ T_world_laser.rotation.T
         times = self.time_increment * np.arange(self.preset.beams)
         R, p = moved_frames(times, motion.velocity, motion.rates)
         in_base = self._beams @ self.T_base_laser.rotation.T
@@ -126,28 +122,3 @@ class Lidar:
         rotation = T_world_base.rotation
         directions = np.einsum("nij,nj->ni", R, in_base) @ rotation.T
         return origins @ rotation.T + T_world_base.position, directions
-
-
-@njit(cache=True)
-def _sweep(
-    terrain: Terrain,
-    walls: WallCells,
-    origins: Array,
-    directions: Array,
-    others: Array,
-    normal: Array,
-    uniform: Array,
-    limits: tuple[float, float],
-    figures: tuple[float, float, float, float, float, float],
-    ranges: NDArray[np.float32],
-) -> None:
-    """Fill `ranges` (n,) from one origin (1, 3), or from one for each beam (n, 3)."""
-    exact = np.empty(len(directions))
-    if len(origins) == 1:
-        cast_rays(terrain, walls, origins[0], directions, limits[1], exact)
-    else:
-        for k in range(len(directions)):
-            cast_rays(terrain, walls, origins[k], directions[k : k + 1], limits[1], exact[k : k + 1])
-    for k in range(len(others)):
-        exact[k] = min(exact[k], others[k])
-    measure(exact, normal, uniform, limits, figures, ranges)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lirs_envs.lidar import OtherRanges
 from lirs_envs.lidar_noise import LidarNoise, draws, measure
-from lirs_envs.raycast import RayCaster
+from lirs_envs.raycast import Caster
 from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose3
 
@@ -74,7 +74,7 @@ class PatternLidar:
     """Casts a pattern from a mount on a robot."""
 
     def __init__(
-        self, pattern: BeamPattern, caster: RayCaster, T_base_laser: Pose3, rng: np.random.Generator
+        self, pattern: BeamPattern, caster: Caster, T_base_laser: Pose3, rng: np.random.Generator
     ) -> None:
         self.pattern = pattern
         self.caster = caster
@@ -85,7 +85,7 @@ class PatternLidar:
         """Return (n,) metres: +inf = nothing in range, -inf = too near, NaN = lost (REP 117)."""
         pattern, T = self.pattern, T_world_base @ self.T_base_laser
         directions = pattern.directions @ T.rotation.T
-        exact = self.caster.cast(T.position, directions, pattern.range_max)
+        exact = self.caster.ranges(T.position, directions, pattern.range_max)
         if others is not None:
             exact = np.minimum(exact, others(T.position, directions, pattern.range_max))
         normal, uniform = draws(pattern.noise, len(exact), self._rng)

@@ -12,16 +12,13 @@ from numpy.typing import NDArray
 
 from lirs_envs.imu import Vector
 from lirs_envs.props import Parked, Prop, add_props
-from lirs_envs.raycast import mujoco_ranges
 from lirs_envs.robots import Robot
-from lirs_envs.seen import Rays, seen_groups
 from lirs_wct.contact_grid import ContactGrid, contact_grid
 from lirs_wct.contact_parts import Terrain
 from lirs_wct.mjcf import world_spec
 from lirs_wct.pose import Pose3
 from lirs_wct.world import World
 
-Array = NDArray[np.float64]
 FULL = mujoco.mjtState.mjSTATE_INTEGRATION
 """All that the next step depends on, warm start included."""
 
@@ -45,7 +42,7 @@ class RobotModel:
         control_period: longest time between control updates, seconds.
         props: what else stands there.
         terrain: what is touched (see `lirs_wct.contact_parts.TERRAINS`).
-        rays: whose rays the laser's are (see `lirs_envs.seen.RAYS`).
+        seen: whether MuJoCo's own rays are to meet the surface, where something else is touched.
     """
 
     def __init__(
@@ -56,7 +53,7 @@ class RobotModel:
         control_period: float,
         props: Sequence[Prop | Parked] = (),
         terrain: Terrain = "hfield",
-        rays: Rays = "ours",
+        seen: bool = False,
     ) -> None:
         self.contact: ContactGrid = contact_grid(world.surface)
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
@@ -64,11 +61,7 @@ class RobotModel:
         self.timestep = period / steps
         spec.option.timestep = self.timestep
         add_props(spec, world, props)
-        self._groups = seen_groups(world, bool(props), rays)
-        self.geom_ranges = self._geom_ranges if self._groups else None
-        self.model = world_spec(
-            world, contact=self.contact, robot=spec, terrain=terrain, seen=rays == "mujoco"
-        ).compile()
+        self.model = world_spec(world, contact=self.contact, robot=spec, terrain=terrain, seen=seen).compile()
         self.data = mujoco.MjData(self.model)
         piece = max(1, int(control_period / self.timestep + 1e-9))
         self.pieces = tuple(min(piece, steps - done) for done in range(0, steps, piece))
@@ -128,12 +121,6 @@ class RobotModel:
         left = sum([float(qpos[i]) for i in self._left_angles]) / max(len(self._left_angles), 1)
         right = sum([float(qpos[i]) for i in self._right_angles]) / max(len(self._right_angles), 1)
         return left, right
-
-    def _geom_ranges(self, origin: Array, directions: Array, max_range: float) -> Array:
-        """Return (n,) ranges to what the laser sees through MuJoCo's rays; never the robot itself."""
-        # Places of geoms are those before the last step: brought up to date, the stepping goes on as without.
-        mujoco.mj_kinematics(self.model, self.data)
-        return mujoco_ranges(self.model, self.data, origin, directions, max_range, groups=self._groups)
 
     def step(self, control: tuple[float, ...], steps: int) -> None:
         """Step with the speeds of left and right wheels, rad/s, or the rotors' thrusts, newtons."""

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -33,6 +34,19 @@ from lirs_wct.walls import WallGrid
 Array = NDArray[np.float64]
 
 
+class Caster(Protocol):
+    """What the laser's beams meet."""
+
+    def ranges(self, origins: Array, directions: Array, max_range: float) -> Array:
+        """Return (n,) metres along unit directions; inf where nothing is within `max_range`.
+
+        Args:
+            origins: (3,) start of all rays, or (n, 3) of each; world frame, metres, finite.
+            directions: (n, 3) unit vectors, world frame, contiguous.
+            max_range: metres.
+        """
+
+
 class RayCaster:
     """Ranges from a point along rays to the nearest triangle or wall of a world."""
 
@@ -44,7 +58,7 @@ class RayCaster:
         """Return (n,) ranges in metres along unit directions; inf where nothing is within `max_range`.
 
         Args:
-            origin: (3,) start of all rays, world frame, metres.
+            origin: (3,) start of all rays, or (n, 3) of each; world frame, metres.
             directions: (n, 3) unit vectors, world frame.
             max_range: metres.
 
@@ -53,17 +67,34 @@ class RayCaster:
         """
         if not max_range >= 0:
             raise ConfigError(f"max_range must be at least 0 m, got {max_range}")
-        o, d = _rays(origin, directions)
-        ranges = np.empty(len(d))
-        cast_rays(self.terrain, self.walls, o, d, float(max_range), ranges)
+        return self.ranges(*_rays(origin, directions), float(max_range))
+
+    def ranges(self, origins: Array, directions: Array, max_range: float) -> Array:
+        """Return (n,) ranges of rays that are known to be legal (see `Caster`)."""
+        ranges = np.empty(len(directions))
+        cast_rays(self.terrain, self.walls, origins.reshape(-1, 3), directions, max_range, ranges)
         return ranges
 
 
 @njit(cache=True)
 def cast_rays(
+    terrain: Terrain, walls: WallCells, origins: Array, directions: Array, max_range: float, ranges: Array
+) -> None:
+    """Fill `ranges` (n,) with the distance to the nearest wall or triangle, inf = none within `max_range`.
+
+    All rays start at one origin (1, 3), or each at its own (n, 3).
+    """
+    if len(origins) == 1:
+        _cast_fan(terrain, walls, origins[0], directions, max_range, ranges)
+        return
+    for k in range(len(directions)):
+        _cast_fan(terrain, walls, origins[k], directions[k : k + 1], max_range, ranges[k : k + 1])
+
+
+@njit(cache=True)
+def _cast_fan(
     terrain: Terrain, walls: WallCells, origin: Array, directions: Array, max_range: float, ranges: Array
 ) -> None:
-    """Fill `ranges` (n,) with the distance to the nearest wall or triangle, inf = none within `max_range`."""
     wall_ranges(walls, origin, directions, max_range, ranges)
     if walls.hole.size == 0:
         terrain_ranges(terrain, origin, directions, max_range, ranges)

@@ -12,7 +12,7 @@ from lirs_envs.lidar import Lidar, LidarPreset, Motion
 from lirs_envs.lidar_noise import LidarNoise, NoiseLevel, lidar_noise
 from lirs_envs.model import RobotModel
 from lirs_envs.odometry import FlowOdometry, Odometry, OdometryConfig
-from lirs_envs.raycast import RayCaster
+from lirs_envs.raycast import Caster
 from lirs_envs.robots import Robot
 from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose2
@@ -60,7 +60,7 @@ class Sensors:
         robot: Robot,
         body: RobotModel,
         preset: LidarPreset,
-        caster: RayCaster,
+        casters: tuple[Caster, Caster | None],
         noise: Noise,
         seed: int,
     ) -> None:
@@ -71,7 +71,9 @@ class Sensors:
         )
         self._body = body
         ranges = noise.lidar if isinstance(noise.lidar, LidarNoise) else lidar_noise(preset, noise.lidar)
-        self._lidar = Lidar(preset, caster, robot.T_base_laser, lidar, ranges, sweep=noise.sweep)
+        ground, others = casters
+        self._others = None if others is None else others.ranges
+        self._lidar = Lidar(preset, ground, robot.T_base_laser, lidar, ranges, sweep=noise.sweep)
         self._imu = ImuSensor(noise.imu, imu)
         self._flow = FlowOdometry(robot, noise.odometry, odometry) if robot.flies else None
         self._odometry: Odometry = self._flow or (
@@ -108,5 +110,5 @@ class Sensors:
         self._attitude = (imu.roll, imu.pitch)
         body = self._body
         motion = Motion(body.velocity(), body.rates()) if self._lidar.time_increment else None
-        scan = self._lidar.scan(T_world_base, stamp, body.geom_ranges, motion)
+        scan = self._lidar.scan(T_world_base, stamp, self._others, motion)
         return Observation(scan, self._odometry.read(), imu)

@@ -18,7 +18,7 @@ from lirs_envs.model import RobotModel
 from lirs_envs.placement import standing_pose, start_of
 from lirs_envs.props import Parked, Prop
 from lirs_envs.robots import Robot
-from lirs_envs.seen import Rays, caster_of, check_rays
+from lirs_envs.seen import Rays, casters_of, check_rays
 from lirs_envs.sensors import Noise, Observation, Sensors
 from lirs_envs.timing import Replay, Timing
 from lirs_wct.contact_grid import ContactGrid
@@ -82,15 +82,17 @@ class Simulation:
         self.preset = make_lidar_preset(lidar or robot.lidar)
         self.period = self.preset.period
         self.terrain = terrain
-        self.body = RobotModel(world, robot, self.period, CONTROL_PERIOD, props, terrain, rays)
-        self._caster = caster_of(world, rays)
+        self.body = body = RobotModel(
+            world, robot, self.period, CONTROL_PERIOD, props, terrain, rays == "mujoco"
+        )
+        self._casters = casters_of(world, rays, bool(props), body.model, body.data)
         self._seed = seed
         self._start_over(None)
 
     def _start_over(self, seed: int | None) -> None:
         """Forget all that was recorded; draw noise anew."""
         self._seed = self._seed if seed is None else seed
-        self._sensors = Sensors(self.robot, self.body, self.preset, self._caster, self._noise, self._seed)
+        self._sensors = Sensors(self.robot, self.body, self.preset, self._casters, self._noise, self._seed)
         robot, body = self.robot, self.body
         self._drive = Pilot(robot, body, self.world.surface) if robot.flies else Drive(robot)
         self._watch = ContactWatch(self.body.wheel_geoms, self.body.own_geoms)
