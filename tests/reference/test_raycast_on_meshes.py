@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import sys
 from typing import get_args
 
@@ -26,6 +27,9 @@ from lirs_wct.world import World
 from tests.reference.triangle_rays import triangle_ranges
 
 Array = np.ndarray
+needs_embree = pytest.mark.skipif(
+    importlib.util.find_spec("embreex") is None, reason="embreex, the extra [mesh], is not installed"
+)
 
 
 def cave(offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> TriangleMesh:
@@ -51,6 +55,7 @@ def unit(d: Array) -> Array:
     return np.ascontiguousarray(d / np.linalg.norm(d, axis=1, keepdims=True))
 
 
+@needs_embree
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (800.0, -600.0, 90.0)])
 def test_equals_brute_force(offset: tuple[float, float, float]) -> None:
     """In the last case a float32 coordinate is a multiple of 6e-5 m."""
@@ -75,6 +80,7 @@ def test_equals_brute_force(offset: tuple[float, float, float]) -> None:
     assert (more == less)[: n - n // 3].mean() > 0.99
 
 
+@needs_embree
 def test_equals_mujoco_s_mesh_rays() -> None:
     mesh, rng = cave(), np.random.default_rng(5)
     spec = mujoco.MjSpec()
@@ -108,6 +114,7 @@ def test_equals_mujoco_s_mesh_rays() -> None:
     assert seen > 600
 
 
+@needs_embree
 def test_a_sweep_casts_each_beam_from_its_own_place() -> None:
     mesh, motion = cave(), Motion((2.0, 0.0, 0.0), (0.0, 0.0, 0.5))
     preset = LidarPreset(name="slow", beams=181, fov=3.0, rate=2.0, range_min=0.0, range_max=25.0)
@@ -144,6 +151,7 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> World:
     return World("gate", "mesh", HeightField.centred(top, (0.1, 0.1)), solid=solid, overhangs=True)
 
 
+@needs_embree
 def test_a_world_with_overhangs_is_seen_as_mujoco_sees_it(gate: World) -> None:
     scans = []
     for rays in get_args(Rays):
