@@ -4,12 +4,26 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from lirs_validation.log_source import resolve_source
+    from lirs_validation.mapping import MappedLog, map_log
     from lirs_validation.record import RunConfig, RunRecord, read_record
     from lirs_validation.run import Run, validate
 
-__all__ = ["Run", "RunConfig", "RunRecord", "read_record", "validate"]
+__all__ = [
+    "MappedLog",
+    "Run",
+    "RunConfig",
+    "RunRecord",
+    "map_log",
+    "read_record",
+    "resolve_source",
+    "validate",
+]
 
 _HOMES = {
+    "MappedLog": "mapping",
+    "map_log": "mapping",
+    "resolve_source": "log_source",
     "Run": "run",
     "validate": "run",
     "RunConfig": "record",

@@ -8,6 +8,7 @@ from functools import wraps
 from typing import Any, Literal
 
 from lirs_validation import option_words as word
+from lirs_validation.commands.log_sources import with_logs_mapped
 from lirs_wct.contact_parts import TERRAINS, Terrain
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.options import DENOISE_METHODS, UNKNOWN, BuildOptions
@@ -68,6 +69,7 @@ def build_options(
     rotate_x: word.RotateX = _DEFAULT.rotate_x,
     texture: word.Texture = None,
     texture_size: word.TextureSize = None,
+    log_mapper: word.LogMapper = _DEFAULT.log_mapper,
 ) -> BuildOptions:
     """Read the options of the command line.
 
@@ -108,6 +110,7 @@ def build_options(
         max_triangles=max_triangles,
         texture=texture,
         texture_size=texture_size,
+        log_mapper=log_mapper,
     )
 
 
@@ -132,23 +135,33 @@ def mujoco_terrain(given: str) -> Terrain:
 
 
 def with_build_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command the options of `build`; its last parameter `options` receives them."""
+    """Give a command the options of `build`; its last parameter `options` receives them.
+
+    Logs among its sources are mapped before it sees them.
+    """
     own = inspect.signature(command, eval_str=True)
     shared = inspect.signature(build_options, eval_str=True)
 
     @wraps(command)
     def wrapped(**given: Any) -> Any:
         chosen = {key: given.pop(key) for key in shared.parameters}
-        return command(**given, options=build_options(**chosen))
+        given, options = with_logs_mapped(given, build_options(**chosen))
+        return command(**given, options=options)
 
-    parameters = [p for p in own.parameters.values() if p.name != "options"] + list(
-        shared.parameters.values()
-    )
+    parameters = [p for p in own.parameters.values() if p.name != "options"]
+    parameters += [_named(p, "mapper" in own.parameters) for p in shared.parameters.values()]
     keywords = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in parameters]
     wrapped.__signature__ = inspect.Signature(keywords)  # type: ignore[attr-defined]
     wrapped.__annotations__ = {p.name: p.annotation for p in keywords}
     del wrapped.__wrapped__
     return wrapped
+
+
+def _named(option: inspect.Parameter, has_mapper: bool) -> inspect.Parameter:
+    """Let a command without a mapper of its own take `--mapper` for the one that maps logs."""
+    if option.name != "log_mapper" or has_mapper:
+        return option
+    return option.replace(annotation=word.LogMapperAlone)
 
 
 def _choice(given: str, option: str, legal: tuple[Any, ...]) -> Any:

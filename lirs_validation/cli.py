@@ -1,4 +1,4 @@
-"""The command line: `lirs-wct build | validate | collide | view | info | convert | robot`."""
+"""The command line: `lirs-wct build | validate | collide | map | view | info | convert | robot`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typer.exceptions import TyperException
 
 from lirs_validation.commands.collide import collide
 from lirs_validation.commands.console import BAD_INPUT, INTERRUPTED, err
+from lirs_validation.commands.mapping import map_log
 from lirs_validation.commands.runs import validate
 from lirs_validation.commands.worlds import build, convert, info, view
 from lirs_validation.robot_card import robot
@@ -26,6 +27,7 @@ app = typer.Typer(
 )
 for command in (build, validate, collide, view, info, convert, robot):
     app.command()(command)
+app.command("map")(map_log)
 
 
 def main() -> None:

@@ -101,7 +101,8 @@ Sharpness = Annotated[
 Resolution = Annotated[
     float | None,
     typer.Option(
-        help="Metres a cell: of a map picture without YAML, or of the heights read off a mesh.",
+        help="Metres a cell: of a map picture without YAML, of a log's map, or of the heights read off a "
+        "mesh.",
         rich_help_panel=MAP,
     ),
 ]
@@ -120,6 +121,14 @@ Unknown = Annotated[
 ]
 Speckle = Annotated[
     int, typer.Option(metavar="N", help="Drop walls of fewer connected cells.", rich_help_panel=MAP)
+]
+
+_METHODS = "hector|gmapping|cartographer"
+_LOG_HELP = "SLAM method that makes the map of a laser log."
+LogMapper = Annotated[str, typer.Option(metavar=_METHODS, help=_LOG_HELP, rich_help_panel=MAP)]
+LogMapperAlone = Annotated[
+    str,
+    typer.Option("--log-mapper", "--mapper", metavar=_METHODS, help=_LOG_HELP, rich_help_panel=MAP),
 ]
 
 MaxError = Annotated[

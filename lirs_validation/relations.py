@@ -8,16 +8,20 @@ true relative pose. No alignment is needed, and one early mistake does not spoil
 from __future__ import annotations
 
 import gzip
-import math
+import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lirs_validation.planar import motion, planar, wrapped
 from lirs_wct.errors import SourceError
-from lirs_wct.pose import Pose2, wrap_angle
+from lirs_wct.pose import Pose2
 from lirs_wct.trajectory import Trajectory
+
+Array = NDArray[np.float64]
 
 CARRIED = 0.1
 """A pose farther than this from a relation's stamp is carried there by odometry, seconds."""
@@ -40,78 +44,86 @@ class RelationErrors:
         translation: (n,) metres.
         rotation: (n,) radians, not negative.
         outside: relations that were left out.
+        stamps: (n,) seconds, the earlier stamp of each relation.
     """
 
-    translation: NDArray[np.float64]
-    rotation: NDArray[np.float64]
+    translation: Array
+    rotation: Array
     outside: int
+    stamps: Array
 
 
 def read_relations(path: Path) -> tuple[Relation, ...]:
     """Read `stamp1 stamp2 x y z roll pitch yaw` lines, gzipped or not.
 
     Raises:
-        SourceError: the file cannot be read or a line has not eight numbers.
+        SourceError: the file cannot be read, holds none, or a line has not eight finite numbers.
     """
     try:
         raw = path.read_bytes()
         text = (gzip.decompress(raw) if raw[:2] == b"\x1f\x8b" else raw).decode()
-        rows = [[float(w) for w in line.split()] for line in text.splitlines() if line[:1] not in ("", "#")]
-    except (OSError, EOFError, ValueError) as error:
-        raise SourceError(f"{path}: not readable as relations: {error}") from error
-    if any(len(row) != 8 for row in rows):
+        lines = [line.split() for line in text.splitlines()]
+        rows = [[float(word) for word in words] for words in lines if words and words[0][0] != "#"]
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise SourceError(f"{path}: the gzip stream is damaged or cut off ({error})") from error
+    except (OSError, ValueError) as error:
+        told = getattr(error, "strerror", None) or error
+        raise SourceError(f"{path}: not readable as relations: {told}") from error
+    if not rows:
+        raise SourceError(f"{path}: holds no relation (stamp1 stamp2 x y z roll pitch yaw)")
+    if any(len(row) != 8 or not np.isfinite(row).all() for row in rows):
         raise SourceError(f"{path}: a relation needs 8 numbers (stamp1 stamp2 x y z roll pitch yaw)")
     return tuple(Relation(r[0], r[1], Pose2(r[2], r[3], r[7])) for r in rows)
 
 
 def relation_errors(
-    estimate: Trajectory, relations: tuple[Relation, ...], odometry: Trajectory, margin: float = 2.0
+    estimate: Trajectory, relations: Sequence[Relation], odometry: Trajectory, margin: float = 2.0
 ) -> RelationErrors:
     """Compare the estimate with the relations.
 
     Args:
         estimate: poses in any frame.
         relations: the truth.
-        odometry: raw odometry over the same time, any frame, that carries poses to the stamps.
+        odometry: raw odometry over the same time, any frame, that carries poses to the stamps; where it is
+            empty, the estimate itself does.
         margin: relations with a stamp farther than this outside the estimate's time are left out, s.
     """
     low, high = estimate.stamps[0] - margin, estimate.stamps[-1] + margin
-    inside = [r for r in relations if low <= min(r.stamp_a, r.stamp_b) and max(r.stamp_a, r.stamp_b) <= high]
-    errors = [
-        r.T_ab.inverse()
-        @ pose_at(estimate, r.stamp_a, odometry).inverse()
-        @ pose_at(estimate, r.stamp_b, odometry)
-        for r in inside
-    ]
+    stamps = np.array([(r.stamp_a, r.stamp_b) for r in relations]).reshape(-1, 2)
+    inside = (stamps.min(axis=1) >= low) & (stamps.max(axis=1) <= high)
+    stamps = stamps[inside]
+    true = np.array([r.T_ab.as_array() for r in relations]).reshape(-1, 3)[inside]
+    carrier = odometry if len(odometry) else estimate
+    a, b = (poses_at(estimate, stamps[:, k], carrier) for k in (0, 1))
+    error = motion(true, motion(a, b))
     return RelationErrors(
-        np.array([math.hypot(e.x, e.y) for e in errors]),
-        np.array([abs(e.yaw) for e in errors]),
-        len(relations) - len(inside),
+        np.linalg.norm(error[:, :2], axis=1),
+        np.abs(wrapped(error[:, 2])),
+        int((~inside).sum()),
+        stamps.min(axis=1),
     )
 
 
-def pose_at(estimate: Trajectory, stamp: float, odometry: Trajectory) -> Pose2:
-    """Return the estimated pose nearest in time, carried to the stamp by odometry where it is far."""
-    i = _nearest(estimate.stamps, stamp)
-    pose, there = estimate.pose2(i), float(estimate.stamps[i])
-    if abs(there - stamp) <= CARRIED:
-        return pose
-    return pose @ interpolated(odometry, there).inverse() @ interpolated(odometry, stamp)
+def poses_at(estimate: Trajectory, stamps: Array, odometry: Trajectory) -> Array:
+    """Return (n, 3) the estimated poses nearest in time, carried to the stamps by odometry where far.
 
-
-def interpolated(track: Trajectory, stamp: float) -> Pose2:
-    """Return the pose at a stamp, linear between the neighbours, the first or last beyond the ends."""
-    j = int(np.clip(np.searchsorted(track.stamps, stamp), 1, len(track) - 1)) if len(track) > 1 else 0
-    if j == 0:
-        return track.pose2(0)
-    a, b = track.pose2(j - 1), track.pose2(j)
-    t = float((stamp - track.stamps[j - 1]) / (track.stamps[j] - track.stamps[j - 1]))
-    t = min(max(t, 0.0), 1.0)
-    return Pose2(
-        a.x + t * (b.x - a.x), a.y + t * (b.y - a.y), wrap_angle(a.yaw + t * wrap_angle(b.yaw - a.yaw))
+    Args:
+        estimate: not empty.
+        stamps: (n,) seconds.
+        odometry: not empty, in any frame.
+    """
+    near = _nearest(estimate.stamps, stamps)
+    poses, there = planar(estimate)[near], estimate.stamps[near]
+    step = motion(odometry.planar_at(there), odometry.planar_at(stamps))
+    step[np.abs(there - stamps) <= CARRIED] = 0.0
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    return poses + np.column_stack(
+        (c * step[:, 0] - s * step[:, 1], s * step[:, 0] + c * step[:, 1], step[:, 2])
     )
 
 
-def _nearest(stamps: NDArray[np.float64], stamp: float) -> int:
-    j = int(np.clip(np.searchsorted(stamps, stamp), 1, len(stamps) - 1)) if len(stamps) > 1 else 0
-    return j - 1 if j and stamp - stamps[j - 1] <= stamps[j] - stamp else j
+def _nearest(stamps: Array, wanted: Array) -> NDArray[np.intp]:
+    """Return (n,) which of the stamps, increasing, is nearest; of two that are, the earlier."""
+    after = np.clip(np.searchsorted(stamps, wanted), 0, len(stamps) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(wanted - stamps[before] <= stamps[after] - wanted, before, after)

@@ -34,7 +34,8 @@ class BuildOptions:
         height: relief of a picture, metres.
         grayscale: turn a colour picture into gray.
         invert: black is high.
-        resolution: metres a cell, for a map picture without YAML, or between the heights read off a mesh.
+        resolution: metres a cell, for a map picture without YAML or the map of a log, or between the
+            heights read off a mesh.
         origin: pose of the lower-left corner of a map picture without YAML.
         wall_height: height of a laser map's walls, metres.
         unknown: what the unknown cells of a laser map are; a hole has no floor.
@@ -54,6 +55,7 @@ class BuildOptions:
         max_triangles: most triangles of the mesh, instead of `max_error`.
         texture: picture (PNG or JPEG) that the mesh wears; default: one drawn from its heights.
         texture_size: metres that the texture spans before it repeats; default: the longest side.
+        log_mapper: name of the mapper that turns a laser log into a map.
 
     Raises:
         ConfigError: a value is not legal, or two options contradict.
@@ -86,6 +88,7 @@ class BuildOptions:
     max_triangles: int | None = None
     texture: Path | None = None
     texture_size: float | None = None
+    log_mapper: str = "cartographer"
 
     def __post_init__(self) -> None:
         sizes = self.size if isinstance(self.size, tuple) else (self.size,)

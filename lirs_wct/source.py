@@ -1,4 +1,4 @@
-"""What a user may call a source: a bundled name, a built folder, a picture, a map's YAML or a mesh."""
+"""What a user may call a source: a bundled name, a built folder, a picture, a map's YAML, a mesh or a log."""
 
 from __future__ import annotations
 
@@ -22,8 +22,11 @@ class SourceKind(Enum):
     MAP = "laser map"
     MAP_PICTURE = "picture of a laser map"
     MESH = "mesh"
+    LOG = "log of a laser"
 
 
+LOGS = (".clf", ".log")
+"""Suffixes of CARMEN logs, which may end in .gz as well."""
 MESHES = (".stl", ".dae", ".obj", ".ply", ".glb")
 """Suffixes of mesh files."""
 _ANY = {"name", "kind", "max_pixels", "rotate_x", "max_error", "max_triangles", "texture", "texture_size"}
@@ -38,6 +41,7 @@ _USED = {
     SourceKind.PICTURE: _PICTURE,
     SourceKind.MAP: _MAP,
     SourceKind.MAP_PICTURE: {*_MAP, "resolution", "origin"},
+    SourceKind.LOG: {*_MAP, "resolution", "log_mapper"},
     SourceKind.MESH: {"size", "pixel_size", "height", "window", "z_scale", "scale", "resolution"},
 }
 """Which options a kind of source has a use for, beside those that any has."""
@@ -65,7 +69,12 @@ def find_source(given: str | Path, options: BuildOptions) -> Source:
         raise SourceError(
             f"{given}: no such file or folder, nor a bundled world (bundled: {', '.join(RECIPES)})"
         )
-    return Source(_kind(path, options), path, _name(path.stem if path.is_file() else path.name, options))
+    return Source(_kind(path, options), path, _name(_stem(path), options))
+
+
+def is_log(path: Path) -> bool:
+    """Tell whether a file's name is that of a CARMEN log."""
+    return _unzipped(path).suffix.lower() in LOGS
 
 
 def warn_of_useless(source: Source, options: BuildOptions) -> None:
@@ -92,7 +101,17 @@ def _kind(path: Path, options: BuildOptions) -> SourceKind:
         return SourceKind.MAP
     if path.suffix.lower() in MESHES:
         return SourceKind.MESH
+    if is_log(path):
+        return SourceKind.LOG
     return SourceKind.MAP_PICTURE if options.kind == "map" else SourceKind.PICTURE
+
+
+def _unzipped(path: Path) -> Path:
+    return path.with_suffix("") if path.suffix.lower() == ".gz" else path
+
+
+def _stem(path: Path) -> str:
+    return _unzipped(path).stem if path.is_file() else path.name
 
 
 def _name(stem: str, options: BuildOptions) -> str:

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.finish import Finish, checked_texture, finish_of
 from lirs_wct.formats.map_server import read_map, read_map_picture
 from lirs_wct.formats.world_json import read_fields, write_world
@@ -134,6 +134,11 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
 
 
 def _place(found: Source, options: BuildOptions) -> World:
+    if found.kind is SourceKind.LOG:
+        raise SourceError(
+            f"{found.path}: a log is mapped before it is a world: lirs-wct build does both, and so does "
+            "lirs_validation.resolve_source"
+        )
     if found.kind is SourceKind.FOLDER:
         return _loaded_world(found, options)
     if found.kind is SourceKind.MESH:

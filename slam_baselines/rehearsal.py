@@ -7,6 +7,7 @@ hand, so that the rarely used parts (wider search, loop closure) come on stage t
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,14 +28,18 @@ RADIUS, STEP = 2.2, 0.12
 """Of the circle that is driven, and between scans, metres."""
 
 
-def rehearse(name: str) -> None:
+def rehearse(name: str, **config: Any) -> None:
     """Run a mapper through the rehearsal, on a floor and on uneven ground, and forget what it mapped.
 
+    Args:
+        name: one of MAPPERS.
+        **config: fields of the method's configuration, to make the rehearsal shorter.
+
     Raises:
-        ConfigError: no mapper has that name.
+        ConfigError: no mapper has that name, or its configuration no such field.
     """
     for uneven in (False, True):
-        mapper = make_mapper(name)
+        mapper = make_mapper(name, **config)
         start = _on_circle(0.0)
         laps = np.arange(0.0, 2.6 * math.pi, STEP / RADIUS)
         for k, angle in enumerate(laps):

@@ -1,0 +1,163 @@
+"""A log wherever a source may be: mapped once, into the output folder, and its map used from then on."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lirs_validation import cli, resolve_source
+from lirs_validation.run import validate
+from lirs_wct import BuildOptions, World, build_world
+from lirs_wct.errors import SourceError
+from lirs_wct.pose import Pose2
+from tests.carmen_room import START, flaser, room_lines, write_log
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with the log of a room; mappers are not rehearsed, which changes times only."""
+    monkeypatch.setattr("lirs_validation.mapping.rehearse", lambda name, **config: None)
+    monkeypatch.chdir(tmp_path)
+    write_log(tmp_path / "my room.clf", room_lines(90)[0])
+    return tmp_path
+
+
+def wct(*arguments: str) -> int:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["lirs-wct", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+    return int(str(ended.value.code))
+
+
+def maps(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*/map.yaml"))
+
+
+def test_build_makes_the_map_and_the_world_of_it(folder: Path) -> None:
+    assert wct("build", "my room.clf", "-o", "worlds", "--to", "hfield", "--wall-height", "1.5") == 0
+    world = World.load("worlds/my_room")
+    assert (world.kind, world.name) == ("map", "my_room")
+    assert world.walls is not None
+    assert world.walls.height == 1.5
+    assert world.walls.solid.sum() > 200
+    assert [p.parent.name[:24] for p in maps(folder / "worlds")] == ["my_room-cartographer-s1-"]
+
+
+def test_a_map_that_is_there_is_used_again(folder: Path) -> None:
+    options = BuildOptions(log_mapper="hector")
+    first = resolve_source("my room.clf", options, folder)
+    assert Path(first).name == "my_room.yaml"
+    record = Path(first).with_name("record.json")
+    before = record.stat().st_mtime_ns
+    assert resolve_source("my room.clf", options, folder) == first
+    assert record.stat().st_mtime_ns == before
+    # Other cells, another log, other code: another map.
+    assert resolve_source("my room.clf", BuildOptions(log_mapper="hector", resolution=0.1), folder) != first
+    write_log(folder / "my room.clf", room_lines(60)[0])
+    assert resolve_source("my room.clf", options, folder) != first
+    assert len(maps(folder)) == 3
+    entry = json.loads(record.read_text())
+    record.write_text(json.dumps(entry | {"versions": {"lirs-wct": "0.0"}}))
+    write_log(folder / "my room.clf", room_lines(90)[0])
+    assert resolve_source("my room.clf", options, folder) == first
+    assert json.loads(record.read_text())["versions"] == entry["versions"]
+
+
+def test_what_is_no_log_stays_as_it_is(folder: Path) -> None:
+    assert resolve_source("simple", BuildOptions(), folder) == "simple"
+    assert maps(folder) == []
+
+
+def test_a_map_of_a_lost_mapper_is_no_world(folder: Path) -> None:
+    """After the first half the laser sees nothing of the room any more, but noise."""
+    rng, lines = np.random.default_rng(5), room_lines(60)[0]
+    for k in range(60, 120):
+        lines.append(flaser(rng.uniform(0.5, 7.0, 181), resting(lines), START + 0.2 * k))
+    write_log(folder / "lost.log", lines)
+    with pytest.raises(SourceError, match=r"lost\.log: hector lost its place in this log"):
+        resolve_source("lost.log", BuildOptions(log_mapper="hector"), folder)
+    assert wct("map", "lost.log", "--mapper", "hector") == 3
+
+
+def resting(lines: list[str]) -> Pose2:
+    """The odometry of the last line."""
+    x, y, yaw = map(float, lines[-1].split()[-6:-3])
+    return Pose2(x, y, yaw)
+
+
+def test_view_and_info_take_logs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert wct("view", "my room.clf", "-o", "pictures/room.png", "--mapper", "hector") == 0
+    assert (folder / "pictures" / "room.png").is_file()
+    assert len(maps(folder / "pictures")) == 1
+    assert wct("info", "my room.clf", "--log-mapper", "hector") == 0
+    assert "my_room: map, 0.05 m a cell" in capsys.readouterr().out
+    assert len(maps(folder)) == 1
+
+
+def test_a_robot_drives_in_the_map_of_a_log(folder: Path) -> None:
+    source = resolve_source("my room.clf", BuildOptions(log_mapper="hector"), folder)
+    run = validate(source, robot="turtlebot3_burger", seconds=2.0)
+    assert run.record.world["name"] == "my_room"
+    assert run.record.status == "ok"
+
+
+def test_the_map_command_tells_figures_and_what_was_wrong(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = room_lines(60)[0]
+    lines[5], lines[9], lines[10] = "FLASER 181 1.0", lines[10], lines[9]
+    write_log(folder / "damaged.clf", [*lines, "TRUEPOS 1 2 3"])
+    assert wct("map", "damaged.clf", "--mapper", "hector", "-o", "maps") == 0
+    told = capsys.readouterr().out
+    for part in ("59 of 181 beams (FLASER)", "1 x FLASER cut off or malformed", "1 x message TRUEPOS"):
+        assert part in told
+    assert "1 lines with an earlier stamp" in told
+    assert len(maps(folder / "maps")) == 1
+
+
+def test_building_a_log_from_python_says_what_to_do(folder: Path) -> None:
+    with pytest.raises(SourceError, match=r"my room\.clf: a log is mapped before it is a world"):
+        build_world("my room.clf")
+
+
+BAD = {
+    "no log": (("map", "nothing.clf"), "nothing.clf: cannot be read: No such file"),
+    "empty": (("map", "empty.clf"), "empty.clf: no usable laser scan"),
+    "binary": (("map", "binary.clf"), "binary.clf: not a text file"),
+    "damaged gzip": (("map", "cut.clf.gz"), "cut.clf.gz: the gzip stream is damaged or cut off"),
+    "a picture": (("map", "picture.png"), "picture.png: not a text file, a CARMEN log is one"),
+    "a bundled world": (("map", "simple"), "simple: cannot be read: No such file"),
+    "no mapper": (("map", "my room.clf", "--mapper", "slam"), "unknown mapper 'slam'; legal: cartographer,"),
+    "particles": (("map", "my room.clf", "--mapper", "hector", "--particles", "3"), "'particles'"),
+    "relations": (("map", "my room.clf", "--relations", "empty.clf"), "empty.clf: holds no relation"),
+    "reference": (("map", "my room.clf", "--reference", "empty.clf"), "empty.clf: no usable laser scan"),
+    "cells": (("map", "my room.clf", "--resolution", "0"), "resolution must be 0.01 to 1 m, got 0"),
+    "in the way": (("map", "my room.clf", "--mapper", "hector", "-o", "empty.clf"), "empty.clf"),
+    "build": (("build", "empty.clf"), "empty.clf: no usable laser scan"),
+    "build without": (("build", "nothing.clf"), "nothing.clf: no such file or folder"),
+    "build by": (("build", "my room.clf", "--mapper", "slam"), "unknown mapper 'slam'"),
+    "validate": (("validate", "binary.clf"), "binary.clf: not a text file"),
+    "info": (("info", "cut.clf.gz"), "cut.clf.gz: the gzip stream is damaged"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_and_code_2(
+    case: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "empty.clf").write_bytes(b"")
+    (folder / "binary.clf").write_bytes(bytes(range(256)))
+    (folder / "picture.png").write_bytes(b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR")
+    (folder / "cut.clf.gz").write_bytes(gzip.compress(b"FLASER 1 2 3 4 5 6 7\n" * 99)[:40])
+    before = sorted(folder.rglob("*"))
+    arguments, expected = BAD[case]
+    assert wct(*arguments) == 2
+    told = capsys.readouterr().err.strip()
+    assert expected in told
+    assert len(told.splitlines()) == 1, told
+    assert sorted(folder.rglob("*")) == before

@@ -1,0 +1,182 @@
+"""From a log to a map, a path and a record, held against a room that is known."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from lirs_validation import map_log
+from lirs_validation.map_record import MapConfig
+from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.formats.map_server import read_map
+from lirs_wct.formats.tum import read_tum, write_tum
+from lirs_wct.pose import Pose2
+from lirs_wct.trajectory import Trajectory
+from tests.carmen_room import PERIOD, START, room_lines, write_log
+from tests.slam_baselines.synthetic import ROOM, ranges_to
+
+SCANS = 90
+STAMPS = [START + PERIOD * k for k in range(SCANS)]
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a log, the true path (shifted and turned, for that must not matter) and relations."""
+    folder = tmp_path_factory.mktemp("room")
+    lines, truth = room_lines(SCANS)
+    write_log(folder / "room.clf", lines)
+    write_log(folder / "blind.clf", room_lines(SCANS, drifting=False)[0])
+    write_tum(folder / "truth.tum", Trajectory.from_poses(STAMPS, [Pose2(3.0, -2.0, 0.7) @ p for p in truth]))
+    pairs = [(a, a + 30) for a in range(0, SCANS - 30, 5)]
+    rows = [(STAMPS[a], STAMPS[b], truth[a].inverse() @ truth[b]) for a, b in pairs]
+    rows.append((START + 500, START + 510, Pose2()))
+    text = [f"{a:.6f} {b:.6f} {p.x:.6f} {p.y:.6f} 0 0 0 {p.yaw:.6f}" for a, b, p in rows]
+    (folder / "room.relations").write_text("\n".join(text) + "\n")
+    return folder
+
+
+@pytest.fixture
+def unrehearsed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the rehearsal, which changes times only."""
+    monkeypatch.setattr("lirs_validation.mapping.rehearse", lambda name, **config: None)
+
+
+@pytest.mark.parametrize("mapper", ["hector", "gmapping", "cartographer"])
+def test_a_room_is_mapped_as_it_is(room: Path, tmp_path: Path, mapper: str) -> None:
+    mapped = map_log(
+        room / "room.clf",
+        mapper=mapper,
+        reference=room / "truth.tum",
+        relations=room / "room.relations",
+        out=tmp_path,
+    )
+    folder = mapped.folder
+    assert folder is not None
+    assert folder.name.startswith(f"room-{mapper}-s1-")
+    assert [p.name for p in tmp_path.iterdir()] == [folder.name]
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "estimate.tum", "map.pgm", "map.yaml", "overview.png", "record.json",
+    ]  # fmt: skip
+    np.testing.assert_allclose(read_tum(folder / "estimate.tum").stamps, STAMPS, atol=1e-6)
+    assert cv2.imread(str(folder / "overview.png")).std() > 10
+    record = json.loads((folder / "record.json").read_text())
+    reference, relations = record["accuracy"]["reference"], record["accuracy"]["relations"]
+    assert reference["ate_rmse"] < 0.05
+    assert (reference["used"], reference["outside"]) == (SCANS, 0)
+    assert relations["translation_mean"] < 0.06
+    assert relations["rotation_mean_deg"] < 1.0
+    assert (relations["used"], relations["outside"]) == (12, 1)
+    assert record["mapper"]["received"] == record["log"]["scans"] == SCANS
+    # The map's walls stand where the room's do: seen from the start, in all directions.
+    grid = read_map(folder / "map.yaml")
+    start = Pose2(0.0, -0.5, 0.0)
+    hits = start.apply(grid.occupied_points())
+    assert len(hits) > 300
+    assert np.quantile([distance_to_walls(p) for p in hits], 0.95) < 0.12
+    angles = np.linspace(-1.5, 1.5, 31)
+    walls = ranges_to(ROOM, start, angles)[:, None] * np.stack((np.cos(angles), np.sin(angles)), axis=-1)
+    nearest = np.linalg.norm(start.apply(walls)[:, None] - hits[None], axis=2).min(axis=1)
+    assert np.quantile(nearest, 0.9) < 0.15
+
+
+def distance_to_walls(point: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
+    a, e = ROOM[:, :2], ROOM[:, 2:] - ROOM[:, :2]
+    along = np.clip(((point - a) * e).sum(axis=1) / (e * e).sum(axis=1), 0, 1)
+    return float(np.linalg.norm(a + along[:, None] * e - point, axis=1).min())
+
+
+@pytest.mark.usefixtures("unrehearsed")
+def test_the_same_seed_gives_the_same_bytes(room: Path, tmp_path: Path) -> None:
+    folders = [
+        map_log(room / "room.clf", mapper="gmapping", particles=5, seed=3, out=tmp_path / str(k)).folder
+        for k in range(2)
+    ]
+    for name in ("map.pgm", "map.yaml", "estimate.tum"):
+        first, second = ((folder / name).read_bytes() for folder in folders if folder is not None)
+        assert first == second
+
+
+def test_the_digest_tells_maps_apart_and_not_their_judges() -> None:
+    config = MapConfig(log="a.clf")
+    assert config.digest(b"x") == replace(config, log="b.clf", relations="r", reference="t").digest(b"x")
+    others = [replace(config, seed=2), replace(config, fov=270.0), replace(config, mapper="hector")]
+    digests = {c.digest(b"x") for c in (config, *others)} | {config.digest(b"y")}
+    assert len(digests) == 5
+
+
+@pytest.mark.usefixtures("unrehearsed")
+def test_without_odometry_hector_maps_and_gmapping_says_what_it_needs(room: Path) -> None:
+    mapped = map_log(room / "blind.clf", mapper="hector", reference=room / "truth.tum")
+    assert mapped.record.log["odometry_length"] is None
+    assert mapped.record.accuracy["reference"]["ate_rmse"] < 0.05
+    with pytest.raises(SourceError, match=r"blind\.clf: gmapping needs odometry.*hector maps without"):
+        map_log(room / "blind.clf", mapper="gmapping")
+
+
+@pytest.mark.usefixtures("unrehearsed")
+def test_the_cells_are_as_large_as_asked_for(room: Path) -> None:
+    for mapper in ("hector", "gmapping", "cartographer"):
+        assert map_log(room / "room.clf", mapper=mapper, resolution=0.1).grid.resolution == 0.1
+
+
+@pytest.mark.usefixtures("unrehearsed")
+def test_nothing_to_compare_with_is_told_and_null(room: Path, tmp_path: Path) -> None:
+    (tmp_path / "other.relations").write_text("1 2 0 0 0 0 0 0\n")
+    (tmp_path / "other.tum").write_text("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n")
+    mapped = map_log(
+        room / "room.clf", mapper="hector", relations=tmp_path / "other.relations",
+        reference=tmp_path / "other.tum", out=tmp_path / "out",
+    )  # fmt: skip
+    told = mapped.record.accuracy
+    assert (told["relations"]["used"], told["relations"]["outside"]) == (0, 1)
+    assert (told["reference"]["used"], told["reference"]["outside"]) == (0, 2)
+    assert told["relations"]["translation_mean"] is told["reference"]["ate_rmse"] is None
+
+
+@pytest.mark.usefixtures("unrehearsed")
+def test_an_interrupted_mapping_leaves_nothing(room: Path, tmp_path: Path) -> None:
+    def stop(stage: str, share: float) -> None:
+        if stage == "draw" or share > 0.5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        map_log(room / "room.clf", mapper="hector", out=tmp_path / "out", report=stop)
+    assert not (tmp_path / "out").exists()
+
+
+BAD = {
+    "mapper": ({"mapper": "slam"}, ConfigError, "unknown mapper 'slam'"),
+    "particles of hector": ({"mapper": "hector", "particles": 5}, ConfigError, "particles"),
+    "no particles": ({"mapper": "gmapping", "particles": 0}, ConfigError, "particles must be above 0"),
+    "seed": ({"seed": -1}, ConfigError, "seed must be 0 or above, got -1"),
+    "cells": ({"resolution": 1e-5}, ConfigError, "resolution must be 0.01 to 1 m, got 1e-05"),
+    "no field of view": ({"fov": 0.0}, ConfigError, "field of view must be above 0 and at most 360 deg"),
+    "no range": ({"range_max": float("nan")}, ConfigError, "range max must be a finite number above 0"),
+    "no relations": ({"relations": "none.relations"}, SourceError, "none.relations: "),
+    "no reference": ({"reference": "none.tum"}, SourceError, "none.tum: "),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_options_are_told_before_the_log_is_read(case: str) -> None:
+    options, kind, expected = BAD[case]
+    with pytest.raises(kind, match=expected):
+        map_log("not there.clf", **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.shared
+@pytest.mark.usefixtures("unrehearsed")
+def test_a_real_log_against_its_reference(shared_data: Path) -> None:
+    """ATE on the CSAIL log, from the graph poses as they are published: far better than by odometry."""
+    folder = shared_data / "logs" / "csail"
+    mapped = map_log(
+        folder / "mit-csail.clf.gz", mapper="hector", reference=folder / "reference_poses.log.gz"
+    )
+    assert mapped.record.accuracy["reference"]["used"] > 1000
+    assert mapped.record.accuracy["reference"]["ate_rmse"] < 0.5
+    assert mapped.record.name.startswith("mit-csail-hector-s1-")
