@@ -1,0 +1,48 @@
+"""What a result scored: on the screen beside the run's own mapper, and as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from lirs_validation.figures import MAP, TRAJECTORY
+from lirs_validation.report.words import NOTHING
+from lirs_validation.score import Score
+from lirs_wct.files import atomic_write
+
+
+def score_table(score: Score, record: Mapping[str, Any]) -> Table:
+    """Return the figures of the score beside those of the run's own mapper."""
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, caption_justify="left")
+    table.title, table.title_justify = Text(score.run), "left"
+    table.add_column("figure")
+    for heading in ("scored", str(record["config"]["mapper"])):
+        table.add_column(Text(heading), justify="right")
+    for figure in (*TRAJECTORY, *MAP):
+        scored = figure.told(figure.of(asdict(score)))
+        if scored != NOTHING:
+            table.add_row(*map(Text, (figure.heading, scored, figure.told(figure.of(record)))))
+    lines = [f"read in the {score.frame} frame"]
+    if score.trajectory:
+        lines.append(f"{score.trajectory['poses']} of {score.given} poses lie at stamps of the run's scans")
+    table.caption = Text("; ".join(lines))
+    return table
+
+
+def write_score(path: Path, score: Score, trajectory: Path | None, map_yaml: Path | None) -> None:
+    """Write the score as JSON: groups and figures as in record.json.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    given = {"trajectory": trajectory, "map": map_yaml}
+    document = {"files": {key: None if p is None else str(p) for key, p in given.items()}} | asdict(score)
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")

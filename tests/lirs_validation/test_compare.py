@@ -1,0 +1,160 @@
+"""Which differences are real: against SciPy's tests, on differences that are known."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from rich.console import Console
+from scipy import stats
+
+from lirs_validation.compare import compare
+from lirs_validation.figures import COMPARED, figures_named
+from lirs_validation.paired import holm, paired_test
+from lirs_validation.repeats import repeats
+from lirs_validation.report.compare_table import compare_table, write_compare_csv, write_compare_json
+from lirs_wct.errors import ConfigError
+from tests.lirs_validation.records import entry
+
+ATE = figures_named(["trajectory.ate_rmse"])
+
+
+@given(arrays(np.float64, st.integers(1, 12), elements=st.floats(0, 1)))
+def test_holm_never_helps_and_keeps_the_order(p: np.ndarray) -> None:
+    raised = holm(p)
+    assert (raised >= p).all()
+    assert (raised <= 1).all()
+    assert (raised >= np.minimum(1, p.min() * len(p)) - 1e-12).all()
+    order = np.argsort(p, kind="stable")
+    assert (np.diff(raised[order]) >= 0).all()
+
+
+def test_holm_by_hand() -> None:
+    # Holm 1979: p(1) n, p(2) (n - 1), ...
+    assert holm(np.array([0.01, 0.04, 0.03])).tolist() == pytest.approx([0.03, 0.06, 0.06])
+
+
+def test_the_paired_t_is_scipys() -> None:
+    a, b = np.random.default_rng(2).normal(size=(2, 6))
+    test, p, low, high = paired_test(b - a)
+    expected = stats.ttest_rel(b, a)
+    interval = expected.confidence_interval(0.95)
+    assert test == "t"
+    assert (p, low, high) == pytest.approx((expected.pvalue, interval.low, interval.high))
+
+
+def test_skewed_differences_are_ranked() -> None:
+    d = np.random.default_rng(0).exponential(1.0, 30) ** 3
+    test, p, low, high = paired_test(d)
+    assert test == "Wilcoxon"
+    assert p == pytest.approx(stats.wilcoxon(d).pvalue)
+    assert low is not None
+    assert high is not None
+    assert low < d.mean() < high
+
+
+def test_without_spread_only_the_direction_tells() -> None:
+    assert paired_test(np.full(5, 0.1))[:2] == ("sign", 2 / 2**5)
+    assert paired_test(np.zeros(5))[:2] == ("sign", 1.0)
+    assert paired_test(np.array([0.3]))[:2] == ("none", None)
+
+
+def test_repeats_are_students() -> None:
+    found = repeats([1.0, 2.0, 4.0])
+    assert found is not None
+    assert found.half_width == pytest.approx(4.302653 * np.std([1, 2, 4], ddof=1) / np.sqrt(3), rel=1e-6)
+    assert repeats([]) is None
+    one = repeats([3.0])
+    assert one is not None
+    assert (one.mean, one.std, one.half_width) == (3.0, None, None)
+
+
+def results(shift: float, noise: float, seeds: int = 5, **more: object) -> list[dict[str, object]]:
+    """Runs whose ATE differs from seed to seed far more than from result to result."""
+    rng = np.random.default_rng(7)
+    own = np.random.default_rng(int(1e6 * (shift + noise)))
+    return [
+        entry(seed=s, ate=float(0.1 * rng.random() + 0.05 + shift + noise * own.random()), **more)
+        for s in range(1, seeds + 1)
+    ]
+
+
+def test_a_small_steady_difference_is_found_in_the_noise_between_seeds() -> None:
+    found = compare(results(0, 0.0001), results(0.002, 0.0001), ATE).differences
+    assert len(found) == 1
+    assert found[0].real is True
+    assert found[0].low is not None
+    assert found[0].high is not None
+    assert found[0].low < 0.002 < found[0].high + 1e-3
+    # Unpaired, nobody would see it.
+    a, b = ([r["trajectory"]["ate_rmse"] for r in results(x, 0.0001)] for x in (0, 0.002))  # type: ignore[index]
+    assert stats.ttest_ind(a, b).pvalue > 0.5
+
+
+def test_chance_is_called_chance() -> None:
+    found = compare(results(0, 0.02), results(0.0, 0.021), ATE).differences
+    assert found[0].real is False
+
+
+def test_one_seed_says_nothing() -> None:
+    comparison = compare(results(0, 0.01, 1), results(0.5, 0.01, 1), COMPARED)
+    assert all(d.real is None and d.p is None and d.low is None for d in comparison.differences)
+    assert "nothing can be said" in shown(comparison)
+
+
+def test_failed_runs_and_shared_processors_are_left_out() -> None:
+    a = [entry(seed=s) for s in (1, 2, 3)]
+    b = [entry(seed=1, status="tipped", ate=9.0), entry(seed=2, concurrent=True), entry(seed=3)]
+    comparison = compare(a, b, figures_named(["trajectory.ate_rmse", "rtf.mean"]))
+    pairs = {d.figure.place: d.pairs for d in comparison.differences}
+    assert pairs == {"trajectory.ate_rmse": 2, "rtf.mean": 1}
+    assert "1 of 3 in b" in " ".join(shown(comparison).split())
+
+
+def test_another_mapper_is_paired_when_asked() -> None:
+    a, b = results(0, 0.001), results(0.01, 0.001, mapper="gmapping")
+    with pytest.raises(ConfigError, match=r"differ in mapper \(hector and gmapping\); --across mapper"):
+        compare(a, b, ATE)
+    assert compare(a, b, ATE, ("mapper",)).differences[0].pairs == 5
+    with pytest.raises(ConfigError, match="unknown field of a cell 'maper'"):
+        compare(a, b, ATE, ("maper",))
+    with pytest.raises(ConfigError, match="two runs of one cell and seed"):
+        compare(a + b, a, ATE, ("mapper",))
+
+
+def test_what_only_one_has_is_named() -> None:
+    a = [*results(0, 0.01), entry("medium", 1)]
+    comparison = compare(a, results(0, 0.02), ATE)
+    assert [cell.world for cell in comparison.only_a] == ["medium"]
+    assert "Only in a: medium" in shown(comparison)
+
+
+def test_files(tmp_path: Path) -> None:
+    comparison = compare(results(0, 0.001), results(0.01, 0.001), COMPARED)
+    write_compare_csv(tmp_path / "d.csv", comparison)
+    write_compare_json(tmp_path / "d.json", comparison, ("a", "b"))
+    rows = list(csv.DictReader((tmp_path / "d.csv").open()))
+    document = json.loads((tmp_path / "d.json").read_text())
+    assert len(rows) == len(document["differences"]) == len(comparison.differences)
+    ate = next(r for r in document["differences"] if r["figure"] == "trajectory.ate_rmse")
+    assert ate["real"] is True
+    assert ate["verdict"] == "b worse"
+    assert float(next(r for r in rows if r["figure"] == "trajectory.ate_rmse")["p"]) == ate["p"]
+
+
+def test_no_such_figure() -> None:
+    with pytest.raises(ConfigError, match=r"unknown figure 'map\.f2'"):
+        figures_named(["map.f2"])
+
+
+def shown(comparison: object) -> str:
+    console = Console(width=110, record=True, file=io.StringIO())
+    console.print(compare_table(comparison, ("a", "b")))  # type: ignore[arg-type]
+    return console.export_text()

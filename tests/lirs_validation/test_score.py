@@ -1,0 +1,139 @@
+"""Scoring a run's own files gives the run's own figures; what does not fit the run is said."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lirs_validation import cli, validate
+from lirs_validation.metrics import agreement, iou
+from lirs_validation.recorded import recorded_config, true_pose_map
+from lirs_validation.result_folders import RunFolder, read_run
+from lirs_validation.score import score
+from lirs_wct.errors import SourceError
+from lirs_wct.formats.map_server import read_map, write_map
+from lirs_wct.formats.tum import read_tum, write_tum
+from lirs_wct.options import BuildOptions
+from lirs_wct.pose import Pose2
+from lirs_wct.trajectory import Trajectory
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    out = tmp_path_factory.mktemp("out")
+    made = validate("medium", seconds=10, seed=2, out=out, options=BuildOptions(size=40.0, height=4.0))
+    assert made.folder is not None
+    return read_run(made.folder)
+
+
+@pytest.fixture(scope="module")
+def foreign(run: RunFolder, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The run's own result as another program would give it: in the map frame, at every third scan."""
+    folder = tmp_path_factory.mktemp("foreign")
+    T_map_world = read_tum(run.folder / "truth.tum").pose2(0).inverse()
+    estimate = read_tum(run.folder / "estimate.tum").moved(T_map_world)
+    thinned = Trajectory(estimate.stamps[::3], estimate.positions[::3], estimate.quaternions[::3])
+    write_tum(folder / "est.tum", thinned)
+    write_map(folder / "map", read_map(run.folder / "map.yaml").moved(T_map_world))
+    return folder / "est.tum", folder / "map.yaml"
+
+
+def test_its_own_files_score_its_own_figures(run: RunFolder) -> None:
+    own = score(run, trajectory=run.folder / "estimate.tum", map_yaml=run.folder / "map.yaml")
+    assert own.frame == "world"
+    assert own.map == run.entry["map"]
+    recorded = run.entry["trajectory"]
+    assert set(recorded) - set(own.trajectory) == {"ate_rmse_online"}
+    for name, value in own.trajectory.items():
+        assert value == pytest.approx(recorded[name], abs=2e-8), name
+
+
+def test_the_map_frame_is_that_of_the_first_base_pose(run: RunFolder, foreign: tuple[Path, Path]) -> None:
+    scored = score(run, trajectory=foreign[0], map_yaml=foreign[1])
+    assert scored.frame == "map"
+    assert scored.given == scored.trajectory["poses"] == math.ceil(251 / 3)
+    assert scored.trajectory["ate_rmse"] == pytest.approx(run.entry["trajectory"]["ate_rmse"], rel=0.1)
+    assert scored.map["f1"] == pytest.approx(run.entry["map"]["f1"], abs=1e-6)
+    assert scored.map["occupied_cells"] == run.entry["map"]["occupied_cells"]
+    alone = score(run, map_yaml=foreign[1])
+    assert (alone.frame, alone.trajectory, alone.map) == ("map", {}, scored.map)
+
+
+def test_a_map_of_other_cells_meets_a_true_pose_map_of_its_own(run: RunFolder, tmp_path: Path) -> None:
+    config = recorded_config(run.entry)
+    fine = true_pose_map(run.folder, config, 0.05)
+    recorded = read_map(run.folder / "map_true_pose.yaml")
+    found = agreement(fine, recorded).f1
+    overlap = iou(fine, recorded)
+    assert found is not None
+    assert overlap is not None
+    # Scans to the millimetre, and the true attitude in the IMU's place.
+    assert found > 0.99
+    assert overlap > 0.9
+    coarse = true_pose_map(run.folder, config, 0.1)
+    write_map(tmp_path / "coarse", coarse)
+    scored = score(run, map_yaml=tmp_path / "coarse.yaml", frame="world")
+    assert (scored.map["f1"], scored.map["iou"], scored.map["unknown"]) == (1.0, 1.0, 0.0)
+
+
+def test_the_config_reads_back(run: RunFolder) -> None:
+    config = recorded_config(run.entry)
+    assert config.build == BuildOptions(size=40.0, height=4.0)
+    assert config.digest == run.folder.name[-8:]
+    with_more = json.loads(json.dumps(run.entry)) | {"config": dict(run.entry["config"]) | {"wind": 3}}
+    with pytest.raises(SourceError, match="unknown to this version: wind"):
+        recorded_config(with_more)
+
+
+def test_other_stamps_are_said(run: RunFolder, foreign: tuple[Path, Path], tmp_path: Path) -> None:
+    estimate = read_tum(foreign[0])
+    write_tum(tmp_path / "late.tum", replace(estimate, stamps=estimate.stamps + 1.7e9))
+    with pytest.raises(
+        SourceError, match=r"late\.tum: other stamps: 0 of its 84 poses .*run's 0\.00 \.\. 10\.00 s"
+    ):
+        score(run, trajectory=tmp_path / "late.tum")
+
+
+@pytest.mark.parametrize("turn", [Pose2(40.0, -3.0, 0.0), Pose2(0.0, 0.0, 1.2)])
+def test_another_frame_is_said(
+    run: RunFolder, foreign: tuple[Path, Path], tmp_path: Path, turn: Pose2
+) -> None:
+    write_tum(tmp_path / "odd.tum", read_tum(foreign[0]).moved(turn))
+    with pytest.raises(SourceError, match=r"odd\.tum: another frame: .* first base pose$"):
+        score(run, trajectory=tmp_path / "odd.tum")
+    with pytest.raises(SourceError, match="it fits the map frame: --frame map"):
+        score(run, trajectory=foreign[0], frame="world")
+
+
+def test_a_map_from_elsewhere_is_said(run: RunFolder, tmp_path: Path) -> None:
+    write_map(tmp_path / "far", read_map(run.folder / "map.yaml").moved(Pose2(500.0, 0.0, 0.0)))
+    with pytest.raises(SourceError, match=r"far\.yaml: knows no cell of where the run took place"):
+        score(run, map_yaml=tmp_path / "far.yaml")
+
+
+def test_the_command(
+    run: RunFolder, foreign: tuple[Path, Path], tmp_path: Path,
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    target = tmp_path / "score.json"
+    words = ["lirs-wct", "score", str(run.folder), "--trajectory", str(foreign[0]), "--map", str(foreign[1])]
+    monkeypatch.setattr("sys.argv", [*words, "-o", str(target)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 0
+    document = json.loads(target.read_text())
+    assert document["map"]["f1"] == pytest.approx(run.entry["map"]["f1"], abs=1e-6)
+    assert document["files"]["map"] == str(foreign[1])
+    assert np.isfinite(document["trajectory"]["ate_rmse"])
+    assert "84 of 84 poses" in capsys.readouterr().out
+    for wrong in (words[:3], [*words, "--frame", "moon"]):
+        monkeypatch.setattr("sys.argv", wrong)
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        assert ended.value.code == 2
+        assert len(capsys.readouterr().err.strip().splitlines()) == 1
