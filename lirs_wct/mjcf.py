@@ -38,6 +38,7 @@ def world_spec(
     group: int = TERRAIN_GROUP,
     terrain: Terrain = "hfield",
     seen: bool = False,
+    heights: bool = True,
 ) -> mujoco.MjSpec:
     """Return the world as a specification to compile.
 
@@ -48,6 +49,7 @@ def world_spec(
         group: geom group of ground and walls.
         terrain: what is touched (see `TERRAINS`).
         seen: whether MuJoCo's own rays are to meet the surface itself, where something else is touched.
+        heights: whether the height field holds its heights; without, they are to come from a file.
 
     Raises:
         ConfigError: the terrain does not fit the world.
@@ -59,7 +61,7 @@ def world_spec(
     if terrain in ("prisms", "convex"):
         _add_parts(spec, world, terrain, group)
     elif world.walls is None or world.walls.hole is None:
-        _add_ground(spec, surface, group)
+        _add_ground(spec, surface, group, heights=heights)
     else:
         _add_boxes(spec, world.walls, world.walls.floor, (-BASE, 0.0), group, GROUND_COLOUR)
     if world.walls is not None:
@@ -86,7 +88,12 @@ def _boxes(walls: WallGrid, rectangles: NDArray[np.int64]) -> NDArray[np.float64
 
 
 def _add_ground(
-    spec: mujoco.MjSpec, surface: HeightField, group: int, name: str = "ground", **options: int
+    spec: mujoco.MjSpec,
+    surface: HeightField,
+    group: int,
+    name: str = "ground",
+    heights: bool = True,
+    **options: int,
 ) -> None:
     west, south, east, north = surface.bounds
     low, relief = float(surface.z.min()), surface.relief
@@ -102,14 +109,10 @@ def _add_ground(
         # A plane costs a contact test, a flat height field all the prisms under a wheel.
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(*half, 1.0), **common)
         return
-    rows, cols = surface.shape
-    spec.add_hfield(
-        name=name,
-        nrow=rows,
-        ncol=cols,
-        size=(*half, relief, BASE),
-        userdata=surface.south_up.ravel(),
-    )
+    data = {}
+    if heights:
+        data = dict(zip(("nrow", "ncol"), surface.shape, strict=True), userdata=surface.south_up.ravel())
+    spec.add_hfield(name=name, size=(*half, relief, BASE), **data)
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, **common)
 
 

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.contact_parts import Ground
+from lirs_wct.contact_parts import Ground, Terrain
 from lirs_wct.files import atomic_write
 from lirs_wct.heightfield import HeightField
 from lirs_wct.mjcf import world_spec
@@ -21,6 +21,9 @@ GROUND_PIXELS = 2048
 """Most pixels of the longer side of a texture that is laid out for the whole ground."""
 SKY = ((0.72, 0.80, 0.90), (0.93, 0.94, 0.95))
 """Colours of the sky above and at the horizon, RGB."""
+
+STAND_IN = "stand-in.hfield"
+"""Name of a height field of 2x2 nodes, under which MuJoCo never looks for a world's own."""
 
 
 def write_mjcf(
@@ -42,7 +45,8 @@ def write_mjcf(
     """
     path = Path(folder) / f"{world.name}.xml"
     # Seen in the viewer as it opens: it hides group 3.
-    spec = world_spec(world, group=0, terrain="convex" if world.overhangs else "hfield")
+    terrain: Terrain = "convex" if world.overhangs else "hfield"
+    spec = world_spec(world, group=0, terrain=terrain, heights=False)
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -53,13 +57,7 @@ def write_mjcf(
         height=64,
     )
     for hfield in spec.hfields:
-        data = hfield_bytes(world.surface)
-        hfield.file = f"{world.name}-{crc32(data):08x}.hfield"
-        hfield.userdata = []
-        hfield.nrow = hfield.ncol = 0
-        spec.assets = {hfield.file: data}
-        with atomic_write(path.with_name(hfield.file)) as temporary:
-            temporary.write_bytes(data)
+        hfield.file = _write_heights(world, path.parent)
         if texture is not None:
             _dress(spec, world.surface, path.parent, texture, texture_size or max(world.surface.size))
     with atomic_write(path) as temporary:
@@ -67,9 +65,30 @@ def write_mjcf(
     return path
 
 
-def hfield_bytes(surface: HeightField) -> bytes:
-    """Return MuJoCo's height-field file: rows and columns as int32, then heights, row 0 at -y, in metres."""
-    return np.array(surface.shape, "<i4").tobytes() + surface.south_up.astype("<f4").tobytes()
+def _write_heights(world: Ground, folder: Path) -> str:
+    """Write the height field's file and return its name."""
+    name = f"{world.name}-{_checksum(world.surface):08x}.hfield"
+    write_hfield(folder / name, world.surface)
+    return name
+
+
+def write_hfield(path: Path, surface: HeightField) -> None:
+    """Write MuJoCo's height-field file: rows and columns as int32, then heights, row 0 at -y, in metres.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        file.writelines(_hfield(surface))
+
+
+def _checksum(surface: HeightField) -> int:
+    header, heights = _hfield(surface)
+    return crc32(heights, crc32(header))
+
+
+def _hfield(surface: HeightField) -> tuple[memoryview, memoryview]:
+    return np.array(surface.shape, "<i4").data, surface.south_up.astype("<f4", copy=False).data
 
 
 def _dress(spec: mujoco.MjSpec, surface: HeightField, folder: Path, texture: Path, span: float) -> None:
@@ -102,9 +121,20 @@ def spread(picture: NDArray[np.uint8], size: tuple[float, float], span: float) -
 
 
 def _exact_xml(spec: mujoco.MjSpec) -> str:
-    """Return the specification's XML with sizes and positions in full; MuJoCo writes six digits."""
+    """Return the specification's XML with sizes and positions in full; MuJoCo writes six digits.
+
+    MuJoCo wants the heights' files for that, and keeps them: it gets a stand-in under another name.
+    """
+    files = [hfield.file for hfield in spec.hfields]
+    for hfield in spec.hfields:
+        hfield.file = STAND_IN
+    spec.assets = dict(spec.assets) | {
+        STAND_IN: np.array((2, 2), "<i4").tobytes() + np.eye(2, dtype="<f4").tobytes()
+    }
     spec.compile()
     root = ElementTree.fromstring(spec.to_xml())
+    for element, file in zip(root.iterfind("asset/hfield"), files, strict=True):
+        element.set("file", file)
     for element, item in (
         *zip(root.iterfind("asset/hfield"), spec.hfields, strict=True),
         *zip(root.iterfind("worldbody/geom"), spec.worldbody.geoms, strict=True),

@@ -17,7 +17,7 @@ from lirs_wct.formats.sdf import model_config, model_sdf, world_sdf
 from lirs_wct.formats.stl import write_stl, write_triangles
 from lirs_wct.formats.world_json import TEXTURES
 from lirs_wct.mesh import TriangleMesh
-from lirs_wct.mjcf_file import hfield_bytes, write_mjcf
+from lirs_wct.mjcf_file import write_hfield, write_mjcf
 from lirs_wct.progress import Report, Steps
 from lirs_wct.shade import ground_texture
 from lirs_wct.solid import solid_triangles
@@ -74,7 +74,7 @@ def write_package(
             write_mjcf(world, temporary, texture, world.finish.texture_size)
         if "hfield" in formats:
             steps.begin(f"{world.name}.hfield")
-            (temporary / f"{world.name}.hfield").write_bytes(hfield_bytes(world.surface))
+            write_hfield(temporary / f"{world.name}.hfield", world.surface)
     return folder
 
 

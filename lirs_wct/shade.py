@@ -25,26 +25,26 @@ def ground_texture(surface: HeightField, walls: WallGrid | None = None) -> NDArr
     west, south, _, _ = surface.bounds
     span = max(surface.size)
     at = (np.arange(PIXELS) + 0.5) * span / PIXELS
-    x, y = np.meshgrid(west + at, south + at[::-1])
+    x, y = west + at, (south + at[::-1])[:, None]
     if walls is None:
         rgb = _earth(surface, x, y, span / PIXELS)
     else:
-        rgb = np.where(_on_wall(walls, x, y)[..., None], WALL, FLOOR)
-    return np.ascontiguousarray(np.clip(rgb, 0, 255).astype(np.uint8)[..., ::-1])
+        rgb = np.where(_on_wall(walls, *np.broadcast_arrays(x, y))[..., None], WALL, FLOOR)
+    return np.ascontiguousarray(np.clip(rgb, 0, 255, out=rgb).astype(np.uint8)[..., ::-1])
 
 
 def _earth(
     surface: HeightField, x: NDArray[np.float64], y: NDArray[np.float64], pixel: float
 ) -> NDArray[np.float64]:
-    z = np.nan_to_num(surface.height_at(x, y), nan=float(surface.z.min()))
+    # Strip by strip: the whole would take a hundred megabytes for a moment.
+    z = np.concatenate([surface.height_at(x, strip) for strip in np.array_split(y, 16)])
+    z = np.nan_to_num(z, nan=float(surface.z.min()))
     height = (z - z.min()) / max(float(np.ptp(z)), 1e-9)
     levels = np.linspace(0, 1, len(EARTH))
-    tint = np.stack([np.interp(height, levels, EARTH[:, k]) for k in range(3)], axis=-1)
     dz_dy, dz_dx = np.gradient(z, pixel)
-    normal = np.stack((-dz_dx, dz_dy, np.ones_like(z)), axis=-1)
-    light = (normal @ SUN) / np.linalg.norm(normal, axis=-1)
-    lit: NDArray[np.float64] = tint * (0.55 + 0.6 * np.clip(light, 0, 1))[..., None]
-    return lit
+    light = (-dz_dx * SUN[0] + dz_dy * SUN[1] + SUN[2]) / np.sqrt(dz_dx**2 + dz_dy**2 + 1)
+    light = 0.55 + 0.6 * np.clip(light, 0, 1)
+    return np.stack([np.interp(height, levels, EARTH[:, k]) * light for k in range(3)], axis=-1)
 
 
 def _on_wall(walls: WallGrid, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:

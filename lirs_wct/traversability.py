@@ -17,6 +17,9 @@ from lirs_wct.walls import WallGrid
 BASELINE = 0.3
 """Metres over which a slope counts: about a wheel. Shorter steps are roughness, not slope."""
 
+_STRIP = 512
+"""Rows of nodes looked at together: a large surface would else stand four times in the memory."""
+
 Mask = NDArray[np.bool_]
 
 
@@ -46,7 +49,7 @@ def traversable(
     grid = OccupancyGrid(np.zeros(shape, np.float32), resolution, Pose2(west, south))
     blocked = _steep_cells(surface, max_slope, grid)
     if bare is not None:
-        blocked |= _scatter(_points(surface, bare), grid)
+        blocked |= _nodes_cells(surface, bare, grid)
         blocked |= _bare_cells(surface, bare, grid)
     if walls is not None:
         blocked |= _wall_cells(walls, grid)
@@ -73,17 +76,29 @@ def _steep_cells(surface: HeightField, max_slope: float, grid: OccupancyGrid) ->
     fine = surface if max(surface.cell) <= grid.resolution else _sampled(surface, grid.resolution)
     reach = [max(1, round(BASELINE / 2 / c)) for c in fine.cell]
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach[0] + 1, 2 * reach[1] + 1))
-    relief = cv2.dilate(fine.z, kernel) - cv2.erode(fine.z, kernel)
     baseline = 2 * max(r * c for r, c in zip(reach, fine.cell, strict=True))
-    return _scatter(_points(fine, relief > baseline * math.tan(max_slope)), grid)
+    steep = np.empty(fine.shape, np.bool_)
+    for start in range(0, len(steep), _STRIP):
+        # A strip needs what lies within reach of it.
+        above = min(start, reach[1])
+        z = fine.z[start - above : start + _STRIP + reach[1]]
+        relief = cv2.dilate(z, kernel) - cv2.erode(z, kernel)
+        strip = steep[start : start + _STRIP]
+        strip[:] = relief[above : above + len(strip)] > baseline * math.tan(max_slope)
+    return _nodes_cells(fine, steep, grid)
 
 
-def _points(surface: HeightField, chosen: Mask) -> NDArray[np.float64]:
-    """Return (n, 2) x and y of chosen nodes."""
-    rows, cols = np.nonzero(chosen)
-    x = surface.origin[0] + cols * surface.cell[0]
-    y = surface.origin[1] + (surface.z.shape[0] - 1 - rows) * surface.cell[1]
-    return np.stack((x, y), axis=-1)
+def _nodes_cells(surface: HeightField, chosen: Mask, grid: OccupancyGrid) -> Mask:
+    """Mark the cells of an upright grid that hold chosen nodes: a row of nodes is in one row of cells."""
+    (west, south), (n_rows, n_cols) = surface.origin, surface.shape
+    x = west + np.arange(n_cols) * surface.cell[0]
+    y = south + np.arange(n_rows)[::-1] * surface.cell[1]
+    cols = _clipped_cells(np.stack((x, np.full(n_cols, south)), axis=-1), grid)[:, 1]
+    rows = _clipped_cells(np.stack((np.full(n_rows, west), y), axis=-1), grid)[:, 0]
+    marked = np.zeros(grid.shape, np.bool_)
+    for row, nodes in zip(rows, chosen, strict=True):
+        marked[row, cols[nodes]] = True
+    return marked
 
 
 def _bare_cells(surface: HeightField, bare: Mask, grid: OccupancyGrid) -> Mask:
@@ -145,9 +160,14 @@ def _values_at(mask, resolution, T_mask_grid, step, rows, cols):  # type: ignore
 
 def _scatter(points: NDArray[np.float64], grid: OccupancyGrid) -> Mask:
     marked = np.zeros(grid.shape, np.bool_)
-    cells = np.clip(grid.cells(points), 0, np.array(grid.shape) - 1)
+    cells = _clipped_cells(points, grid)
     marked[cells[..., 0], cells[..., 1]] = True
     return marked
+
+
+def _clipped_cells(points: NDArray[np.float64], grid: OccupancyGrid) -> NDArray[np.int64]:
+    cells: NDArray[np.int64] = np.clip(grid.cells(points), 0, np.array(grid.shape) - 1)
+    return cells
 
 
 def distance_to(blocked: Mask, resolution: float) -> NDArray[np.float64]:

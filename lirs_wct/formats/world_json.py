@@ -60,10 +60,20 @@ def write_world(world: World, folder: Path) -> Path:
         entry["overhangs"] = world.overhangs
     entry["finish"] = asdict(world.finish) | {"texture": _keep_texture(world, folder)}
     with atomic_write(folder / ARRAYS) as path:
-        np.savez_compressed(path, allow_pickle=False, **arrays)
+        _write_arrays(path, arrays)
     with atomic_write(folder / JSON) as path:
         path.write_text(json.dumps(entry, indent=1) + "\n", encoding="utf-8")
     return folder
+
+
+def _write_arrays(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    """Write an .npz; all but the heights compressed, which is slow and hardly makes those smaller."""
+    with zipfile.ZipFile(path, "w") as file:
+        for name, array in arrays.items():
+            entry = zipfile.ZipInfo(f"{name}.npy")
+            entry.compress_type = zipfile.ZIP_STORED if name == "surface" else zipfile.ZIP_DEFLATED
+            with file.open(entry, "w", force_zip64=True) as data:
+                np.lib.format.write_array(data, array, allow_pickle=False)
 
 
 def read_fields(folder: Path) -> dict[str, Any]:
