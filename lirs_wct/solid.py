@@ -123,5 +123,8 @@ def _grid_faces(rows: int, cols: int) -> NDArray[np.int32]:
 
 def _border(rows: int, cols: int) -> NDArray[np.int32]:
     """Return the outline's nodes, counter-clockwise from above, from the north-west corner."""
-    node = np.arange(rows * cols, dtype=np.int32).reshape(rows, cols)
-    return np.concatenate((node[:-1, 0], node[-1, :-1], node[:0:-1, -1], node[0, :0:-1]))
+    west = np.arange(0, (rows - 1) * cols, cols, dtype=np.int32)
+    south = (rows - 1) * cols + np.arange(cols - 1, dtype=np.int32)
+    # The opposite sides, turned round: node i of the whole is the last one's n - i.
+    last = np.int32(rows * cols - 1)
+    return np.concatenate((west, south, last - west, last - south))
