@@ -81,7 +81,8 @@ def _attribute(module: ModuleType, attribute: str, name: str) -> Callable[..., A
     found: Any = getattr(module, attribute, None)
     if callable(found):
         return found  # type: ignore[no-any-return]
-    likely = sorted(key for key, value in vars(module).items() if callable(getattr(value, "update", None)))
+    classes = {key: value for key, value in vars(module).items() if isinstance(value, type)}
+    likely = sorted(key for key, value in classes.items() if hasattr(value, "update"))
     raise ConfigError(
         f"mapper {name!r}: {module.__name__} has no class {attribute!r}"
         f"; classes with update: {', '.join(likely) or 'none'}"

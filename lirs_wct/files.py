@@ -98,11 +98,12 @@ def remove_leftovers(paths: Iterable[Path]) -> None:
 def _lives(pid: int) -> bool:
     try:
         os.kill(pid, 0)
+        # Dead, but nobody has asked how it ended: where no init process does, that stays so.
+        return not re.search(r"\) Z ", Path(f"/proc/{pid}/stat").read_text(encoding="utf-8"))
     except ProcessLookupError:
         return False
     except OSError:
         return True
-    return True
 
 
 def _beside(path: Path) -> Path:

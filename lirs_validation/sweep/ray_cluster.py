@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import os
+import socket
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -27,6 +28,8 @@ RETRIES = 3
 """Times that a cell is given to another worker when one dies."""
 AHEAD = 2
 """Cells handed to Ray for each of its cores: enough to keep it busy, few enough to stay small."""
+PATIENCE = 5.0
+"""Seconds that a cluster has to answer."""
 
 Files = dict[str, bytes]
 
@@ -136,6 +139,8 @@ def _connected(address: str | None, jobs: int | None) -> Iterator[Any]:
     if ray.is_initialized():
         yield ray
         return
+    if address is not None:
+        _knock(address)
     own: dict[str, Any] = {"address": "local", "num_cpus": jobs or cores(), "include_dashboard": False}
     try:
         ray.init(
@@ -151,3 +156,18 @@ def _connected(address: str | None, jobs: int | None) -> Iterator[Any]:
         yield ray
     finally:
         ray.shutdown()
+
+
+def _knock(address: str) -> None:
+    """Tell at once where nobody listens: Ray itself would try for minutes.
+
+    Raises:
+        ConfigError: nobody does.
+    """
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    if not port.isdigit():
+        return  # `auto` and the like
+    try:
+        socket.create_connection((host, int(port)), timeout=PATIENCE).close()
+    except OSError as error:
+        raise ConfigError(f"--address {address}: no Ray cluster answers there: {error}") from error

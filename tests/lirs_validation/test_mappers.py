@@ -1,0 +1,129 @@
+"""Anybody's mapper by `module:name`: what is missing is said, and what it hands over is looked at."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lirs_validation import mapper_checks, validate
+from lirs_validation.mappers import RESOLUTION, mapper_named
+from lirs_wct.errors import ConfigError, MapperError
+from lirs_wct.pose import Pose2
+from lirs_wct.trajectory import Trajectory
+
+ROOT = Path(__file__).resolve().parents[2]
+MODULE = """
+from slam_baselines.mapper import MapperStats
+
+class Whole:
+    stats, lost = MapperStats(), False
+    def __init__(self, **given): self.given = given
+    def update(self, scan, odometry, imu): ...
+    def map(self): ...
+    def trajectory(self): ...
+
+class Seeded(Whole):
+    def __init__(self, seed): self.given = {"seed": seed}
+
+class Half:
+    lost = False
+    def update(self, scan, odometry, imu): ...
+
+class Greedy(Whole):
+    def __init__(self, weights): ...
+
+NOT_A_CLASS = 3
+"""
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, with a module of a user in it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", ["", *__import__("sys").path])
+    for name in ("their_slam", "their_broken", "their_needy"):
+        monkeypatch.delitem(__import__("sys").modules, name, raising=False)
+    (tmp_path / "their_slam.py").write_text(MODULE)
+    (tmp_path / "their_broken.py").write_text("x = 1 / 0")
+    (tmp_path / "their_needy.py").write_text("import gtsam_that_is_not_here")
+    return tmp_path
+
+
+@pytest.mark.usefixtures("here")
+def test_a_constructor_gets_what_it_takes() -> None:
+    assert mapper_named("their_slam:Whole", 7).given == {  # type: ignore[attr-defined]
+        "seed": 7,
+        "resolution": RESOLUTION,
+    }
+    assert mapper_named("their_slam:Seeded", 7).given == {"seed": 7}  # type: ignore[attr-defined]
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("nowhere.slam:X", r"mapper 'nowhere.slam:X': no module 'nowhere' is installed or in /"),
+        ("their_needy:X", r"their_needy imports 'gtsam_that_is_not_here', which is not installed"),
+        ("their_broken:X", r"importing their_broken failed: ZeroDivisionError: division by zero"),
+        (
+            "their_slam:Hole",
+            r"their_slam has no class 'Hole'; classes with update: Greedy, Half, Seeded, Whole$",
+        ),
+        ("their_slam:NOT_A_CLASS", r"has no class 'NOT_A_CLASS'"),
+        ("their_slam:Half", r"lacks map\(\), trajectory\(\), stats; a mapper has update\(\), map\(\)"),
+        ("their_slam:Greedy", r"cannot be made: TypeError: .*'weights'"),
+        ("hektor", r"unknown mapper 'hektor'; legal: cartographer, gmapping, hector, module:name"),
+    ],
+)
+def test_what_is_no_mapper_is_said_in_one_line(name: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as error:
+        mapper_named(name, 1)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("wrong", [Pose2(math.nan, 0, 0), Pose2(0, math.inf, 0), Pose2(0, 0, math.nan)])
+def test_a_pose_that_is_not_finite_is_named_by_its_scan(wrong: Pose2) -> None:
+    with pytest.raises(MapperError, match=r"finite pose, got x .* for the scan at 1\.240 s"):
+        mapper_checks.check_pose(wrong, 1.24)
+
+
+def test_what_a_mapper_hands_over_is_looked_at() -> None:
+    class Wrong:
+        stats: object = {}
+
+        def map(self) -> object:
+            return np.zeros((3, 3))
+
+        def trajectory(self) -> object:
+            return Trajectory.from_poses([0.0, 0.5], [Pose2(), Pose2(math.nan, 0, 0)])
+
+    for look, message in (
+        (mapper_checks.final_map, "OccupancyGrid, got ndarray"),
+        (mapper_checks.final_stats, "MapperStats, got dict"),
+        (mapper_checks.final_trajectory, r"not finite at 0\.500 s"),
+    ):
+        with pytest.raises(MapperError, match=message):
+            look(Wrong())  # type: ignore[arg-type]
+    with pytest.raises(MapperError, match="Pose2, got tuple"):
+        mapper_checks.check_pose((0, 0, 0), 0.0)
+
+
+def test_the_documented_mapper_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (ROOT / "docs" / "bring_your_own_mapper.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "my_slam.py").write_text(code)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", list(__import__("sys").path))
+    monkeypatch.delitem(__import__("sys").modules, "my_slam", raising=False)
+    run = validate("medium", mapper="my_slam:DeadReckoning", seconds=6, out=tmp_path / "out")
+    assert run.record.status == "ok"
+    assert run.folder is not None
+    assert run.folder.name.startswith("medium-husky-DeadReckoning-s1-")
+    errors = run.record.trajectory
+    assert errors["ate_rmse"] == pytest.approx(errors["odometry_ate_rmse"], abs=1e-9)
+    assert run.record.mapper["received"] == 1 + 6 * 25
+    assert run.record.map["f1"] > 0.5

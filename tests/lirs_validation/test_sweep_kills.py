@@ -1,0 +1,86 @@
+"""A sweep that is killed or interrupted: nothing half-written, nobody left behind, and it goes on."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from lirs_validation.sweep.executor import Serial
+from lirs_validation.sweep.sweep import Sweep
+from lirs_wct.files import remove_leftovers
+from tests.lirs_validation.fake_cells import FakeCell
+
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPT = """
+import sys
+from pathlib import Path
+from lirs_validation.sweep.processes import Processes
+from lirs_validation.sweep.sweep import Sweep
+from tests.lirs_validation.fake_cells import FakeCell
+
+if __name__ == "__main__":
+    notes, out = sys.argv[1:]
+    cells = [FakeCell("a", notes), FakeCell("b", notes, "hangs"), FakeCell("c", notes)]
+    list(Sweep(cells, Path(out)).run(Processes(jobs=2)))
+"""
+
+
+def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def lives(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks into /proc")
+@pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGINT])
+def test_a_killed_sweep_goes_on(kill: signal.Signals, tmp_path: Path) -> None:
+    notes, out = tmp_path / "notes", tmp_path / "out"
+    notes.mkdir()
+    process = subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, str(notes), str(out)],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'envs'}"},
+        stderr=subprocess.DEVNULL,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    until(lambda: (out / "c").exists() and any(out.glob(".b.*/result")))
+    process.send_signal(kill)
+    process.wait(timeout=30)
+    cells = [FakeCell("a", str(notes)), FakeCell("b", str(notes)), FakeCell("c", str(notes))]
+    until(lambda: not any(lives(pid) for cell in cells for pid in cell.runs))
+    if kill == signal.SIGINT:
+        assert not any(out.glob(".*"))
+
+    sweep = Sweep(cells, out)
+    assert not any(out.glob(".*"))
+    assert sweep.kept == 2
+    assert [outcome.cell for outcome in sweep.run(Serial())] == ["b"]
+    assert not sweep.failed
+    assert [len(cell.runs) for cell in cells] == [1, 2, 1]
+
+
+def test_only_what_the_dead_were_writing_is_removed(tmp_path: Path) -> None:
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    swept = [f".my.{dead.pid}-0123abcd.map-s1", f".other.{dead.pid}-0123abcd"]
+    spared = [f".my.{os.getpid()}-0123abcd.map-s1", f".thesis.{dead.pid}-0123abcd", ".my", "my.map-s1"]
+    for name in swept + spared:
+        (tmp_path / name).mkdir()
+    remove_leftovers([tmp_path / "my.map-s1", tmp_path / "other"])
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(spared)
