@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,11 +12,11 @@ import pytest
 
 from lirs_envs.drive import Twist
 from lirs_envs.simulation import Observation
-from lirs_validation import RunConfig, cli, read_record, validate
+from lirs_validation import RunConfig, read_record, validate
 from lirs_validation.loop import LOST_SECONDS, drive, per_second
 from lirs_validation.run import Run
 from lirs_validation.stage import set_stage
-from lirs_wct.errors import ConfigError, SimulationError, SourceError
+from lirs_wct.errors import ConfigError, MapperError, SimulationError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.pose import Pose2, Pose3
@@ -55,6 +56,10 @@ def test_the_record_holds_the_figures_of_the_definitions(run: Run) -> None:
     assert record["collisions"]["max_penetration"] < 0.02
     assert record["world"]["contact"]["vertical"] <= 0.01
     assert record["seed"] == record["config"]["seed"] == 3
+    assert set(record["cost"]) == {"cpu_seconds", "peak_memory", "compile_seconds", "scans_dropped"}
+    assert record["cost"]["scans_dropped"] == 0
+    assert record["rtf"]["extrapolated"] is False
+    assert isinstance(record["rtf"]["concurrent"], bool)
     assert {"mujoco", "numpy", "python"} <= set(record["versions"])
 
 
@@ -160,13 +165,22 @@ def test_seconds_are_summed_by_simulated_second() -> None:
     np.testing.assert_allclose(per_second([0.01] * 30, 0.04), [0.25, 0.25])
 
 
-def test_a_failed_run_is_told_in_table_and_exit_code(
-    run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    failed = replace(run, record=replace(run.record, status="tipped", reason="the robot tipped over at 3 s"))
-    monkeypatch.setattr("lirs_validation.progress.run_with_progress", lambda *_: iter([run, failed]))
-    monkeypatch.setattr("sys.argv", ["lirs-wct", "validate", "medium"])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code == 3
-    assert "tipped" in capsys.readouterr().out
+def test_a_drive_stops_at_its_wall_limit_and_says_so() -> None:
+    puppet = Puppet("nothing", 0)
+    slow = puppet.update
+    puppet.update = lambda *_: (time.sleep(0.01), slow())[1]  # type: ignore[method-assign]
+    log = drive(puppet, puppet, puppet, 20.0, wall_limit=0.2)  # type: ignore[arg-type]
+    assert log.status == "wall limit"
+    assert 0.2 <= sum(log.walls) < 0.4
+    assert "of 20 simulated seconds" in log.reason
+    assert log.scans_dropped((puppet.ticks - 1) * 0.04, 0.04) == 0
+    assert log.scans_dropped(puppet.ticks * 0.04, 0.04) == 1
+    long = drive(Puppet("nothing", 0), puppet, Puppet("nothing", 0), 2.0, wall_limit=60.0)  # type: ignore[arg-type]
+    assert long.status == "ok"
+
+
+def test_a_pose_of_nan_ends_the_drive_with_the_scans_stamp() -> None:
+    puppet = Puppet("nothing", 0)
+    puppet.update = lambda *_: Pose2(float("nan"), 0, 0)  # type: ignore[method-assign]
+    with pytest.raises(MapperError, match=r"scan at 0\.040 s"):
+        drive(puppet, puppet, puppet, 1.0)  # type: ignore[arg-type]

@@ -1,0 +1,88 @@
+"""What a run costs, and whether it had company."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lirs_validation.company import company
+from lirs_validation.cost import CostMeter
+from lirs_validation.interrupts import is_interrupt
+
+HOLD = """
+import sys, tempfile
+tempfile.tempdir = sys.argv[1]
+from lirs_validation.company import company
+with company() as others:
+    print("in", flush=True)
+    sys.stdin.readline()
+print(others.found, flush=True)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="the peak is reset on Linux only")
+def test_peak_memory_is_of_the_run_alone() -> None:
+    meter = CostMeter()
+    before = meter.peak_memory()
+    block = np.ones(200_000_000, np.uint8)
+    high = meter.peak_memory()
+    del block
+    assert before is not None
+    assert high is not None
+    assert 190e6 < high - before < 400e6
+    after = CostMeter().peak_memory()
+    assert after is not None
+    assert after < high - 150e6
+
+
+def test_processor_time_is_counted_and_waiting_is_not() -> None:
+    meter = CostMeter()
+    time.sleep(0.2)
+    waited = meter.cpu_seconds()
+    end = time.process_time() + 0.2
+    while time.process_time() < end:
+        pass
+    assert waited < 0.15
+    assert 0.2 <= meter.cpu_seconds() < 0.6
+
+
+def test_both_of_two_that_overlap_notice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with company() as first:
+        pass
+    with company() as before, company() as inside:
+        pass
+    with company() as last:
+        pass
+    assert [c.found for c in (first, before, inside, last)] == [False, True, True, False]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no such locks")
+def test_a_killed_process_is_no_company(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    other = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert other.stdout is not None
+    assert other.stdout.readline() == "in\n"
+    with company() as crowded:
+        pass
+    other.kill()
+    other.communicate()
+    with company() as alone:
+        pass
+    assert (crowded.found, alone.found) == (True, False)
+
+
+def test_ctrl_c_is_known_in_disguise() -> None:
+    wrapped = SystemError("CPUDispatcher returned a result with an exception set")
+    wrapped.__cause__ = KeyboardInterrupt()
+    assert is_interrupt(wrapped)
+    assert is_interrupt(KeyboardInterrupt())
+    assert not is_interrupt(SystemError("something else"))
+    assert not is_interrupt(ValueError("no"))

@@ -1,0 +1,153 @@
+"""A cell of a sweep: which results are kept, what a failed one leaves, the same bytes from every engine."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from lirs_validation.record import RunConfig, RunRecord, Status, read_record
+from lirs_validation.sweep.executor import Serial
+from lirs_validation.sweep.outcome import Outcome
+from lirs_validation.sweep.processes import Processes
+from lirs_validation.sweep.run_cell import RunCell
+from lirs_validation.sweep.sweep import Sweep
+from lirs_wct import BuildOptions
+from lirs_wct.errors import WctError
+
+TIMES = {"rtf", "cost", "mapper", "versions"}
+"""Groups of a record that hold wall times; a developer's code may change while engines run."""
+
+
+def saved(cell: RunCell, out: Path, status: Status = "ok") -> Path:
+    """Write a record as a finished run leaves it; return its file."""
+    record = RunRecord(config=cell.config, world={"name": cell.world}, status=status)
+    record.save(out / cell.name)
+    return out / cell.name / "record.json"
+
+
+def edited(file: Path, **changes: Any) -> None:
+    file.write_text(json.dumps(json.loads(file.read_text()) | changes))
+
+
+def test_a_finished_run_is_kept(tmp_path: Path) -> None:
+    cell = RunCell(RunConfig(source="simple"))
+    assert cell.finished(tmp_path) is None
+    saved(cell, tmp_path)
+    assert cell.finished(tmp_path) == Outcome(cell=cell.name, status="ok", written=True)
+    assert RunCell(RunConfig(source="simple", seed=2)).finished(tmp_path) is None
+
+
+def test_a_run_of_another_schema_version_or_code_is_not_kept(tmp_path: Path) -> None:
+    cell = RunCell(RunConfig(source="simple"))
+    file = saved(cell, tmp_path)
+    versions = json.loads(file.read_text())["versions"]
+    for changes in (
+        {"schema": 1},
+        {"versions": versions | {"lirs-wct": "0.0.1"}},
+        {"versions": versions | {"code": "00000000"}},
+        {"versions": None},
+        {"config": None},
+    ):
+        saved(cell, tmp_path)
+        edited(file, **changes)
+        assert cell.finished(tmp_path) is None, changes
+    file.write_text('{"schema": 2, "sta')
+    assert cell.finished(tmp_path) is None
+
+
+def test_a_run_is_done_again_when_its_picture_changed(tmp_path: Path) -> None:
+    picture = tmp_path / "dune.png"
+    cv2.imwrite(str(picture), np.eye(9, dtype=np.uint8))
+    cell = RunCell(RunConfig(source=str(picture)))
+    file = saved(cell, tmp_path)
+    now = picture.stat().st_ctime
+    os.utime(file, (now + 10, now + 10))
+    assert cell.finished(tmp_path) is not None
+    os.utime(picture, (now + 20, now + 20))
+    assert cell.finished(tmp_path) is None
+
+
+def test_a_run_that_hit_a_wall_limit_counts_for_that_limit_only(tmp_path: Path) -> None:
+    cell = RunCell(RunConfig(source="simple", wall_limit=60.0))
+    saved(cell, tmp_path, "wall limit")
+    assert cell.finished(tmp_path) is not None
+    for limit in (None, 90.0):
+        other = RunCell(replace(cell.config, wall_limit=limit))
+        assert other.name == cell.name
+        assert other.finished(tmp_path) is None
+    saved(cell, tmp_path, "ok")
+    assert RunCell(replace(cell.config, wall_limit=None)).finished(tmp_path) is not None
+
+
+def test_the_digest_tells_experiments_apart_and_no_more() -> None:
+    config = RunConfig(source="simple", seconds=12)
+    assert config.digest == RunConfig(source="simple", seconds=12.0, wall_limit=3.0).digest
+    assert config.digest != replace(config, rays="mujoco").digest
+    for wrong in ({"rays": "sonar"}, {"wall_limit": 0.0}, {"wall_limit": float("nan")}):
+        with pytest.raises(WctError):
+            RunConfig(source="simple", **wrong)  # type: ignore[arg-type]
+
+
+def test_a_failure_leaves_a_record_without_figures(tmp_path: Path) -> None:
+    cell = RunCell(RunConfig(source="simple", mapper="their.slam:Slam"))
+    assert cell.name.startswith("simple-husky-Slam-s1-")
+    cell.write_failure(tmp_path, Outcome(cell=cell.name, status="error", reason="it broke", trace="line 7"))
+    record = read_record(tmp_path / cell.name)
+    assert (record["status"], record["reason"]) == ("error", "it broke")
+    groups = ("rtf", "trajectory", "map", "collisions", "mapper", "cost")
+    assert [record[group] for group in groups] == [{}] * 6
+    assert (tmp_path / cell.name / "error.txt").read_text() == "line 7"
+
+
+def test_the_name_is_known_before_the_world_is_built(tmp_path: Path) -> None:
+    from lirs_wct import build_world
+
+    picture = tmp_path / "my dune.v2.png"
+    cv2.imwrite(str(picture), np.tile(np.arange(33, dtype=np.uint8), (33, 1)))
+    for options in (BuildOptions(), BuildOptions(name="other")):
+        world = build_world(picture, options)
+        assert RunCell(RunConfig(source=str(picture), build=options)).world == world.name
+        world.save(tmp_path / "folder")
+        for again in (BuildOptions(), BuildOptions(name="third")):
+            source = str(tmp_path / "folder")
+            assert RunCell(RunConfig(source=source, build=again)).world == build_world(source, again).name
+
+
+@pytest.mark.slow
+def test_engines_give_the_same_bytes(tmp_path: Path) -> None:
+    cell = RunCell(RunConfig(source="medium", mapper="gmapping", seconds=4.0))
+    for name, engine in (("a", Serial()), ("b", Processes(jobs=1))):
+        assert [o.status for o in Sweep([cell], tmp_path / name).run(engine)] == ["ok"]
+    a, b = tmp_path / "a" / cell.name, tmp_path / "b" / cell.name
+    assert {p.name for p in a.iterdir()} == {p.name for p in b.iterdir()}
+    for file in a.iterdir():
+        if file.name not in ("record.json", "rtf.csv", "overview.png"):
+            assert file.read_bytes() == (b / file.name).read_bytes(), file.name
+    record, other = read_record(a), read_record(b)
+    assert {k: v for k, v in record.items() if k not in TIMES} == {
+        k: v for k, v in other.items() if k not in TIMES
+    }
+    assert record["mapper"]["counts"] == other["mapper"]["counts"]
+    assert record["cost"]["scans_dropped"] == other["cost"]["scans_dropped"] == 0
+    assert not record["rtf"]["extrapolated"]
+    assert record["cost"]["cpu_seconds"] > 0
+    assert record["cost"]["peak_memory"] > 50e6
+
+
+def test_a_single_cell_with_a_bad_source_says_so_and_leaves_nothing(tmp_path: Path) -> None:
+    (tmp_path / "cut.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+    cell = RunCell(RunConfig(source=str(tmp_path / "cut.png")))
+    with pytest.raises(WctError, match=r"cut\.png: "):
+        list(Sweep([cell], tmp_path / "out").run(Serial()))
+    assert not (tmp_path / "out").exists()
+    both = [cell, RunCell(replace(cell.config, seed=2))]
+    sweep = Sweep(both, tmp_path / "out")
+    assert [outcome.status for outcome in sweep.run(Serial())] == ["error", "error"]
+    assert "cut.png: " in read_record(tmp_path / "out" / cell.name)["reason"]

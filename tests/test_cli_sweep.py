@@ -1,0 +1,101 @@
+"""`validate` over axes: what is wrong is said before anything runs; what failed is in table and exit code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lirs_validation import cli, read_record
+from lirs_validation.record import RunRecord
+from lirs_validation.sweep.outcome import Outcome
+from lirs_validation.sweep.run_cell import RunCell
+from lirs_wct.errors import MapperError
+
+Said = tuple[int, str, str]
+
+
+@pytest.fixture
+def wct(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
+    """Run the command line in an empty folder; return exit code, stdout and stderr."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def call(*arguments: str) -> Said:
+        monkeypatch.setattr("sys.argv", ["lirs-wct", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        said = capsys.readouterr()
+        return int(ended.value.code or 0), said.out, said.err
+
+    return call
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs that take no time; the one of seed 3 goes wrong."""
+
+    def perform(cell: RunCell, out: Path, stages: object, tell: object, *, concurrent: bool) -> Outcome:
+        if cell.config.seed == 3:
+            raise MapperError("update() must return a finite pose")
+        record = RunRecord(config=cell.config, world={"name": cell.world}, status="ok")
+        record.save(out / cell.name)
+        return Outcome(cell=cell.name, status="ok", written=True)
+
+    monkeypatch.setattr(RunCell, "perform", perform)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("simple", "--robot", "husky,huksy"), "unknown robot 'huksy'; legal: husky"),
+        (("simple", "--mapper", "hector,slam"), "unknown mapper 'slam'; legal: "),
+        (("simple", "--mapper", "nowhere:Slam"), "no module 'nowhere'"),
+        (("simple", "--lidar", "lms111,sick"), "unknown lidar 'sick'; legal: "),
+        (("simple", "smple"), "smple: no such file or folder"),
+        (("simple", "--terrain", "hfield,lava"), "--terrain must be hfield, mesh"),
+        (("simple", "--rays", "ours,theirs"), "--rays must be ours or mujoco, got 'ours,theirs'"),
+        (("simple", "--robot", "husky,,jackal"), "--robot must be a list such as a,b,c"),
+        (("simple", "--seeds", "5-1"), "--seeds must be a list such as 1-5 or 1,3,7-9, got '5-1'"),
+        (("simple", "--seed", "1", "--seeds", "2"), "give one of --seed, --seeds"),
+        (("simple", "--jobs", "0"), "--jobs must be 1 or more, got 0"),
+        (("simple", "--engine", "serial", "--jobs", "3"), "got --jobs 3"),
+        (("simple", "--wall-limit", "0"), "the wall limit must be above 0 s, got 0"),
+        (("simple", "--cell-timeout", "-1"), "the cell timeout must be above 0 s, got -1"),
+        ((), "nothing to validate"),
+        (("--suite", "papr"), "unknown suite 'papr'; legal: paper"),
+        (("simple", "--suite", "paper", "--robot", "husky"), "leave out --robot, sources"),
+        (("--suite", "paper", "--size", "3"), "leave out options of build"),
+    ],
+)
+@pytest.mark.usefixtures("quick")
+def test_bad_input_is_one_line_before_anything_runs(
+    arguments: tuple[str, ...], expected: str, wct: Any, tmp_path: Path
+) -> None:
+    code, _, complaint = wct("validate", *arguments)
+    assert code == 2
+    assert expected in complaint
+    assert len(complaint.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_failed_cell_is_told_in_table_and_exit_code_and_the_rest_stand(wct: Any, tmp_path: Path) -> None:
+    command = ("validate", "simple", "medium", "--mapper", "hector,gmapping", "--seeds", "1-3")
+    code, table, _ = wct(*command)
+    assert code == 3
+    assert "finite pose" in table
+    folders = [path for path in (tmp_path / "out").iterdir() if path.is_dir()]
+    assert len(folders) == 12
+    assert sum(read_record(folder)["status"] == "error" for folder in folders) == 4
+
+    code, _, notes = wct(*command)
+    assert code == 3
+    assert "kept 12 of 12 from before" in notes
+    code, _, notes = wct(*command, "--retry-failed")
+    assert code == 3
+    assert "kept 8 of 12 from before; 4 to run" in notes
+    code, _, notes = wct("validate", "simple", "--seeds", "1-2")
+    assert code == 0
+    assert "kept 2 of 2 from before" in notes
