@@ -22,7 +22,7 @@ from slam_baselines.keyframes import Keyframe, KeyframeTrajectory
 from slam_baselines.levelling import LevelledScan, ScanLeveller
 from slam_baselines.map_builder import BuilderConfig, MapBuilder
 from slam_baselines.mapper import MapperStats, Stopwatch
-from slam_baselines.odometry import DeadReckoning, Estimate, MotionConfig
+from slam_baselines.odometry import DeadReckoning, Estimate, MotionConfig, Move
 from slam_baselines.registration import Registration, RegistrationConfig
 from slam_baselines.scan_matching import Match
 from slam_baselines.second_look import SecondLook, SecondLookConfig
@@ -46,7 +46,8 @@ class HectorConfig(BuilderConfig):
         ConfigError: lost_score above poor_score, or iterations not given for each level.
     """
 
-    motion: MotionConfig = field(default_factory=MotionConfig)
+    # Its slides are learnt: see Calibration.
+    motion: MotionConfig = field(default_factory=lambda: MotionConfig(slide_per_radian=1.0))
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
     second_look: SecondLookConfig = field(default_factory=SecondLookConfig)
@@ -80,6 +81,7 @@ class HectorMapper:
         self._second_look = SecondLook(self.config.second_look)
         self._estimate = Estimate(Pose2(), np.zeros((3, 3)))
         self._poses = KeyframeTrajectory()
+        self._moves: list[Move | None] = []
         self._received = self._matched = self._lost_scans = self._poor_in_a_row = 0
         self._settled = False
         self._stopwatch = Stopwatch()
@@ -89,6 +91,8 @@ class HectorMapper:
         started = self._stopwatch.start()
         level = self._leveller.level(scan, imu)
         expected = self._reckoning.predict(self._estimate, odometry, imu, scan.stamp)
+        if level.levelled and not self._second_look.over:
+            self._moves.append(self._reckoning.moved)
         match = self._match(level, expected)
         self._builder.follow(level, self._estimate.pose)
         if self._fits(match) and self._builder.due(level, self._estimate.pose):
@@ -128,7 +132,7 @@ class HectorMapper:
 
     def _match(self, scan: LevelledScan, expected: Estimate) -> Match | None:
         """Move the estimate to where the scan fits; to the expected one, if there is nothing to fit."""
-        before, self._estimate = self._estimate.pose, expected
+        r, before, self._estimate = self.config.registration, self._estimate.pose, expected
         self._received += 1
         if len(scan.hits) == 0 or self._builder.updates == 0:
             return None
@@ -138,7 +142,7 @@ class HectorMapper:
         )
         if match is not None:
             self._matched += 1
-            if match.score >= self.config.registration.poor_score:
+            if match.score >= (r.poor_score if self._builder.flat else r.sure_score):
                 self._reckoning.learn(before, self._estimate.pose)
         return match
 
@@ -166,9 +170,10 @@ class HectorMapper:
         self._poses.add_keyframe(pose)
         if not scan.levelled:
             return
-        keyframe = Keyframe(scan, pose, builder.relief.height, self._reckoning.pose, steep)
+        keyframe = Keyframe(scan, pose, builder.relief.height, tuple(self._moves), steep)
+        self._moves.clear()
         if self._second_look.note(keyframe, builder.relief.travelled):
-            poses = self._second_look.look(builder, self._registration, self.config.motion)
+            poses = self._second_look.look(builder, self._registration, self._reckoning)
             T_new_old = self._poses.move(poses)
             self._estimate = Estimate(T_new_old @ pose, self._estimate.covariance)
             builder.moved(self._estimate.pose)

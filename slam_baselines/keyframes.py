@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lirs_wct.pose import Pose2
 from lirs_wct.trajectory import Trajectory
 from slam_baselines.levelling import LevelledScan
+from slam_baselines.odometry import Move
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,14 +21,14 @@ class Keyframe:
         scan: levelled.
         pose: `T_map_base`.
         height: of the base in the map frame, metres.
-        reckoned: pose by dead reckoning alone, in its own frame; None without odometry.
+        moves: by odometry since the keyframe before; None where there was no odometry.
         steep: (n,) what was ever proven of its hits, in steps of the relief.
     """
 
     scan: LevelledScan
     pose: Pose2
     height: float
-    reckoned: Pose2 | None
+    moves: tuple[Move | None, ...]
     steep: NDArray[np.uint8]
 
 

@@ -12,7 +12,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.pose import Pose2, wrap_angle
 from slam_baselines.levelling import LevelledScan
-from slam_baselines.occupancy import OccupancyMap, UpdateConfig
+from slam_baselines.occupancy import STEEP_STEP, OccupancyMap, UpdateConfig
 from slam_baselines.relief import Relief, ReliefConfig
 from slam_baselines.scan_matching import MapPyramid
 
@@ -90,8 +90,12 @@ class MapBuilder:
         return np.maximum(now, self.pyramid.maps[-1].steepness(hits))
 
     def weights(self, steep: Steps) -> Array:
-        """Return (n,) 1 for hits on what is known to be a wall, 0 for those that may be ground."""
-        return (steep >= self._bound).astype(np.float64)
+        """Return (n,) how much hits say: 1 on a sheer wall, less on a slope, 0 on what may be ground."""
+        if self.flat:
+            return np.ones(len(steep))
+        sheer = self.relief.config.sheer / STEEP_STEP
+        weights: Array = np.minimum(1.0, (steep / sheer) ** 2) * (steep >= self._bound)
+        return weights
 
     def due(self, scan: LevelledScan, pose: Pose2) -> bool:
         """Whether the robot has moved or leaned enough since the last update."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose2, wrap_angle
 from lirs_wct.scan import Imu
-from slam_baselines.calibration import Calibration, CalibrationConfig
+from slam_baselines.calibration import LEVEL, Calibration, CalibrationConfig, Slope
 from slam_baselines.small_matrices import moved_covariance
 
 Array = NDArray[np.float64]
@@ -116,20 +117,39 @@ class MotionConfig:
         return Estimate(after, moved_covariance(before.covariance, dx, dy, shift, turn))
 
 
+class Move(NamedTuple):
+    """A step by odometry and the ground it was done on.
+
+    Attributes:
+        step: `T_before_now` as the odometry says.
+        down: how far the ground falls per metre ahead and to the left.
+        tilt: how much the robot leaned, radians.
+    """
+
+    step: Pose2
+    down: Slope
+    tilt: float
+
+    def corrected(self, calibration: Calibration) -> Pose2:
+        """Return the step to expect, by what is known of the odometry."""
+        return calibration.corrected(self.step, self.down)
+
+
 class DeadReckoning:
     """Turns absolute odometry and rates into the estimate to expect at the next scan.
 
     Attributes:
         pose: sum of all steps as corrected, in a frame of its own; None without odometry.
         calibration: what the odometry always gets wrong.
+        moved: the last step; None without odometry.
     """
 
     def __init__(self, config: MotionConfig, calibration: CalibrationConfig | None = None) -> None:
         self.config = config
         self.pose: Pose2 | None = None
         self.calibration = Calibration(calibration or CalibrationConfig())
+        self.moved: Move | None = None
         self._odometry: Pose2 | None = None
-        self._step: Pose2 | None = None
         self._rate: float | None = None
         self._stamp: float | None = None
 
@@ -146,19 +166,25 @@ class DeadReckoning:
         rate, self._rate = self._rate, None if imu is None else yaw_rate(imu)
         then, self._stamp = self._stamp, stamp
         if before is None or odometry is None:
-            self._step, self.pose = None, odometry
+            self.moved, self.pose = None, odometry
         else:
-            self._step = before.inverse() @ odometry
+            self.moved = Move(before.inverse() @ odometry, *_downhill(imu))
         if then is None:
             return last
-        delta = None if self._step is None else self.calibration.corrected(self._step)
+        delta = None if self.moved is None else self.moved.corrected(self.calibration)
         if delta is not None and self.pose is not None:
             self.pose = self.pose @ delta
         turned = None if rate is None or self._rate is None else (rate + self._rate) / 2 * (stamp - then)
-        tilt = 0.0 if imu is None else math.hypot(imu.roll, imu.pitch)
-        return self.config.predict(last, delta, stamp - then, turned, tilt)
+        return self.config.predict(last, delta, stamp - then, turned, self.moved.tilt if self.moved else 0.0)
 
     def learn(self, before: Pose2, now: Pose2) -> None:
         """Take note of where the last step truly led: from `before` to `now` in the map."""
-        if self._step is not None:
-            self.calibration.learn(self._step, before.inverse() @ now)
+        if self.moved is not None:
+            self.calibration.learn(self.moved.step, before.inverse() @ now, self.moved.down)
+
+
+def _downhill(imu: Imu | None) -> tuple[Slope, float]:
+    """Return how far the ground falls ahead and to the left, and how much the robot leans, radians."""
+    if imu is None:
+        return LEVEL, 0.0
+    return (math.sin(imu.pitch), -math.sin(imu.roll)), math.hypot(imu.roll, imu.pitch)

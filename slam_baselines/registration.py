@@ -28,9 +28,12 @@ class RegistrationConfig:
         match: Gauss-Newton.
         search: the wider search.
         poor_score: mean occupancy at the ends of the beams below which the wider search begins.
+        sure_score: the same from which on a fit among hills says how good dead reckoning was.
         known_share: share of beams on known cells that a score needs to be believed.
         least_beams: fewer beams on known cells than this say nothing.
         least_walls: among hills, where what passes for a wall may be ground, fewer walls say nothing.
+        believable: among hills, a found pose farther than so many standard deviations from dead reckoning is
+            not believed, however well it fits.
         gain: the wider search must raise the score by this to be believed against the odometry.
         fresh_distance: scans closer together than this see the same cells with the same errors, so that
             each adds only its share of information, metres.
@@ -43,15 +46,17 @@ class RegistrationConfig:
     match: MatchConfig = field(default_factory=MatchConfig)
     search: SearchConfig = field(default_factory=SearchConfig)
     poor_score: float = 0.4
+    sure_score: float = 0.6
     known_share: float = 0.3
     least_beams: int = 15
     least_walls: int = 40
+    believable: float = 4.0
     gain: float = 0.05
     fresh_distance: float = 0.4
     least_share: float = 0.02
 
     def __post_init__(self) -> None:
-        for name in ("poor_score", "known_share", "least_share"):
+        for name in ("poor_score", "sure_score", "known_share", "least_share"):
             if not 0 < getattr(self, name) < 1:
                 raise ConfigError(f"{name} must be within (0, 1), got {getattr(self, name)}")
         if not self.fresh_distance > 0:
@@ -78,18 +83,18 @@ class Registration:
         Args:
             pyramid: the map.
             hits: (n, 2 or more) ends of beams in the levelled base frame, metres.
-            weights: (n,) 1 for walls, 0 for what may be ground.
+            weights: (n,) 1 for walls, less for what is less steep, 0 for what may be ground.
             expected: the estimate by dead reckoning.
             before: pose of the last fit.
         """
         c, start = self.config, expected.pose
         moved = start.distance(before) + 0.5 * abs(wrap_angle(start.yaw - before.yaw))
         share = min(1.0, max(c.least_share, moved / c.fresh_distance))
-        hills = not weights.all()
-        if weights.sum() < (c.least_walls if hills else c.least_beams):
+        hills, walls = weights.min(initial=1.0) < 1, np.count_nonzero(weights)
+        if walls < (c.least_walls if hills else c.least_beams):
             return expected, None
         match = self._fit_from(pyramid, hits, weights * share, expected)
-        if match.beams < c.least_beams * share:
+        if walls * match.known < c.least_beams:
             return expected, None
         if match.known >= c.known_share and match.score < c.poor_score:
             self.searches += 1
@@ -100,11 +105,19 @@ class Registration:
             if hills and max(match.score, wider.score) < c.poor_score:
                 # Nothing fits, near or far: dead reckoning errs less than a forced fit.
                 return expected, match
+            if hills and not self._believable(wider, expected):
+                return expected, match
             if wider.score > match.score + c.gain:
                 expected, match = loose, wider
         x, y, yaw = match.pose.tolist()
         covariance = invert3(invert3(expected.covariance) + match.information)
         return Estimate(Pose2(x, y, wrap_angle(yaw)), covariance), match
+
+    def _believable(self, found: Match, expected: Estimate) -> bool:
+        """Whether a pose lies where dead reckoning may have led."""
+        off = found.pose - expected.pose.as_array()
+        off[2] = wrap_angle(off[2])
+        return bool(off @ invert3(expected.covariance) @ off <= self.config.believable**2)
 
     def _fit_from(
         self, pyramid: MapPyramid, hits: Array, weights: Array, expected: Estimate, start: Array | None = None

@@ -46,6 +46,8 @@ class ReliefConfig:
         slope_factor: ground is at most so many times as steep as the robot has leaned ...
         slope_margin: ... plus this, radians ...
         match_margin: for matching, steeper than the robot has leaned plus this is a wall, radians.
+        sheer: a wall at least so steep says fully where it is; where it is less steep, a height that is a
+            little wrong shifts it more, and it counts by the square of that. Rise over run.
         first_margin: at the start, when little ground has been met, ground may be steeper by this, radians.
         first_metres: way over which this falls to 1/e, metres.
         slope_limit: ... and never steeper than this, radians.
@@ -65,6 +67,7 @@ class ReliefConfig:
     slope_factor: float = 2.0
     slope_margin: float = math.radians(3.0)
     match_margin: float = math.radians(3.0)
+    sheer: float = 2.0
     first_margin: float = math.radians(15.0)
     first_metres: float = 5.0
     slope_limit: float = math.radians(40.0)
@@ -76,6 +79,7 @@ class ReliefConfig:
             "height_error",
             "confidence",
             "slope_factor",
+            "sheer",
             "slope_limit",
         ):
             if not getattr(self, name) > 0:

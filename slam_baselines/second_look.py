@@ -2,7 +2,8 @@
 
 On uneven ground nothing is known to be a wall at first, so the robot begins on odometry alone and the
 first scans enter at poses that are a little wrong; the map would keep that error for ever. After some
-metres most of what the first scans saw is proven, and then they fit to each other as well as all later ones.
+metres most of what the first scans saw is proven, and what the odometry always gets wrong is known, too: so
+they fit to each other as well as all later ones.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose2
 from slam_baselines.keyframes import Keyframe
 from slam_baselines.map_builder import MapBuilder
-from slam_baselines.odometry import Estimate, MotionConfig
+from slam_baselines.odometry import DeadReckoning, Estimate
 from slam_baselines.registration import Registration
 
 
@@ -52,16 +53,21 @@ class SecondLook:
         self._next = config.first
         self._keyframes: list[Keyframe] = []
 
+    @property
+    def over(self) -> bool:
+        """Whether the map will not be built again."""
+        return self._next > self._config.last
+
     def note(self, keyframe: Keyframe, travelled: float) -> bool:
         """Keep a keyframe while it may be needed; return whether it is time to look again."""
-        if self._next > self._config.last:
+        if self.over:
             self._keyframes.clear()
             return False
         self._keyframes.append(keyframe)
         return travelled >= self._next
 
-    def look(self, builder: MapBuilder, registration: Registration, motion: MotionConfig) -> list[Pose2]:
-        """Build the map again; return the keyframes' new poses."""
+    def look(self, builder: MapBuilder, registration: Registration, reckoning: DeadReckoning) -> list[Pose2]:
+        """Build the map again, with the odometry as it is now known; return the keyframes' new poses."""
         self.looks += 1
         self._next *= 2
         builder.restart()
@@ -70,7 +76,7 @@ class SecondLook:
         for frame in self._keyframes:
             last = estimate.pose
             if before is not None:
-                estimate = _expected(estimate, before, frame, motion)
+                estimate = _expected(estimate, before, frame, reckoning)
             steep = np.maximum(frame.steep, builder.steepness(frame.scan, estimate.pose, frame.height))
             if before is not None:
                 weights = builder.weights(steep)
@@ -82,11 +88,12 @@ class SecondLook:
         return [frame.pose for frame in frames]
 
 
-def _expected(estimate: Estimate, before: Keyframe, now: Keyframe, motion: MotionConfig) -> Estimate:
+def _expected(estimate: Estimate, before: Keyframe, now: Keyframe, reckoning: DeadReckoning) -> Estimate:
     """Go from one keyframe to the next by dead reckoning; without odometry as the first look found it."""
-    seconds = now.scan.stamp - before.scan.stamp
-    if before.reckoned is None or now.reckoned is None:
-        delta = before.pose.inverse() @ now.pose
-        return motion.predict(estimate, delta, seconds)
-    delta = before.reckoned.inverse() @ now.reckoned
-    return motion.predict(estimate, delta, seconds, delta.yaw)
+    predict, seconds = reckoning.config.predict, now.scan.stamp - before.scan.stamp
+    if not now.moves or None in now.moves:
+        return predict(estimate, before.pose.inverse() @ now.pose, seconds)
+    for move in filter(None, now.moves):
+        delta = move.corrected(reckoning.calibration)
+        estimate = predict(estimate, delta, seconds / len(now.moves), delta.yaw, move.tilt)
+    return estimate

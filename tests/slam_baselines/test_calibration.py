@@ -1,0 +1,76 @@
+"""What an odometry always gets wrong is found; what cannot be known is left alone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.pose import Pose2
+from lirs_wct.scan import Imu
+from slam_baselines.calibration import Calibration, CalibrationConfig
+from slam_baselines.odometry import DeadReckoning, Estimate, MotionConfig
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.floats(-0.05, 0.05),
+    st.floats(-0.05, 0.05),
+    st.floats(-0.03, 0.03),
+    st.floats(-3, 3),
+    st.integers(0, 99),
+)
+def test_constant_errors_are_learnt(
+    metre: float, lateral: float, turn: float, slide: float, seed: int
+) -> None:
+    rng, calibration = np.random.default_rng(seed), Calibration(CalibrationConfig())
+    for _ in range(1500):
+        d, a, east, north = (rng.uniform(0, 0.05), rng.normal(0, 0.03), *rng.normal(0, 0.15, 2))
+        step, down = Pose2(d, 0.0, a), (east, north)
+        true = Pose2(
+            d * (1 + metre) + slide * abs(a) * east,
+            lateral * a + slide * abs(a) * north,
+            a + turn * d,
+        )
+        calibration.learn(step, true, down)
+    step, down = Pose2(0.05, 0.0, 0.04), (0.2, -0.1)
+    got = calibration.corrected(step, down)
+    expected = (
+        0.05 * (1 + metre) + slide * 0.04 * 0.2,
+        lateral * 0.04 - slide * 0.04 * 0.1,
+        0.04 + turn * 0.05,
+    )
+    np.testing.assert_allclose(got.as_array(), expected, atol=5e-4)
+
+
+def test_a_level_floor_teaches_nothing_about_slopes() -> None:
+    calibration = Calibration(CalibrationConfig())
+    for _ in range(50):
+        calibration.learn(Pose2(0.1, 0.0, 0.2), Pose2(0.12, 0.01, 0.21))
+    assert calibration.slide == 0.0
+
+
+@pytest.mark.parametrize("name", ["per_metre", "noise", "memory", "slide", "slide_noise"])
+def test_illegal_config(name: str) -> None:
+    with pytest.raises(ConfigError, match=name):
+        CalibrationConfig(**{name: 0.0})
+
+
+def test_a_turn_on_a_slope_is_reckoned_downhill_once_it_is_known_to_slide() -> None:
+    """Nose down (positive pitch) it falls ahead; left side up (positive roll) it falls to the right."""
+    imu = Imu(roll=0.1, pitch=0.2)
+    reckoning, at_rest = DeadReckoning(MotionConfig()), Estimate(Pose2(), np.zeros((3, 3)))
+    reckoning.predict(at_rest, Pose2(), imu, 0.0)
+    yaw = 0.0
+    for k in range(1, 400):
+        yaw += 0.02
+        reckoning.predict(at_rest, Pose2(yaw=yaw), imu, 0.04 * k)
+        slid = 1.5 * 0.02
+        reckoning.learn(Pose2(), Pose2(slid * math.sin(0.2), -slid * math.sin(0.1), 0.02))
+    expected = reckoning.predict(at_rest, Pose2(yaw=yaw + 0.02), imu, 16.0).pose
+    assert expected.x == pytest.approx(0.03 * math.sin(0.2), rel=0.05)
+    assert expected.y == pytest.approx(-0.03 * math.sin(0.1), rel=0.05)
