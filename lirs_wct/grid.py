@@ -45,7 +45,8 @@ class OccupancyGrid:
     def from_probability(p: ArrayLike, resolution: float, origin: Pose2 | None = None) -> OccupancyGrid:
         """Build from probabilities (rows, cols), row 0 = south, NaN = unknown; 0 and 1 are clipped."""
         q = np.clip(np.asarray(p, dtype=np.float64), 1e-6, 1 - 1e-6)
-        return OccupancyGrid(np.log(q / (1 - q)).astype(np.float32), resolution, origin or Pose2())
+        np.divide(q, 1 - q, out=q)
+        return OccupancyGrid(np.log(q, out=q).astype(np.float32), resolution, origin or Pose2())
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -58,7 +58,8 @@ def _farthest(points, bonus, first, count):  # type: ignore[no-untyped-def]
         x, y = points[best]
         best = 0
         for i in range(len(points)):
-            gap[i] = min(gap[i], math.hypot(points[i, 0] - x, points[i, 1] - y))
+            dx, dy = points[i, 0] - x, points[i, 1] - y
+            gap[i] = min(gap[i], math.sqrt(dx * dx + dy * dy))
             if gap[i] + bonus[i] > gap[best] + bonus[best]:
                 best = i
     return chosen
