@@ -26,7 +26,7 @@ class MapConfig:
 
     Attributes:
         log: path of a CARMEN log.
-        mapper: name of a mapper.
+        mapper: name of a mapper, or `module:name` of your own.
         seed: of its random numbers.
         particles: of gmapping; None = its own number.
         resolution: edge of a cell, metres; None = the mapper's own.

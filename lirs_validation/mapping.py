@@ -8,11 +8,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from lirs_validation.cost import CostMeter
+from lirs_validation.log_mapper import make_log_mapper, rehearse_log_mapper
 from lirs_validation.map_accuracy import Accuracy, judge_trajectory
 from lirs_validation.map_record import MapConfig, MapRecord, log_figures, map_figures
+from lirs_validation.mapper_checks import check_pose, final_map, final_stats, final_trajectory
 from lirs_validation.reference import read_reference
 from lirs_validation.relations import read_relations
 from lirs_wct.errors import ConfigError, SourceError
@@ -22,13 +23,7 @@ from lirs_wct.grid import OccupancyGrid
 from lirs_wct.options import BuildOptions
 from lirs_wct.source import find_source
 from lirs_wct.trajectory import Trajectory
-from slam_baselines.mapper import Mapper, make_mapper
-from slam_baselines.rehearsal import rehearse
-
-RESOLUTION = {"hector": "map_resolution", "gmapping": "delta", "cartographer": "map_resolution"}
-"""What each mapper calls the edge of its map's cell."""
-REHEARSED = {"gmapping": {"particles": 4}}
-"""Kernels need no more particles than these to be compiled."""
+from slam_baselines.mapper import Mapper
 
 Report = Callable[[str, float], None]
 """Called with what is going on and the share that is done, 0 to 1."""
@@ -75,7 +70,7 @@ def map_log(
 
     Args:
         log: path of a .clf or .log file, gzipped or not.
-        mapper: name of the mapper.
+        mapper: name of the mapper, or `module:name` of your own.
         seed: of its random numbers; same seed, same bytes.
         particles: of gmapping; None = its own number.
         resolution: edge of a cell, metres; None = the mapper's own.
@@ -106,7 +101,7 @@ def map_log(
 def run_mapping(config: MapConfig, *, out: Path | None = None, report: Report | None = None) -> MappedLog:
     """Map a log by its config (see `map_log`)."""
     tell, meter, seconds = report or (lambda stage, share: None), CostMeter(), dict[str, float]()
-    mapper = make_mapper(config.mapper, seed=config.seed, **_parameters(config))
+    mapper = make_log_mapper(config)
     relations = None if config.relations is None else read_relations(Path(config.relations))
     reference = None if config.reference is None else read_reference(Path(config.reference))
     tell("read", 0.0)
@@ -114,10 +109,10 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, report: Report | 
         name, log = folder_name(config), read_log(config)
     tell("compile", 0.0)
     with _timed(seconds, "compile_seconds"):
-        rehearse(config.mapper, **REHEARSED.get(config.mapper, {}))
+        rehearse_log_mapper(config)
     with _timed(seconds, "map_seconds"):
         drive(config, mapper, log, tell)
-        grid, trajectory = mapper.map(), mapper.trajectory()
+        grid, trajectory = final_map(mapper), final_trajectory(mapper)
     accuracy = judge_trajectory(trajectory, log.track, relations, reference)
     cost = {**seconds, "cpu_seconds": meter.cpu_seconds(), "peak_memory": meter.peak_memory()}
     record = MapRecord(
@@ -126,7 +121,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, report: Report | 
         status="lost" if mapper.lost else "ok",
         log=log_figures(log),
         map=map_figures(grid),
-        mapper=asdict(mapper.stats),
+        mapper=asdict(final_stats(mapper)),
         accuracy=accuracy.figures(),
         cost=cost,
     )
@@ -156,7 +151,7 @@ def folder_name(config: MapConfig) -> str:
     except OSError as error:
         raise SourceError(f"{path}: cannot be read: {error.strerror or error}") from error
     stem = find_source(path, BuildOptions()).name
-    return f"{stem}-{config.mapper}-s{config.seed}-{digest}"
+    return f"{stem}-{config.mapper.rpartition(':')[2]}-s{config.seed}-{digest}"
 
 
 def drive(config: MapConfig, mapper: Mapper, log: CarmenLog, tell: Report) -> None:
@@ -164,24 +159,16 @@ def drive(config: MapConfig, mapper: Mapper, log: CarmenLog, tell: Report) -> No
 
     Raises:
         SourceError: the mapper needs what the log does not hold.
+        MapperError: it answered with something other than a finite pose.
     """
     scans = len(log.scans)
     for k, (scan, odometry) in enumerate(zip(log.scans, log.odometry, strict=True)):
         try:
-            mapper.update(scan, odometry, None)
+            estimate = mapper.update(scan, odometry, None)
         except ConfigError as error:
             raise SourceError(f"{config.log}: {error}") from error
+        check_pose(estimate, scan.stamp)
         tell("map", (k + 1) / scans)
-
-
-def _parameters(config: MapConfig) -> dict[str, Any]:
-    """Return the mapper's own parameters; one that it does not have is refused by it."""
-    given: dict[str, Any] = {}
-    if config.particles is not None:
-        given["particles"] = config.particles
-    if config.resolution is not None:
-        given[RESOLUTION.get(config.mapper, "resolution")] = config.resolution
-    return given
 
 
 def _write(mapped: MappedLog, out: Path, tell: Report) -> Path:

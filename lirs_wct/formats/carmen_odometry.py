@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 
@@ -13,7 +14,9 @@ from lirs_wct.pose import Pose2
 from lirs_wct.trajectory import Trajectory
 
 JUMP, JUMP_SPEED = 5.0, 30.0
-"""A step of more metres, and more metres a second, is no motion of a robot: its odometry was set anew."""
+"""A step of more metres, and more metres a second, is no motion of a robot."""
+LOOK = 5
+"""Poses after a leap among which the track may have come back."""
 AGREEMENT = 1.0
 """Metres within which two sources tell of one frame."""
 
@@ -31,40 +34,67 @@ def odometry_of(
         stamps: of the scans, increasing.
         lasers: the scans' messages.
         odoms: ODOM messages, by stamp.
-        repaired: receives how often the odometry was set anew.
+        repaired: receives what was put right, and how often.
     """
     own, wheels = _track(lasers), _track(odoms)
     if _moves(own) or (len(lasers) == 1 and len(own)):
-        steady, jumps = without_jumps(own)
-        if jumps == 0:
+        steady = without_jumps(own, repaired)
+        if steady is own:
             return [m.base for m in lasers], _merged(own, wheels)
-        _note(repaired, jumps)
         return [steady.pose2(i) for i in range(len(steady))], steady
     if _moves(wheels):
-        steady, jumps = without_jumps(wheels)
-        _note(repaired, jumps)
+        steady = without_jumps(wheels, repaired)
         at = steady.planar_at(np.asarray(stamps))
         return [Pose2(*row) for row in at.tolist()], steady
     return [None] * len(stamps), Trajectory.from_poses([], [])
 
 
-def without_jumps(track: Trajectory) -> tuple[Trajectory, int]:
-    """Return a track that stands still where the given one jumps, and how often it does."""
-    xy, stamps = track.xy, track.stamps
-    step = np.linalg.norm(np.diff(xy, axis=0), axis=1)
-    jump = (step > JUMP) & (step > JUMP_SPEED * np.diff(stamps))
-    if not jump.any():
-        return track, 0
-    poses = [track.pose2(0)]
-    for i, jumped in enumerate(jump.tolist()):
-        motion = Pose2() if jumped else track.pose2(i).inverse() @ track.pose2(i + 1)
+def without_jumps(track: Trajectory, repaired: Counter[str]) -> Trajectory:
+    """Return a track that no robot is too slow for; where it is sound, itself.
+
+    A few poses far from those before and after are replaced by poses between these. Where the track does
+    not come back, the odometry was set anew: it stands still for that step.
+    """
+    wrong, anew = _leaps(track)
+    if not wrong and not anew:
+        return track
+    sound = np.setdiff1d(np.arange(len(track)), wrong)
+    poses, last = [track.pose2(0)], 0
+    for k in sound[1:].tolist():
+        motion = Pose2() if k in anew else track.pose2(last).inverse() @ track.pose2(k)
         poses.append(poses[-1] @ motion)
-    return Trajectory.from_poses(stamps.tolist(), poses), int(jump.sum())
+        last = k
+    kept = Trajectory.from_poses(track.stamps[sound].tolist(), poses)
+    if wrong:
+        repaired["odometry far from that before and after, taken from between"] = len(wrong)
+    if anew:
+        repaired["jumps of the odometry, taken for standing still"] = len(anew)
+    filled = [Pose2(*row) for row in kept.planar_at(track.stamps).tolist()]
+    return Trajectory.from_poses(track.stamps.tolist(), filled)
 
 
-def _note(repaired: Counter[str], jumps: int) -> None:
-    if jumps:
-        repaired["jumps of the odometry, taken for standing still"] = jumps
+def _leaps(track: Trajectory) -> tuple[list[int], set[int]]:
+    """Return which poses are far from those before and after, and at which the track goes on elsewhere."""
+    xy, stamps = track.xy, track.stamps
+    wrong: list[int] = []
+    anew: set[int] = set()
+
+    def reached(a: int, b: int) -> bool:
+        metres = math.hypot(*(xy[b] - xy[a]))
+        return metres <= max(JUMP, JUMP_SPEED * float(stamps[b] - stamps[a]))
+
+    steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
+    if not (steps > JUMP).any():
+        return wrong, anew
+    last = 0
+    for k in range(1, len(track)):
+        if not reached(last, k):
+            if any(reached(last, m) for m in range(k + 1, min(k + 1 + LOOK, len(track)))):
+                wrong.append(k)
+                continue
+            anew.add(k)
+        last = k
+    return wrong, anew
 
 
 def _track(messages: Sequence[Message]) -> Trajectory:

@@ -114,6 +114,18 @@ def test_odometry_that_was_set_anew_goes_on(tmp_path: Path) -> None:
     assert max(abs(p.x) for p in log.odometry if p) < 5
 
 
+def test_wrong_poses_among_sound_ones_are_taken_from_between(tmp_path: Path) -> None:
+    poses = [at(k) for k in range(12)]
+    poses[4] = Pose2(1e9, 3.0, 0.0)
+    poses[7] = poses[8] = Pose2(-200.0, 500.0, 2.0)
+    lines = [flaser(HALF, pose, 10.0 + k) for k, pose in enumerate(poses)]
+    log = read_carmen(write_log(tmp_path / "x.clf", lines))
+    assert list(log.repaired.values()) == [3]
+    np.testing.assert_allclose(
+        [(p.x, p.yaw) for p in log.odometry if p], [(p.x, p.yaw) for p in map(at, range(12))]
+    )
+
+
 def test_a_fast_robot_is_no_jump(tmp_path: Path) -> None:
     lines = [flaser(HALF, Pose2(20.0 * k), 10.0 + k) for k in range(4)]
     log = read_carmen(write_log(tmp_path / "x.clf", lines))

@@ -20,7 +20,7 @@ from tests.carmen_room import START, flaser, room_lines, write_log
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working folder with the log of a room; mappers are not rehearsed, which changes times only."""
-    monkeypatch.setattr("lirs_validation.mapping.rehearse", lambda name, **config: None)
+    monkeypatch.setattr("lirs_validation.log_mapper.rehearse", lambda name, **config: None)
     monkeypatch.chdir(tmp_path)
     write_log(tmp_path / "my room.clf", room_lines(90)[0])
     return tmp_path

@@ -12,7 +12,7 @@ import pytest
 
 from lirs_validation import map_log
 from lirs_validation.map_record import MapConfig
-from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.errors import ConfigError, MapperError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.pose import Pose2
@@ -43,7 +43,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def unrehearsed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the rehearsal, which changes times only."""
-    monkeypatch.setattr("lirs_validation.mapping.rehearse", lambda name, **config: None)
+    monkeypatch.setattr("lirs_validation.log_mapper.rehearse", lambda name, **config: None)
 
 
 @pytest.mark.parametrize("mapper", ["hector", "gmapping", "cartographer"])
@@ -180,3 +180,35 @@ def test_a_real_log_against_its_reference(shared_data: Path) -> None:
     assert mapped.record.accuracy["reference"]["used"] > 1000
     assert mapped.record.accuracy["reference"]["ate_rmse"] < 0.5
     assert mapped.record.name.startswith("mit-csail-hector-s1-")
+
+
+OWN = """
+from lirs_wct.grid import OccupancyGrid
+from lirs_wct.pose import Pose2
+from lirs_wct.trajectory import Trajectory
+from slam_baselines.mapper import MapperStats
+import numpy as np
+
+class Still:
+    lost = False
+    def __init__(self): self.stamps = []
+    def update(self, scan, odometry, imu):
+        self.stamps.append(scan.stamp)
+        return ANSWER
+    def map(self): return OccupancyGrid.from_probability(np.full((4, 5), 0.9), 0.1)
+    def trajectory(self): return Trajectory.from_poses(self.stamps, [Pose2()] * len(self.stamps))
+    stats = MapperStats(received=7)
+"""
+
+
+def test_a_mapper_of_your_own(room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "wct_own_log_mapper.py").write_text(OWN.replace("ANSWER", "Pose2()"))
+    (tmp_path / "wct_bad_log_mapper.py").write_text(OWN.replace("ANSWER", "None"))
+    mapped = map_log(room / "room.clf", mapper="wct_own_log_mapper:Still", out=tmp_path)
+    assert (mapped.record.mapper["received"], len(mapped.trajectory)) == (7, SCANS)
+    assert mapped.record.name.startswith("room-Still-s1-")
+    with pytest.raises(MapperError, match=r"must return a Pose2, got NoneType"):
+        map_log(room / "room.clf", mapper="wct_bad_log_mapper:Still")
+    with pytest.raises(ConfigError, match="resolution can be given for hector, gmapping, cartographer only"):
+        map_log(room / "room.clf", mapper="wct_own_log_mapper:Still", resolution=0.1)

@@ -1,0 +1,47 @@
+"""Draw the picture of docs/from_log_to_world.md: log -> map -> world -> simulated run in it.
+
+python docs/make_log_picture.py intel.clf.gz            # writes docs/log_to_world.png
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from lirs_validation import resolve_source, validate
+from lirs_validation.report.raster import Canvas
+from lirs_validation.report.style import BLUE, VERMILLION, new_figure, title
+from lirs_validation.report.view import block_picture
+from lirs_wct import BuildOptions
+from lirs_wct.formats.map_server import read_map
+from lirs_wct.formats.tum import read_tum
+
+
+def main() -> None:
+    """Map a log, drive a Husky through the world made of it, and draw both."""
+    with TemporaryDirectory() as out:
+        source = Path(resolve_source(sys.argv[1], BuildOptions(), Path(out)))
+        grid, path = read_map(source), read_tum(source.with_name("estimate.tum"))
+        run = validate(source, seconds=120, seed=1)
+    truth, estimate, _ = run.log.trajectories()
+    canvas = Canvas.over(run.world.surface.bounds)
+    figure = new_figure(9.0, 2.9)
+    mapped, world, built = figure.subplots(1, 3, gridspec_kw={"width_ratios": (1, 1.5, 1)})
+    mapped.imshow(canvas.grid_picture(grid), extent=canvas.extent, interpolation="antialiased")
+    mapped.plot(*path.xy.T, color=VERMILLION, linewidth=0.6)
+    title(mapped, "A real log is mapped ...")
+    world.imshow(block_picture(run.world, canvas), interpolation="antialiased")
+    title(world, "... its map becomes a world ...")
+    built.imshow(canvas.grid_picture(run.maps.built), extent=canvas.extent, interpolation="antialiased")
+    built.plot(*truth.xy.T, color=BLUE, linewidth=1.8)
+    built.plot(*estimate.xy.T, color=VERMILLION, linewidth=0.7)
+    title(built, "... that a simulated Husky maps")
+    for axes in (mapped, world, built):
+        axes.set_axis_off()
+        axes.set_anchor("S")
+    figure.savefig(Path(__file__).with_name("log_to_world.png"), dpi=110)
+
+
+if __name__ == "__main__":
+    main()
