@@ -56,12 +56,15 @@ def by_cell(entries: Iterable[Entry]) -> dict[Cell, list[Entry]]:
 
 
 def telling(cells: Iterable[Cell]) -> tuple[str, ...]:
-    """Return the fields in which cells differ; `world` where they do not differ at all."""
-    rows = [astuple(cell) for cell in cells]
-    different = tuple(
-        f for f, values in zip(FIELDS, zip(*rows, strict=True), strict=True) if len(set(values)) > 1
-    )
-    return different or ("world",)
+    """Return the fields in which cells differ; `world` where they do not differ at all.
+
+    The LRF is left out where each robot has its own.
+    """
+    kept = list(cells)
+    different = [f for f in FIELDS if len({getattr(cell, f) for cell in kept}) > 1]
+    if len({(c.robot, c.lidar) for c in kept}) == len({c.robot for c in kept}):
+        different = [f for f in different if f != "lidar"]
+    return tuple(different) or ("world",)
 
 
 @cache

@@ -13,7 +13,7 @@ from typer.exceptions import TyperException
 from lirs_validation.commands.collide import collide
 from lirs_validation.commands.console import BAD_INPUT, INTERRUPTED, err
 from lirs_validation.commands.mapping import map_log
-from lirs_validation.commands.reports import compare, score
+from lirs_validation.commands.reports import compare, report, score
 from lirs_validation.commands.runs import validate
 from lirs_validation.commands.worlds import build, convert, info, view
 from lirs_validation.robot_card import robot
@@ -26,7 +26,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, judge the result.",
 )
-for command in (build, validate, compare, score, collide, view, info, convert, robot):
+for command in (build, validate, report, compare, score, collide, view, info, convert, robot):
     app.command()(command)
 app.command("map")(map_log)
 

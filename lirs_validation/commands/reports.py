@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,41 @@ from lirs_wct.errors import ConfigError
 
 CsvFile = Annotated[Path | None, typer.Option("--csv", help="Write the table there as CSV, too.")]
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the table there as JSON, too.")]
+
+
+def report(
+    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Folder of a sweep, or of one run.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="HTML file to write.")] = Path("report.html"),
+    csv: Annotated[
+        Path | None, typer.Option("--csv", metavar="FOLDER", help="Write the tables there as CSV, too.")
+    ] = None,
+    markdown: Annotated[
+        Path | None,
+        typer.Option("--markdown", metavar="FILE", help="Write the tables there as Markdown, too."),
+    ] = None,
+) -> None:
+    """Tell a folder of results as one HTML page that opens anywhere, offline."""
+    from lirs_validation.commands.console import err
+    from lirs_validation.report.contents import report_of
+    from lirs_validation.report.page import page
+    from lirs_validation.report.sheet import as_csv, as_markdown
+    from lirs_validation.result_folders import read_results
+
+    with err.status(f"reading {results}") as status:
+        read = read_results(results)
+        _tell_skipped(read.skipped)
+        told = report_of(read)
+        status.update("drawing")
+        html = page(told, shlex.join(["lirs-wct", "report", str(results), "-o", str(output)]))
+    _write(output, html)
+    if csv is not None:
+        for sheet in told.sheets:
+            _write(csv / f"{sheet.key}.csv", as_csv(sheet))
+    if markdown is not None:
+        _write(markdown, f"# {told.title}\n\n" + "\n".join(map(as_markdown, told.sheets)))
+    out.print(
+        f"{output}: {len(told.runs)} runs, {len(html.encode()) / 1e6:.1f} MB", soft_wrap=True, highlight=False
+    )
 
 
 def compare(
@@ -82,6 +118,13 @@ def score(
     out.print(score_table(result, recorded.entry))
     write_score(output, result, trajectory, map_yaml)
     out.print(f"{output}", soft_wrap=True, highlight=False)
+
+
+def _write(path: Path, text: str) -> None:
+    from lirs_wct.files import atomic_write
+
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def _words(text: str | None) -> tuple[str, ...]:

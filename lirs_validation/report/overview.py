@@ -79,16 +79,24 @@ def shown_bounds(
     world: World, truth: Trajectory, true_pose: OccupancyGrid
 ) -> tuple[float, float, float, float]:
     """Return west, south, east, north of what is worth showing: what was seen, within the world, metres."""
+    seen = np.array(bounds_shown(truth, true_pose))
+    low = np.maximum(seen[:2], world.surface.bounds[:2])
+    high = np.minimum(seen[2:], world.surface.bounds[2:])
+    middle, half = (low + high) / 2, np.maximum((high - low) / 2, MARGIN)
+    west, south = (middle - half).tolist()
+    east, north = (middle + half).tolist()
+    return west, south, east, north
+
+
+def bounds_shown(truth: Trajectory, true_pose: OccupancyGrid) -> tuple[float, float, float, float]:
+    """Return west, south, east, north of path and map with a margin, metres."""
     boxes = [(*truth.xy.min(axis=0).tolist(), *truth.xy.max(axis=0).tolist())]
     known = bounds_of(true_pose)
     if known is not None:
         boxes.append(known)
     seen = np.array(boxes)
-    low = np.maximum(seen[:, :2].min(axis=0) - MARGIN, world.surface.bounds[:2])
-    high = np.minimum(seen[:, 2:].max(axis=0) + MARGIN, world.surface.bounds[2:])
-    middle, half = (low + high) / 2, np.maximum((high - low) / 2, MARGIN)
-    west, south = (middle - half).tolist()
-    east, north = (middle + half).tolist()
+    west, south = (seen[:, :2].min(axis=0) - MARGIN).tolist()
+    east, north = (seen[:, 2:].max(axis=0) + MARGIN).tolist()
     return west, south, east, north
 
 

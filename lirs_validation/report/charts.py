@@ -1,0 +1,145 @@
+"""The charts of a report: RTF over time as in the paper's Fig. 13, and how figures are distributed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Drawing
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from lirs_validation.cells import Cell, by_cell, telling
+from lirs_validation.figures import Figure, rtf_counts
+from lirs_validation.report.sheets import sound
+from lirs_validation.report.svg import INK, SMALL, as_svg, colour_of, plain
+
+Entry = Mapping[str, Any]
+
+ACROSS = 3
+MOST_PANELS, MOST_ROWS = 36, 72
+WIDE = 20.0
+"""Where RTF differ by more than this factor, a logarithmic scale shows them all."""
+
+
+def rtf_chart(entries: Sequence[Entry]) -> tuple[str, int] | None:
+    """Return RTF over simulated time as SVG, and how many panels were left out; None without any RTF.
+
+    A panel for each world, robot and representation; in it the methods, each with the mean over seeds
+    and a band of one standard deviation.
+    """
+    runs = [e for e in entries if sound(e) and rtf_counts(e)]
+    panels: dict[Cell, dict[str, list[Entry]]] = {}
+    for cell, held in by_cell(runs).items():
+        panels.setdefault(replace(cell, mapper=""), {})[cell.mapper] = held
+    if not panels:
+        return None
+    shown = dict(list(panels.items())[:MOST_PANELS])
+    across = min(ACROSS, len(shown))
+    rows = math.ceil(len(shown) / across)
+    drawing = Drawing(figsize=(3.4 * across + 0.3, 2.1 * rows + 0.5), layout="constrained")
+    mappers = sorted({mapper for held in shown.values() for mapper in held})
+    for k, (cell, methods) in enumerate(shown.items()):
+        axes = drawing.add_subplot(rows, across, k + 1)
+        _rtf_panel(axes, methods, mappers)
+        plain(axes, _title(cell, shown))
+        if k % across == 0:
+            axes.set_ylabel("RTF")
+        if k + across >= len(shown):
+            axes.set_xlabel("simulated time [s]")
+    _legend(drawing, mappers)
+    label = "Real-time factor over simulated time, one panel a world and representation, one line a mapper"
+    return as_svg(drawing, label, "rtf"), len(panels) - len(shown)
+
+
+def series_band(runs: Sequence[Entry]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (n,) mean and (n,) standard deviation over runs at each simulated second that any has."""
+    longest = max(len(run["rtf"]["series"]) for run in runs)
+    table = np.full((len(runs), longest), np.nan)
+    for row, run in zip(table, runs, strict=True):
+        row[: len(run["rtf"]["series"])] = run["rtf"]["series"]
+    return np.nanmean(table, axis=0), np.nanstd(table, axis=0)
+
+
+def distribution_chart(entries: Sequence[Entry], wanted: Sequence[Figure]) -> tuple[str, int] | None:
+    """Return every run as a dot, cell by cell and figure by figure, as SVG; None without sound runs.
+
+    The bar is the median. Also returned is how many cells were left out.
+    """
+    cells = by_cell([e for e in entries if sound(e)])
+    shown = dict(list(cells.items())[:MOST_ROWS])
+    kept = [f for f in wanted if any(_values(f, runs) for runs in shown.values())]
+    if not shown or not kept:
+        return None
+    mappers = sorted({cell.mapper for cell in shown})
+    fields = telling(shown)
+    drawing = Drawing(figsize=(10.5, 0.9 + 0.2 * len(shown)), layout="constrained")
+    columns = drawing.subplots(1, len(kept), sharey=True, squeeze=False)[0]
+    for axes, figure in zip(columns, kept, strict=True):
+        plain(axes, figure.heading)
+        _strip(axes, figure, shown, mappers)
+    columns[0].set_yticks(range(len(shown)), [cell.named(fields) for cell in shown])
+    columns[0].set_ylim(len(shown) - 0.5, -0.5)
+    label = "Figures of every run as dots, one row a cell, medians as bars; the numbers stand in the tables"
+    return as_svg(drawing, label, "spread"), len(cells) - len(shown)
+
+
+def _strip(axes: Axes, figure: Figure, cells: Mapping[Cell, Sequence[Entry]], mappers: list[str]) -> None:
+    for row, (cell, runs) in enumerate(cells.items()):
+        values = _values(figure, runs)
+        if not values:
+            continue
+        colour = colour_of(cell.mapper, mappers)
+        axes.plot(
+            values, [row] * len(values), "o", color=colour, markersize=3.5, alpha=0.75, markeredgewidth=0
+        )
+        axes.plot([float(np.median(values))] * 2, (row - 0.33, row + 0.33), color=INK, linewidth=1.1)
+    if figure.place.startswith("rtf."):
+        values = [v for runs in cells.values() for v in _values(figure, runs)]
+        if min(values) > 0 and max(values) / min(values) > WIDE:
+            axes.set_xscale("log")
+    axes.grid(axis="x", color=INK, alpha=0.12, linewidth=0.6)
+    axes.locator_params(axis="x", nbins=4) if axes.get_xscale() == "linear" else None
+
+
+def _values(figure: Figure, runs: Sequence[Entry]) -> list[float]:
+    counted = [r for r in runs if not figure.place.startswith("rtf.") or rtf_counts(r)]
+    return [v for r in counted if (v := figure.of(r)) is not None]
+
+
+def _rtf_panel(axes: Axes, held: Mapping[str, Sequence[Entry]], mappers: list[str]) -> None:
+    low, high = math.inf, 0.0
+    for mapper, runs in held.items():
+        mean, std = series_band(runs)
+        seconds = np.arange(1, len(mean) + 1)
+        colour = colour_of(mapper, mappers)
+        bottom = np.maximum(mean - std, mean * 0.05)
+        axes.fill_between(seconds, bottom, mean + std, color=colour, alpha=0.18, linewidth=0)
+        axes.plot(seconds, mean, color=colour, linewidth=1.2, marker="." if len(mean) < 4 else "")
+        low, high = min(low, float(mean.min())), max(high, float((mean + std).max()))
+    if low > 0 and high / low > WIDE:
+        axes.set_yscale("log")
+    else:
+        axes.set_ylim(0, 1.1 * high)
+    axes.set_xlim(left=0)
+
+
+def _title(cell: Cell, cells: Mapping[Cell, Any]) -> str:
+    """Return what tells a panel from the others, its world first."""
+    return cell.named({"world", *telling(cells)})
+
+
+def _legend(drawing: Drawing, mappers: Sequence[str]) -> None:
+    lines = [Line2D([], [], color=colour_of(m, list(mappers)), linewidth=2, label=m) for m in mappers]
+    drawing.legend(
+        handles=lines,
+        loc="outside upper left",
+        ncols=len(lines),
+        frameon=False,
+        fontsize=SMALL,
+        labelcolor=INK,
+    )

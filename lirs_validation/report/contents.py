@@ -1,0 +1,193 @@
+"""What a report tells, before it is HTML, Markdown or CSV."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from lirs_validation.collision import CollisionVerdict
+from lirs_validation.collision_files import failed as failed_checks
+from lirs_validation.recorded import recorded_config
+from lirs_validation.report.command_line import command_of
+from lirs_validation.report.findings import Finding, findings
+from lirs_validation.report.paper import paper_sheets
+from lirs_validation.report.sheet import Sheet
+from lirs_validation.report.sheets import GROUPS, cell_sheet, failures_sheet, run_sheet, sound, summary_sheet
+from lirs_validation.report.words import NOTHING
+from lirs_validation.result_folders import ResultFolder, RunFolder
+from lirs_wct.errors import WctError
+
+Entry = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Paper:
+    """The paper's tables beside ours, and its findings."""
+
+    intro: str
+    sheets: tuple[Sheet, ...]
+    findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Runs that the same software made on the same machine."""
+
+    runs: int
+    versions: str
+    machine: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """A folder of results, told.
+
+    Attributes:
+        runs: in the order in which they were asked for.
+        groups: key, table by cell and table by run of each group of figures.
+        checks: collision validations that passed, and all.
+        paper: only of the paper's suite.
+        seeds: most sound seeds of a cell.
+    """
+
+    title: str
+    subtitle: str
+    runs: tuple[RunFolder, ...]
+    failures: Sheet
+    checks_failed: Sheet
+    skipped: Sheet
+    summary: Sheet
+    groups: tuple[tuple[str, Sheet, Sheet], ...]
+    collisions: Sheet
+    checks: tuple[int, int]
+    paper: Paper | None
+    command: str
+    origins: tuple[Origin, ...]
+    commands: Sheet
+    seeds: int
+
+    @property
+    def entries(self) -> list[Entry]:
+        """The records."""
+        return [run.entry for run in self.runs]
+
+    @property
+    def sheets(self) -> list[Sheet]:
+        """Every table that has rows."""
+        tables = [self.failures, self.checks_failed, self.skipped, self.summary]
+        tables += self.paper.sheets if self.paper else ()
+        tables += [sheet for _, cells, runs in self.groups for sheet in (cells, runs)]
+        return [sheet for sheet in (*tables, self.collisions, self.commands) if sheet.rows]
+
+
+def report_of(results: ResultFolder) -> Report:
+    """Tell a folder of results."""
+    manifest = results.manifest or {}
+    runs = _ordered(results.runs, manifest)
+    entries = [run.entry for run in runs]
+    suite = manifest.get("suite")
+    seeds = len({entry["seed"] for entry in entries if sound(entry)})
+    failed = [verdict for verdict in results.collisions if not verdict.passed]
+    asked = len(manifest.get("cells", ())) or len(entries) + len(results.collisions)
+    missing = asked - len(entries) - len(results.collisions) - len(results.broken)
+    title = f"Validation runs in {results.root.name}"
+    return Report(
+        title="The paper's experiment, repeated" if suite == "paper" else title,
+        subtitle=_subtitle(entries, seeds, missing),
+        runs=runs,
+        failures=failures_sheet(entries),
+        checks_failed=_checks_failed(failed, results.broken),
+        skipped=Sheet(
+            "skipped", "Not read", "Folders that are damaged or of another version: in no figure below.",
+            ("folder", "reason"), results.skipped, 2,
+        ),
+        summary=summary_sheet(entries),
+        groups=tuple(
+            (key, cells, run_sheet(key, title, wanted, entries))
+            for key, title, wanted in GROUPS
+            if (cells := cell_sheet(key, title, wanted, entries)).rows and len(cells.headings) > cells.words
+        ),
+        collisions=_collision_sheet(results.collisions),
+        checks=(len(results.collisions) - len(failed), len(results.collisions) + len(results.broken)),
+        paper=_paper(entries) if suite == "paper" else None,
+        command=str(manifest.get("command", "")),
+        origins=_origins(entries),
+        commands=_commands(entries),
+        seeds=seeds,
+    )  # fmt: skip
+
+
+def _ordered(runs: Sequence[RunFolder], manifest: Entry) -> tuple[RunFolder, ...]:
+    place = {cell.get("name"): k for k, cell in enumerate(manifest.get("cells", ()))}
+    return tuple(sorted(runs, key=lambda run: place.get(run.entry["name"], len(place))))
+
+
+def _subtitle(entries: Sequence[Entry], seeds: int, missing: int) -> str:
+    told = [f"{len(entries)} runs"]
+    told.append("one seed: nothing is said of chance" if seeds <= 1 else f"{seeds} seeds")
+    if missing > 0:
+        told.append(f"{missing} that were asked for are not there (yet)")
+    return "; ".join(told) + "."
+
+
+def _paper(entries: Sequence[Entry]) -> Paper:
+    intro = (
+        "LIRS-WCT's paper compared SLAM methods on three terrains, each as a heightmap and as a solid model, "
+        "by the real-time factor of a Husky. Here the same in MuJoCo, the paper's figures beside it."
+    )
+    return Paper(intro, paper_sheets(entries), findings(entries))
+
+
+def _checks_failed(failed: Sequence[CollisionVerdict], broken: Sequence[tuple[str, str]]) -> Sheet:
+    rows = [(v.world, v.robot, line) for v in failed for line in failed_checks(v)]
+    rows += [(name, NOTHING, reason) for name, reason in broken]
+    return Sheet(
+        "checks-failed",
+        "Collision checks over their limits",
+        "",
+        ("world", "robot", "figure"),
+        tuple(rows),
+        3,
+    )
+
+
+def _collision_sheet(verdicts: Sequence[CollisionVerdict]) -> Sheet:
+    rows = []
+    for v in sorted(verdicts, key=lambda verdict: verdict.passed):
+        slope = NOTHING if v.slope is None else f"{v.slope:.0f}"
+        slid, climbed = (NOTHING if x is None else f"{x:.2f}" for x in (v.slid, v.climbed))
+        rows.append((
+            v.world, v.robot, v.terrain, "pass" if v.passed else "FAIL", f"{1e3 * v.penetration_p999:.2f}",
+            f"{1e3 * v.penetration_peak:.2f}", f"{1e3 * v.penetration_limit:.1f}", str(v.inside_steps),
+            f"{v.energy_gain:.2f}", f"{v.energy_limit:.2f}", f"{v.force_peak:.0f}", f"{v.force_mean:.0f}",
+            slope, slid, climbed, str(v.tip_overs), f"{v.stuck:.1f}", f"{v.driven:.0f}",
+        ))  # fmt: skip
+    headings = (
+        "world", "robot", "terrain", "verdict", "penetration, 99.9 % [mm]", "peak [mm]", "its limit [mm]",
+        "steps inside", "energy gained [J]", "its limit [J]", "peak force [N]", "mean force [N]",
+        "slope [deg]", "slid [m]", "climbed", "tip-overs", "stuck [s]", "driven [m]",
+    )  # fmt: skip
+    caption = "Limits are explained in docs/results.md; tip-overs and stuck time have none."
+    return Sheet("collisions", "Collision validation", caption, headings, tuple(rows), 4)
+
+
+def _origins(entries: Sequence[Entry]) -> tuple[Origin, ...]:
+    found: dict[tuple[str, str], int] = {}
+    for entry in entries:
+        versions = ", ".join(f"{name} {version}" for name, version in entry["versions"].items())
+        machine = entry["machine"]
+        told = f"{machine['processor']}, {machine['cores']} cores, {machine['system']}"
+        found[(versions, told)] = found.get((versions, told), 0) + 1
+    return tuple(Origin(n, versions, machine) for (versions, machine), n in found.items())
+
+
+def _commands(entries: Sequence[Entry]) -> Sheet:
+    rows = []
+    for entry in entries:
+        try:
+            command = command_of(recorded_config(entry))
+        except WctError as error:
+            command = f"not known: {error}"
+        rows.append((str(entry["name"]), command))
+    return Sheet("commands", "The command of every run", "", ("run", "command"), tuple(rows), 2)

@@ -1,0 +1,145 @@
+"""Which of the paper's findings hold here, computed from the runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Literal
+
+from lirs_validation.figures import rtf_counts, significant
+from lirs_validation.report import published
+from lirs_validation.report.paper import RTF, husky_runs
+from lirs_validation.report.published import COMFORTABLE, HEIGHTMAP, MAPPERS, OURS, SOLID, VIEWS, WORLDS
+from lirs_validation.report.sheets import over_runs, sound
+
+Entry = Mapping[str, Any]
+Means = Mapping[tuple[str, str, str], float]
+Answer = Literal["holds", "holds in part", "does not hold", "cannot be said"]
+
+COLLAPSE = 10.0
+"""Heightmaps collapse where they are so many times as slow as solids, as all of the paper's are."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A finding of the paper, and what the figures here say of it."""
+
+    claim: str
+    answer: Answer
+    because: str
+
+
+def findings(entries: Sequence[Entry]) -> tuple[Finding, ...]:
+    """Return the paper's findings, each with whether it holds here, computed from the runs."""
+    means = _means([entry for entry in entries if sound(entry)])
+    return (
+        _collapse(means),
+        _worse_with_terrain(means),
+        _ranked(means, "hector", "fastest", max),
+        _ranked(means, "gmapping", "slowest", min),
+        _comfortable(means),
+    )
+
+
+def _means(entries: Sequence[Entry]) -> Means:
+    """Return the mean RTF by world, mapper and view, where there is one."""
+    found = {}
+    for world in WORLDS:
+        for mapper in MAPPERS:
+            for view in VIEWS:
+                values = over_runs(
+                    RTF, [e for e in husky_runs(entries, world, mapper, view) if rtf_counts(e)]
+                ).values
+                if values is not None:
+                    found[(world, mapper, view)] = values.mean
+    return found
+
+
+def _answer(yes: int, of: int) -> Answer:
+    """Return what so many cases of all say: in part means half of them or more."""
+    if of == 0:
+        return "cannot be said"
+    return "holds" if yes == of else "holds in part" if 2 * yes >= of else "does not hold"
+
+
+def _collapse(means: Means) -> Finding:
+    """Heightmap-based worlds are hopelessly slow where solid-based ones are not."""
+    claim = "Heightmap-based worlds collapse: their RTF falls towards zero, solid-based ones stay usable."
+    ratios = {
+        key[:2]: means[(*key[:2], SOLID)] / rtf
+        for key, rtf in means.items()
+        if key[2] == HEIGHTMAP and (*key[:2], SOLID) in means
+    }
+    if not ratios:
+        return Finding(claim, "cannot be said", "no heightmap-based run has a solid-based one beside it.")
+    slow = [rtf for key, rtf in means.items() if key[2] == HEIGHTMAP]
+    collapsed = sum(
+        ratio >= COLLAPSE and means[(*key, HEIGHTMAP)] < COMFORTABLE for key, ratio in ratios.items()
+    )
+    because = (
+        f"{collapsed} of {len(ratios)} heightmap-based cells are below RTF {COMFORTABLE:g} and at least "
+        f"{COLLAPSE:g} times as slow as their solid-based twin; RTF {_span(slow)}, solid-based "
+        f"{_span(list(ratios.values()))} times as fast (paper: {_span(_published_ratios())} times)."
+    )
+    return Finding(claim, _answer(collapsed, len(ratios)), because)
+
+
+def _worse_with_terrain(means: Means) -> Finding:
+    """The rougher the terrain, the slower the heightmap."""
+    claim = "Heightmaps get slower with the terrain's complexity (0.09, 0.05, 0.011)."
+    worlds = list(WORLDS)
+    found = {m: [means.get((w, m, HEIGHTMAP)) for w in worlds] for m in MAPPERS}
+    whole = {m: [v for v in values if v is not None] for m, values in found.items()}
+    asked = {m: values for m, values in whole.items() if len(values) == len(worlds)}
+    falling = sum(all(a > b for a, b in pairwise(v)) for v in asked.values())
+    told = "; ".join(f"{MAPPERS[m]} {', '.join(map(significant, v))}" for m, v in asked.items())
+    return Finding(
+        claim, _answer(falling, len(asked)), f"{told}." if told else "not all worlds have such runs."
+    )
+
+
+def _ranked(means: Means, mapper: str, word: str, best: Callable[[Iterable[float]], float]) -> Finding:
+    """One method is always the fastest, or the slowest."""
+    claim = f"{MAPPERS[mapper]} is the {word} of the three methods."
+    won, asked, told = 0, 0, []
+    for world in WORLDS:
+        for view in VIEWS:
+            values = {m: means[(world, m, view)] for m in MAPPERS if (world, m, view) in means}
+            if len(values) < len(MAPPERS):
+                continue
+            wanted = best(values.values())
+            asked += 1
+            won += math.isclose(values[mapper], wanted)
+            if not math.isclose(values[mapper], wanted):
+                other = next(m for m, v in values.items() if v == wanted)
+                told.append(f"{MAPPERS[other]} in {world}, {view}")
+    because = f"in {won} of {asked} comparisons (world and representation, Husky)"
+    because += f"; else {', '.join(told)}." if told else "."
+    return Finding(claim, _answer(won, asked), because if asked else "no world has runs of all three.")
+
+
+def _comfortable(means: Means) -> Finding:
+    """On solid worlds all methods run fast enough to work with."""
+    claim = f"On solid-based worlds every method reaches RTF {COMFORTABLE:g} or more (0.42 to 0.73)."
+    values = [rtf for key, rtf in means.items() if key[2] == SOLID]
+    ours = [rtf for key, rtf in means.items() if key[2] == OURS]
+    enough = sum(rtf >= COMFORTABLE for rtf in values)
+    because = (
+        f"{enough} of {len(values)} solid-based cells, RTF {_span(values)}" if values else "no such runs"
+    )
+    because += f"; ours {_span(ours)}." if ours else "."
+    return Finding(claim, _answer(enough, len(values)), because)
+
+
+def _span(values: Sequence[float]) -> str:
+    low, high = significant(min(values)), significant(max(values))
+    return low if low == high else f"{low} to {high}"
+
+
+def _published_ratios() -> list[float]:
+    """Return how many times as fast as on heightmaps the paper's methods ran on solids."""
+    return [
+        published.RTF[(*key[:2], SOLID)] / rtf for key, rtf in published.RTF.items() if key[2] == HEIGHTMAP
+    ]

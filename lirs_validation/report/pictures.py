@@ -1,0 +1,119 @@
+"""The picture of a run in a report: paths over the hillshade, the true-pose map, the built map; few bytes."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_validation.map_agreement import contradicted
+from lirs_validation.recorded import recorded_config
+from lirs_validation.report.hillshade import coloured_relief
+from lirs_validation.report.overview import bounds_shown, shown_bounds
+from lirs_validation.report.raster import Canvas, Rgb
+from lirs_validation.report.style import BLUE, VERMILLION
+from lirs_validation.result_folders import RunFolder
+from lirs_validation.stage import StageCache
+from lirs_wct.errors import WctError
+from lirs_wct.formats.map_server import read_map
+from lirs_wct.formats.tum import read_tum
+from lirs_wct.grid import OccupancyGrid
+from lirs_wct.trajectory import Trajectory
+
+BUDGET = 3_000_000
+"""Bytes of all pictures together, as they stand in the page."""
+MOST_BYTES = 60_000
+"""Of one run's picture, as it stands in the page."""
+TILES = (340, 280, 220, 160)
+"""Edge of a panel, pixels: the largest that keeps the budget."""
+QUALITY = 62
+GAP = 8
+FINE = 4
+"""`cv2.polylines` takes fractions of a pixel as so many bits."""
+
+
+@dataclass(frozen=True)
+class RunPicture:
+    """A run's picture as a data URL; `note` says what is missing, and `url` is empty where all is."""
+
+    url: str
+    note: str = ""
+
+
+class Painter:
+    """Paints runs; keeps the last worlds, since runs of one world follow each other."""
+
+    def __init__(self, runs: int) -> None:
+        """Share the budget among so many runs."""
+        self._budget = min(MOST_BYTES, BUDGET // max(runs, 1))
+        self._stages = StageCache()
+
+    def paint(self, run: RunFolder) -> RunPicture:
+        """Return the run's picture."""
+        try:
+            truth, estimate = (read_tum(run.folder / f"{name}.tum") for name in ("truth", "estimate"))
+            true_pose, built = (read_map(run.folder / f"{name}.yaml") for name in ("map_true_pose", "map"))
+        except WctError as error:
+            return RunPicture("", str(error))
+        for tile in TILES:
+            picture, note = self._panels(run, truth, estimate, true_pose, built, tile)
+            url = _webp(picture)
+            if len(url) <= self._budget:
+                return RunPicture(url, note)
+        return RunPicture("", "its picture would not fit the page's budget")
+
+    def _panels(
+        self,
+        run: RunFolder,
+        truth: Trajectory,
+        estimate: Trajectory,
+        true_pose: OccupancyGrid,
+        built: OccupancyGrid,
+        tile: int,
+    ) -> tuple[Rgb, str]:
+        """Return the three panels side by side, and what is not in them."""
+        note = ""
+        try:
+            world = self._stages.stage(recorded_config(run.entry)).world
+            canvas = Canvas.over(shown_bounds(world, truth, true_pose), tile)
+            ground = coloured_relief(world, canvas)
+        except WctError as error:
+            canvas, note = Canvas.over(bounds_shown(truth, true_pose), tile), f"without its terrain: {error}"
+            ground = canvas.grid_picture(true_pose)
+        reference = canvas.grid_picture(true_pose)
+        wrong = canvas.marked(contradicted(built, true_pose), built.resolution, built.origin)
+        made = canvas.grid_picture(built)
+        made[wrong] = _rgb(VERMILLION)
+        paths = _with_paths(ground, canvas, truth, estimate)
+        return _beside((paths, reference, made)), note
+
+
+def _with_paths(picture: Rgb, canvas: Canvas, truth: Trajectory, estimate: Trajectory) -> Rgb:
+    painted = np.ascontiguousarray(picture * 255, dtype=np.uint8)
+    for track, colour, width in ((truth, BLUE, 5), (estimate, VERMILLION, 2)):
+        xy = (track.xy - (canvas.bounds[0], canvas.bounds[3])) / (canvas.pixel, -canvas.pixel) - 0.5
+        points = np.round(xy * 2**FINE).astype(np.int32)
+        shade = tuple(round(255 * c) for c in _rgb(colour))
+        cv2.polylines(painted, [points], False, shade, width, cv2.LINE_AA, FINE)
+    return painted / 255.0
+
+
+def _beside(panels: Sequence[Rgb]) -> Rgb:
+    rows = panels[0].shape[0]
+    gap = np.ones((rows, GAP, 3))
+    return np.concatenate([part for panel in panels for part in (panel, gap)][:-1], axis=1)
+
+
+def _webp(picture: Rgb) -> str:
+    pixels: NDArray[np.uint8] = np.round(picture[..., ::-1] * 255).astype(np.uint8)
+    _, data = cv2.imencode(".webp", pixels, (cv2.IMWRITE_WEBP_QUALITY, QUALITY))
+    return "data:image/webp;base64," + base64.b64encode(data.tobytes()).decode()
+
+
+def _rgb(colour: str) -> tuple[float, float, float]:
+    red, green, blue = (int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5))
+    return red, green, blue

@@ -1,0 +1,109 @@
+"""Tables as data: the same rows as HTML, Markdown and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from lirs_validation.figures import Figure
+from lirs_validation.repeats import Repeats
+from lirs_validation.report.words import NOTHING
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A figure over the repeats of a cell, or of one run.
+
+    Attributes:
+        figure: which, in whose unit the values are.
+        values: None where no run has it.
+        mark: a sign that the caption explains.
+    """
+
+    figure: Figure
+    values: Repeats | None
+    mark: str = ""
+
+    @property
+    def text(self) -> str:
+        """Mean and, of several repeats, the half width of its 95 % interval."""
+        if self.values is None:
+            return NOTHING
+        mean = self.figure.told(self.values.mean)
+        reach = self.values.half_width
+        return (mean if reach is None else f"{mean} ± {self.figure.told(reach)}") + self.mark
+
+
+Content = str | Spread
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table.
+
+    Attributes:
+        key: short name, for links and files.
+        title: what it shows.
+        caption: how to read it.
+        headings: of the columns.
+        rows: contents, as many a row as there are headings.
+        words: how many leading columns hold words; the first is the row's heading.
+    """
+
+    key: str
+    title: str
+    caption: str
+    headings: tuple[str, ...]
+    rows: tuple[tuple[Content, ...], ...]
+    words: int = 1
+
+    def texts(self) -> list[list[str]]:
+        """Return the rows as they are read."""
+        return [[told(content) for content in row] for row in self.rows]
+
+
+def told(content: Content) -> str:
+    """Return a content as it is read."""
+    return content if isinstance(content, str) else content.text
+
+
+def as_markdown(sheet: Sheet) -> str:
+    """Return the table as Markdown, its title above and its caption below."""
+    rule = ["---" if k < sheet.words else "---:" for k in range(len(sheet.headings))]
+    lines = [sheet.headings, rule, *sheet.texts()]
+    body = "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+    return f"## {sheet.title}\n\n{body}\n\n{sheet.caption}\n"
+
+
+def as_csv(sheet: Sheet) -> str:
+    """Return the table as CSV with all digits: of repeated figures mean, std, half width and count."""
+    columns = [_expanded(h, [row[k] for row in sheet.rows]) for k, h in enumerate(sheet.headings)]
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow([heading for headings, _ in columns for heading in headings])
+    for k in range(len(sheet.rows)):
+        writer.writerow([value for _, rows in columns for value in rows[k]])
+    return file.getvalue()
+
+
+def _expanded(heading: str, contents: Sequence[Content]) -> tuple[list[str], list[list[str]]]:
+    """Return the headings of a column and its rows; several of a figure with repeats."""
+    spreads = [c for c in contents if isinstance(c, Spread)]
+    if not any(s.values is not None and s.values.count > 1 for s in spreads):
+        return [heading], [
+            [c if isinstance(c, str) else _digits(c.values.mean if c.values else None)] for c in contents
+        ]
+    headings = [heading, f"{heading} std", f"{heading} 95 % half width", f"{heading} n"]
+    return headings, [[c, "", "", ""] if isinstance(c, str) else _parts(c.values) for c in contents]
+
+
+def _parts(values: Repeats | None) -> list[str]:
+    if values is None:
+        return ["", "", "", "0"]
+    return [_digits(values.mean), _digits(values.std), _digits(values.half_width), str(values.count)]
+
+
+def _digits(value: float | None) -> str:
+    return "" if value is None else repr(value)
