@@ -1,219 +1,183 @@
-"""World construction beside its peers: time, peak memory, triangles, bytes.
+"""World construction against its limits and beside its peers: time, peak memory, triangles, bytes.
 
-    python benchmarks/world.py [--quick] [--json FILE]
+    python benchmarks/world.py [--quick] [--only WORD] [--data DIR] [--json FILE]
 
-Octaves of seeded noise, 16 bit, on a square of 50 m with 6 m relief; errors are shares of the relief. Each
-row runs in a process of its own, so that its peak memory is its own, with kernels compiled before the
-clock starts. Peers: pydelatin (the same triangulation in C++, left out where it is not installed) and
-trimesh (full grid to .dae).
+Each row is a process of its own, so that its peak memory, libraries included, is its own; kernels are
+compiled before the clock starts. Worlds are built and written as by `lirs-wct build`, textures, start poses
+and `world.json` included. Peers in the same run: pydelatin (where installed), trimesh, pycollada. DIR holds
+`maps/*/*.yaml`: each that is a laser map is a row. A limit stands behind its figure.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
-import resource
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import cv2
-import numpy as np
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
+from world_jobs import JOBS, Figures, picture, warm
 
-from lirs_wct.heightfield import HeightField
+from lirs_wct.errors import WctError
+from lirs_wct.formats.map_server import read_map
 
-Row = dict[str, float | int | str]
-RELIEF = 6.0
-
-
-def picture(samples: int, seed: int = 0) -> np.ndarray:
-    """(samples, samples) uint16: eight octaves, each finer by half and lower by 0.45."""
-    rng = np.random.default_rng(seed)
-    z = np.zeros((samples, samples), np.float32)
-    for octave in range(1, 9):
-        lattice = rng.standard_normal((2**octave + 3,) * 2).astype(np.float32)
-        z += 0.45**octave * cv2.resize(lattice, (samples, samples), interpolation=cv2.INTER_CUBIC)
-    z -= z.min()
-    return np.rint(z / z.max() * 65535).astype(np.uint16)
+BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
+"""Where real inputs may lie beside a checkout."""
+QUICK = 1025
+"""Pixels along the side of the largest picture of a quick run."""
 
 
-def surface_of(path: Path, **options: object) -> HeightField:
-    from lirs_wct.image import read_height_field
-    from lirs_wct.options import BuildOptions
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One measurement.
 
-    return read_height_field(path, BuildOptions(**options))  # type: ignore[arg-type]
+    Attributes:
+        job: of `JOBS`.
+        samples: pixels along a side of the noise; 0 = the source is a file.
+        source: that file.
+        budget: the job's number: largest error as a share of the relief, or triangles.
+        limits: largest value of a figure.
+    """
 
-
-def warm(folder: Path) -> None:
-    """Compile or load every kernel on a tiny picture."""
-    cv2.imwrite(str(folder / "tiny.png"), picture(33))
-    for job in (full_grid, simplified, full_stl):
-        job(folder / "tiny.png", folder, 0.1)
-
-
-def full_grid(path: Path, out: Path, _: float) -> Row:
-    from lirs_wct.formats.collada import write_collada
-    from lirs_wct.solid import solid_mesh
-
-    mesh = solid_mesh(surface_of(path))
-    # The tiny picture goes through the streamed writer too, to compile it.
-    write_collada(out / "full.dae", mesh, "../materials/textures/a.png", stream_above=1000)
-    return {"triangles": len(mesh.faces), "bytes": (out / "full.dae").stat().st_size}
+    job: str
+    samples: int = 0
+    source: str = ""
+    budget: float = 0.0
+    limits: dict[str, float] = field(default_factory=dict)
 
 
-def simplified(path: Path, out: Path, share: float) -> Row:
-    from lirs_wct.formats.collada import write_collada
-    from lirs_wct.formats.sdf import model_config, model_sdf, world_sdf
-    from lirs_wct.simplify import simplified_solid
-
-    mesh = simplified_solid(surface_of(path), max_error=share * RELIEF)
-    write_collada(out / "a.dae", mesh, "../materials/textures/a.png")
-    for name, text in (("model.config", model_config), ("model.sdf", model_sdf), ("a.world", world_sdf)):
-        (out / name).write_text(text("a"))
-    return {"triangles": len(mesh.faces), "bytes": (out / "a.dae").stat().st_size}
-
-
-def full_stl(path: Path, out: Path, _: float) -> Row:
-    from lirs_wct.formats.stl import write_triangles
-    from lirs_wct.solid import solid_triangles
-
-    count, chunks = solid_triangles(surface_of(path))
-    write_triangles(out / "a.stl", count, chunks)
-    return {"triangles": count, "bytes": (out / "a.stl").stat().st_size}
-
-
-def triangulation(path: Path, _: Path, share: float) -> Row:
-    from lirs_wct.simplify import triangulate
-
-    surface = surface_of(path)
-    start = time.perf_counter()
-    faces = triangulate(surface, max_error=share * RELIEF)[1]
-    return {"triangles": len(faces), "seconds": time.perf_counter() - start}
+def plan(quick: bool, data: Path) -> list[Row]:
+    """Every row that world construction is held to."""
+    rows = [
+        Row(job="world within error", samples=4097, budget=2e-3, limits={"seconds": 5, "peak_mb": 450}),
+        Row(job="world within count", samples=4097, budget=1e6, limits={"seconds": 9, "peak_mb": 600}),
+        Row(job="full grid .dae", samples=1025, limits={"seconds": 4, "peak_mb": 700, "file_mb": 120}),
+        Row(job="full grid .dae", samples=2049, limits={"seconds": 18, "peak_mb": 2000}),
+        Row(job="full grid .stl", samples=4097, limits={"seconds": 8, "peak_mb": 400}),
+        *(Row(job=f"{peer} .dae", samples=513) for peer in ("full grid", "trimesh", "pycollada")),
+        *(
+            Row(
+                job="triangulation", samples=n, budget=error, limits={"time_ratio": 1, "triangle_ratio": 1.05}
+            )
+            for n in (513, 1025, 2049, 4097)
+            for error in (5e-4, 2e-3)
+        ),
+        Row(job="8 bit", samples=1025, budget=5e-4),
+        Row(job="8 bit, deterraced", samples=1025, budget=5e-4, limits={"triangle_ratio": 1.5}),
+    ]
+    if quick:
+        rows = [row for row in rows if row.samples <= QUICK]
+    limits = {"seconds": 1.0, "fails": 0.0}
+    return rows + [Row(job="laser map", source=str(path), limits=limits) for path in maps(data)]
 
 
-def pydelatin_triangulation(path: Path, _: Path, share: float) -> Row:
-    from pydelatin import Delatin
-
-    z = surface_of(path).z
-    start = time.perf_counter()
-    faces = Delatin(z, max_error=share * RELIEF).triangles
-    return {"triangles": len(faces), "seconds": time.perf_counter() - start}
-
-
-def cut_to_8_bits(path: Path, _: Path, share: float, *, deterrace: bool = False) -> Row:
-    from lirs_wct.simplify import triangulate
-
-    cut = path.with_name("cut.png")
-    cv2.imwrite(str(cut), (cv2.imread(str(path), cv2.IMREAD_UNCHANGED) / 257).round().astype(np.uint8))
-    faces = triangulate(surface_of(cut, deterrace=deterrace), max_error=share * RELIEF)[1]
-    return {"triangles": len(faces)}
+def maps(data: Path) -> list[Path]:
+    """Return the YAML files that are laser maps."""
+    found = []
+    for path in sorted(data.glob("maps/*/*.yaml")):
+        try:
+            read_map(path)
+        except WctError:
+            continue
+        found.append(path)
+    return found
 
 
-def deterraced(path: Path, out: Path, share: float) -> Row:
-    return cut_to_8_bits(path, out, share, deterrace=True)
-
-
-def trimesh_dae(path: Path, out: Path, _: float) -> Row:
-    import trimesh
-
-    from lirs_wct.solid import solid_mesh
-
-    mesh = solid_mesh(surface_of(path))
-    start = time.perf_counter()
-    trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(out / "peer.dae")
-    size = (out / "peer.dae").stat().st_size
-    return {"triangles": len(mesh.faces), "bytes": size, "seconds": time.perf_counter() - start}
-
-
-JOBS: dict[str, Callable[[Path, Path, float], Row]] = {
-    "within error .dae": simplified,
-    "full .dae": full_grid,
-    "full .stl": full_stl,
-    "triangles": triangulation,
-    "pydelatin": pydelatin_triangulation,
-    "cut to 8 bit": cut_to_8_bits,
-    "and deterraced": deterraced,
-    "trimesh .dae": trimesh_dae,
-}
-PLAN = (
-    ("within error .dae", 4097, 2e-3),
-    ("within error .dae", 4097, 1.2e-4),
-    ("full .dae", 1025, 0.0),
-    ("full .dae", 2049, 0.0),
-    ("full .stl", 4097, 0.0),
-    *((name, n, e) for n, e in ((1025, 5e-4), (4097, 2e-3), (4097, 5e-4))
-      for name in ("triangles", "pydelatin")),
-    ("cut to 8 bit", 1025, 5e-4),
-    ("and deterraced", 1025, 5e-4),
-    ("trimesh .dae", 513, 0.0),
-)  # fmt: skip
-QUICK = tuple(dict.fromkeys((name, min(n, 513), e and max(e, 5e-4)) for name, n, e in PLAN))
-
-
-def run_one(name: str, samples: int, share: float) -> None:
-    """Run one row in this process and print it as JSON."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "noise.png"
-        cv2.imwrite(str(path), picture(samples))
-        warm(Path(folder))
-        peak = Path("/proc/self/clear_refs")
-        if peak.exists():
-            peak.write_text("5")
+def run_one(row: Row) -> Figures:
+    """Run one row in this process."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        source = Path(row.source) if row.source else folder / "noise.png"
+        if row.samples:
+            cv2.imwrite(str(source), picture(row.samples))
+        warm(folder)
+        out = folder / "out"
+        out.mkdir()
+        clear_peak()
         start = time.perf_counter()
-        row = JOBS[name](path, Path(folder), share)
-        row.setdefault("seconds", time.perf_counter() - start)
-    row["peak_mb"] = peak_mb()
-    print(json.dumps({"job": name, "samples": samples, "error": share, **row}))
+        figures = JOBS[row.job](source, out, row.budget)
+        figures.setdefault("seconds", time.perf_counter() - start)
+        figures["peak_mb"] = peak_mb()
+    return figures
+
+
+def clear_peak() -> None:
+    Path("/proc/self/clear_refs").write_text("5")
 
 
 def peak_mb() -> float:
-    """Largest resident memory since it was last cleared, MB."""
-    status = Path("/proc/self/status")
-    if status.exists():
-        lines = dict(line.split(":", 1) for line in status.read_text().splitlines() if ":" in line)
-        return int(lines["VmHWM"].split()[0]) * 1024 / 1e6
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    """Largest resident memory since it was last cleared, MB (Linux)."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) * 1024 / 1e6
 
 
-def measured(plan: tuple[tuple[str, int, float], ...], console: Console) -> list[Row]:
-    rows: list[Row] = []
-    for name, samples, share in track(plan, description="worlds", console=console, transient=True):
-        if "pydelatin" in name and importlib.util.find_spec("pydelatin") is None:
-            continue
-        command = [sys.executable, __file__, "--one", name, str(samples), str(share)]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        rows.append(json.loads(done.stdout.splitlines()[-1]))
-    return rows
+def measured(rows: list[Row], console: Console) -> list[Figures]:
+    out: list[Figures] = []
+    for row in track(rows, description="worlds", console=console, transient=True):
+        command = [sys.executable, __file__, "--one", json.dumps(asdict(row))]
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+        out.append(json.loads(done.stdout.splitlines()[-1]))
+    return out
+
+
+COLUMNS = {
+    "seconds": ("seconds", "{:.2f}"),
+    "peak_mb": ("peak MB", "{:.0f}"),
+    "triangles": ("triangles", "{:,}"),
+    "file_mb": ("file MB", "{:.1f}"),
+    "time_ratio": ("x its time", "{:.2f}"),
+    "triangle_ratio": ("x its triangles", "{:.3f}"),
+}
+
+
+def table_of(rows: list[Row], figures: list[Figures]) -> Table:
+    table = Table("job", "source", "budget", *(title for title, _ in COLUMNS.values()), "beside")
+    for row, found in zip(rows, figures, strict=True):
+        source = f"{row.samples}^2" if row.samples else "/".join(Path(row.source).with_suffix("").parts[-2:])
+        cells = [cell(row, found, key, form) for key, (_, form) in COLUMNS.items()]
+        table.add_row(
+            row.job, source, f"{row.budget:g}" if row.budget else "", *cells, str(found.get("note", ""))
+        )
+    return table
+
+
+def cell(row: Row, found: Figures, key: str, form: str) -> str:
+    if key not in found:
+        return ""
+    text = form.format(found[key])
+    if key not in row.limits:
+        return text
+    over = float(found[key]) > row.limits[key]
+    return f"[{'red' if over else 'green'}]{text}{' > ' if over else ' <= '}{row.limits[key]:g}[/]"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="pictures of at most 513^2")
+    parser.add_argument("--quick", action="store_true", help="pictures of at most 1025^2")
+    parser.add_argument("--only", default="", metavar="WORD", help="rows whose job holds the word")
+    parser.add_argument("--data", type=Path, default=BESIDE, help="folder that holds maps/*/*.yaml")
     parser.add_argument("--json", type=Path, help="write the figures here")
-    parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
+    parser.add_argument("--one", help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.one:
-        run_one(args.one[0], int(args.one[1]), float(args.one[2]))
+        print(json.dumps(run_one(Row(**json.loads(args.one)))))
         return
-    console = Console()
-    rows = measured(QUICK if args.quick else PLAN, console)
-    table = Table("job", "picture", "error", "seconds", "peak MB", "triangles", "MB")
-    for row in rows:
-        size, error = f"{float(row.get('bytes', 0)) / 1e6:.1f}", f"{row['error']:g}"
-        time_, peak = f"{row['seconds']:.2f}", f"{row['peak_mb']:.0f}"
-        table.add_row(
-            str(row["job"]), f"{row['samples']}^2", error, time_, peak, f"{row['triangles']:,}", size
-        )
-    console.print(table)
+    console = Console() if sys.stdout.isatty() else Console(width=140)
+    rows = [row for row in plan(args.quick, args.data) if args.only in row.job]
+    figures = measured(rows, console)
+    console.print(table_of(rows, figures))
+    over = sum(float(f[k]) > v for row, f in zip(rows, figures, strict=True) for k, v in row.limits.items())
+    console.print(f"{over} figures over their limits" if over else "every figure within its limit")
     if args.json:
-        args.json.write_text(json.dumps(rows, indent=1) + "\n")
+        both = [asdict(row) | found for row, found in zip(rows, figures, strict=True)]
+        args.json.write_text(json.dumps(both, indent=1) + "\n")
 
 
 if __name__ == "__main__":

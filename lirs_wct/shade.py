@@ -29,22 +29,33 @@ def ground_texture(surface: HeightField, walls: WallGrid | None = None) -> NDArr
     if walls is None:
         rgb = _earth(surface, x, y, span / PIXELS)
     else:
-        rgb = np.where(_on_wall(walls, *np.broadcast_arrays(x, y))[..., None], WALL, FLOOR)
-    return np.ascontiguousarray(np.clip(rgb, 0, 255, out=rgb).astype(np.uint8)[..., ::-1])
+        on_wall = _on_wall(walls, *np.broadcast_arrays(x, y))
+        rgb = np.where(on_wall[..., None], WALL.astype(np.uint8), FLOOR.astype(np.uint8))
+    return np.ascontiguousarray(rgb[..., ::-1])
 
 
 def _earth(
     surface: HeightField, x: NDArray[np.float64], y: NDArray[np.float64], pixel: float
-) -> NDArray[np.float64]:
-    # Strip by strip: the whole would take a hundred megabytes for a moment.
+) -> NDArray[np.uint8]:
+    # Strip by strip and colour by colour: the whole would take a hundred megabytes for a moment.
     z = np.concatenate([surface.height_at(x, strip) for strip in np.array_split(y, 16)])
-    z = np.nan_to_num(z, nan=float(surface.z.min()))
-    height = (z - z.min()) / max(float(np.ptp(z)), 1e-9)
+    np.nan_to_num(z, copy=False, nan=float(surface.z.min()))
+    light = _light(z, pixel)
+    z -= z.min()
+    z /= max(float(z.max()), 1e-9)
     levels = np.linspace(0, 1, len(EARTH))
+    rgb = np.empty((*z.shape, 3), np.uint8)
+    for k in range(3):
+        rgb[..., k] = np.clip(np.interp(z, levels, EARTH[:, k]) * light, 0, 255)
+    return rgb
+
+
+def _light(z: NDArray[np.float64], pixel: float) -> NDArray[np.float64]:
+    """Return how bright each node is: Lambert's cosine under `SUN`, from 0.55 in the shade."""
     dz_dy, dz_dx = np.gradient(z, pixel)
-    light = (-dz_dx * SUN[0] + dz_dy * SUN[1] + SUN[2]) / np.sqrt(dz_dx**2 + dz_dy**2 + 1)
-    light = 0.55 + 0.6 * np.clip(light, 0, 1)
-    return np.stack([np.interp(height, levels, EARTH[:, k]) * light for k in range(3)], axis=-1)
+    cosine = (-dz_dx * SUN[0] + dz_dy * SUN[1] + SUN[2]) / np.sqrt(dz_dx**2 + dz_dy**2 + 1)
+    light: NDArray[np.float64] = 0.55 + 0.6 * np.clip(cosine, 0, 1)
+    return light
 
 
 def _on_wall(walls: WallGrid, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 
@@ -82,3 +83,13 @@ def test_starts_lie_in_one_free_area_and_apart() -> None:
 
 def test_no_free_ground_gives_no_start() -> None:
     assert start_poses(OccupancyGrid.from_probability(np.ones((5, 5)), 0.1)) == ()
+
+
+def test_slopes_strip_by_strip_are_those_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    z = np.random.default_rng(2).random((90, 70)).astype(np.float32)
+    surface = HeightField.centred(cv2.GaussianBlur(z, (0, 0), 6) * 3, (0.04, 0.05))
+    whole = traversable(surface, clearance=0.1, max_slope=0.3)
+    assert 0.05 < whole.free.mean() < 0.95
+    monkeypatch.setattr("lirs_wct.traversability._STRIP", 7)
+    strips = traversable(surface, clearance=0.1, max_slope=0.3)
+    np.testing.assert_array_equal(whole.log_odds, strips.log_odds)

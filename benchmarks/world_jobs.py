@@ -1,0 +1,192 @@
+"""What `benchmarks/world.py` measures: each job builds something, and returns its own figures.
+
+Octaves of seeded noise, 16 bit, on a square of 50 m with 6 m relief; errors are shares of the relief.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from lirs_wct.heightfield import HeightField
+from lirs_wct.image import read_height_field
+from lirs_wct.options import BuildOptions
+from lirs_wct.package import write_package
+from lirs_wct.simplify import triangulate
+from lirs_wct.solid import solid_mesh
+from lirs_wct.world import World, build_world
+
+Figures = dict[str, float | int | str]
+RELIEF = 6.0
+MAP_FORMATS = ("dae", "stl", "sdf", "mjcf")
+
+
+def picture(samples: int, seed: int = 0) -> np.ndarray:
+    """(samples, samples) uint16: eight octaves, each finer by half and lower by 0.45."""
+    rng = np.random.default_rng(seed)
+    z = np.zeros((samples, samples), np.float32)
+    for octave in range(1, 9):
+        lattice = rng.standard_normal((2**octave + 3,) * 2).astype(np.float32)
+        z += 0.45**octave * cv2.resize(lattice, (samples, samples), interpolation=cv2.INTER_CUBIC)
+    z -= z.min()
+    return np.rint(z / z.max() * 65535).astype(np.uint16)
+
+
+def package(source: Path, out: Path, formats: tuple[str, ...], **options: float | int | None) -> World:
+    """Build a world and write its folder, as `lirs-wct build` does."""
+    world = build_world(source, BuildOptions(**options))  # type: ignore[arg-type]
+    write_package(world, out, formats=formats)
+    return world
+
+
+def size_mb(out: Path, ending: str) -> float:
+    return next(out.rglob(f"*.{ending}")).stat().st_size / 1e6
+
+
+def within_error(path: Path, out: Path, share: float) -> Figures:
+    world = package(path, out, ("dae", "sdf", "mjcf"), max_error=share * RELIEF)
+    return {"triangles": len(world.mesh.faces), "file_mb": size_mb(out, "dae")}
+
+
+def within_triangles(path: Path, out: Path, most: float) -> Figures:
+    world = package(path, out, ("dae", "sdf", "mjcf"), max_triangles=int(most))
+    return {"triangles": len(world.mesh.faces), "file_mb": size_mb(out, "dae")}
+
+
+def full_dae(path: Path, out: Path, _: float) -> Figures:
+    world = package(path, out, ("dae",))
+    return {"triangles": len(world.mesh.faces), "file_mb": size_mb(out, "dae")}
+
+
+def full_stl(path: Path, out: Path, _: float) -> Figures:
+    package(path, out, ("stl",))
+    size = size_mb(out, "stl")
+    return {"triangles": round((size * 1e6 - 84) / 50), "file_mb": size}
+
+
+def laser_map(path: Path, out: Path, _: float) -> Figures:
+    start = time.perf_counter()
+    world = package(path, out, MAP_FORMATS)
+    seconds = time.perf_counter() - start
+    closed = "watertight" if world.mesh.is_watertight else "NOT watertight"
+    off = pose_error(path, world)
+    return {
+        "seconds": seconds,
+        "triangles": len(world.mesh.faces),
+        "file_mb": size_mb(out, "dae"),
+        "note": f"{closed}, {off:.0e} m off",
+        "fails": int(closed != "watertight") + int(off > 1e-6),
+    }
+
+
+def pose_error(path: Path, world: World) -> float:
+    """Metres or radians by which the mesh's outline differs from where the YAML says the picture lies."""
+    assert world.truth is not None
+    said = re.search(r"^origin\s*:\s*\[(.*?)\]", path.read_text(), re.M | re.S)
+    resolution = re.search(r"^resolution\s*:\s*(\S+)", path.read_text(), re.M)
+    assert said is not None
+    assert resolution is not None
+    x, y, yaw = (float(v) for v in said[1].split(","))
+    turn = np.array(((np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw))))
+    local = (world.mesh.vertices[:, :2] - (x, y)) @ turn.T
+    rows, cols = world.truth.shape
+    extent = np.array((cols, rows)) * float(resolution[1])
+    return float(np.abs(np.array((local.min(axis=0), local.max(axis=0) - extent))).max())
+
+
+def triangulation(path: Path, _: Path, share: float) -> Figures:
+    """Both triangulations by turns, CPU seconds, the best of each: little of what else runs shows."""
+    surface = read_height_field(path, BuildOptions())
+    jobs: dict[str, Callable[[], int]] = {
+        "ours": lambda: len(triangulate(surface, max_error=share * RELIEF)[1])
+    }
+    if importlib.util.find_spec("pydelatin") is not None:
+        peer = importlib.import_module("pydelatin").Delatin
+        jobs["peer"] = lambda: len(peer(surface.z, max_error=share * RELIEF).triangles)
+    seconds, triangles = dict.fromkeys(jobs, np.inf), dict.fromkeys(jobs, 0)
+    for _ in range(5 if surface.shape[0] < 2000 else 2):
+        for name, job in jobs.items():
+            start = time.process_time()
+            triangles[name] = job()
+            seconds[name] = min(seconds[name], time.process_time() - start)
+    figures: Figures = {"seconds": seconds["ours"], "triangles": triangles["ours"]}
+    if "peer" in jobs:
+        figures |= {
+            "time_ratio": seconds["ours"] / seconds["peer"],
+            "triangle_ratio": triangles["ours"] / triangles["peer"],
+            "note": f"pydelatin {seconds['peer']:.3f} s, {triangles['peer']:,}",
+        }
+    return figures
+
+
+def cut_to_8_bits(path: Path, _: Path, share: float, *, deterrace: bool = False) -> Figures:
+    cut = path.with_name("cut.png")
+    cv2.imwrite(str(cut), (cv2.imread(str(path), cv2.IMREAD_UNCHANGED) / 257).round().astype(np.uint8))
+
+    def count(source: Path, options: BuildOptions) -> int:
+        return len(triangulate(read_height_field(source, options), max_error=share * RELIEF)[1])
+
+    found, fine = count(cut, BuildOptions(deterrace=deterrace)), count(path, BuildOptions())
+    return {"triangles": found, "triangle_ratio": found / fine, "note": f"16 bit {fine:,}"}
+
+
+def deterraced(path: Path, out: Path, share: float) -> Figures:
+    return cut_to_8_bits(path, out, share, deterrace=True)
+
+
+def trimesh_dae(path: Path, out: Path, _: float) -> Figures:
+    import trimesh
+
+    mesh = solid_mesh(read_height_field(path, BuildOptions()))
+    start = time.perf_counter()
+    trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(out / "peer.dae")
+    seconds = time.perf_counter() - start
+    return {"triangles": len(mesh.faces), "file_mb": size_mb(out, "dae"), "seconds": seconds}
+
+
+def pycollada_dae(path: Path, out: Path, _: float) -> Figures:
+    """Our own document for small scenes, which pycollada writes."""
+    from lirs_wct.formats.collada import write_collada
+
+    mesh = solid_mesh(read_height_field(path, BuildOptions()))
+    start = time.perf_counter()
+    write_collada(out / "peer.dae", mesh, "../materials/textures/a.png", stream_above=len(mesh.faces))
+    seconds = time.perf_counter() - start
+    return {"triangles": len(mesh.faces), "file_mb": size_mb(out, "dae"), "seconds": seconds}
+
+
+JOBS: dict[str, Callable[[Path, Path, float], Figures]] = {
+    "world within error": within_error,
+    "world within count": within_triangles,
+    "full grid .dae": full_dae,
+    "full grid .stl": full_stl,
+    "trimesh .dae": trimesh_dae,
+    "pycollada .dae": pycollada_dae,
+    "triangulation": triangulation,
+    "8 bit": cut_to_8_bits,
+    "8 bit, deterraced": deterraced,
+    "laser map": laser_map,
+}
+
+
+def warm(folder: Path) -> None:
+    """Compile or load every kernel on tiny inputs, so that no clock counts it."""
+    path = folder / "tiny.png"
+    cv2.imwrite(str(path), picture(129))
+    package(path, folder / "full", MAP_FORMATS)
+    package(path, folder / "few", MAP_FORMATS, max_error=0.1)
+    read_height_field(path, BuildOptions(deterrace=True))
+    cells = np.full((40, 40), 254, np.uint8)
+    cells[:3], cells[20, 5:20], cells[30:, 30:] = 0, 0, 205
+    cv2.imwrite(str(folder / "room.png"), cells)
+    said = {"image": "room.png", "resolution": 0.1, "origin": [0, 0, 0.1], "negate": 0}
+    said |= {"occupied_thresh": 0.65, "free_thresh": 0.2}
+    (folder / "room.yaml").write_text("".join(f"{key}: {value}\n" for key, value in said.items()))
+    package(folder / "room.yaml", folder / "room", MAP_FORMATS)
+    triangulate(HeightField.centred(np.eye(9, dtype=np.float32), (1, 1)), max_error=0.1)
