@@ -97,7 +97,7 @@ def run_one(row: Row) -> Figures:
         source = Path(row.source) if row.source else folder / "noise.png"
         if row.samples:
             cv2.imwrite(str(source), picture(row.samples))
-        warm(folder)
+        warm(row.job, folder / "warm", row.budget)
         out = folder / "out"
         out.mkdir()
         clear_peak()
@@ -169,7 +169,7 @@ def main() -> None:
     if args.one:
         print(json.dumps(run_one(Row(**json.loads(args.one)))))
         return
-    console = Console() if sys.stdout.isatty() else Console(width=140)
+    console = Console() if sys.stdout.isatty() else Console(width=150)
     rows = [row for row in plan(args.quick, args.data) if args.only in row.job]
     figures = measured(rows, console)
     console.print(table_of(rows, figures))
