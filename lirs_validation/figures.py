@@ -66,10 +66,10 @@ RTF = (
     Figure("rtf.mean", "RTF", digits=None, better="more"),
     Figure("rtf.std", "std over time", digits=None),
     Figure("rtf.min", "least", digits=None, better="more"),
-    Figure("rtf.parts.physics", "physics", "ms/s", 1, MS, "less"),
-    Figure("rtf.parts.sensors", "sensors", "ms/s", 1, MS, "less"),
-    Figure("rtf.parts.mapper", "mapper", "ms/s", 1, MS, "less"),
-    Figure("rtf.parts.rest", "rest", "ms/s", 1, MS, "less"),
+    Figure("rtf.parts.physics", "physics", "ms/s", None, MS, "less"),
+    Figure("rtf.parts.sensors", "sensors", "ms/s", None, MS, "less"),
+    Figure("rtf.parts.mapper", "mapper", "ms/s", None, MS, "less"),
+    Figure("rtf.parts.rest", "rest", "ms/s", None, MS, "less"),
     Figure("rtf.physics_only", "physics only", digits=None, better="more"),
 )
 TRAJECTORY = (

@@ -36,6 +36,7 @@ def rtf_chart(entries: Sequence[Entry]) -> tuple[str, int] | None:
     panels: dict[Cell, dict[str, list[Entry]]] = {}
     for cell, held in by_cell(runs).items():
         panels.setdefault(replace(cell, mapper=""), {})[cell.mapper] = held
+    panels = _together(panels)
     if not panels:
         return None
     shown = dict(list(panels.items())[:MOST_PANELS])
@@ -126,6 +127,14 @@ def _rtf_panel(axes: Axes, held: Mapping[str, Sequence[Entry]], mappers: list[st
     else:
         axes.set_ylim(0, 1.1 * high)
     axes.set_xlim(left=0)
+
+
+def _together(panels: dict[Cell, Any]) -> dict[Cell, Any]:
+    """Return the panels with those of one world and robot side by side, else in their order."""
+    first = list(dict.fromkeys((cell.world, cell.robot) for cell in panels))
+    worlds = list(dict.fromkeys(cell.world for cell in panels))
+    order = sorted(panels, key=lambda c: (worlds.index(c.world), first.index((c.world, c.robot))))
+    return {cell: panels[cell] for cell in order}
 
 
 def _title(cell: Cell, cells: Mapping[Cell, Any]) -> str:

@@ -14,7 +14,7 @@ from lirs_validation.map_agreement import contradicted
 from lirs_validation.recorded import recorded_config
 from lirs_validation.report.hillshade import coloured_relief
 from lirs_validation.report.overview import bounds_shown, shown_bounds
-from lirs_validation.report.raster import Canvas, Rgb
+from lirs_validation.report.raster import Canvas, Mask, Rgb
 from lirs_validation.report.style import BLUE, VERMILLION
 from lirs_validation.result_folders import RunFolder
 from lirs_validation.stage import StageCache
@@ -59,8 +59,11 @@ class Painter:
             true_pose, built = (read_map(run.folder / f"{name}.yaml") for name in ("map_true_pose", "map"))
         except WctError as error:
             return RunPicture("", str(error))
+        if not true_pose.known.any():
+            return RunPicture("", "nothing was mapped")
+        wrong = contradicted(built, true_pose)
         for tile in TILES:
-            picture, note = self._panels(run, truth, estimate, true_pose, built, tile)
+            picture, note = self._panels(run, (truth, estimate), (true_pose, built), wrong, tile)
             url = _webp(picture)
             if len(url) <= self._budget:
                 return RunPicture(url, note)
@@ -69,13 +72,13 @@ class Painter:
     def _panels(
         self,
         run: RunFolder,
-        truth: Trajectory,
-        estimate: Trajectory,
-        true_pose: OccupancyGrid,
-        built: OccupancyGrid,
+        tracks: tuple[Trajectory, Trajectory],
+        maps: tuple[OccupancyGrid, OccupancyGrid],
+        wrong: Mask,
         tile: int,
     ) -> tuple[Rgb, str]:
-        """Return the three panels side by side, and what is not in them."""
+        """Return the three panels side by side, and what is not in them; the truth comes first."""
+        (truth, estimate), (true_pose, built) = tracks, maps
         note = ""
         try:
             world = self._stages.stage(recorded_config(run.entry)).world
@@ -85,16 +88,15 @@ class Painter:
             canvas, note = Canvas.over(bounds_shown(truth, true_pose), tile), f"without its terrain: {error}"
             ground = canvas.grid_picture(true_pose)
         reference = canvas.grid_picture(true_pose)
-        wrong = canvas.marked(contradicted(built, true_pose), built.resolution, built.origin)
         made = canvas.grid_picture(built)
-        made[wrong] = _rgb(VERMILLION)
+        made[canvas.marked(wrong, built.resolution, built.origin)] = _rgb(VERMILLION)
         paths = _with_paths(ground, canvas, truth, estimate)
         return _beside((paths, reference, made)), note
 
 
 def _with_paths(picture: Rgb, canvas: Canvas, truth: Trajectory, estimate: Trajectory) -> Rgb:
     painted = np.ascontiguousarray(picture * 255, dtype=np.uint8)
-    for track, colour, width in ((truth, BLUE, 5), (estimate, VERMILLION, 2)):
+    for track, colour, width in ((truth, BLUE, 7), (estimate, VERMILLION, 2)):
         xy = (track.xy - (canvas.bounds[0], canvas.bounds[3])) / (canvas.pixel, -canvas.pixel) - 0.5
         points = np.round(xy * 2**FINE).astype(np.int32)
         shade = tuple(round(255 * c) for c in _rgb(colour))

@@ -15,6 +15,8 @@ MAPPER_COLOURS = {"hector": "#0072B2", "cartographer": "#D55E00", "gmapping": "#
 OTHERS = ("#CC79A7", "#B8860B", "#7B6BD6", "#56B4E9")
 """Okabe and Ito's colours, those for other mappers strong enough on light and on dark."""
 SMALL = 8.0
+DIGITS = re.compile(r"(\.\d)\d+")
+"""A path is drawn to a tenth of a point: finer is not seen, and makes the page heavy."""
 
 
 def colour_of(name: str, names: list[str]) -> str:
@@ -56,7 +58,7 @@ def as_svg(figure: Figure, label: str, key: str) -> str:
     svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", svg, count=1)
     svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
     svg = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", svg)
-    svg = re.sub(r"(\d+\.\d{2})\d+", r"\1", svg)
+    svg = re.sub(r' d="[^"]*"', lambda path: DIGITS.sub(r"\1", path.group()), svg)
     width = figure.get_size_inches()[0] * 96
     opening = f'<svg role="img" aria-label="{label}" style="max-width: {width:.0f}px"'
     return svg.replace(INK, "currentColor").replace("<svg", opening, 1)

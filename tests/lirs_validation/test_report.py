@@ -1,0 +1,362 @@
+"""The report: one page that needs nothing else, failures first, every number one of the records'."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from lirs_validation import cli
+from lirs_validation.build_options import with_build_options
+from lirs_validation.cells import Cell, by_cell
+from lirs_validation.figures import RTF, figures_named, significant
+from lirs_validation.record import RunConfig
+from lirs_validation.repeats import repeats
+from lirs_validation.report.charts import series_band
+from lirs_validation.report.command_line import command_of
+from lirs_validation.report.contents import Report, report_of
+from lirs_validation.report.findings import findings
+from lirs_validation.report.page import page
+from lirs_validation.report.paper import paper_sheets
+from lirs_validation.report.pictures import BUDGET, MOST_BYTES, Painter
+from lirs_validation.report.published import VIEWS
+from lirs_validation.report.sheet import Sheet, Spread, as_csv, as_markdown
+from lirs_validation.report.sheets import cell_sheet, summary_sheet
+from lirs_validation.report.svg import INK
+from lirs_validation.result_folders import RunFolder, read_results
+from lirs_wct.formats.map_server import write_map
+from lirs_wct.formats.tum import write_tum
+from lirs_wct.grid import OccupancyGrid
+from lirs_wct.options import BuildOptions
+from lirs_wct.pose import Pose2
+from lirs_wct.trajectory import Trajectory
+from tests.lirs_validation.records import entry, saved
+
+
+def told(root: Path) -> tuple[Report, str]:
+    report = report_of(read_results(root))
+    return report, page(report, "lirs-wct report out -o report.html")
+
+
+class Reader(HTMLParser):
+    """Checks that tags close in order, and collects what a page shows and refers to."""
+
+    VOID = ("meta", "img", "br", "link", "input")
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.seen: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(html)
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.seen.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.seen.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two mappers in two worlds with three seeds; one run tipped, one raised, one folder is damaged."""
+    root = tmp_path_factory.mktemp("mixed")
+    rng = np.random.default_rng(0)
+    for world in ("simple", "medium"):
+        for mapper in ("hector", "gmapping"):
+            for seed in (1, 2, 3):
+                saved(root, world, seed, mapper=mapper, rtf=40 + rng.random(), ate=0.02 + 0.01 * rng.random())
+    saved(root, "advanced", 1, status="tipped", ate=9.0)
+    saved(root, "advanced", 2, status="error", mapper="my<b>.mapper:Own")
+    (root / "broken").mkdir()
+    (root / "broken" / "record.json").write_text("{ not json")
+    (root / "sweep.json").write_text(json.dumps({"command": "lirs-wct validate --seeds 1-3", "suite": None}))
+    return root
+
+
+def test_the_page_is_whole_and_needs_nothing_else(mixed: Path) -> None:
+    _, html = told(mixed)
+    reader = Reader(html)
+    assert not any(tag in ("script", "link", "iframe", "object") for tag, _ in reader.seen)
+    for tag, attributes in reader.seen:
+        for name in ("src", "href", "xlink:href"):
+            target = attributes.get(name)
+            assert target is None or target.startswith(("#", "data:image/")), (tag, target)
+        if tag == "th":
+            assert attributes["scope"] in ("col", "row")
+        if tag == "img":
+            assert attributes["alt"]
+        if tag == "svg":
+            assert attributes["aria-label"]
+    assert "url(http" not in html
+    assert "@import" not in html
+    assert INK not in html
+    assert "prefers-color-scheme: dark" in html
+    ids = [attributes["id"] for tag, attributes in reader.seen if "id" in attributes and tag != "path"]
+    anchors = {a["href"] for tag, a in reader.seen if tag == "a"}
+    assert {anchor.removeprefix("#") for anchor in anchors if anchor} <= set(ids)
+
+
+def test_failures_come_first_and_are_in_no_mean(mixed: Path) -> None:
+    report, html = told(mixed)
+    assert html.index("it ended: tipped") < html.index(">Summary</h2>")
+    assert "ValueError: broken" in html
+    assert "my&lt;b&gt;.mapper:Own" in html
+    assert "my<b>" not in html
+    assert "not a run&#39;s record, or damaged" in html
+    advanced = next(row for row in report.summary.rows if row[0] == "advanced" and row[1] == "hector")
+    assert advanced[2] == "0 of 1"
+    assert all(isinstance(c, Spread) and c.values is None for c in advanced[3:])
+
+
+def test_means_and_intervals_are_those_of_the_records(mixed: Path) -> None:
+    report, _ = told(mixed)
+    (ate,) = figures_named(["trajectory.ate_rmse"])
+    runs = by_cell(report.entries)[Cell.of(entry("simple", mapper="gmapping"))]
+    expected = repeats([run["trajectory"]["ate_rmse"] for run in runs])
+    assert expected is not None
+    sheet = cell_sheet("t", "T", [ate], report.entries)
+    row = next(r for r in sheet.rows if r[:2] == ("simple", "gmapping"))
+    spread = row[-1]
+    assert isinstance(spread, Spread)
+    assert spread.values == expected
+    assert spread.text == f"{expected.mean:.3f} ± {expected.half_width:.3f}"
+    rows = list(csv.DictReader(io.StringIO(as_csv(sheet))))
+    line = next(r for r in rows if r["world"] == "simple" and r["mapper"] == "gmapping")
+    assert float(line["ATE [m]"]) == expected.mean
+    assert float(line["ATE [m] std"]) == expected.std
+    assert line["ATE [m] n"] == "3"
+    assert spread.text in as_markdown(sheet)
+    assert "3 seeds" in report.subtitle
+
+
+def test_one_seed_says_that_it_is_one(tmp_path: Path) -> None:
+    saved(tmp_path)
+    report, html = told(tmp_path)
+    assert "One seed: one run&#39;s figures, without any interval." in html
+    assert "one seed" in report.subtitle
+    assert "±" not in as_markdown(report.summary)
+
+
+def test_what_ran_beside_others_has_no_rtf_and_what_was_stopped_is_marked() -> None:
+    runs = [entry(seed=1, rtf=40.0), entry(seed=2, rtf=4.0, concurrent=True), entry(seed=3, rtf=42.0)]
+    stopped = [entry("medium", 1, rtf=0.02, extrapolated=True, status="wall limit")]
+    sheet = summary_sheet(runs + stopped)
+    column = sheet.headings.index("RTF")
+    here, there = (row[column] for row in sheet.rows)
+    assert isinstance(here, Spread)
+    assert here.values == repeats([40.0, 42.0])
+    assert isinstance(there, Spread)
+    assert there.text == "0.0200†"
+    assert "1 runs that were not alone on the machine have no RTF here." in sheet.caption
+    assert "† extrapolated" in sheet.caption
+    assert sheet.rows[0][column + 1].values.count == 3  # type: ignore[union-attr]
+
+
+def test_the_band_is_of_the_seeds() -> None:
+    runs = [entry(seed=1, rtf=10.0), entry(seed=2, rtf=20.0)]
+    runs[1]["rtf"]["series"] = runs[1]["rtf"]["series"][:10]
+    mean, std = series_band(runs)
+    a, b = (run["rtf"]["series"] for run in runs)
+    assert len(mean) == 30
+    assert mean[0] == pytest.approx((a[0] + b[0]) / 2)
+    assert std[0] == pytest.approx(abs(a[0] - b[0]) / 2)
+    assert (mean[20], std[20]) == (a[20], 0.0)
+
+
+# ---- the paper
+
+
+def suite(heightmap: float, solid: float, order: tuple[str, ...]) -> list[dict[str, Any]]:
+    """Runs of the paper's suite: the first method in `order` fastest; heightmaps slower world by world."""
+    runs = []
+    for k, world in enumerate(("simple", "medium", "advanced")):
+        for rank, mapper in enumerate(order):
+            for view, (terrain, rays) in VIEWS.items():
+                base = {"heightmap-based": heightmap / (k + 1), "solid-based": solid, "ours": 40.0}[view]
+                rtf = base * (1 - 0.1 * rank)
+                runs.append(entry(world, rtf=rtf, mapper=mapper, terrain=terrain, rays=rays))
+    return runs
+
+
+def answers(runs: list[dict[str, Any]]) -> list[str]:
+    return [finding.answer for finding in findings(runs)]
+
+
+def test_the_papers_findings_where_they_hold() -> None:
+    assert answers(suite(0.05, 0.6, ("hector", "cartographer", "gmapping"))) == ["holds"] * 5
+
+
+def test_the_papers_findings_where_they_do_not() -> None:
+    found = findings(suite(2.0, 0.2, ("gmapping", "cartographer", "hector")))
+    assert [f.answer for f in found] == ["does not hold", "holds", *["does not hold"] * 3]
+    assert "in 0 of 9 comparisons" in found[2].because
+    assert "GMapping in simple, heightmap-based" in found[2].because
+
+
+def test_findings_need_runs() -> None:
+    assert answers([]) == ["cannot be said"] * 5
+    some = [
+        r for r in suite(0.05, 0.6, ("hector", "cartographer", "gmapping")) if r["world"]["name"] == "medium"
+    ]
+    assert answers(some) == ["holds", "cannot be said", "holds", "holds", "holds"]
+    shared = [entry(r["world"]["name"], rtf=0.05, concurrent=True) for r in some]
+    assert answers(shared) == ["cannot be said"] * 5
+
+
+def test_the_papers_tables_stand_beside_ours() -> None:
+    sheets = {s.key: s for s in paper_sheets(suite(0.05, 0.6, ("hector", "cartographer", "gmapping")))}
+    texts = {key: sheet.texts() for key, sheet in sheets.items()}
+    assert texts["table-III"][0] == ["GMapping", "0.04", "0.0200", "0.46", "0.480", "32.0"]
+    assert texts["table-IV"][1][:4] == ["HectorSLAM", "0.012", "0.0167", "0.60"]
+    assert [row[1] for row in texts["table-II"]] == ["lost"] * 3
+    assert "Table II is lost" in sheets["table-II"].caption
+    means = {row[0]: row[1:] for row in texts["robots"]}
+    assert means["husky"] == ["0.38", significant(0.6 * 0.9), "36.0"]
+    assert means["turtlebot2"] == ["0.52", "-", "-"]
+    assert means["jackal"][0] == "0.47"
+
+
+def test_a_suites_page_tells_of_the_paper(tmp_path: Path) -> None:
+    saved(tmp_path, "medium", 1, terrain="mesh", rays="mujoco")
+    (tmp_path / "sweep.json").write_text(
+        json.dumps({"suite": "paper", "command": "lirs-wct validate --suite paper"})
+    )
+    report, html = told(tmp_path)
+    assert report.paper is not None
+    for words in ("Table II: simple map", "Table IV: advanced map", "Average RTF by robot", "lost"):
+        assert words in html
+    assert "lirs-wct validate --suite paper" in html
+
+
+# ---- commands, pictures, size
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        RunConfig(source="simple"),
+        RunConfig(source="a b.png", robot="jackal", mapper="m:X", lidar="lds01", terrain="mesh",
+                  rays="mujoco", seconds=33.5, seed=7, wall_limit=60.0),
+        RunConfig(source="x.png", build=BuildOptions(
+            name="n", kind="map", size=(30.0, 20.5), window=(1.0, -2.0, 10.0), crop=(1, 2, 30, 40),
+            resize=(100, 90), deterrace=True, denoise="bilateral", invert=True, grayscale=True,
+            origin=Pose2(1.0, -2.0, 0.1), scale=(1.0, 2.0, 3.0), texture=Path("t x.png"), max_error=0.02,
+            unknown="hole", wall_height=1.25, speckle=4, rotate_x=-90.0, max_pixels=1000)),
+    ],
+)  # fmt: skip
+def test_the_command_of_a_run_is_that_run(config: RunConfig) -> None:
+    """The words go through the command line's own reading of options, and give the config back."""
+    import shlex
+
+    heard: dict[str, Any] = {}
+    app = typer.Typer()
+
+    @app.command()
+    @with_build_options
+    def probe(
+        source: str, robot: str = "", mapper: str = "", lidar: str | None = None, terrain: str = "hfield",
+        rays: str = "ours", seconds: float = 120.0, seed: int = 0, wall_limit: float | None = None,
+        *, options: BuildOptions,
+    ) -> None:  # fmt: skip
+        heard.update(
+            source=source, robot=robot, mapper=mapper, lidar=lidar, terrain=terrain, rays=rays,
+            seconds=seconds, seed=seed, wall_limit=wall_limit, build=options,
+        )  # fmt: skip
+
+    words = shlex.split(command_of(config))
+    assert words[:2] == ["lirs-wct", "validate"]
+    result = CliRunner().invoke(app, words[2:], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    assert RunConfig(**heard) == config
+
+
+def with_files(folder: Path, seed: int) -> RunFolder:
+    """Give a record's folder maps and paths: blocks of noise, worse than any map for a picture's size."""
+    rng = np.random.default_rng(seed)
+    p = np.kron(rng.choice((np.nan, 0.1, 0.9), (40, 40)), np.ones((10, 10)))
+    grid = OccupancyGrid.from_probability(p, 0.05, Pose2(-10, -10))
+    for name in ("map", "map_true_pose"):
+        write_map(folder / name, grid)
+    xy = np.cumsum(rng.normal(0, 0.1, (200, 2)), axis=0).tolist()
+    for name in ("truth", "estimate"):
+        path = Trajectory.from_poses((np.arange(200) * 0.04).tolist(), [Pose2(x, y) for x, y in xy])
+        write_tum(folder / f"{name}.tum", path)
+    return read_results(folder).runs[0]
+
+
+def test_pictures_keep_their_budget(tmp_path: Path) -> None:
+    run = with_files(saved(tmp_path), 3)
+    few, many = Painter(2).paint(run), Painter(100).paint(run)
+    assert few.url.startswith("data:image/webp;base64,")
+    assert 5_000 < len(many.url) <= BUDGET / 100 < len(few.url) <= MOST_BYTES
+    assert (few.note, many.note) == ("", "")
+
+
+def test_a_lost_source_costs_the_terrain_only(tmp_path: Path) -> None:
+    run = with_files(saved(tmp_path, str(tmp_path / "gone.png")), 3)
+    picture = Painter(2).paint(run)
+    assert picture.url
+    assert "without its terrain" in picture.note
+    assert "gone.png" in picture.note
+
+
+def test_a_hundred_runs_stay_under_five_megabytes(tmp_path: Path) -> None:
+    """Pictures have a budget of 3 MB of their own: all the rest must stay under 2."""
+    for seed in range(1, 6):
+        for world in ("simple", "medium", "advanced", "depot", "dune"):
+            for mapper in ("hector", "gmapping", "cartographer", "mine:Own"):
+                saved(tmp_path, world, seed, mapper=mapper, rtf=30 + seed)
+    report, html = told(tmp_path)
+    assert len(report.runs) == 100
+    assert len(html.encode()) < 5_000_000 - BUDGET
+
+
+def test_the_command_writes_all_forms(
+    mixed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target, tables, text = tmp_path / "r.html", tmp_path / "tables", tmp_path / "r.md"
+    words = ["report", str(mixed), "-o", str(target), "--csv", str(tables), "--markdown", str(text)]
+    monkeypatch.setattr("sys.argv", ["lirs-wct", *words])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 0
+    assert "skipped broken" in capsys.readouterr().err
+    assert target.read_text().startswith("<!DOCTYPE html>")
+    written = {path.stem for path in tables.glob("*.csv")}
+    assert {"failures", "summary", "rtf", "rtf-runs", "trajectory", "map", "cost", "commands"} <= written
+    with (tables / "rtf-runs.csv").open() as file:
+        recorded = {
+            (r["world"], r["mapper"], r["seed"]): float(r["RTF"]) for r in csv.DictReader(file) if r["RTF"]
+        }
+    for run in read_results(mixed).runs:
+        e = run.entry
+        if e["rtf"]:
+            assert recorded[(e["world"]["name"], e["config"]["mapper"], str(e["seed"]))] == e["rtf"]["mean"]
+    assert "| ± |" not in text.read_text()
+    assert text.read_text().count("## ") >= 8
+
+
+def test_numbers_have_three_digits_that_count() -> None:
+    assert [significant(x) for x in (0.01094, 41.27, 1234.5, 0.0, 9.999)] == [
+        "0.0109",
+        "41.3",
+        "1234",
+        "0",
+        "10.00",
+    ]
+    assert Spread(RTF[0], None).text == "-"
+    assert as_markdown(Sheet("k", "T", "c", ("a|b",), (("x|y",),))).count("x\\|y") == 1
