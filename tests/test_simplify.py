@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,9 +12,12 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lirs_wct.drape import drape
 from lirs_wct.errors import ConfigError
 from lirs_wct.heightfield import HeightField
+from lirs_wct.image import read_height_field
 from lirs_wct.mesh import TriangleMesh
+from lirs_wct.options import BuildOptions
 from lirs_wct.simplify import simplified_solid, triangulate
 from lirs_wct.solid import solid_mesh
 
@@ -61,6 +65,23 @@ def test_the_budget_holds_at_every_pixel(rows: int, cols: int, seed: int, blur: 
     mesh = simplified_solid(surface, max_error=budget)
     assert mesh.is_watertight
     assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).is_volume
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(
+    "name", ("PX4-SITL_gazebo-classic__terrain.png", "pydelatin__fuji.png", "*geotiff_example.tif")
+)
+@pytest.mark.parametrize("share", (5e-4, 2e-2))
+def test_the_budget_holds_on_real_pictures(shared_data: Path, name: str, share: float) -> None:
+    (path,) = (shared_data / "height").glob(name)
+    surface = read_height_field(path, BuildOptions(grayscale=True))
+    points, faces = triangulate(surface, max_error=share * surface.relief)
+    rows, cols = surface.shape
+    north_up = TriangleMesh(
+        np.column_stack((points[:, 1], rows - 1.0 - points[:, 0], surface.z[tuple(points.T)])), faces
+    )
+    off = drape(north_up, (0, 0, 1, 1), (rows, cols))[::-1] - surface.z
+    assert np.abs(off).max() <= share * surface.relief
 
 
 def test_faces_look_up_and_cover_the_rectangle_once() -> None:
