@@ -69,9 +69,9 @@ def test_the_budget_holds_at_every_pixel(rows: int, cols: int, seed: int, blur: 
 
 @pytest.mark.shared
 @pytest.mark.parametrize(
-    "name", ("PX4-SITL_gazebo-classic__terrain.png", "pydelatin__fuji.png", "*geotiff_example.tif")
+    "name", ["PX4-SITL_gazebo-classic__terrain.png", "pydelatin__fuji.png", "*geotiff_example.tif"]
 )
-@pytest.mark.parametrize("share", (5e-4, 2e-2))
+@pytest.mark.parametrize("share", [5e-4, 2e-2])
 def test_the_budget_holds_on_real_pictures(shared_data: Path, name: str, share: float) -> None:
     (path,) = (shared_data / "height").glob(name)
     surface = read_height_field(path, BuildOptions(grayscale=True))
