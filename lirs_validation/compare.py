@@ -1,4 +1,4 @@
-"""Two results side by side: which differences are real, and which are chance.
+"""Two results side by side: which differences are real, and which may be chance.
 
 Runs are paired by cell and seed: both of a pair had the same world, tour and noise, so that only what was
 changed can differ. Per cell and figure the mean of the paired differences gets its 95 % confidence interval

@@ -67,7 +67,7 @@ def compare(
     csv: CsvFile = None,
     json: JsonFile = None,
 ) -> None:
-    """Say which differences between two results are real, and which are chance."""
+    """Say which differences between two results are real, and which may be chance."""
     from lirs_validation.compare import compare as compared
     from lirs_validation.figures import COMPARED, figures_named
     from lirs_validation.report.compare_table import compare_table, write_compare_csv, write_compare_json

@@ -51,7 +51,7 @@ def verdict(d: Difference) -> str:
     if d.real is None:
         return "one seed"
     if not d.real:
-        return "chance"
+        return "not shown"
     if d.figure.better is None:
         return "real"
     return "b better" if (d.difference > 0) == (d.figure.better == "more") else "b worse"

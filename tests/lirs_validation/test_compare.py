@@ -98,7 +98,7 @@ def test_a_small_steady_difference_is_found_in_the_noise_between_seeds() -> None
     assert stats.ttest_ind(a, b).pvalue > 0.5
 
 
-def test_chance_is_called_chance() -> None:
+def test_what_may_be_chance_is_not_called_real() -> None:
     found = compare(results(0, 0.02), results(0.0, 0.021), ATE).differences
     assert found[0].real is False
 
