@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lirs_envs.lidar import LIDARS, Lidar, LidarPreset, make_lidar_preset
-from lirs_envs.mipmap import terrain_of
+from lirs_envs.mipmap import EDGE, LEAF, ROW, terrain_of
 from lirs_envs.raycast import RayCaster
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.heightfield import HeightField
@@ -135,12 +135,12 @@ def test_rays_must_be_numbers() -> None:
         caster.cast((0.0, 0.0, 0.0), [[0.0, 0.0, 1.0]], math.nan)
 
 
-@pytest.mark.parametrize("shape", [(2, 2), (5, 9), (18, 34), (7, 40)])
+@pytest.mark.parametrize("shape", [(2, 2), (9, 10), (5, 29), (18, 34), (7, 140)])
 def test_the_mipmap_bounds_every_node(shape: tuple[int, int]) -> None:
     z = np.random.default_rng(0).normal(size=shape).astype(np.float32)
     surface = HeightField(z, (1.0, 1.0), (0.0, 0.0))
     terrain, south_up = terrain_of(surface), surface.south_up
-    for level in range(1, len(terrain.width)):
+    for level in range(LEAF, len(terrain.width)):
         rows, cols = -(-(shape[0] - 1) // 2**level), terrain.width[level]
         for side, sign in enumerate((1, -1)):
             first = terrain.start[level] + side * len(terrain.bound) // 2
@@ -151,3 +151,13 @@ def test_the_mipmap_bounds_every_node(shape: tuple[int, int]) -> None:
                     ]
                     assert terrain.bound[first + r * cols + c] == (sign * part).max()
     assert rows == cols == 1, "the last level is one square"
+
+
+def test_blocks_hold_every_node_of_their_own() -> None:
+    surface = HeightField(np.arange(19 * 28, dtype=np.float32).reshape(19, 28), (1.0, 1.0), (0.0, 0.0))
+    terrain = terrain_of(surface)
+    padded = np.pad(surface.south_up, ((0, 8), (0, 8)), "edge")
+    assert len(terrain.block) == 3 * 4
+    for number, block in enumerate(terrain.block):
+        r, c = EDGE * (number // 4), EDGE * (number % 4)
+        np.testing.assert_array_equal(block.reshape(ROW, ROW), padded[r : r + ROW, c : c + ROW])
