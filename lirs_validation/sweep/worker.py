@@ -95,9 +95,13 @@ class Worker:
             return f"exit code {code}"
         return f"signal {signal.Signals(-code).name}"
 
+    def ask_to_end(self) -> None:
+        """Let it tidy up and end; `stop` sees to it that it does."""
+        self._process.terminate()
+
     def stop(self) -> None:
         """End it: it may tidy up for a moment, then it is killed."""
-        self._process.terminate()
+        self.ask_to_end()
         self._process.join(GRACE)
         if self._process.is_alive():
             self._process.kill()
@@ -107,7 +111,15 @@ class Worker:
 
 
 def _work(pipe: Connection, memory: int | None, trace: str, parent: int) -> None:
-    """Do jobs until the pipe is closed."""
+    """Do jobs until the pipe is closed or the parent asks to end."""
+    with contextlib.suppress(SystemExit):
+        _serve(pipe, memory, trace, parent)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)  # taking the interpreter down in order lasts seconds
+
+
+def _serve(pipe: Connection, memory: int | None, trace: str, parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     file = Path(trace).open("w", encoding="utf-8")  # noqa: SIM115  open as long as the process lives

@@ -1,0 +1,135 @@
+"""What a sweep costs beside its cells: time a cell, share of a real cell's time, memory over a thousand.
+
+    python benchmarks/sweep.py [--cells 1000] [--seconds 120] [--quick] [--json FILE]
+
+Cells that only write a record of full size are put through everything that `validate` does: looked at,
+run, written down, read again for the table. What is left after their own time is the suite's; it stands
+beside the time of a real cell (Husky, Hector, world `simple`), which is the peer here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from lirs_validation import RunRecord, validate
+from lirs_validation.commands.sweep_tables import sweep_tables
+from lirs_validation.progress import run_with_progress
+from lirs_validation.stage import StageCache
+from lirs_validation.sweep.cell import Tell
+from lirs_validation.sweep.executor import Executor, Serial
+from lirs_validation.sweep.outcome import Outcome
+from lirs_validation.sweep.processes import Processes
+from lirs_validation.sweep.run_cell import RunCell
+from lirs_validation.sweep.sweep import Sweep
+from lirs_wct.files import atomic_folder
+
+LIMIT = 0.02
+"""Share of the cells' time that the suite may take."""
+
+
+@dataclass(frozen=True)
+class QuickCell(RunCell):
+    """A cell that writes a record which a real run left, and notes how long that took."""
+
+    template: RunRecord | None = None
+    spent: str = ""
+
+    def perform(self, out: Path, stages: StageCache, tell: Tell, *, concurrent: bool) -> Outcome:
+        """Write the record."""
+        begun = time.perf_counter()
+        assert self.template is not None
+        record = replace(self.template, config=self.config)
+        for second in range(int(self.config.seconds)):
+            tell("drive", second / self.config.seconds)
+        with atomic_folder(out / self.name) as folder:
+            record.save(folder)
+        with Path(self.spent).open("a", encoding="utf-8") as file:
+            file.write(f"{time.perf_counter() - begun}\n")
+        return Outcome(cell=self.name, status="ok", written=True)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cells", type=int, default=1000)
+    parser.add_argument("--seconds", type=float, default=120.0, help="simulated, of the real cell")
+    parser.add_argument("--quick", action="store_true", help="100 cells, a real one of 20 s")
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    count, seconds = (100, 20.0) if given.quick else (given.cells, given.seconds)
+    console = Console(width=120)
+    with tempfile.TemporaryDirectory() as folder:
+        begun = time.perf_counter()
+        template = validate("simple", seconds=seconds, out=Path(folder) / "real").record
+        real = time.perf_counter() - begun - template.cost["compile_seconds"]
+        engines: dict[str, Executor] = {"serial": Serial(), "processes": Processes(jobs=2)}
+        rows = [
+            measured(name, partial(swept, engine, template, count, Path(folder) / name), real)
+            for name, engine in engines.items()
+        ]
+    for row in rows:
+        console.print(
+            f"{row['engine']:>9}: {count} cells, {row['overhead_ms']:.1f} ms of the suite a cell = "
+            f"{row['share']:.2%} of a real cell of {real:.1f} s (limit {LIMIT:.0%}); "
+            f"again with all kept {row['again_ms']:.1f} ms a cell; memory {row['growth_mb']:+.1f} MB "
+            f"from {row['memory_mb']:.0f} MB"
+        )
+    if given.json:
+        given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+
+
+def measured(name: str, work: Callable[[], dict[str, float]], real: float) -> dict[str, Any]:
+    """Return a row: what the work says of itself, and its share of a real cell."""
+    row = work()
+    return {"engine": name, "real_s": real, "share": row["overhead_ms"] / 1e3 / real} | row
+
+
+def swept(engine: Executor, template: RunRecord, count: int, out: Path) -> dict[str, float]:
+    """Put cells through a sweep; return milliseconds of the suite a cell, and the growth of memory."""
+    out.mkdir()
+    spent = out / "spent.txt"
+    config = replace(template.config, seconds=120.0)
+    cells = [
+        QuickCell(replace(config, seed=seed), template=template, spent=str(spent)) for seed in range(count)
+    ]
+    memory: list[float] = []
+    begun = time.perf_counter()
+    console = Console(file=(out / "screen.txt").open("w", encoding="utf-8"), force_terminal=True)
+    for done, _ in enumerate(run_with_progress(Sweep(cells, out / "out"), engine, console)):
+        if done in (count // 10, count - 1):
+            memory.append(resident_mb())
+    whole = time.perf_counter() - begun
+    own = sum(float(line) for line in spent.read_text(encoding="utf-8").split())
+    begun = time.perf_counter()
+    again = Sweep(cells, out / "out")
+    for table in sweep_tables(again):
+        console.print(table)
+    assert again.kept == count
+    repeated = time.perf_counter() - begun
+    jobs = engine.jobs if isinstance(engine, Processes) else 1
+    return {
+        "overhead_ms": 1e3 * max(0.0, whole - own / jobs) / count,
+        "again_ms": 1e3 * repeated / count,
+        "memory_mb": memory[0],
+        "growth_mb": memory[-1] - memory[0],
+    }
+
+
+def resident_mb() -> float:
+    """Return this process's resident memory."""
+    lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
+    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmRSS:"))
+
+
+if __name__ == "__main__":
+    main()
