@@ -63,8 +63,8 @@ class ImuSensor:
         self._rng = rng
         bias = rng.standard_normal(8)
         self._rate_bias = bias[:3] * config.rate_bias
-        self._acceleration_bias = bias[3:6] * config.acceleration_bias
-        self._attitude_bias = bias[6:] * config.attitude_bias
+        self._acceleration_bias = (bias[3:6] * config.acceleration_bias).tolist()
+        self._roll_bias, self._pitch_bias = (bias[6:] * config.attitude_bias).tolist()
         self._rate_errors: list[list[float]] = []
 
     def rates(self, true_rates: Vector) -> Vector:
@@ -90,16 +90,20 @@ class ImuSensor:
         """
         config = self.config
         keep = math.exp(-dt / config.attitude_time)
-        noise = self._rng.standard_normal(7)
-        self._attitude_bias = (
-            keep * self._attitude_bias + math.sqrt(1 - keep * keep) * config.attitude_bias * noise[:2]
-        )
-        roll, pitch = (self._attitude_bias + config.attitude_sigma * noise[2:4]).tolist()
-        x, y, z = (self._acceleration_bias + config.acceleration_sigma * noise[4:]).tolist()
+        fresh = math.sqrt(1 - keep * keep) * config.attitude_bias
+        # Plain numbers: seven of them in an array cost more than the reading.
+        n = self._rng.standard_normal(7).tolist()
+        self._roll_bias = keep * self._roll_bias + fresh * n[0]
+        self._pitch_bias = keep * self._pitch_bias + fresh * n[1]
+        white, (x, y, z) = config.acceleration_sigma, self._acceleration_bias
         return Imu(
-            roll=T_world_base.roll + roll,
-            pitch=T_world_base.pitch + pitch,
+            roll=T_world_base.roll + (self._roll_bias + config.attitude_sigma * n[2]),
+            pitch=T_world_base.pitch + (self._pitch_bias + config.attitude_sigma * n[3]),
             angular_velocity=rates,
-            linear_acceleration=(specific_force[0] + x, specific_force[1] + y, specific_force[2] + z),
+            linear_acceleration=(
+                specific_force[0] + (x + white * n[4]),
+                specific_force[1] + (y + white * n[5]),
+                specific_force[2] + (z + white * n[6]),
+            ),
             stamp=stamp,
         )

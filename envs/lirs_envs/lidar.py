@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lirs_envs.lidar_noise import LidarNoise, draws, lidar_noise, measure
@@ -69,7 +70,10 @@ class Lidar:
         self.time_increment = preset.angle_increment / math.tau * preset.period if sweep else 0.0
         self._rng = rng
         angles = preset.angle_min + preset.angle_increment * np.arange(preset.beams)
-        self._beams = np.stack((np.cos(angles), np.sin(angles), np.zeros_like(angles)), axis=1)
+        beams = np.stack((np.cos(angles), np.sin(angles), np.zeros_like(angles)), axis=1)
+        self._beams = beams @ T_base_laser.rotation.T
+        self._mount = T_base_laser.position
+        self._limits, self._figures = (preset.range_min, preset.range_max), self.noise.figures
 
     def scan(
         self,
@@ -90,15 +94,16 @@ class Lidar:
             SimulationError: the pose is not finite.
         """
         preset = self.preset
-        origin, directions = self._rays(T_world_base, motion)
-        if not (np.isfinite(origin).all() and np.isfinite(directions[0]).all()):
+        T = T_world_base
+        if not all(map(math.isfinite, (T.x, T.y, T.z, T.qw, T.qx, T.qy, T.qz))):
             raise SimulationError(f"the laser's pose must be finite, got {T_world_base}")
+        origin, directions = self._rays(T_world_base, motion)
         exact = self.caster.ranges(origin, directions, preset.range_max)
         if others is not None:
             exact = np.minimum(exact, others(origin, directions, preset.range_max))
         normal, uniform = draws(self.noise, preset.beams, self._rng)
         ranges = np.empty(preset.beams, np.float32)
-        measure(exact, normal, uniform, (preset.range_min, preset.range_max), self.noise.figures, ranges)
+        measure(exact, normal, uniform, self._limits, self._figures, ranges)
         return LaserScan(
             ranges,
             preset.angle_min,
@@ -112,13 +117,39 @@ class Lidar:
 
     def _rays(self, T_world_base: Pose3, motion: Motion | None) -> tuple[Array, Array]:
         """Return origin (3,) or origins (n, 3), and directions (n, 3) of the beams in the world."""
+        T = T_world_base
+        quaternion, position = (T.qw, T.qx, T.qy, T.qz), (T.x, T.y, T.z)
         if self.time_increment == 0.0 or motion is None:
-            T_world_laser = T_world_base @ self.T_base_laser
-            return T_world_laser.position, self._beams @ T_world_laser.rotation.T
+            origin, directions = np.empty((1, 3)), np.empty_like(self._beams)
+            _carry(quaternion, position, self._mount[None], self._beams, origin, directions)
+            return origin[0], directions
         times = self.time_increment * np.arange(self.preset.beams)
         R, p = moved_frames(times, motion.velocity, motion.rates)
-        in_base = self._beams @ self.T_base_laser.rotation.T
-        origins = p + R @ self.T_base_laser.position
-        rotation = T_world_base.rotation
-        directions = np.einsum("nij,nj->ni", R, in_base) @ rotation.T
-        return origins @ rotation.T + T_world_base.position, directions
+        origins, directions = p + R @ self._mount, np.einsum("nij,nj->ni", R, self._beams)
+        _carry(quaternion, position, origins, directions, origins, directions)
+        return origins, directions
+
+
+@njit(cache=True)
+def _carry(
+    quaternion: tuple[float, float, float, float],
+    position: tuple[float, float, float],
+    starts: Array,
+    beams: Array,
+    origins: Array,
+    directions: Array,
+) -> None:
+    """Fill origins (m, 3) and directions (n, 3) in the world from those in the base, in place if need be."""
+    w, x, y, z = quaternion
+    a, b, c = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    d, e, f = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    g, h, i = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    for k in range(len(beams)):
+        u, v, s = beams[k, 0], beams[k, 1], beams[k, 2]
+        directions[k, 0], directions[k, 1] = a * u + b * v + c * s, d * u + e * v + f * s
+        directions[k, 2] = g * u + h * v + i * s
+    for k in range(len(starts)):
+        u, v, s = starts[k, 0], starts[k, 1], starts[k, 2]
+        origins[k, 0] = position[0] + (a * u + b * v + c * s)
+        origins[k, 1] = position[1] + (d * u + e * v + f * s)
+        origins[k, 2] = position[2] + (g * u + h * v + i * s)

@@ -94,10 +94,13 @@ def lidar_noise(preset: LidarPreset, level: NoiseLevel = "simulated") -> LidarNo
     return simulated if level == "simulated" else DATASHEET.get(preset.name, simulated)
 
 
+NO_DRAWS: Array = np.empty((0, 2))
+
+
 def draws(noise: LidarNoise, beams: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """Return (n,) normal and (n, 2) uniform numbers for one scan; without need of the latter, (0, 2)."""
     normal = rng.standard_normal(beams)
-    return normal, rng.random((beams if noise.draws_uniform else 0, 2))
+    return normal, rng.random((beams, 2)) if noise.draws_uniform else NO_DRAWS
 
 
 @njit(cache=True)

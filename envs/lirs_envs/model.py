@@ -117,9 +117,9 @@ class RobotModel:
 
     def wheel_angles(self) -> tuple[float, float]:
         """Return the mean angles by which left and right wheels have turned, radians."""
-        qpos = self._qpos
-        left = sum([float(qpos[i]) for i in self._left_angles]) / max(len(self._left_angles), 1)
-        right = sum([float(qpos[i]) for i in self._right_angles]) / max(len(self._right_angles), 1)
+        angle = self._qpos.item
+        left = sum([angle(i) for i in self._left_angles]) / max(len(self._left_angles), 1)
+        right = sum([angle(i) for i in self._right_angles]) / max(len(self._right_angles), 1)
         return left, right
 
     def step(self, control: tuple[float, ...], steps: int) -> None:

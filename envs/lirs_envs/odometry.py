@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.pose import Pose2, Pose3, wrap_angle
 
 METHODS = ("gyro", "ekf")
+BLOCK = 256
+"""Random numbers that are drawn at once: one by one, each costs as much as the rest of the update."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +45,7 @@ class OdometryConfig:
             raise unknown_name("odometry method", self.method, METHODS)
 
 
-@dataclass(frozen=True, slots=True)
-class Way:
+class Way(NamedTuple):
     """What wheels and IMU say about one piece of way.
 
     Attributes:
@@ -81,14 +82,20 @@ class WheelNoise:
     def __init__(self, config: OdometryConfig, rng: np.random.Generator) -> None:
         self.config = config
         self._rng = rng
-        self._scale = config.scale_sigma * float(rng.standard_normal())
+        self._normals: list[float] = []
+        self._scale = config.scale_sigma * self._normal()
 
     def measured(self, length: float) -> float:
         """Return a length as the wheels tell it, metres."""
         keep = math.exp(-abs(length) / self.config.scale_length)
-        noise = self.config.scale_sigma * math.sqrt(1 - keep * keep) * float(self._rng.standard_normal())
+        noise = self.config.scale_sigma * math.sqrt(1 - keep * keep) * self._normal()
         self._scale = keep * self._scale + noise
         return length * (1 + self._scale)
+
+    def _normal(self) -> float:
+        if not self._normals:
+            self._normals = self._rng.standard_normal(BLOCK)[::-1].tolist()
+        return self._normals.pop()
 
 
 class Odometry:
