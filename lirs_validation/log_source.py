@@ -19,7 +19,7 @@ Report = Callable[[str, float], None]
 
 
 def resolve_source(
-    source: str | Path, options: BuildOptions, out: Path, report: Report | None = None
+    source: str | Path, options: BuildOptions, out: str | Path, report: Report | None = None
 ) -> str | Path:
     """Return the source itself; of a log the YAML of its map, which bears the log's name.
 
@@ -33,6 +33,7 @@ def resolve_source(
     if found.kind is not SourceKind.LOG:
         return source
     config = MapConfig(log=str(source), mapper=options.log_mapper, resolution=options.resolution)
+    out = Path(out)
     folder = out / folder_name(config)
     status = _status(folder)
     if status is None:

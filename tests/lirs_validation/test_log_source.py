@@ -54,7 +54,7 @@ def test_a_map_that_is_there_is_used_again(folder: Path) -> None:
     assert Path(first).name == "my_room.yaml"
     record = Path(first).with_name("record.json")
     before = record.stat().st_mtime_ns
-    assert resolve_source("my room.clf", options, folder) == first
+    assert resolve_source("my room.clf", options, str(folder)) == first
     assert record.stat().st_mtime_ns == before
     # Other cells, another log, other code: another map.
     assert resolve_source("my room.clf", BuildOptions(log_mapper="hector", resolution=0.1), folder) != first
