@@ -39,18 +39,21 @@ LIMIT = 0.02
 
 @dataclass(frozen=True)
 class QuickCell(RunCell):
-    """A cell that writes a record which a real run left, and notes how long that took."""
+    """A cell that tells of its progress as a run does, and writes a record which a real run left.
+
+    What the writing took is noted: that is the cell's, all else the suite's.
+    """
 
     template: RunRecord | None = None
     spent: str = ""
 
     def perform(self, out: Path, stages: StageCache, tell: Tell, *, concurrent: bool) -> Outcome:
         """Write the record."""
-        begun = time.perf_counter()
         assert self.template is not None
-        record = replace(self.template, config=self.config)
         for second in range(int(self.config.seconds)):
             tell("drive", second / self.config.seconds)
+        begun = time.perf_counter()
+        record = replace(self.template, config=self.config)
         with atomic_folder(out / self.name) as folder:
             record.save(folder)
         with Path(self.spent).open("a", encoding="utf-8") as file:
