@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lirs_envs.lidar import OtherRanges
 from lirs_envs.lidar_noise import LidarNoise, draws, measure
 from lirs_envs.raycast import Caster
 from lirs_wct.errors import ConfigError
@@ -71,23 +70,33 @@ class BeamPattern:
 
 
 class PatternLidar:
-    """Casts a pattern from a mount on a robot."""
+    """Casts a pattern from a mount on a robot: `ranges(sim.T_world_base)`.
+
+    Args:
+        pattern: directions, ranges, noise.
+        caster: what the beams meet; both of a simulation's `casters` are taken as they come.
+        T_base_laser: mount.
+        rng: of the noise.
+    """
 
     def __init__(
-        self, pattern: BeamPattern, caster: Caster, T_base_laser: Pose3, rng: np.random.Generator
+        self,
+        pattern: BeamPattern,
+        caster: Caster | tuple[Caster, Caster | None],
+        T_base_laser: Pose3,
+        rng: np.random.Generator,
     ) -> None:
         self.pattern = pattern
-        self.caster = caster
+        casters = caster if isinstance(caster, tuple) else (caster,)
+        self._casters = [c for c in casters if c is not None]
         self.T_base_laser = T_base_laser
         self._rng = rng
 
-    def ranges(self, T_world_base: Pose3, others: OtherRanges | None = None) -> NDArray[np.float32]:
+    def ranges(self, T_world_base: Pose3) -> NDArray[np.float32]:
         """Return (n,) metres: +inf = nothing in range, -inf = too near, NaN = lost (REP 117)."""
         pattern, T = self.pattern, T_world_base @ self.T_base_laser
-        directions = pattern.directions @ T.rotation.T
-        exact = self.caster.ranges(T.position, directions, pattern.range_max)
-        if others is not None:
-            exact = np.minimum(exact, others(T.position, directions, pattern.range_max))
+        rays = (T.position, pattern.directions @ T.rotation.T, pattern.range_max)
+        exact = np.min([caster.ranges(*rays) for caster in self._casters], axis=0)
         normal, uniform = draws(pattern.noise, len(exact), self._rng)
         ranges = np.empty(len(exact), np.float32)
         limits = (pattern.range_min, pattern.range_max)

@@ -14,7 +14,11 @@ from numpy.typing import NDArray
 
 from lirs_envs.coverage import SeenArea
 from lirs_envs.drive import Twist
+from lirs_envs.lidar_noise import NoiseLevel
+from lirs_envs.odometry import Method, OdometryConfig
 from lirs_envs.robots import make_robot
+from lirs_envs.seen import Rays
+from lirs_envs.sensors import Noise
 from lirs_envs.simulation import Observation, Simulation
 from lirs_wct.contact_parts import Terrain
 from lirs_wct.errors import ConfigError, SimulationError
@@ -46,6 +50,10 @@ class MappingEnv(gym.Env[Observed, NDArray[np.float32]]):
         robot: name of the robot.
         lidar: name of an LRF preset; default: the robot's own.
         terrain: what MuJoCo touches: `hfield`, `mesh`, `prisms` or `convex` (see `Simulation`).
+        odometry: `gyro` or `ekf` (see `OdometryConfig`).
+        noise: of the LRF: `none`, `simulated` or `datasheet`.
+        sweep: whether a scan is spread over the time that it takes.
+        rays: whose rays meet the world: `ours` or `mujoco` (see `Simulation`).
         render_mode: `rgb_array` or None.
 
     A reset sets the robot on one of the world's start poses, drawn at random.
@@ -60,13 +68,20 @@ class MappingEnv(gym.Env[Observed, NDArray[np.float32]]):
         *,
         lidar: str | None = None,
         terrain: Terrain = "hfield",
+        odometry: Method = "gyro",
+        noise: NoiseLevel = "simulated",
+        sweep: bool = False,
+        rays: Rays = "ours",
         render_mode: str | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"unknown render mode {render_mode!r}; legal: rgb_array, None")
         self.render_mode = render_mode
         place = world if isinstance(world, World) else _built(str(world), _stamp(str(world)))
-        self.simulation = Simulation(place, make_robot(robot), lidar=lidar, terrain=terrain)
+        errors = Noise(odometry=OdometryConfig(method=odometry), lidar=noise, sweep=sweep)
+        self.simulation = Simulation(
+            place, make_robot(robot), lidar=lidar, noise=errors, terrain=terrain, rays=rays
+        )
         preset, limit = self.simulation.preset, np.inf
         self.metadata = self.metadata | {"render_fps": round(preset.rate)}
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -12,7 +12,8 @@ from lirs_envs.robots import Robot
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.pose import Pose2, Pose3, wrap_angle
 
-METHODS = ("gyro", "ekf")
+Method = Literal["gyro", "ekf"]
+METHODS: tuple[Method, ...] = get_args(Method)
 BLOCK = 256
 """Random numbers that are drawn at once: one by one, each costs as much as the rest of the update."""
 
@@ -33,7 +34,7 @@ class OdometryConfig:
 
     scale_sigma: float = 0.02
     scale_length: float = 5.0
-    method: Literal["gyro", "ekf"] = "gyro"
+    method: Method = "gyro"
 
     def __post_init__(self) -> None:
         if not (0 <= self.scale_sigma < 1 and 0 < self.scale_length < math.inf):

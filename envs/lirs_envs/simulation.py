@@ -45,6 +45,7 @@ class Simulation:
         preset: figures of the LRF.
         terrain: what MuJoCo touches.
         body: MuJoCo's model of robot and world.
+        casters: what the LRF sees of the world, and of what else stands there; for sensors of your own.
         timing: wall-clock seconds since the reset.
 
     Args:
@@ -85,14 +86,14 @@ class Simulation:
         self.body = body = RobotModel(
             world, robot, self.period, CONTROL_PERIOD, props, terrain, rays == "mujoco"
         )
-        self._casters = casters_of(world, rays, bool(props), body.model, body.data)
+        self.casters = casters_of(world, rays, bool(props), body.model, body.data)
         self._seed = seed
         self._start_over(None)
 
     def _start_over(self, seed: int | None) -> None:
         """Forget all that was recorded; draw noise anew."""
         self._seed = self._seed if seed is None else seed
-        self._sensors = Sensors(self.robot, self.body, self.preset, self._casters, self._noise, self._seed)
+        self._sensors = Sensors(self.robot, self.body, self.preset, self.casters, self._noise, self._seed)
         robot, body = self.robot, self.body
         self._drive = Pilot(robot, body, self.world.surface) if robot.flies else Drive(robot)
         self._watch = ContactWatch(self.body.wheel_geoms, self.body.own_geoms)

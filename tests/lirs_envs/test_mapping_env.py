@@ -12,6 +12,7 @@ from gymnasium.utils.env_checker import check_env
 
 import lirs_envs  # noqa: F401  registers
 from lirs_envs.coverage import SeenArea
+from lirs_envs.ekf import FusedOdometry
 from lirs_envs.mapping_env import MappingEnv
 from lirs_wct.errors import ConfigError, SimulationError, SourceError
 from lirs_wct.heightfield import HeightField
@@ -109,6 +110,24 @@ def test_bad_arguments(plane: World) -> None:
         gym.make("LIRS/Mapping-v0", world="nowhere.png")
     with pytest.raises(ConfigError, match="unknown render mode 'ascii'"):
         MappingEnv(plane, render_mode="ascii")
+
+
+def test_sensors_are_chosen_by_name(rough: World) -> None:
+    """Also through a spec, which holds plain words only."""
+    env = gym.make("LIRS/Mapping-v0", odometry="ekf", noise="none", sweep=True)
+    assert env.spec is not None
+    sim = gym.make(EnvSpec.from_json(env.spec.to_json())).unwrapped.simulation
+    assert isinstance(sim._sensors._odometry, FusedOdometry)
+    assert sim.reset().scan.time_increment > 0
+    first = [MappingEnv(rough, noise="none").reset(seed=s)[0]["scan"].tobytes() for s in (1, 2)]
+    assert first[0] == first[1], "one start pose, no noise"
+    for wrong, words in (
+        ({"odometry": "magic"}, r"unknown odometry method 'magic'; legal: ekf, gyro"),
+        ({"noise": "much"}, r"unknown lidar noise 'much'; legal: datasheet, none, simulated"),
+        ({"rays": "x"}, r"unknown rays 'x'; legal: mujoco, ours"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            MappingEnv(rough, **wrong)
 
 
 @pytest.mark.render

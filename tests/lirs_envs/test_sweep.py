@@ -12,6 +12,7 @@ from lirs_envs.drive import Twist
 from lirs_envs.lidar import LIDARS, Lidar, LidarPreset, Motion
 from lirs_envs.lidar_noise import LidarNoise
 from lirs_envs.lidar_pattern import BeamPattern, PatternLidar, rings
+from lirs_envs.props import Prop
 from lirs_envs.raycast import RayCaster
 from lirs_envs.robots import Robot
 from lirs_envs.sensors import Noise
@@ -133,6 +134,20 @@ def test_rings_see_floor_and_walls_within_three_milliseconds() -> None:
         lidar.ranges(Pose3(0.5, -0.4, 0.2))
         best = min(best, time.perf_counter() - begun)
     assert best < 3e-3
+
+
+def test_rings_on_a_simulation_see_props_and_not_their_own_robot(plane: World, husky: Robot) -> None:
+    box = Prop(shape="box", size=(0.3, 0.3, 0.5), place=Pose2(3.0, 0.0))
+    sim = Simulation(plane, husky, props=(box,))
+    sim.reset()
+    pattern = BeamPattern(directions=rings(9, 720, (-1.5, 0.3)), range_min=0.0, range_max=8.0)
+    lidar = PatternLidar(pattern, sim.casters, husky.T_base_laser, np.random.default_rng(0))
+    points = sim.T_world_base.apply(lidar.points(lidar.ranges(sim.T_world_base)))
+    floor = np.abs(points[:, 2]) < 1e-5
+    on_box = np.abs(np.maximum(np.abs(points[:, 0] - 3.0), np.abs(points[:, 1])) - 0.3) < 1e-4
+    assert (floor | on_box).all(), "nothing of the robot, though beams go down through it"
+    assert floor.sum() > 2000
+    assert on_box.sum() > 50
 
 
 def test_patterns_that_cannot_be() -> None:

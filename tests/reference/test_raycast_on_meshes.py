@@ -174,7 +174,7 @@ def test_own_body_is_not_seen_among_the_mesh(name: str, gate: World) -> None:
     sim.reset(Pose2(0.0, -2.5))
     T = sim.T_world_base
     for dx in np.linspace(-0.5, 0.5, 21):
-        met = sim._casters[0].ranges(np.array((T.x + dx, T.y, 1.5)), np.array(((0.0, 0.0, -1.0),)), 10.0)
+        met = sim.casters[0].ranges(np.array((T.x + dx, T.y, 1.5)), np.array(((0.0, 0.0, -1.0),)), 10.0)
         assert met[0] == pytest.approx(1.5, abs=1e-6)
 
 
