@@ -32,7 +32,8 @@ def wall_mesh(walls: WallGrid, slab: float = SLAB) -> TriangleMesh:
         slab: thickness of the floor below z = 0, metres.
     """
     boxes = [merged_rectangles(walls.solid), merged_rectangles(walls.floor)]
-    rectangles = np.concatenate(boxes)
+    # One layout: the kernel would else be compiled once more for Fortran order.
+    rectangles = np.ascontiguousarray(np.concatenate(boxes))
     is_wall = np.repeat((True, False), [len(b) for b in boxes])
     holes = np.empty((0, 4), np.int64) if walls.hole is None else merged_rectangles(walls.hole)
     kind = np.where(walls.solid, WALL, GROUND).astype(np.int8)
