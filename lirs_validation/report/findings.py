@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -103,21 +102,22 @@ def _worse_with_terrain(means: Means) -> Finding:
 def _ranked(means: Means, mapper: str, word: str, best: Callable[[Iterable[float]], float]) -> Finding:
     """One method is always the fastest, or the slowest."""
     claim = f"{MAPPERS[mapper]} is the {word} of the three methods."
-    won, asked, told = 0, 0, []
+    won: dict[str, list[str]] = {m: [] for m in MAPPERS}
     for world in WORLDS:
         for view in VIEWS:
             values = {m: means[(world, m, view)] for m in MAPPERS if (world, m, view) in means}
-            if len(values) < len(MAPPERS):
-                continue
-            wanted = best(values.values())
-            asked += 1
-            won += math.isclose(values[mapper], wanted)
-            if not math.isclose(values[mapper], wanted):
-                other = next(m for m, v in values.items() if v == wanted)
-                told.append(f"{MAPPERS[other]} in {world}, {view}")
-    because = f"in {won} of {asked} comparisons (world and representation, Husky)"
-    because += f"; else {', '.join(told)}." if told else "."
-    return Finding(claim, _answer(won, asked), because if asked else "no world has runs of all three.")
+            if len(values) == len(MAPPERS):
+                wanted = best(values.values())
+                won[next(m for m, v in values.items() if v == wanted)].append(f"{world} {view}")
+    asked = sum(map(len, won.values()))
+    if not asked:
+        return Finding(claim, "cannot be said", "no world has runs of all three.")
+    others = [f"{MAPPERS[m]} ({', '.join(where)})" for m, where in won.items() if where and m != mapper]
+    because = (
+        f"in {len(won[mapper])} of {asked} comparisons (world and representation, Husky, by the mean RTF)"
+    )
+    because += f"; else {'; '.join(others)}." if others else "."
+    return Finding(claim, _answer(len(won[mapper]), asked), because)
 
 
 def _comfortable(means: Means) -> Finding:

@@ -9,9 +9,13 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from lirs_validation.report.style import BLUE, GREEN, VERMILLION
+
 INK = "#123456"
 """Drawn in this colour, a line or letter takes the page's own."""
-MAPPER_COLOURS = {"hector": "#0072B2", "cartographer": "#D55E00", "gmapping": "#009E73"}
+NAMED = {BLUE: "var(--blue)", VERMILLION: "var(--vermillion)", GREEN: "var(--green)"}
+"""Colours that the page makes lighter on a dark ground."""
+MAPPER_COLOURS = {"hector": BLUE, "cartographer": VERMILLION, "gmapping": GREEN}
 OTHERS = ("#CC79A7", "#B8860B", "#7B6BD6", "#56B4E9")
 """Okabe and Ito's colours, those for other mappers strong enough on light and on dark."""
 SMALL = 8.0
@@ -61,4 +65,6 @@ def as_svg(figure: Figure, label: str, key: str) -> str:
     svg = re.sub(r' d="[^"]*"', lambda path: DIGITS.sub(r"\1", path.group()), svg)
     width = figure.get_size_inches()[0] * 96
     opening = f'<svg role="img" aria-label="{label}" style="max-width: {width:.0f}px"'
-    return svg.replace(INK, "currentColor").replace("<svg", opening, 1)
+    for colour, name in ({INK: "currentColor"} | NAMED).items():
+        svg = svg.replace(colour.lower(), name)
+    return svg.replace("<svg", opening, 1)
