@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterator
 from typing import Any
 
 import typer
@@ -16,6 +15,7 @@ from lirs_validation.commands.mapping import map_log
 from lirs_validation.commands.reports import compare, report, score
 from lirs_validation.commands.runs import validate
 from lirs_validation.commands.worlds import build, convert, info, view
+from lirs_validation.interrupts import is_interrupt
 from lirs_validation.robot_card import robot
 from lirs_wct.errors import WctError
 
@@ -46,17 +46,10 @@ def main() -> None:
     except (typer.Abort, KeyboardInterrupt):
         _fail("interrupted; nothing half-written was left", INTERRUPTED)
     except SystemError as error:
-        # Ctrl-C inside a compiled kernel comes out wrapped.
-        if not any(isinstance(cause, KeyboardInterrupt) for cause in _causes(error)):
+        if not is_interrupt(error):
             raise
         _fail("interrupted; nothing half-written was left", INTERRUPTED)
     sys.exit(code if isinstance(code, int) else 0)
-
-
-def _causes(error: BaseException | None) -> Iterator[BaseException]:
-    while error is not None:
-        yield error
-        error = error.__cause__ or error.__context__
 
 
 def _fail(message: str, code: int = BAD_INPUT) -> None:

@@ -30,6 +30,7 @@ from lirs_validation.stage import Stage, StageCache
 from lirs_validation.tour import plan
 from lirs_validation.warm_up import warm_up
 from lirs_wct.contact_parts import Terrain
+from lirs_wct.errors import SimulationError
 from lirs_wct.options import BuildOptions
 from lirs_wct.world import World
 from slam_baselines.mapper import Mapper
@@ -125,6 +126,8 @@ def run(
     compiled = {"compile_seconds": warm_up(stage, robot)}
     simulation = stage.simulation(robot)
     log, cost = _timed_drive(simulation, driver, mapper, config, tell)
+    if not log.walls:
+        raise SimulationError(f"{config.source}: nothing was driven: {log.reason}")
     tell("judge", 1.0)
     log.final = final_trajectory(mapper)
     log.concurrent = log.concurrent or concurrent
