@@ -18,7 +18,7 @@ from slam_baselines.graph_edges import Edges
 from slam_baselines.local_slam import LocalSlam
 from slam_baselines.loop_queue import LoopQueue
 from slam_baselines.node import NOWHERE, Node, compounded
-from slam_baselines.pose_arrays import inverted, turned_information
+from slam_baselines.pose_arrays import in_axes_of, inverted
 from slam_baselines.pose_graph import Problem, Solution, begin, improve
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ class GlobalSlam:
         information = inverted(self._matcher_covariance + node.covariance)
         for i in node.submaps:
             z = (submaps[i].pose.inverse() @ node.pose).as_array()
-            self._to_nodes.append((i, index, z, turned_information(submaps[i].pose, information), False))
+            self._to_nodes.append((i, index, z, in_axes_of(submaps[i].pose, information), False))
         self._since_submap = compounded(self._since_submap, node.odometry)
         if len(submaps[-1].nodes) == 1:
             self._tie_submap(len(submaps) - 1)
@@ -151,9 +151,7 @@ class GlobalSlam:
             return
         pose, information, score = found
         T_submap_node = submap.pose.inverse() @ pose
-        loop = Constraint(
-            submap_index, index, T_submap_node, turned_information(submap.pose, information), score
-        )
+        loop = Constraint(submap_index, index, T_submap_node, in_axes_of(submap.pose, information), score)
         for believed in self._confirmation.admit(loop, node.way, self.submap_poses, self.poses):
             z = believed.T_submap_node.as_array()
             self._to_nodes.append((believed.submap, believed.node, z, believed.information, True))

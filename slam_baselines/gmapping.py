@@ -8,6 +8,7 @@ is GmappingMapper._process.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,6 @@ from slam_baselines.gmapping_config import GmappingConfig
 from slam_baselines.levelling import LevelledScan, ScanLeveller
 from slam_baselines.lineage import Lineage
 from slam_baselines.mapper import MapperStats, Stopwatch
-from slam_baselines.odometry import Estimate
 from slam_baselines.particle_filter import effective_number, normalised, systematic_resample
 from slam_baselines.patch_map import PatchMaps
 from slam_baselines.proposal import Proposal, Proposer, carried
@@ -146,11 +146,11 @@ class GmappingMapper:
             self._fit.note(proposal.met[self._best], proposal.known[self._best])
         self._lineage.add_generation(self._poses, self._parents, self._step.pose)
         self._parents = np.arange(len(self._poses))
-        reckoned = self._step.reckoned
+        frame = self._frame(scan)
         self._step.begin()
         # While the way may be gone over again, every scan is a link of it.
         if self._fit.good or (scan.levelled and self._retrace.open):
-            self._enter(scan, reckoned)
+            self._enter(frame)
         weights = normalised(self._log_weights)
         if effective_number(weights) < self.config.resampleThreshold * len(weights):
             self._descend(systematic_resample(weights, self._rng))
@@ -173,12 +173,17 @@ class GmappingMapper:
         proven = np.maximum(proven, self._maps.steepness(self._best, hits))
         return (proven >= bound).astype(np.float64)
 
-    def _enter(self, scan: LevelledScan, reckoned: Estimate) -> None:
+    def _frame(self, scan: LevelledScan) -> Frame:
+        """Return the scan with how it was come to from the one before."""
+        step, unproven = self._step, self._relief.unproven(len(scan.hits))
+        reckoned = step.reckoned
+        return Frame(scan, reckoned.pose, reckoned.covariance, step.seconds, self._relief.height, unproven)
+
+    def _enter(self, frame: Frame) -> None:
         """Draw the scan; on uneven ground, go over the first metres again when it is time."""
-        steep = self._draw(scan)
-        if not scan.levelled:
+        frame = replace(frame, steep=self._draw(frame.scan))
+        if not frame.scan.levelled:
             return
-        frame = Frame(scan, reckoned.pose, reckoned.covariance, self._relief.height, steep)
         if self._retrace.note(frame, self._relief.travelled) and self._relief.match_bound > 0:
             self._go_over()
 
@@ -186,6 +191,7 @@ class GmappingMapper:
         """Replace all paths and maps of the first metres by one that was traced with better knowledge."""
         maps = PatchMaps(1, self.config.delta)
         path = np.array([pose.as_array() for pose in self._retrace.trace(maps, self._proposer, self._relief)])
+        self._step.bias = self._retrace.bias
         self._lineage.rewrite(path)
         n = self.config.particles
         self._parents, self._best = np.zeros(n, np.int64), 0

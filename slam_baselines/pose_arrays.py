@@ -38,8 +38,8 @@ def inverted(matrices: Array) -> Array:
     return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
 
 
-def turned_information(frame: Pose2, information: Array) -> Array:
-    """Return the information (3, 3) of x, y, yaw in the axes of a frame that is turned by its yaw."""
+def in_axes_of(frame: Pose2, matrix: Array) -> Array:
+    """Return a covariance or information (3, 3) of x, y, yaw in the axes of a frame turned by its yaw."""
     c, s = math.cos(frame.yaw), math.sin(frame.yaw)
     R = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
-    return np.asarray(R @ information @ R.T, dtype=np.float64)
+    return np.asarray(R @ matrix @ R.T, dtype=np.float64)

@@ -1,0 +1,93 @@
+"""The first metres of gmapping on uneven ground: the gyro's bias found and taken out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from lirs_validation import validate
+from lirs_wct.pose import Pose2
+from lirs_wct.scan import Imu
+from slam_baselines.levelling import LevelledScan
+from slam_baselines.odometry import MotionConfig
+from slam_baselines.retrace import Frame, Retrace
+from slam_baselines.step import GYRO, Step, unbiased
+
+BIAS = math.radians(0.03)
+
+
+def drive(step: Step, rates: list[float], turns: list[float], speed: float) -> None:
+    """Feed one reading every 0.1 s; `turns` are what the odometry says, radians a reading."""
+    odometry = Pose2(3, 1, 2)
+    for i, (rate, turn) in enumerate(zip(rates, turns, strict=True)):
+        odometry = odometry @ Pose2(0.1 * speed if i else 0, 0, turn if i else 0)
+        step.follow(odometry, Imu(angular_velocity=(0, 0, rate), stamp=0.1 * i), 0.1 * i)
+
+
+def test_the_bias_is_taken_out_of_a_step() -> None:
+    step = Step(MotionConfig())
+    step.bias = BIAS
+    drive(step, [BIAS] * 101, [0.1 * BIAS] * 101, 1.0)
+    assert step.seconds == pytest.approx(10)
+    assert step.reckoned.pose.yaw == pytest.approx(10 * BIAS)
+    np.testing.assert_allclose(step.pose.as_array(), (10, 0, 0), atol=1e-3)
+
+
+def test_a_robot_that_stands_is_not_turned_by_the_bias() -> None:
+    step = Step(MotionConfig())
+    step.bias = BIAS
+    drive(step, [BIAS] * 50, [0.0] * 50, 0.0)
+    np.testing.assert_allclose(step.pose.as_array(), 0, atol=1e-9)
+    assert step.seconds == 0
+
+
+def test_the_noise_of_single_readings_cancels_over_the_way() -> None:
+    step = Step(MotionConfig())
+    drive(step, [0.0] * 101, [(-1.0) ** i * 1e-3 for i in range(101)], 1.0)
+    assert math.sqrt(step.reckoned.covariance[2, 2]) == pytest.approx(GYRO * math.sqrt(10), rel=0.01)
+    doubted = Step(MotionConfig())
+    drive(doubted, [0.0] * 101, [1e-3] * 101, 1.0)
+    assert math.sqrt(doubted.reckoned.covariance[2, 2]) > 0.05
+
+
+def test_without_a_gyro_the_odometry_is_believed_as_configured() -> None:
+    step, motion = Step(MotionConfig()), MotionConfig()
+    for i in range(11):
+        step.follow(Pose2(0.1 * i), None, 0.1 * i)
+    expected = motion.rotation_per_metre**2 + motion.rotation_per_second**2
+    assert step.reckoned.covariance[2, 2] == pytest.approx(expected, rel=1e-6)
+    assert step.seconds == 0
+
+
+def test_unbiased_undoes_a_constant_turn() -> None:
+    # A straight metre in 2 s that the bias bends into an arc.
+    bent = Pose2()
+    for _ in range(1000):
+        bent = bent @ Pose2(0.001, 0, 0.05 * 0.002)
+    np.testing.assert_allclose(unbiased(bent, 0.05, 2.0).as_array(), (1, 0, 0), atol=1e-3)
+
+
+@pytest.mark.parametrize("bias", [BIAS, -2 * BIAS, 0.0])
+def test_the_bias_is_learnt_from_where_the_walls_put_the_scans(bias: float) -> None:
+    rng = np.random.default_rng(2)
+    nothing = np.empty((0, 3))
+    scan = LevelledScan(np.zeros(3), nothing, nothing, (0.0, 0.0), 0.01, 0.0)
+    retrace, truth = Retrace(), [Pose2()]
+    retrace.note(Frame(scan, Pose2(), np.eye(3), 0.0, 0.0, np.empty(0, np.uint8)), 0.0)
+    for _ in range(30):
+        step = Pose2(1.0, 0, float(rng.normal(0, 0.3)))
+        truth.append(truth[-1] @ step)
+        biased = unbiased(step, -bias, 1.2)
+        retrace.note(Frame(scan, biased, np.eye(3), 1.2, 0.0, np.empty(0, np.uint8)), 1.0)
+    noisy = [Pose2(p.x, p.y, p.yaw + float(rng.normal(0, math.radians(0.2)))) for p in truth]
+    retrace._learn(noisy)
+    assert retrace.bias == pytest.approx(bias, abs=math.radians(0.008))
+
+
+def test_the_map_of_a_hilly_world_is_not_turned() -> None:
+    record = validate("simple", mapper="gmapping", seconds=60, seed=6).record
+    assert record.trajectory["ate_rmse"] < 0.03
+    assert record.map["false_occupied"] <= 0.03
+    assert record.map["f1"] >= 0.98
