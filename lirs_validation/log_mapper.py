@@ -6,7 +6,8 @@ from typing import Any
 
 from lirs_validation.map_record import MapConfig
 from lirs_validation.mappers import mapper_named
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.formats.carmen import CarmenLog
 from slam_baselines.mapper import MAPPERS, Mapper, make_mapper
 from slam_baselines.rehearsal import rehearse
 
@@ -14,6 +15,8 @@ RESOLUTION = {"hector": "map_resolution", "gmapping": "delta", "cartographer": "
 """What each mapper calls the edge of its map's cell."""
 REHEARSED = {"gmapping": {"particles": 4}}
 """Kernels need no more particles than these to be compiled."""
+NEED_ODOMETRY = ("gmapping", "cartographer")
+"""Mappers to which the scans of a log alone, a few a second, do not tell how the robot moved."""
 
 
 def make_log_mapper(config: MapConfig) -> Mapper:
@@ -32,6 +35,19 @@ def make_log_mapper(config: MapConfig) -> Mapper:
     if given:
         raise ConfigError(f"{', '.join(given)} can be given for {', '.join(MAPPERS)} only")
     return mapper_named(config.mapper, config.seed)
+
+
+def check_odometry(config: MapConfig, log: CarmenLog) -> None:
+    """Tell whether a log holds what the mapper needs.
+
+    Raises:
+        SourceError: it holds no odometry, and the mapper needs it.
+    """
+    if config.mapper in NEED_ODOMETRY and log.odometry[0] is None:
+        raise SourceError(
+            f"{config.log}: holds no odometry (or one that never changes), {config.mapper} needs it; "
+            "hector maps without (--mapper hector)"
+        )
 
 
 def rehearse_log_mapper(config: MapConfig) -> None:

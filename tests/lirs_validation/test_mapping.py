@@ -110,12 +110,15 @@ def test_the_digest_tells_maps_apart_and_not_their_judges() -> None:
 
 
 @pytest.mark.usefixtures("unrehearsed")
-def test_without_odometry_hector_maps_and_gmapping_says_what_it_needs(room: Path) -> None:
+def test_without_odometry_hector_maps_and_the_others_say_what_they_need(room: Path) -> None:
     mapped = map_log(room / "blind.clf", mapper="hector", reference=room / "truth.tum")
     assert mapped.record.log["odometry_length"] is None
     assert mapped.record.accuracy["reference"]["ate_rmse"] < 0.05
-    with pytest.raises(SourceError, match=r"blind\.clf: gmapping needs odometry.*hector maps without"):
-        map_log(room / "blind.clf", mapper="gmapping")
+    for other in ("gmapping", "cartographer"):
+        with pytest.raises(
+            SourceError, match=rf"blind\.clf: holds no odometry.*{other} needs it; hector maps"
+        ):
+            map_log(room / "blind.clf", mapper=other)
 
 
 @pytest.mark.usefixtures("unrehearsed")
