@@ -62,6 +62,12 @@ def significant(value: float, digits: int = 3) -> str:
     return f"{value:.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"
 
 
+def span(values: Sequence[float]) -> str:
+    """Return the smallest and the largest of numbers, or the one number."""
+    low, high = significant(min(values)), significant(max(values))
+    return low if low == high else f"{low} to {high}"
+
+
 RTF = (
     Figure("rtf.mean", "RTF", digits=None, better="more"),
     Figure("rtf.std", "std over time", digits=None),

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 from lirs_validation.collision import CollisionVerdict
@@ -16,6 +17,8 @@ from lirs_validation.sweep.manifest import NAME as MANIFEST
 from lirs_wct.errors import SourceError
 
 Entry = Mapping[str, Any]
+WORDS = ("world", "robot", "terrain", "diverged")
+"""Of a collision verdict, what is not a number."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,7 @@ def read_results(root: Path) -> ResultFolder:
             elif (folder / STATUS).exists():
                 reason = _failure(folder / STATUS)
                 if reason is None:
-                    verdicts.append(read_verdict(folder))
+                    verdicts.append(_sane(folder, read_verdict(folder)))
                 else:
                     broken.append((folder.name, reason))
         except SourceError as error:
@@ -102,11 +105,27 @@ def _failure(path: Path) -> str | None:
     return None if status == "ok" else reason or status
 
 
+def _sane(folder: Path, verdict: CollisionVerdict) -> CollisionVerdict:
+    """Return a verdict whose figures are numbers.
+
+    Raises:
+        SourceError: one is not.
+    """
+    for name, value in vars(verdict).items():
+        if not isinstance(value, (str, int, float, NoneType)) or isinstance(value, str) != (name in WORDS):
+            raise SourceError(f"{folder / 'collisions.json'}: damaged: {name} is {value!r}")
+    return verdict
+
+
 def _manifest(path: Path, skipped: list[tuple[str, str]]) -> Entry | None:
     if not path.exists():
         return None
     try:
-        return _json(path)
+        entry = _json(path)
+        cells = entry.get("cells", [])
+        if not (isinstance(cells, list) and all(isinstance(cell, dict) for cell in cells)):
+            raise SourceError(f"{path}: damaged: cells must be a list of objects")
+        return entry
     except SourceError as error:
         skipped.append((path.name, str(error)))
         return None

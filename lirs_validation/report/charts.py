@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lirs_validation.cells import Cell, by_cell, telling
@@ -21,6 +22,8 @@ from lirs_validation.report.svg import INK, SMALL, as_svg, colour_of, plain
 Entry = Mapping[str, Any]
 
 ACROSS = 3
+AROUND = 4
+"""Of one run the RTF is averaged over so many seconds before and after."""
 MOST_PANELS, MOST_ROWS = 36, 72
 WIDE = 20.0
 """Where RTF differ by more than this factor, a logarithmic scale shows them all."""
@@ -29,8 +32,8 @@ WIDE = 20.0
 def rtf_chart(entries: Sequence[Entry]) -> tuple[str, int] | None:
     """Return RTF over simulated time as SVG, and how many panels were left out; None without any RTF.
 
-    A panel for each world, robot and representation; in it the methods, each with the mean over seeds
-    and a band of one standard deviation.
+    A panel for each world, robot and representation; in it the methods, each with mean and a band of one
+    standard deviation (see `series_band`).
     """
     runs = [e for e in entries if sound(e) and rtf_counts(e)]
     panels: dict[Cell, dict[str, list[Entry]]] = {}
@@ -58,11 +61,16 @@ def rtf_chart(entries: Sequence[Entry]) -> tuple[str, int] | None:
 
 
 def series_band(runs: Sequence[Entry]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (n,) mean and (n,) standard deviation over runs at each simulated second that any has."""
+    """Return (n,) mean and (n,) standard deviation of the RTF at each simulated second.
+
+    Over the runs that drove so long; of one run, over the seconds up to `AROUND` before and after.
+    """
     longest = max(len(run["rtf"]["series"]) for run in runs)
     table = np.full((len(runs), longest), np.nan)
     for row, run in zip(table, runs, strict=True):
         row[: len(run["rtf"]["series"])] = run["rtf"]["series"]
+    if len(runs) == 1:
+        table = sliding_window_view(np.pad(table[0], AROUND, constant_values=np.nan), 2 * AROUND + 1).T
     return np.nanmean(table, axis=0), np.nanstd(table, axis=0)
 
 

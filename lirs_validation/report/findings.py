@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
 
-from lirs_validation.figures import rtf_counts, significant
+from lirs_validation.figures import rtf_counts, significant, span
 from lirs_validation.report import published
 from lirs_validation.report.paper import RTF, husky_runs
 from lirs_validation.report.published import COMFORTABLE, HEIGHTMAP, MAPPERS, OURS, SOLID, VIEWS, WORLDS
@@ -79,8 +79,8 @@ def _collapse(means: Means) -> Finding:
     )
     because = (
         f"{collapsed} of {len(ratios)} heightmap-based cells are below RTF {COMFORTABLE:g} and at least "
-        f"{COLLAPSE:g} times as slow as their solid-based twin; RTF {_span(slow)}, solid-based "
-        f"{_span(list(ratios.values()))} times as fast (paper: {_span(_published_ratios())} times)."
+        f"{COLLAPSE:g} times as slow as their solid-based twin; RTF {span(slow)}, solid-based "
+        f"{span(list(ratios.values()))} times as fast (paper: {span(_published_ratios())} times)."
     )
     return Finding(claim, _answer(collapsed, len(ratios)), because)
 
@@ -126,16 +126,9 @@ def _comfortable(means: Means) -> Finding:
     values = [rtf for key, rtf in means.items() if key[2] == SOLID]
     ours = [rtf for key, rtf in means.items() if key[2] == OURS]
     enough = sum(rtf >= COMFORTABLE for rtf in values)
-    because = (
-        f"{enough} of {len(values)} solid-based cells, RTF {_span(values)}" if values else "no such runs"
-    )
-    because += f"; ours {_span(ours)}." if ours else "."
+    because = f"{enough} of {len(values)} solid-based cells, RTF {span(values)}" if values else "no such runs"
+    because += f"; ours {span(ours)}." if ours else "."
     return Finding(claim, _answer(enough, len(values)), because)
-
-
-def _span(values: Sequence[float]) -> str:
-    low, high = significant(min(values)), significant(max(values))
-    return low if low == high else f"{low} to {high}"
 
 
 def _published_ratios() -> list[float]:

@@ -8,8 +8,8 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from lirs_validation.figures import figures_named, rtf_counts, significant
-from lirs_validation.report.charts import distribution_chart, rtf_chart
+from lirs_validation.figures import figures_named, rtf_counts, span
+from lirs_validation.report.charts import AROUND, distribution_chart, rtf_chart
 from lirs_validation.report.contents import Report
 from lirs_validation.report.pictures import Painter
 from lirs_validation.report.sheet import Sheet
@@ -86,8 +86,8 @@ def _group(report: Report, key: str, cells: Sheet, runs: Sheet) -> dict[str, Any
     made = rtf_chart(report.entries) if key == "rtf" else None
     svg, left_out = made or ("", 0)
     caption = (
-        "RTF over simulated time, as in the paper's Fig. 13: mean over seeds, and a band of one standard "
-        "deviation where there are several."
+        "RTF over simulated time, as in the paper's Fig. 13: mean and a band of one standard deviation, over "
+        f"seeds; where a method has one seed, over {2 * AROUND + 1} s of its run."
     )
     if left_out:
         caption += f" {left_out} more panels are left out; their figures stand in the table."
@@ -142,11 +142,9 @@ def _tiles(report: Report) -> list[dict[str, Any]]:
         {"value": str(report.seeds), "name": "seed" if report.seeds == 1 else "seeds", "bad": False},
     ]
     ate, f1 = (figures_named([place])[0] for place in ("trajectory.ate_rmse", "map.f1"))
-    alone = sorted(float(e["rtf"]["mean"]) for e in good if rtf_counts(e) and not e["rtf"]["extrapolated"])
+    alone = [float(e["rtf"]["mean"]) for e in good if rtf_counts(e) and not e["rtf"]["extrapolated"]]
     if alone:
-        tiles.append(
-            {"value": f"{significant(alone[0])} to {significant(alone[-1])}", "name": "RTF", "bad": False}
-        )
+        tiles.append({"value": span(alone), "name": "RTF", "bad": False})
     for figure, name in ((ate, "median ATE [m]"), (f1, "median F1")):
         values = sorted(v for e in good if (v := figure.of(e)) is not None)
         if values:

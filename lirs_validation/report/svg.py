@@ -63,8 +63,10 @@ def as_svg(figure: Figure, label: str, key: str) -> str:
     svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
     svg = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", svg)
     svg = re.sub(r' d="[^"]*"', lambda path: DIGITS.sub(r"\1", path.group()), svg)
-    width = figure.get_size_inches()[0] * 96
-    opening = f'<svg role="img" aria-label="{label}" style="max-width: {width:.0f}px"'
+    width = f"{figure.get_size_inches()[0] * 96:.0f}px"
+    opening = (
+        f'<svg role="img" aria-label="{label}" style="max-width: {width}; min-width: min({width}, 38rem)"'
+    )
     for colour, name in ({INK: "currentColor"} | NAMED).items():
         svg = svg.replace(colour.lower(), name)
     return svg.replace("<svg", opening, 1)

@@ -177,6 +177,16 @@ def test_the_band_is_of_the_seeds() -> None:
     assert (mean[20], std[20]) == (a[20], 0.0)
 
 
+def test_the_band_of_one_seed_is_over_time() -> None:
+    run = entry(rtf=10.0)
+    series = np.array(run["rtf"]["series"])
+    mean, std = series_band([run])
+    assert mean[15] == pytest.approx(series[11:20].mean())
+    assert std[15] == pytest.approx(series[11:20].std())
+    assert mean[0] == pytest.approx(series[:5].mean())
+    assert len(mean) == 30
+
+
 # ---- the paper
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, get_args
 
 import jsonschema
 import pytest
 
+from lirs_validation.collision import CollisionVerdict
 from lirs_validation.record import RunConfig, Status
 from lirs_validation.result_folders import read_results, read_run
 from lirs_validation.schema import record_schema, schema_error
@@ -82,6 +84,33 @@ def test_damaged_folders_are_named_and_skipped(tmp_path: Path) -> None:
     assert "schema 1" in skipped["old"]
     assert "rtf" in skipped["odd"]
     assert results.manifest is None
+
+
+def verdict(**more: Any) -> dict[str, Any]:
+    numbers = {f.name: 0.5 for f in fields(CollisionVerdict)}
+    words = {"world": "simple", "robot": "husky", "terrain": "hfield", "diverged": ""}
+    return numbers | words | more
+
+
+def test_collision_checks_are_read_or_named(tmp_path: Path) -> None:
+    saved(tmp_path)
+    for name, held in {
+        "good": [verdict()],
+        "odd": [verdict(force_peak="much")],
+        "none": [],
+    }.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "cell.json").write_text(json.dumps({"status": "ok", "reason": ""}))
+        (tmp_path / name / "collisions.json").write_text(json.dumps({"collisions": held}))
+    (tmp_path / "failed").mkdir()
+    (tmp_path / "failed" / "cell.json").write_text(json.dumps({"status": "error", "reason": "it broke"}))
+    (tmp_path / "sweep.json").write_text(json.dumps({"cells": 3}))
+    results = read_results(tmp_path)
+    assert len(results.collisions) == 1
+    assert results.broken == (("failed", "it broke"),)
+    skipped = dict(results.skipped)
+    assert set(skipped) == {"odd", "none", "sweep.json"}
+    assert "force_peak is 'much'" in skipped["odd"]
 
 
 def test_one_run_is_a_result_too(tmp_path: Path) -> None:
