@@ -68,7 +68,7 @@ def validate(
         cells = axes_cells(sources, axes, chosen, seconds, wall_limit, options)
     else:
         raise ConfigError("nothing to validate: name a source (simple, a picture, a map, ...) or a --suite")
-    memory = None if cell_memory is None else int(cell_memory * 1e9)
+    memory = None if cell_memory is None else cell_memory * 1e9
     executor = make_executor(
         engine, jobs=jobs, address=address, limits=Limits(seconds=cell_timeout, memory=memory)
     )

@@ -13,6 +13,8 @@ from lirs_validation.sweep.outcome import Outcome
 from lirs_wct.errors import ConfigError, unknown_name
 
 ENGINES = ("serial", "processes", "ray")
+MOST_MEMORY = 1e18
+"""Bytes that the system can be asked to keep a process below."""
 
 Progress = Callable[[str, str, float], None]
 """Called with a cell's name, the stage of its work and the share that is done."""
@@ -27,17 +29,17 @@ class Limits:
         memory: private memory of its process, bytes; None = any.
 
     Raises:
-        ConfigError: a limit is not above 0.
+        ConfigError: a limit is not above 0, or not finite.
     """
 
     seconds: float | None = None
-    memory: int | None = None
+    memory: float | None = None
 
     def __post_init__(self) -> None:
         if self.seconds is not None and not self.seconds > 0:
             raise ConfigError(f"the cell timeout must be above 0 s, got {self.seconds:g}")
-        if self.memory is not None and not self.memory > 0:
-            raise ConfigError(f"the cell's memory must be above 0 bytes, got {self.memory}")
+        if self.memory is not None and not 0 < self.memory <= MOST_MEMORY:
+            raise ConfigError(f"the cell's memory must be above 0 bytes, got {self.memory:g}")
 
     @property
     def any(self) -> bool:

@@ -18,6 +18,8 @@ from lirs_wct.files import remove_leftovers
 
 TRIES = 2
 """A cell whose process dies is given another one; not a third."""
+LONGEST_WAIT = 3600.0
+"""Seconds; the system cannot wait for weeks."""
 
 
 def cores() -> int:
@@ -94,7 +96,7 @@ class _Pool:
     def _talking(self) -> list[Worker]:
         """Wait until a worker speaks or dies, or until one's time is over."""
         left = [seconds for w in self._busy if (seconds := w.left()) is not None]
-        ready = wait([w.pipe for w in self._busy], min(left, default=None))
+        ready = wait([w.pipe for w in self._busy], min([*left, LONGEST_WAIT]))
         return [worker for worker in self._busy if worker.pipe in ready]
 
     def _listen(self, worker: Worker) -> Outcome | None:

@@ -58,9 +58,9 @@ class Suite:
         for block in self.blocks:
             axes = replace(
                 block.axes,
-                seconds=seconds or self.seconds,
-                seeds=seeds or self.seeds,
-                wall_limit=wall_limit or self.wall_limit,
+                seconds=self.seconds if seconds is None else seconds,
+                seeds=self.seeds if seeds is None else seeds,
+                wall_limit=self.wall_limit if wall_limit is None else wall_limit,
             )
             for cell in axes.cells():
                 tables[cell.config] = tuple(dict.fromkeys(tables.get(cell.config, ()) + block.tables))

@@ -110,7 +110,7 @@ class Worker:
         self._trace.unlink(missing_ok=True)
 
 
-def _work(pipe: Connection, memory: int | None, trace: str, parent: int) -> None:
+def _work(pipe: Connection, memory: float | None, trace: str, parent: int) -> None:
     """Do jobs until the pipe is closed or the parent asks to end."""
     with contextlib.suppress(SystemExit):
         _serve(pipe, memory, trace, parent)
@@ -119,7 +119,7 @@ def _work(pipe: Connection, memory: int | None, trace: str, parent: int) -> None
     os._exit(0)  # taking the interpreter down in order lasts seconds
 
 
-def _serve(pipe: Connection, memory: int | None, trace: str, parent: int) -> None:
+def _serve(pipe: Connection, memory: float | None, trace: str, parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     file = Path(trace).open("w", encoding="utf-8")  # noqa: SIM115  open as long as the process lives
@@ -152,12 +152,12 @@ def _die_with(parent: int) -> None:
     os._exit(1)
 
 
-def _limit_memory(limit: int) -> None:
+def _limit_memory(limit: float) -> None:
     if sys.platform == "win32":
         return
     import resource
 
-    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+    resource.setrlimit(resource.RLIMIT_DATA, (int(limit), int(limit)))
 
 
 @contextlib.contextmanager
