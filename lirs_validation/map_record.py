@@ -98,8 +98,11 @@ class MapRecord:
 
     def to_json(self) -> str:
         """Return the record as JSON; figures that do not exist are null."""
+        # The run's record knows the whole simulator, which the first scan should not wait for.
+        from lirs_validation.record import plain
+
         entry = {"schema": SCHEMA, "kind": "map of a log", "seed": self.config.seed} | asdict(self)
-        return json.dumps(entry, indent=1, allow_nan=False) + "\n"
+        return json.dumps(entry, indent=1, default=plain, allow_nan=False) + "\n"
 
     def save(self, folder: Path) -> None:
         """Write `record.json`.

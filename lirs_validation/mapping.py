@@ -15,7 +15,7 @@ from lirs_validation.map_accuracy import Accuracy, judge_trajectory
 from lirs_validation.map_record import MapConfig, MapRecord, log_figures, map_figures
 from lirs_validation.mapper_checks import check_pose, final_map, final_stats, final_trajectory
 from lirs_validation.reference import read_reference
-from lirs_validation.relations import read_relations
+from lirs_validation.relations import Relation, read_relations
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen import CarmenLog, read_carmen
 from lirs_wct.formats.carmen_laser import LaserFacts
@@ -102,8 +102,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, report: Report | 
     """Map a log by its config (see `map_log`)."""
     tell, meter, seconds = report or (lambda stage, share: None), CostMeter(), dict[str, float]()
     mapper = make_log_mapper(config)
-    relations = None if config.relations is None else read_relations(Path(config.relations))
-    reference = None if config.reference is None else read_reference(Path(config.reference))
+    relations, reference = read_truth(config)
     tell("read", 0.0)
     with _timed(seconds, "read_seconds"):
         name, log = folder_name(config), read_log(config)
@@ -128,6 +127,19 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, report: Report | 
     )
     mapped = MappedLog(record, log, grid, trajectory, reference, accuracy)
     return mapped if out is None else replace(mapped, folder=_write(mapped, out, tell))
+
+
+def read_truth(config: MapConfig) -> tuple[tuple[Relation, ...] | None, Trajectory | None]:
+    """Read the relations and the reference trajectory, where they are given.
+
+    Raises:
+        SourceError: one of them cannot be used.
+    """
+    c = config
+    return (
+        None if c.relations is None else read_relations(Path(c.relations)),
+        None if c.reference is None else read_reference(Path(c.reference)),
+    )
 
 
 def read_log(config: MapConfig) -> CarmenLog:

@@ -79,19 +79,15 @@ def scans_of(
     """
     n = len(messages[0].ranges)
     ranges = np.stack([m.ranges for m in messages])
-    limit = no_return(ranges) if facts.range_max is None else facts.range_max
+    limit = facts.range_max or no_return(ranges)
     if facts.range_max is None and limit < NO_RETURN:
-        repaired[f"readings of {limit:.2f} m or more, a code for no return"] = int(
-            ((ranges >= limit) & (ranges < NO_RETURN)).sum()
-        )
+        codes = int(((ranges >= limit) & (ranges < NO_RETURN)).sum())
+        repaired[f"readings of {limit:.2f} m or more, a code for no return"] = codes
     mount = _mount(name, messages, parameters, repaired)
     field = None if facts.fov is None else _sweep(n, facts.fov)
-    if field is None and messages[0].sweep is None:
-        field = _usual_sweep(name, n, parameters)
     scans = []
     for message, meant in zip(messages, _decoded(ranges), strict=True):
-        sweep = field or message.sweep
-        assert sweep is not None
+        sweep = field or message.sweep or _usual_sweep(name, n, parameters)
         most = min(limit, NO_RETURN if message.sweep is None else message.sweep.most)
         r = np.where(meant >= most, np.float32(np.inf), meant)
         scans.append(LaserScan(r, sweep.start, sweep.step, RANGE_MIN, most, message.stamp, mount))
