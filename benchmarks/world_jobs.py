@@ -5,7 +5,7 @@ Octaves of seeded noise, 16 bit, on a square of 50 m with 6 m relief; errors are
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import re
 import time
 from collections.abc import Callable
