@@ -41,7 +41,7 @@ class ContactLog:
         energy: (n,) kinetic, potential and of springs, joules.
         kinetic: (n,) kinetic energy alone, joules.
         work: (n,) done by the motors during the step, joules.
-        deep: contacts deeper than `DEEP`.
+        deep: the deepest contact of each step where it is deeper than `DEEP`.
         timestep: seconds.
     """
 
@@ -116,11 +116,16 @@ class ContactRecorder:
         return float(force @ (before + after) / 2 * self.body.timestep)
 
     def _contacts(self) -> tuple[float, float, float]:
-        """Return the deepest penetration, the largest normal force and the sum of all; note the deep ones."""
+        """Return the deepest penetration, the largest normal force and the sum of all; note a deep one.
+
+        Only the deepest contact of a step tells how far the robot is in: ground is many convex pieces, and
+        the way out of one, maybe sideways into its neighbour, is never longer than the way out of them all.
+        """
         data = self.body.data
         contact = data.contact
         depth = -contact.dist
-        for i in np.flatnonzero(depth > DEEP).tolist():
+        i = int(depth.argmax())
+        if depth[i] > DEEP:
             # MuJoCo's normal points from the first geom to the second.
             out = contact.frame[i, :3] * (1.0 if self._own[contact.geom[i, 1]] else -1.0)
             self._deep.append(DeepContact(len(self._rows), float(depth[i]), contact.pos[i].copy(), out))

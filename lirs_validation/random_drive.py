@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import cycle, zip_longest
 
+import cv2
 import numpy as np
 
 from lirs_envs.collisions import check_sane
@@ -18,6 +20,7 @@ from lirs_validation.contact_log import ContactLog, ContactRecorder
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.pose import Pose2
 from lirs_wct.starts import start_poses
+from lirs_wct.traversability import largest_area
 from lirs_wct.world import World
 
 PERIOD, CONTROL_PERIOD = 0.04, 0.008
@@ -26,8 +29,14 @@ SETTLING = 0.6
 """Seconds that a robot is given to come to rest after it was set down."""
 HELD = 1.6
 """Seconds for which a command is held."""
+FLIGHT = 3.0
+"""Metres a second at which a robot that flies follows terrain."""
 LYING = 1.0
 """Seconds for which a robot that has tipped is driven on: its body must not sink either."""
+LONGEST = 10.0
+"""Seconds after which a robot is set down elsewhere."""
+PLACES, TRIES = 8, 64
+"""Places of each kind, and how many are tried."""
 MARGIN = 0.1
 """Metres beyond the robot's radius that are free where it is set down."""
 LEANS = 0.5
@@ -51,26 +60,29 @@ class Leg:
     diverged: str
 
 
-def set_down(world: World, robot: Robot) -> tuple[Pose2, ...]:
-    """Return the poses where a robot can be set down in a world.
+def places(world: World, robot: Robot, rng: np.random.Generator) -> list[Pose2]:
+    """Return poses where a robot can be set down: in the open, and in turn right beside an obstacle.
 
     Raises:
         ConfigError: there is none.
     """
     free = world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope)
-    places = []
-    for start in start_poses(free):
-        try:
-            standing_pose(world, robot, start)
-        except SimulationError:
-            continue
-        places.append(start)
-    if not places:
+    inside = cv2.erode(free.free.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)
+    edge = free.centres(np.argwhere(largest_area(free.free) & (inside == 0)))
+    beside = [
+        Pose2(float(edge[k, 0]), float(edge[k, 1]), float(rng.uniform(-math.pi, math.pi)))
+        for k in rng.integers(len(edge), size=TRIES if len(edge) else 0).tolist()
+    ]
+    found = [
+        [start for start in starts if _stands(world, robot, start)][:PLACES]
+        for starts in (start_poses(free, PLACES), beside)
+    ]
+    if not any(found):
         raise ConfigError(
             f"{world.name}: no place for {robot.name}: it needs {2 * (robot.radius + MARGIN):.1f} m of free "
             f"ground no steeper than {math.degrees(robot.max_slope):.0f} deg"
         )
-    return tuple(places)
+    return [start for pair in zip_longest(*found) for start in pair if start is not None]
 
 
 def drive_at_random(
@@ -81,15 +93,23 @@ def drive_at_random(
     Raises:
         ConfigError: the robot can stand nowhere.
     """
-    places = set_down(world, robot)
-    left, k = math.ceil(seconds / body.timestep), int(rng.integers(len(places)))
-    while left > 0:
-        body.settle(standing_pose(world, robot, places[k % len(places)]), SETTLING)
-        leg = _leg(body, world, robot, left, rng)
-        left, k = left - len(leg.commanded), k + 1
+    starts = places(world, robot, rng)
+    left, longest = math.ceil(seconds / body.timestep), round(LONGEST / body.timestep)
+    for start in cycle(starts):
+        body.settle(standing_pose(world, robot, start), SETTLING)
+        leg = _leg(body, world, robot, min(left, longest), rng)
         yield leg
-        if leg.diverged:
+        left -= len(leg.commanded)
+        if leg.diverged or left <= 0:
             return
+
+
+def _stands(world: World, robot: Robot, start: Pose2) -> bool:
+    try:
+        standing_pose(world, robot, start)
+    except SimulationError:
+        return False
+    return True
 
 
 def _leg(body: RobotModel, world: World, robot: Robot, steps: int, rng: np.random.Generator) -> Leg:
@@ -122,7 +142,8 @@ def _leg(body: RobotModel, world: World, robot: Robot, steps: int, rng: np.rando
 def _command(robot: Robot, rng: np.random.Generator) -> Twist:
     """Return full speed ahead or, one time in three, back; straight or in a curve."""
     ahead, turn = float(rng.choice((-1.0, 1.0, 1.0))), float(rng.uniform(-1, 1) * rng.integers(2))
-    return Twist(ahead * robot.max_speed, turn * robot.max_turn_rate)
+    speed = min(robot.max_speed, FLIGHT) if robot.flies else robot.max_speed
+    return Twist(ahead * speed, turn * robot.max_turn_rate)
 
 
 def _fallen(body: RobotModel, world: World) -> bool:

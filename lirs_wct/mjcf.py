@@ -71,6 +71,9 @@ def world_spec(
     elif seen and (terrain != "hfield" or surface.shape != world.surface.shape):
         _hide(spec, group)
         _add_ground(spec, world.surface, group, name="seen", contype=0, conaffinity=0)
+    for geom in spec.worldbody.geoms:
+        # The robot's defaults are in force here too: equal in priority, ground and robot would share theirs.
+        geom.priority = 0
     spec.worldbody.add_light(pos=(0, 0, 50), dir=(0.3, 0.2, -1), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     return spec
 
