@@ -14,11 +14,12 @@ from lirs_envs.robots import make_robot
 from lirs_validation.record import RunConfig
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen import read_carmen
+from lirs_wct.formats.imu_csv import read_imu
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.options import BuildOptions
 from lirs_wct.pose import Pose2, Pose3
-from lirs_wct.scan import Imu, LaserScan
+from lirs_wct.scan import LaserScan
 from lirs_wct.trajectory import Trajectory
 from slam_baselines.known_pose import KnownPoseMapper
 
@@ -64,17 +65,16 @@ def recorded_truth(folder: Path) -> Trajectory:
 def true_pose_map(folder: Path, config: RunConfig, resolution: float) -> OccupancyGrid:
     """Return the map, in the world frame, that the recorded scans give at the true poses.
 
-    The log has the laser's mount in the plane only: height and tilt come from the robot. The attitude is
-    the true one.
+    The log's messages have the laser's mount in the plane only: all of it comes from the robot.
 
     Raises:
-        SourceError: scans or poses are missing, damaged, or not of one drive.
+        SourceError: scans, poses or inertial readings are missing, damaged, or not of one drive.
     """
     truth, log = recorded_truth(folder), read_carmen(folder / "scans.clf.gz")
-    stamps = log.stamps
-    if len(stamps) != len(truth) or np.abs(stamps - truth.stamps).max() > SAME_STAMP:
+    stamps, imu = log.stamps, read_imu(folder / "imu.csv.gz")
+    if not len(stamps) == len(truth) == len(imu) or np.abs(stamps - truth.stamps).max() > SAME_STAMP:
         raise SourceError(
-            f"{folder}: {len(stamps)} scans (scans.clf.gz) and {len(truth)} poses (truth.tum): not one drive"
+            f"{folder}: not one drive: {len(stamps)} scans, {len(truth)} true poses, {len(imu)} IMU readings"
         )
     T_world_map, T_base_laser = truth.pose2(0), make_robot(config.robot).T_base_laser
     range_min = make_lidar_preset(config.lidar or make_robot(config.robot).lidar).range_min
@@ -82,6 +82,5 @@ def true_pose_map(folder: Path, config: RunConfig, resolution: float) -> Occupan
     for k, scan in enumerate(log.scans):
         pose = Pose3.from_arrays(truth.positions[k], truth.quaternions[k])
         mounted: LaserScan = replace(scan, T_base_laser=T_base_laser, range_min=range_min)
-        imu = Imu(roll=pose.roll, pitch=pose.pitch, stamp=scan.stamp)
-        mapper.update(mounted, T_world_map.inverse() @ pose.to_pose2(), imu)
+        mapper.update(mounted, T_world_map.inverse() @ pose.to_pose2(), imu[k])
     return mapper.map().moved(T_world_map)

@@ -10,6 +10,7 @@ from lirs_validation.record import RunRecord
 from lirs_validation.report.overview import overview_figure
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.carmen_writer import write_log
+from lirs_wct.formats.imu_csv import write_imu
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.tum import write_tum
 from lirs_wct.world import World
@@ -29,6 +30,7 @@ def write_results(folder: Path, record: RunRecord, log: DriveLog, maps: Maps, wo
         for name, trajectory in (("truth", truth), ("estimate", estimate), ("odometry", odometry)):
             write_tum(temporary / f"{name}.tum", trajectory)
         write_log(temporary / "scans.clf.gz", [(o.scan, o.odometry) for o in log.observations])
+        write_imu(temporary / "imu.csv.gz", [o.imu for o in log.observations])
         rows = [f"{second},{rtf:.4f}" for second, rtf in enumerate(record.rtf["series"], start=1)]
         (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *rows]) + "\n", encoding="utf-8")
         overview_figure(world, record, truth, estimate, maps.true_pose, maps.built).savefig(

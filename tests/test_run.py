@@ -24,7 +24,7 @@ from lirs_wct.scan import Imu, LaserScan
 
 FILES = {
     "record.json", "overview.png", "rtf.csv", "truth.tum", "estimate.tum", "odometry.tum",
-    "map.pgm", "map.yaml", "map_true_pose.pgm", "map_true_pose.yaml", "scans.clf.gz",
+    "map.pgm", "map.yaml", "map_true_pose.pgm", "map_true_pose.yaml", "scans.clf.gz", "imu.csv.gz",
 }  # fmt: skip
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.files import atomic_write
-from lirs_wct.pose import Pose2
+from lirs_wct.pose import Pose2, Pose3
 from lirs_wct.scan import LaserScan
 
 INVALID = 81.91
@@ -37,7 +37,7 @@ LEVEL = 1
 def write_log(path: Path, scans: Iterable[tuple[LaserScan, Pose2]]) -> None:
     """Write scans and the odometry `T_odom_base` at their stamps; the same data give the same bytes.
 
-    Of the laser's mount the log holds what lies in the plane: x, y and yaw.
+    Of the laser's mount the messages hold what lies in the plane: x, y and yaw; a comment tells all of it.
 
     Raises:
         OutputError: the file cannot be written.
@@ -48,8 +48,17 @@ def write_log(path: Path, scans: Iterable[tuple[LaserScan, Pose2]]) -> None:
         gzip.GzipFile("", "wb", LEVEL, raw, mtime=0) as zipped,
     ):
         zipped.write(HEADER.encode())
-        for scan, T_odom_base in scans:
+        for k, (scan, T_odom_base) in enumerate(scans):
+            if k == 0:
+                zipped.write(_mount(scan.T_base_laser).encode())
             zipped.write(_message(scan, T_odom_base).encode())
+
+
+def _mount(T_base_laser: Pose3) -> str:
+    """Return a comment that says what the messages have no room for."""
+    x, y, z = T_base_laser.position.tolist()
+    angles = f"{T_base_laser.roll:.6f} {T_base_laser.pitch:.6f} {T_base_laser.yaw:.6f}"
+    return f"# laser on base_link, x y z roll pitch yaw: {x:.6f} {y:.6f} {z:.6f} {angles}\n"
 
 
 def _message(scan: LaserScan, T_odom_base: Pose2) -> str:

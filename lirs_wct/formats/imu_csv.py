@@ -1,0 +1,61 @@
+"""Inertial readings as CSV, gzipped: one reading a line, as any table program reads them."""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from lirs_wct.errors import SourceError
+from lirs_wct.files import atomic_write
+from lirs_wct.scan import Imu
+
+HEADER = "stamp,roll,pitch,rate_x,rate_y,rate_z,acceleration_x,acceleration_y,acceleration_z"
+"""Seconds; radians, REP 103; rad/s; m/s^2 with +9.81 on z at rest; all of base_link."""
+COLUMNS = len(HEADER.split(","))
+
+
+def write_imu(path: Path, readings: Iterable[Imu]) -> None:
+    """Write readings; the same data give the same bytes.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    rows = [(r.stamp, r.roll, r.pitch, *r.angular_velocity, *r.linear_acceleration) for r in readings]
+    with (
+        atomic_write(path) as temporary,
+        temporary.open("wb") as raw,
+        gzip.GzipFile("", "wb", 1, raw, mtime=0) as zipped,
+    ):
+        table = np.array(rows, dtype=np.float64).reshape(-1, COLUMNS)
+        np.savetxt(zipped, table, fmt="%.9g", delimiter=",", header=HEADER, comments="")
+
+
+def read_imu(path: Path) -> tuple[Imu, ...]:
+    """Read readings.
+
+    Raises:
+        SourceError: missing, damaged, or not as many numbers a line as the header has names.
+    """
+    try:
+        lines = gzip.decompress(path.read_bytes()).decode().splitlines()
+        rows = [[float(word) for word in line.split(",")] for line in lines[1:]]
+    except OSError as error:
+        raise SourceError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (EOFError, zlib.error, ValueError) as error:
+        raise SourceError(f"{path}: not inertial readings: {error}") from error
+    if lines[:1] != [HEADER] or any(len(row) != COLUMNS for row in rows):
+        raise SourceError(f"{path}: inertial readings have {COLUMNS} numbers a line ({HEADER})")
+    return tuple(
+        Imu(
+            stamp=r[0],
+            roll=r[1],
+            pitch=r[2],
+            angular_velocity=(r[3], r[4], r[5]),
+            linear_acceleration=(r[6], r[7], r[8]),
+        )
+        for r in rows
+    )

@@ -1,0 +1,65 @@
+"""Inertial readings read back as they were; what is none is said."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lirs_wct.errors import SourceError
+from lirs_wct.formats.imu_csv import HEADER, read_imu, write_imu
+from lirs_wct.scan import Imu
+
+
+def readings(count: int = 40) -> list[Imu]:
+    rng = np.random.default_rng(3)
+    return [
+        Imu(
+            stamp=0.04 * k,
+            roll=float(rng.normal()),
+            pitch=float(rng.normal()),
+            angular_velocity=tuple(rng.normal(size=3).tolist()),
+            linear_acceleration=tuple(rng.normal(size=3).tolist()),
+        )
+        for k in range(count)
+    ]
+
+
+def test_it_reads_back(tmp_path: Path) -> None:
+    path = tmp_path / "imu.csv.gz"
+    write_imu(path, readings())
+    got = read_imu(path)
+    assert len(got) == 40
+    for a, b in zip(readings(), got, strict=True):
+        assert (a.stamp, a.roll, a.pitch) == pytest.approx((b.stamp, b.roll, b.pitch), rel=1e-8)
+        assert a.angular_velocity == pytest.approx(b.angular_velocity, rel=1e-8)
+        assert a.linear_acceleration == pytest.approx(b.linear_acceleration, rel=1e-8)
+    first = path.read_bytes()
+    write_imu(path, readings())
+    assert path.read_bytes() == first
+    assert gzip.decompress(first).decode().splitlines()[0] == HEADER
+
+
+def test_nothing_to_write_is_a_header(tmp_path: Path) -> None:
+    write_imu(tmp_path / "imu.csv.gz", [])
+    assert read_imu(tmp_path / "imu.csv.gz") == ()
+
+
+@pytest.mark.parametrize(
+    ("data", "told"),
+    [
+        (b"", "9 numbers a line"),
+        (HEADER.encode(), "cannot be read"),
+        (gzip.compress(b"stamp\n1\n"), "9 numbers a line"),
+        (gzip.compress(f"{HEADER}\n1,2,3\n".encode()), "9 numbers a line"),
+        (gzip.compress(f"{HEADER}\n1,2,x\n".encode()), "not inertial readings"),
+        (gzip.compress(f"{HEADER}\n1,2,3\n".encode() * 50)[:60], "not inertial readings"),
+    ],
+)
+def test_what_is_none_is_said(tmp_path: Path, data: bytes, told: str) -> None:
+    path = tmp_path / "imu.csv.gz"
+    path.write_bytes(data)
+    with pytest.raises(SourceError, match=rf"imu\.csv\.gz: .*{told}"):
+        read_imu(path)
