@@ -14,13 +14,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose2, wrap_angle
 
-Array = NDArray[np.float64]
 Slope = tuple[float, float]
 """How far the ground falls per metre ahead and per metre to the left."""
 LEVEL: Slope = (0.0, 0.0)
@@ -59,12 +55,12 @@ class Calibration:
     """Corrects odometry's steps, and learns from where they truly led.
 
     Attributes:
-        gain: (3, 2) correction of x, y, yaw per metre ahead and per radian.
+        gain: correction of x, y, yaw per metre ahead and per radian: xx, xt, yx, yt, tx, tt.
         slide: metres downhill per radian turned, either way, and unit of slope.
     """
 
     def __init__(self, config: CalibrationConfig) -> None:
-        self.gain: Array = np.zeros((3, 2))
+        self.gain = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         self.slide = 0.0
         self._start = config.per_metre**2, config.per_radian**2
         self._P = self._start[0], 0.0, self._start[1]
@@ -75,7 +71,7 @@ class Calibration:
 
     def corrected(self, step: Pose2, down: Slope = LEVEL) -> Pose2:
         """Return the step `T_before_now` to expect when odometry says `step`, on ground that falls `down`."""
-        (xx, xt), (yx, yt), (tx, tt) = self.gain.tolist()
+        xx, xt, yx, yt, tx, tt = self.gain
         d, a = step.x, step.yaw
         slide = self.slide * abs(a)
         return Pose2(
@@ -92,12 +88,15 @@ class Calibration:
         scale = 1 / (self._noise + u * d + v * a)
         c = self.corrected(step, down)
         error = true.x - c.x, true.y - c.y, wrap_angle(true.yaw - c.yaw)
-        self.gain += np.outer(error, (u * scale, v * scale))
+        u, v = u * scale, v * scale
+        xx, xt, yx, yt, tx, tt = self.gain
+        x, y, t = error
+        self.gain = xx + x * u, xt + x * v, yx + y * u, yt + y * v, tx + t * u, tt + t * v
         k = self._keep
         self._P = (
-            min((p - u * u * scale) / k, self._start[0]),
-            (q - u * v * scale) / k,
-            min((r - v * v * scale) / k, self._start[1]),
+            min((p - u * u / scale) / k, self._start[0]),
+            (q - u * v / scale) / k,
+            min((r - v * v / scale) / k, self._start[1]),
         )
         self._learn_slide(abs(a) * down[0], abs(a) * down[1], error)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -27,6 +28,7 @@ class GrowingGrid:
         self.resolution = resolution
         self.row0 = 0
         self.col0 = 0
+        self._held = math.inf, math.inf, -math.inf, -math.inf
         self._fill = dict(layers)
         self.layers: dict[str, NDArray[Any]] = {name: _full((0, 0), spec) for name, spec in layers.items()}
 
@@ -43,6 +45,9 @@ class GrowingGrid:
 
     def ensure(self, west: float, south: float, east: float, north: float) -> bool:
         """Make the box (metres) part of the grid; return whether the arrays were replaced."""
+        held = self._held
+        if west >= held[0] and south >= held[1] and east <= held[2] and north <= held[3]:
+            return False
         rows, cols = self.shape
         c_lo, c_hi = _blocks(west / self.resolution, east / self.resolution)
         r_lo, r_hi = _blocks(south / self.resolution, north / self.resolution)
@@ -57,6 +62,9 @@ class GrowingGrid:
             new[at_row : at_row + rows, at_col : at_col + cols] = old
             self.layers[name] = new
         self.row0, self.col0 = r_lo, c_lo
+        # What lies in here needs no other blocks, by the rounding of _blocks.
+        res = self.resolution
+        self._held = (c_lo + 1) * res, (r_lo + 1) * res, (c_hi - 2) * res, (r_hi - 2) * res
         return True
 
 

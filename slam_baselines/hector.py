@@ -84,6 +84,7 @@ class HectorMapper:
         self._moves: list[Move | None] = []
         self._received = self._matched = self._lost_scans = self._poor_in_a_row = 0
         self._settled = False
+        self._earlier: Pose2 | None = None
         self._stopwatch = Stopwatch()
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
@@ -138,8 +139,9 @@ class HectorMapper:
             return None
         weights = self._builder.weights(self._builder.steepness(scan, expected.pose))
         self._estimate, match = self._registration.fit(
-            self._builder.pyramid, scan.hits, weights, expected, before
+            self._builder.pyramid, scan.hits, weights, expected, before, self._earlier
         )
+        self._earlier = before
         if match is not None:
             self._matched += 1
             if match.score >= (r.poor_score if self._builder.flat else r.sure_score):

@@ -33,10 +33,12 @@ class Keyframe:
 
 
 class KeyframeTrajectory:
-    """Every scan's pose relative to a keyframe: when a keyframe moves, its scans move with it."""
+    """Every scan's pose hung up on a keyframe: when a keyframe moves, its scans move with it."""
 
     def __init__(self) -> None:
         self._keyframes: list[Pose2] = []
+        # Where a keyframe stood when scans were hung up on it, and its number; -1 before the first.
+        self._anchors: list[tuple[int, Pose2]] = [(-1, Pose2())]
         self._scans: dict[float, tuple[int, Pose2]] = {}
 
     def __len__(self) -> int:
@@ -44,24 +46,28 @@ class KeyframeTrajectory:
 
     def add_keyframe(self, pose: Pose2) -> None:
         """Hang up what follows on a new keyframe."""
+        self._anchors.append((len(self._keyframes), pose))
         self._keyframes.append(pose)
 
     def add(self, stamp: float, pose: Pose2) -> None:
         """Note the pose of a scan; a later scan of the same stamp takes the place of the earlier."""
-        last = len(self._keyframes) - 1
-        relative = pose if last < 0 else self._keyframes[last].inverse() @ pose
-        self._scans[stamp] = last, relative
+        self._scans[stamp] = len(self._anchors) - 1, pose
 
     def move(self, poses: list[Pose2]) -> Pose2:
         """Give the first keyframes new poses; return how the last of them moved, `T_new_old`."""
-        old = self._keyframes[len(poses) - 1]
+        last = len(poses) - 1
+        old = self._keyframes[last]
         self._keyframes[: len(poses)] = poses
+        self._anchors.append((len(self._keyframes) - 1, self._keyframes[-1]))
         return poses[-1] @ old.inverse()
 
     def trajectory(self) -> Trajectory:
         """Return the pose of every scan in the map frame, by stamp."""
+        moved = [self._moved(*anchor) for anchor in self._anchors]
         stamps = sorted(self._scans)
-        return Trajectory.from_poses(stamps, [self._pose(*self._scans[t]) for t in stamps])
+        scans = [self._scans[t] for t in stamps]
+        return Trajectory.from_poses(stamps, [moved[anchor] @ pose for anchor, pose in scans])
 
-    def _pose(self, keyframe: int, relative: Pose2) -> Pose2:
-        return relative if keyframe < 0 else self._keyframes[keyframe] @ relative
+    def _moved(self, keyframe: int, then: Pose2) -> Pose2:
+        """Return how a keyframe has moved since then, `T_new_old`."""
+        return Pose2() if keyframe < 0 else self._keyframes[keyframe] @ then.inverse()

@@ -46,10 +46,10 @@ class LevelledScan:
 
     def placed(self, T_map_base: Pose2, height: float) -> tuple[Array, Array, Array]:
         """Return origin, hits and free ends in the map frame, the base being at `height`."""
-        c, s = math.cos(T_map_base.yaw), math.sin(T_map_base.yaw)
-        turn = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
-        shift = np.array((T_map_base.x, T_map_base.y, height))
-        return self.origin @ turn + shift, self.hits @ turn + shift, self.free @ turn + shift
+        T = T_map_base
+        origin, hits, free = np.empty(3), np.empty_like(self.hits), np.empty_like(self.free)
+        _place(self.origin, self.hits, self.free, T.x, T.y, T.yaw, height, origin, hits, free)
+        return origin, hits, free
 
 
 class ScanLeveller:
@@ -70,7 +70,7 @@ class ScanLeveller:
         if geometry != self._geometry:
             self._geometry = geometry
             self._directions = np.stack((np.cos(scan.angles), np.sin(scan.angles)), axis=-1)
-        if scan.T_base_laser != self._mount:
+        if scan.T_base_laser is not self._mount and scan.T_base_laser != self._mount:
             self._mount = scan.T_base_laser
             self._R, self._t = self._mount.rotation, self._mount.position
         farthest = min(scan.range_max, self._max_range)
@@ -85,6 +85,16 @@ class ScanLeveller:
         slope = (-math.tan(pitch), math.tan(roll) / math.cos(pitch))
         tilt = math.nan if imu is None else math.acos(min(1.0, math.cos(roll) * math.cos(pitch)))
         return LevelledScan(origin, ends[:hits], ends[len(ends) - free :], slope, tilt, scan.stamp)
+
+
+@njit(cache=True)
+def _place(origin, hits, free, x, y, yaw, z, new_origin, new_hits, new_free):  # type: ignore[no-untyped-def]
+    """Fill the new arrays with the old ones turned by yaw and shifted."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    for old, new in ((origin.reshape(1, 3), new_origin.reshape(1, 3)), (hits, new_hits), (free, new_free)):
+        for i in range(len(old)):
+            u, v = old[i, 0], old[i, 1]
+            new[i, 0], new[i, 1], new[i, 2] = x + c * u - s * v, y + s * u + c * v, z + old[i, 2]
 
 
 @njit(cache=True)

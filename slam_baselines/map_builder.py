@@ -13,6 +13,7 @@ from lirs_wct.grid import OccupancyGrid
 from lirs_wct.pose import Pose2, wrap_angle
 from slam_baselines.levelling import LevelledScan
 from slam_baselines.occupancy import STEEP_STEP, OccupancyMap, UpdateConfig
+from slam_baselines.ray_update import bounding_box
 from slam_baselines.relief import Relief, ReliefConfig
 from slam_baselines.scan_matching import MapPyramid
 
@@ -89,10 +90,13 @@ class MapBuilder:
         now = self.relief.steepness(origin, hits, pose)
         return np.maximum(now, self.pyramid.maps[-1].steepness(hits))
 
-    def weights(self, steep: Steps) -> Array:
-        """Return (n,) how much hits say: 1 on a sheer wall, less on a slope, 0 on what may be ground."""
+    def weights(self, steep: Steps) -> Array | None:
+        """Return (n,) how much hits say: 1 on a sheer wall, less on a slope, 0 on what may be ground.
+
+        None on a floor, where every hit is a wall.
+        """
         if self.flat:
-            return np.ones(len(steep))
+            return None
         sheer = self.relief.config.sheer / STEEP_STEP
         weights: Array = np.minimum(1.0, (steep / sheer) ** 2) * (steep >= self._bound)
         return weights
@@ -130,7 +134,7 @@ class MapBuilder:
         self._draw(*scan.placed(pose, height), steep)
 
     def _draw(self, origin: Array, hits: Array, free: Array, steep: Steps) -> None:
-        box = _box(origin, hits, free)
+        box = bounding_box(origin, hits, free)
         grew = [level.update(origin, hits, free, steep, self._bound, box) for level in self.pyramid.maps]
         if any(grew):
             self.pyramid.refresh()
@@ -154,11 +158,3 @@ class MapBuilder:
     def memory(self) -> int:
         """Bytes of all maps."""
         return sum(level.grid.nbytes for level in self.pyramid.maps) + self.relief.grid.nbytes
-
-
-def _box(origin: Array, *ends: Array) -> Array:
-    """Return (4,) west, south, east, north of the laser and all ends of beams."""
-    points = [origin[None, :2], *(e[:, :2] for e in ends)]
-    low = np.min([p.min(axis=0) for p in points if len(p)], axis=0)
-    high = np.max([p.max(axis=0) for p in points if len(p)], axis=0)
-    return np.concatenate((low, high))

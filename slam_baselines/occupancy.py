@@ -91,6 +91,7 @@ class OccupancyMap:
         self.grid = GrowingGrid(resolution, layers | {"top": (np.int16, -32768)})
         self._steps = (config or UpdateConfig()).steps
         self._touched: NDArray[np.uint8] = np.zeros(0, np.uint8)
+        self._mark = 0
         self._take_over()
 
     @property
@@ -109,18 +110,37 @@ class OccupancyMap:
             bound: from which step of `steep` on a cell is a wall for sure.
             box: (4,) west, south, east, north of all of them, metres.
         """
-        grew = self.grid.ensure(*box.tolist())
+        bounds = box.tolist()
+        grew = self.grid.ensure(*bounds)
         if grew:
             self._take_over()
-        west, south, east, north = (math.floor(v / self.resolution) for v in box.tolist())
+        west, south, east, north = (math.floor(v / self.resolution) for v in bounds)
         corner = south - 1 - self.grid.row0, west - 1 - self.grid.col0
-        shape = north - south + 3, east - west + 3
-        if len(self._touched) < shape[0] * shape[1]:
-            self._touched = np.empty(shape[0] * shape[1] * 3 // 2, np.uint8)
-        touched = self._touched[: shape[0] * shape[1]].reshape(shape)
-        touched.fill(0)
-        enter_scan(self.layers, self.frame, touched, corner, origin, hits, free, steep, bound, self._steps)
+        touched = self._scratch(north - south + 3, east - west + 3)
+        enter_scan(
+            self.layers,
+            self.frame,
+            touched,
+            self._mark,
+            corner,
+            origin,
+            hits,
+            free,
+            steep,
+            bound,
+            self._steps,
+        )
         return grew
+
+    def _scratch(self, rows: int, cols: int) -> NDArray[np.uint8]:
+        """Return a scratch that nowhere holds the new mark; it is wiped only when the marks run out."""
+        if len(self._touched) < rows * cols:
+            self._touched, self._mark = np.zeros(rows * cols * 3 // 2, np.uint8), 0
+        elif self._mark == 255:
+            self._touched.fill(0)
+            self._mark = 0
+        self._mark += 1
+        return self._touched[: rows * cols].reshape(rows, cols)
 
     def _take_over(self) -> None:
         g = self.grid

@@ -17,6 +17,9 @@ from slam_baselines.small_matrices import moved_covariance
 
 Array = NDArray[np.float64]
 
+STANDS = 1e-3
+"""A step shorter than this (metres and radians together) is none."""
+
 
 def yaw_rate(imu: Imu) -> float:
     """Return how fast yaw changes, rad/s: the body's rates turned into that of R = Rz Ry Rx."""
@@ -139,14 +142,12 @@ class DeadReckoning:
     """Turns absolute odometry and rates into the estimate to expect at the next scan.
 
     Attributes:
-        pose: sum of all steps as corrected, in a frame of its own; None without odometry.
         calibration: what the odometry always gets wrong.
         moved: the last step; None without odometry.
     """
 
     def __init__(self, config: MotionConfig, calibration: CalibrationConfig | None = None) -> None:
         self.config = config
-        self.pose: Pose2 | None = None
         self.calibration = Calibration(calibration or CalibrationConfig())
         self.moved: Move | None = None
         self._odometry: Pose2 | None = None
@@ -166,21 +167,26 @@ class DeadReckoning:
         rate, self._rate = self._rate, None if imu is None else yaw_rate(imu)
         then, self._stamp = self._stamp, stamp
         if before is None or odometry is None:
-            self.moved, self.pose = None, odometry
+            self.moved = None
         else:
-            self.moved = Move(before.inverse() @ odometry, *_downhill(imu))
+            self.moved = Move(_between(before, odometry), *_downhill(imu))
         if then is None:
             return last
         delta = None if self.moved is None else self.moved.corrected(self.calibration)
-        if delta is not None and self.pose is not None:
-            self.pose = self.pose @ delta
         turned = None if rate is None or self._rate is None else (rate + self._rate) / 2 * (stamp - then)
         return self.config.predict(last, delta, stamp - then, turned, self.moved.tilt if self.moved else 0.0)
 
     def learn(self, before: Pose2, now: Pose2) -> None:
         """Take note of where the last step truly led: from `before` to `now` in the map."""
-        if self.moved is not None:
-            self.calibration.learn(self.moved.step, before.inverse() @ now, self.moved.down)
+        # A robot that stands teaches nothing, and what was learnt is not forgotten over it.
+        if self.moved is not None and abs(self.moved.step.x) + abs(self.moved.step.yaw) > STANDS:
+            self.calibration.learn(self.moved.step, _between(before, now), self.moved.down)
+
+
+def _between(a: Pose2, b: Pose2) -> Pose2:
+    """Return `T_ab` of two poses in one frame."""
+    c, s, x, y = math.cos(a.yaw), math.sin(a.yaw), b.x - a.x, b.y - a.y
+    return Pose2(c * x + s * y, c * y - s * x, wrap_angle(b.yaw - a.yaw))
 
 
 def _downhill(imu: Imu | None) -> tuple[Slope, float]:

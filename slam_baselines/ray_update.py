@@ -26,6 +26,10 @@ VALUE = np.maximum(1, np.round(FULL * (_odds - 1) / (_odds + 1))).astype(np.uint
 """(256,) value of log-odds + 128: 2 p - 1 where that is above 0: free and unknown ground pull alike."""
 VALUE[0] = UNSEEN
 
+BITS = 32
+ONE = float(1 << BITS)
+"""A cell in fixed point."""
+
 
 class Layers(NamedTuple):
     """The arrays of a map, (rows, cols) each."""
@@ -37,13 +41,16 @@ class Layers(NamedTuple):
 
 
 @njit(cache=True)
-def enter_scan(layers, frame, touched, corner, origin, hits, free, steep, bound, steps):  # type: ignore[no-untyped-def]
+def enter_scan(  # type: ignore[no-untyped-def]
+    layers, frame, touched, mark, corner, origin, hits, free, steep, bound, steps
+):
     """Raise the cells where beams end, then lower those that beams pass; no cell twice, a hit wins.
 
     Args:
         layers: of the map.
         frame: (3,) lattice row and column of the arrays' cell (0, 0), resolution in metres.
-        touched: (rows, cols) uint8, 0; scratch that holds all beams.
+        touched: (rows, cols) uint8, nowhere `mark`; scratch that holds all beams.
+        mark: of the cells that this scan has touched.
         corner: row and column in the layers of the scratch's cell (0, 0).
         origin: (3,) the laser, metres.
         hits: (n, 3) where beams ended.
@@ -62,20 +69,20 @@ def enter_scan(layers, frame, touched, corner, origin, hits, free, steep, bound,
         layers.steep[r, c] = max(layers.steep[r, c], steep[i])
         layers.top[r, c] = max(layers.top[r, c], np.int16(min(max(hits[i, 2], -300.0), 300.0) / TOP_STEP))
     for row, col in cells:
-        if not touched[row, col]:
-            touched[row, col] = 1
+        if touched[row, col] != mark:
+            touched[row, col] = mark
             _change(layers, row + corner[0], col + corner[1], steps[1], bound, steps[2])
     start = origin[1] * scale - north, origin[0] * scale - east, origin[2]
     for i in range(len(hits)):
         end = hits[i, 1] * scale - north, hits[i, 0] * scale - east, hits[i, 2]
-        _pass(layers, touched, corner, start, end, -1, bound, steps)
+        _pass(layers, touched, mark, corner, start, end, -1, bound, steps)
     for i in range(len(free)):
         end = free[i, 1] * scale - north, free[i, 0] * scale - east, free[i, 2]
-        _pass(layers, touched, corner, start, end, 1, bound, steps)
+        _pass(layers, touched, mark, corner, start, end, 1, bound, steps)
 
 
 @njit(cache=True)
-def _pass(layers, touched, corner, start, end, more, bound, steps):  # type: ignore[no-untyped-def]
+def _pass(layers, touched, mark, corner, start, end, more, bound, steps):  # type: ignore[no-untyped-def]
     """Lower the cells between laser and end of a beam, given in cells of the scratch.
 
     The last cell before a hit (`more` = -1) is spared: noise would wear the wall's near face away and
@@ -84,16 +91,22 @@ def _pass(layers, touched, corner, start, end, more, bound, steps):  # type: ign
     y, x, z = start
     dy, dx, dz = end[0] - y, end[1] - x, end[2] - z
     n = int(max(abs(dx), abs(dy))) + 1
-    dy, dx, dz = dy / n, dx / n, dz / n
+    dz /= n
+    # Rows and columns in fixed point, and unsigned: an index that may be negative costs more than the rest.
+    v, u = np.int64(y * ONE), np.int64(x * ONE)
+    dv, du = np.int64(dy / n * ONE), np.int64(dx / n * ONE)
+    down, right = np.uintp(corner[0]), np.uintp(corner[1])
     for k in range(n + more):
-        row, col = int(y + k * dy), int(x + k * dx)
-        if touched[row, col]:
+        row, col = np.uintp(v >> BITS), np.uintp(u >> BITS)
+        v += dv
+        u += du
+        if touched[row, col] == mark:
             continue
-        touched[row, col] = 1
-        r, c = row + corner[0], col + corner[1]
+        touched[row, col] = mark
+        r, c = row + down, col + right
         if (
-            layers.log_odds[r, c] > 0
-            and bound > 0
+            bound > 0
+            and layers.log_odds[r, c] > 0
             and layers.steep[r, c] >= bound
             and (z + k * dz) / TOP_STEP > layers.top[r, c] + ABOVE
         ):
@@ -108,7 +121,19 @@ def _change(layers, r, c, step, bound, limit):  # type: ignore[no-untyped-def]
     after = (0 if before == UNKNOWN else before) + step
     after = min(limit, max(-limit, after))
     layers.log_odds[r, c] = after
-    layers.value[r, c] = UNSEEN if after > 0 and layers.steep[r, c] < bound else VALUE[after + 128]
+    layers.value[r, c] = UNSEEN if after > 0 and layers.steep[r, c] < bound else VALUE[np.uintp(after + 128)]
+
+
+@njit(cache=True)
+def bounding_box(origin, hits, free):  # type: ignore[no-untyped-def]
+    """Return (4,) west, south, east, north of the laser and all ends of beams, metres."""
+    west = east = origin[0]
+    south = north = origin[1]
+    for ends in (hits, free):
+        for i in range(len(ends)):
+            west, east = min(west, ends[i, 0]), max(east, ends[i, 0])
+            south, north = min(south, ends[i, 1]), max(north, ends[i, 1])
+    return np.array((west, south, east, north))
 
 
 @njit(cache=True)

@@ -76,42 +76,70 @@ class Registration:
         self._matcher = ScanMatcher(config.match)
 
     def fit(
-        self, pyramid: MapPyramid, hits: Array, weights: Array, expected: Estimate, before: Pose2
+        self,
+        pyramid: MapPyramid,
+        hits: Array,
+        weights: Array | None,
+        expected: Estimate,
+        before: Pose2,
+        earlier: Pose2 | None = None,
     ) -> tuple[Estimate, Match | None]:
         """Return the estimate that fits, and the match; `expected` and None where nothing can be said.
 
         Args:
             pyramid: the map.
             hits: (n, 2 or more) ends of beams in the levelled base frame, metres.
-            weights: (n,) 1 for walls, less for what is less steep, 0 for what may be ground.
+            weights: (n,) 1 for walls, less for what is less steep, 0 for what may be ground; None on a
+                floor, where every hit is a wall.
             expected: the estimate by dead reckoning.
             before: pose of the last fit.
+            earlier: pose of the fit before that one; a robot of which the odometry says nothing sensible may
+                simply have gone on as it went from there.
         """
         c, start = self.config, expected.pose
         moved = start.distance(before) + 0.5 * abs(wrap_angle(start.yaw - before.yaw))
         share = min(1.0, max(c.least_share, moved / c.fresh_distance))
-        hills, walls = weights.min(initial=1.0) < 1, np.count_nonzero(weights)
+        hills, walls = weights is not None, len(hits) if weights is None else np.count_nonzero(weights)
         if walls < (c.least_walls if hills else c.least_beams):
             return expected, None
-        match = self._fit_from(pyramid, hits, weights * share, expected)
+        prior = start.as_array()
+        match, covariance = self._matcher.fit(pyramid, hits, weights, share, prior, expected.covariance)
         if walls * match.known < c.least_beams:
             return expected, None
         if match.known >= c.known_share and match.score < c.poor_score:
-            self.searches += 1
-            window = c.search.linear_search_window, c.search.angular_search_window
-            loose = Estimate(start, np.diag((window[0] ** 2, window[0] ** 2, window[1] ** 2)))
-            found = search(pyramid.maps[-1].grid, hits, weights, start.as_array(), c.search)
-            wider = self._fit_from(pyramid, hits, weights, loose, found)
+            wider, loose = self._search(pyramid, hits, weights, share, prior, _coasting(before, earlier))
             if hills and max(match.score, wider.score) < c.poor_score:
                 # Nothing fits, near or far: dead reckoning errs less than a forced fit.
                 return expected, match
             if hills and not self._believable(wider, expected):
                 return expected, match
             if wider.score > match.score + c.gain:
-                expected, match = loose, wider
+                match, covariance = wider, loose
         x, y, yaw = match.pose.tolist()
-        covariance = invert3(invert3(expected.covariance) + match.information)
         return Estimate(Pose2(x, y, wrap_angle(yaw)), covariance), match
+
+    def _search(
+        self,
+        pyramid: MapPyramid,
+        hits: Array,
+        weights: Array | None,
+        share: float,
+        prior: Array,
+        coasting: Array,
+    ) -> tuple[Match, Array]:
+        """Fit from the best place in the wider window, and from where the robot would have coasted to."""
+        self.searches += 1
+        c = self.config.search
+        linear, angular = c.linear_search_window**2, c.angular_search_window**2
+        loose = np.diag((linear, linear, angular))
+        found = search(
+            pyramid.maps[-1].grid, hits, np.ones(len(hits)) if weights is None else weights, prior, c
+        )
+        fits = [
+            self._matcher.fit(pyramid, hits, weights, share, prior, loose, start)
+            for start in (found, coasting)
+        ]
+        return max(fits, key=lambda fit: fit[0].score)
 
     def _believable(self, found: Match, expected: Estimate) -> bool:
         """Whether a pose lies where dead reckoning may have led."""
@@ -119,10 +147,7 @@ class Registration:
         off[2] = wrap_angle(off[2])
         return bool(off @ invert3(expected.covariance) @ off <= self.config.believable**2)
 
-    def _fit_from(
-        self, pyramid: MapPyramid, hits: Array, weights: Array, expected: Estimate, start: Array | None = None
-    ) -> Match:
-        """Run Gauss-Newton from the expected pose, on as many levels as it takes; from `start` on all."""
-        levels = self._matcher.levels(pyramid, expected.covariance) if start is None else len(pyramid.maps)
-        prior, information = expected.pose.as_array(), invert3(expected.covariance)
-        return self._matcher.match(pyramid, hits, weights, prior, information, levels, start)
+
+def _coasting(before: Pose2, earlier: Pose2 | None) -> Array:
+    """Return the (3,) pose that another step like the one from `earlier` to `before` leads to."""
+    return (before if earlier is None else before @ (earlier.inverse() @ before)).as_array()

@@ -51,6 +51,18 @@ def test_no_cell_changes_twice_in_a_scan(n: int, radius: float, times: int) -> N
     assert {round(v / STEP) for v in values[~np.isnan(values)].tolist()} <= legal
 
 
+def test_the_scratch_of_many_scans_is_as_good_as_a_fresh_one() -> None:
+    """Marks of earlier scans stay in it; after 255 scans they come round again."""
+    kept, fresh = OccupancyMap(0.1), OccupancyMap(0.1)
+    for k in range(600):
+        origin = np.array((0.02 * (k % 40), 0.01 * (k % 70), 0.4))
+        hits = ring(40 + k % 5, 1.0 + 0.01 * (k % 90)) + origin * (1, 1, 0)
+        enter(kept, hits, origin=origin)
+        fresh._touched = np.zeros(0, np.uint8)
+        enter(fresh, hits, origin=origin)
+    np.testing.assert_array_equal(kept.layers.log_odds, fresh.layers.log_odds)
+
+
 def test_a_hit_wins_over_beams_that_pass() -> None:
     grid = OccupancyMap(0.05)
     beyond = np.array(((1.0, 0.02, 0.4), (2.0, 0.02, 0.4)))

@@ -12,7 +12,8 @@ from lirs_wct.pose import Pose2
 from slam_baselines.correlative import SearchConfig, search
 from slam_baselines.levelling import ScanLeveller
 from slam_baselines.map_builder import BuilderConfig, MapBuilder
-from slam_baselines.scan_matching import MatchConfig, ScanMatcher, linearise
+from slam_baselines.matching_kernels import linearise
+from slam_baselines.scan_matching import MatchConfig, ScanMatcher
 from slam_baselines.small_matrices import invert3, moved_covariance, solve3
 from tests.slam_baselines.synthetic import ranges_to, room_scan
 
@@ -111,6 +112,27 @@ def test_the_wider_search_survives_a_sharp_turn() -> None:
     found = search(builder.pyramid.maps[2].grid, points, np.ones(len(points)), start, SearchConfig())
     np.testing.assert_allclose(found[:2], true.as_array()[:2], atol=0.2)
     assert found[2] == pytest.approx(0.4, abs=0.04)
+
+
+def test_a_fit_is_a_match_with_the_prior_in_its_covariance() -> None:
+    """One kernel call does what `levels`, `match` and two inversions do, to within one last step."""
+    true = Pose2(0.5, -0.3, 0.4)
+    builder, points = room_map(true)
+    prior, share = true.as_array() + np.array((0.05, -0.04, 0.02)), 0.3
+    covariance = np.diag((0.05**2, 0.05**2, 0.02**2))
+    matcher = ScanMatcher(MatchConfig(iterations=(10, 6, 6)))
+    levels = matcher.levels(builder.pyramid, covariance)
+    whole = matcher.match(
+        builder.pyramid, points, np.full(len(points), share), prior, np.linalg.inv(covariance), levels
+    )
+    fit, posterior = matcher.fit(builder.pyramid, points, None, share, prior, covariance)
+    np.testing.assert_allclose(fit.pose, whole.pose, atol=1e-9)
+    np.testing.assert_allclose(fit.information, whole.information, rtol=0.1, atol=30)
+    np.testing.assert_allclose(
+        posterior, np.linalg.inv(np.linalg.inv(covariance) + fit.information), rtol=1e-6
+    )
+    assert fit.score == pytest.approx(whole.score, abs=0.01)
+    assert fit.known == whole.known
 
 
 def test_nothing_known_says_nothing() -> None:
