@@ -129,17 +129,18 @@ class FusedOdometry(Odometry):
         self._readings = 0
 
     def _add(self, way: Way) -> None:
-        self._moved = integrated(self._moved, way.ahead, way.turn)
-        if self._slip_radius:
-            slide = self.expects.slide * self._slip_radius * abs(way.turn) / self.robot.friction
+        turn, length = way.turn, abs(way.length)
+        self._moved = integrated(self._moved, way.ahead, turn)
+        if self._slip_radius and turn:
+            slide = self.expects.slide * self._slip_radius * abs(turn) / self.robot.friction
             ahead, left = slide * math.sin(way.pitch), -slide * math.sin(way.roll)
             self._moved = self._moved @ Pose2(ahead, left)
             self._drifted += math.hypot(ahead, left)
         self._time += way.dt
-        self._length += abs(way.length)
-        self._turned += way.turn
+        self._length += length
+        self._turned += turn
         self._wheels_turned += way.wheel_turn
-        self._wheel_way += abs(way.length) + abs(way.wheel_turn) * self.robot.radius
+        self._wheel_way += length + abs(way.wheel_turn) * self.robot.radius
         self._readings += 1
 
     def _predict(self) -> None:
