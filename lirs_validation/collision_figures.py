@@ -68,7 +68,9 @@ def _gain(log: ContactLog, mass: float) -> Bounded:
     size, origin = span + 1, span // 2
     balance = log.energy - (np.cumsum(log.work) - log.work)
     gain = balance - minimum_filter1d(balance, size, origin=origin, mode="nearest")
-    kinetic = maximum_filter1d(log.kinetic, size, origin=origin, mode="nearest")
+    # The impact whose energy comes back lies before the lowest point.
+    since = span + round(ONSET / log.timestep)
+    kinetic = maximum_filter1d(log.kinetic, since + 1, origin=since // 2, mode="nearest")
     limit = mass * GRAVITY * DEEP + RETURNED * kinetic
     k = int(np.argmax(gain / limit))
     return Bounded(float(gain[k]), float(limit[k]))

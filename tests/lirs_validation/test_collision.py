@@ -1,0 +1,317 @@
+"""Collision validation finds what it is for, and lets pass what is sound."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from lirs_envs.model import RobotModel
+from lirs_envs.robots import ROBOTS, make_robot
+from lirs_validation.cli import app
+from lirs_validation.collision import CollisionVerdict, check_collisions
+from lirs_validation.collision_figures import energy_gain, penetrations, stuck_seconds
+from lirs_validation.collision_files import verdicts_table, write_verdicts
+from lirs_validation.contact_log import ContactRecorder
+from lirs_validation.random_drive import CONTROL_PERIOD, PERIOD, Leg, places
+from lirs_validation.slope_test import climb
+from lirs_validation.touched import Touched
+from lirs_wct.contact_parts import Terrain
+from lirs_wct.errors import ConfigError
+from lirs_wct.heightfield import HeightField
+from lirs_wct.options import BuildOptions
+from lirs_wct.pose import Pose2, Pose3
+from lirs_wct.walls import WallGrid
+from lirs_wct.world import World, build_world
+
+Heights = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def terrain(z: Heights, nodes: int = 201, cell: float = 0.1) -> World:
+    axis = (np.arange(nodes) - (nodes - 1) / 2) * cell
+    x, y = np.meshgrid(axis, -axis)
+    heights = np.broadcast_to(z(x, y), x.shape).astype(np.float32)
+    return World("made-up", "terrain", HeightField.centred(heights, (cell, cell)), starts=(Pose2(),))
+
+
+@pytest.fixture(scope="module")
+def blocks() -> World:
+    """Waves with blocks 1 m tall, 3 m apart, and a rim."""
+
+    def z(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        waves = 0.2 * np.sin(x) * np.cos(y)
+        block = (np.mod(x, 3.0) < 0.4) & (np.mod(y, 3.0) < 0.4) & (np.hypot(x, y) > 1.5)
+        return np.where(block | (np.maximum(abs(x), abs(y)) > 9.5), 1.2, waves)
+
+    return terrain(z)
+
+
+def body_in(world: World, name: str, kind: Terrain = "hfield") -> RobotModel:
+    return RobotModel(world, make_robot(name), PERIOD, CONTROL_PERIOD, terrain=kind)
+
+
+def left_alone(body: RobotModel, pose: Pose3, seconds: float) -> Leg:
+    """Let a robot fall with its wheels held, every step noted."""
+    body.settle(pose, 0.0)
+    recorder = ContactRecorder(body)
+    for _ in range(round(seconds / body.timestep)):
+        recorder.step((0.0, 0.0))
+    log = recorder.log()
+    return Leg(log, (0.0,) * len(log.depth), False, "")
+
+
+@pytest.mark.parametrize("name", list(ROBOTS))
+def test_every_robot_among_blocks(name: str, blocks: World) -> None:
+    verdict = check_collisions(blocks, make_robot(name), seconds=12.0, seed=1)
+    assert verdict.passed, verdict.checks
+    assert verdict.driven > 2
+    assert verdict.legs >= 2
+    assert verdict.force_peak > 0
+    assert verdict.force_mean > 0
+
+
+@pytest.mark.parametrize(
+    ("source", "kind", "name"),
+    [
+        ("simple", "prisms", "husky"),
+        ("medium", "mesh", "turtlebot3_waffle"),
+        ("medium", "prisms", "jackal"),
+        ("advanced", "prisms", "turtlebot2"),
+    ],
+)
+def test_bundled_worlds(source: str, kind: Terrain, name: str) -> None:
+    world = build_world(source, BuildOptions(window=(0, 0, 20)))
+    verdict = check_collisions(world, make_robot(name), terrain=kind, seconds=8.0)
+    assert verdict.passed, verdict.checks
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(
+    "path", ["height/vrc_driving_heightmap.png", "maps/navigation2/depot.yaml"], ids=["picture", "map"]
+)
+def test_real_worlds(path: str, shared_data: Path) -> None:
+    world = build_world(shared_data / path)
+    for name in ("husky", "turtlebot3_waffle"):
+        verdict = check_collisions(world, make_robot(name), seconds=8.0)
+        assert verdict.passed, verdict.checks
+
+
+def test_same_seed_same_verdict(blocks: World) -> None:
+    first, again, other = (
+        check_collisions(blocks, make_robot("jackal"), seconds=4.0, seed=seed) for seed in (1, 1, 2)
+    )
+    assert first == again
+    assert first != other
+
+
+def test_a_soft_ground_is_found_out(blocks: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tyres as soft as cushions sink in for good: too deep in most steps, whatever the impacts."""
+    make = RobotModel.__init__
+
+    def soft(self: RobotModel, *given: Any, **options: Any) -> None:
+        make(self, *given, **options)
+        self.model.geom_solref[:, 0] = 0.3
+
+    monkeypatch.setattr(RobotModel, "__init__", soft)
+    verdict = check_collisions(blocks, make_robot("husky"), seconds=4.0)
+    assert not verdict.passed
+    assert verdict.penetration_p999 > 0.010
+
+
+def test_a_robot_under_the_ground_is_found_out(blocks: World) -> None:
+    touched = Touched(blocks, body_in(blocks, "husky"), "hfield")
+    ground = float(blocks.surface.height_at(0.3, 0.2))
+    points = np.array([(0.3, 0.2, ground + 0.01), (0.3, 0.2, ground - 0.02), (30.0, 0.0, -5.0)])
+    assert touched.holds(points).tolist() == [False, True, False]
+
+
+def test_inside_of_walls_holes_and_floors() -> None:
+    solid, hole = np.zeros((40, 40), np.bool_), np.zeros((40, 40), np.bool_)
+    solid[20, :], hole[5, :] = True, True
+    walls = WallGrid(solid, 0.1, Pose2(1.0, 2.0, 0.5), 1.5, hole)
+    floor = HeightField(np.zeros((2, 2), np.float32), (8.0, 8.0), (-4.0, -1.0))
+    world = World("walled", "map", floor, walls)
+    touched = Touched(world, body_in(world, "turtlebot2"), "hfield")
+    middle = walls.origin.apply(np.array([(2.0, 2.05), (2.0, 1.0), (2.0, 0.55), (9.0, 9.0)]))
+    for z, expected in ((0.5, [True, False, False, False]), (-0.1, [True, True, False, False])):
+        points = np.column_stack((middle, np.full(4, z)))
+        assert touched.holds(points).tolist() == expected
+    assert not touched.holds(np.array([(*middle[0], 1.6)])).any()
+
+
+def test_energy_of_a_fall_is_kept_and_a_push_is_found_out() -> None:
+    world = terrain(lambda x, y: 0.01 * (x > 9.9))
+    body = body_in(world, "husky")
+    mass = float(body.model.body_mass.sum())
+    leg = left_alone(body, Pose3(0.0, 0.0, 1.0), 1.5)
+    gain = energy_gain([leg], mass)
+    assert gain.ratio < 1
+    # By hand: all that the height gave is gone when it lies still.
+    log = leg.log
+    lost = mass * 9.81 * (log.position[0, 2] - log.position[-1, 2])
+    assert log.energy[0] - log.energy[-1] == pytest.approx(lost, rel=0.02)
+    # Work by no motor: 8 J a tenth of a second before the end.
+    k = len(log.energy) - 25
+    pushed = log.energy + np.where(np.arange(len(log.energy)) >= k, 8.0, 0.0)
+    assert energy_gain([replace(leg, log=replace(log, energy=pushed))], mass).ratio > 1
+    assert energy_gain([replace(leg, log=motors)], mass).ratio < 1
+
+
+def test_motors_work_is_what_the_robot_gains() -> None:
+    """Speeding up on the level: kinetic energy is the motors' work less what slip takes, a few per cent."""
+    world = terrain(lambda x, y: 0.01 * (x > 9.9))
+    body, robot = body_in(world, "husky"), make_robot("husky")
+    body.settle(Pose3(0.0, 0.0, robot.base_height), 0.6)
+    recorder = ContactRecorder(body)
+    for k in range(150):
+        speed = min(1.0, k / 100) / robot.wheel_radius
+        recorder.step((speed, speed))
+    log = recorder.log()
+    work, gained = float(log.work.sum()), float(log.energy[-1] - log.energy[0])
+    assert gained > 0.5 * mass_of(body) * 0.9
+    assert work == pytest.approx(gained, rel=0.1)
+    assert work >= gained
+
+
+def mass_of(body: RobotModel) -> float:
+    return float(body.model.body_mass.sum())
+
+
+def test_an_impact_may_go_as_deep_as_its_speed_allows() -> None:
+    world = terrain(lambda x, y: 0.01 * (x > 9.9))
+    body = body_in(world, "jackal")
+    leg = left_alone(body, Pose3(0.0, 0.0, 2.0), 1.2)
+    p999, peak = penetrations([leg])
+    speed = math.sqrt(2 * 9.81 * (2.0 - 0.0635))
+    assert peak.value > 0.010
+    assert peak.limit == pytest.approx(0.010 * speed, rel=0.05)
+    assert peak.ratio < 1
+    assert p999 == pytest.approx(np.quantile(leg.log.depth, 0.999))
+    # The same depths at a tenth of the speed are no impact.
+    slow = replace(leg, log=replace(leg.log, velocity=leg.log.velocity / 10, spin=leg.log.spin / 10))
+    assert penetrations([slow])[1].ratio > 1
+
+
+def test_standing_before_a_wall_is_stuck() -> None:
+    world = terrain(lambda x, y: 0.01 * (x > 9.9))
+    leg = left_alone(body_in(world, "turtlebot2"), Pose3(0.0, 0.0, 0.02), 3.2)
+    assert stuck_seconds([leg]) == 0
+    assert stuck_seconds([replace(leg, commanded=(0.5,) * len(leg.commanded))]) == 3
+
+
+def test_the_steepest_legal_slope_is_found_and_climbed() -> None:
+    """A ramp of 20 deg, and one of 40 that no Husky may be set down on."""
+
+    def z(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.maximum(x, 0) * np.where(y > 0, math.tan(math.radians(20)), math.tan(math.radians(40)))
+
+    world, robot = terrain(z), make_robot("husky")
+    found = climb(body_in(world, "husky"), world, robot)
+    assert found is not None
+    assert found.slope == pytest.approx(20, abs=1.5)
+    assert found.slid < 0.05
+    assert 0.8 < found.climbed < 1.1
+    slippery = body_in(world, "husky")
+    slippery.model.geom_friction[:, 0] = 0.2
+    lost = climb(slippery, world, robot)
+    assert lost is not None
+    assert lost.slid > 0.05
+    assert lost.climbed < 0.8
+
+
+def test_half_the_places_are_beside_an_obstacle(blocks: World) -> None:
+    robot = make_robot("turtlebot2")
+    found = places(blocks, robot, np.random.default_rng(1))
+    assert len(found) >= 8
+    free = blocks.traversable(clearance=robot.radius + 0.25, max_slope=robot.max_slope).free
+    tight = [not free[tuple(int(i) for i in blocks_cell(blocks, robot, p))] for p in found[1::2]]
+    assert np.mean(tight) > 0.8
+
+
+def blocks_cell(world: World, robot: object, pose: Pose2) -> np.ndarray:
+    grid = world.traversable(clearance=0.1, max_slope=1.0)
+    return grid.cells((pose.x, pose.y))
+
+
+def test_nowhere_to_stand() -> None:
+    steep = terrain(lambda x, y: 2.0 * x)
+    with pytest.raises(ConfigError, match=r"made-up: no place for turtlebot2: it needs 0\.6 m of free"):
+        check_collisions(steep, make_robot("turtlebot2"), seconds=1.0)
+
+
+def test_bad_arguments(blocks: World) -> None:
+    robot = make_robot("husky")
+    for options, words in (
+        ({"seconds": 0.0}, "seconds must be a finite number above 0"),
+        ({"seconds": math.nan}, "seconds must be"),
+        ({"seed": -1}, "seed must be 0 or above"),
+        ({"seed": "one"}, "seed must be a int"),
+        ({"terrain": "mud"}, "'mud'; legal"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            check_collisions(blocks, robot, **options)
+    with pytest.raises(ConfigError, match="robot must be a Robot"):
+        check_collisions(blocks, "husky")  # type: ignore[arg-type]
+
+
+def test_a_divergence_fails(blocks: World, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file where it stands
+    step, calls = RobotModel.step, []
+
+    def kick(self: RobotModel, control: tuple[float, ...], steps: int) -> None:
+        calls.append(1)
+        if len(calls) == 500:
+            self.data.qvel[0] = 1e20
+        step(self, control, steps)
+
+    monkeypatch.setattr(RobotModel, "step", kick)
+    verdict = check_collisions(blocks, make_robot("husky"), seconds=10.0)
+    assert not verdict.passed
+    assert "diverged at" in verdict.diverged
+    assert verdict.seconds < 10
+
+
+def test_files_and_table(blocks: World, tmp_path: Path) -> None:
+    good = check_collisions(blocks, make_robot("turtlebot3_burger"), seconds=2.0)
+    bad = replace(good, seed=2, penetration_p999=0.02, inside_steps=3)
+    folder, sheet = write_verdicts(tmp_path, [good, bad])
+    entries = json.loads(folder.read_text())["collisions"]
+    assert [entry["passed"] for entry in entries] == [True, False]
+    over = [check["name"] for check in entries[1]["checks"] if not check["passed"]]
+    assert over == ["penetration, 99.9 %", "centres inside"]
+    assert CollisionVerdict(**{key: entries[0][key] for key in vars(good)}) == good
+    lines = sheet.read_text().splitlines()
+    assert len(lines) == 3
+    assert lines[0].startswith("world,robot,terrain")
+    caption = str(verdicts_table([good, bad]).caption)
+    assert "seed 2: penetration, 99.9 % 20 mm, legal: at most 10 mm" in caption
+
+
+def test_the_command(tmp_path: Path) -> None:
+    def run(*words: str) -> tuple[int, str]:
+        result = CliRunner().invoke(app, ["collide", *words, "-o", str(tmp_path)], standalone_mode=False)
+        code = getattr(result.exception, "exit_code", None)
+        return result.return_value or code or 0, str(result.exception)
+
+    quick = ("simple", "--robot", "turtlebot2", "--seconds", "1", "--window", "0,0,20")
+    assert run(*quick, "--seeds", "1,3-4")[0] == 0
+    entries = json.loads((tmp_path / "collisions.json").read_text())["collisions"]
+    assert [entry["seed"] for entry in entries] == [1, 3, 4]
+    # A terrain that does not fit is left out and told; the rest stands.
+    assert run(*quick, "--terrain", "hfield,convex")[0] == 3
+    for words, says in (
+        (("simple", "--robot", "huksy"), "unknown robot 'huksy'"),
+        (("simple", "--robot", ","), "--robot must name at least one"),
+        (("simple", "--seeds", "5-1"), "--seeds must be whole numbers or ranges"),
+        (("simple", "--terrain", "mud"), "--terrain must be hfield, mesh, prisms or convex"),
+        (("simple", "--seconds", "0"), "seconds must be a finite number above 0"),
+        (("nope.png",), "no such file"),
+    ):
+        assert says in run(*words)[1]
