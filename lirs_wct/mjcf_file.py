@@ -97,7 +97,9 @@ def _dress(spec: mujoco.MjSpec, surface: HeightField, folder: Path, texture: Pat
     MuJoCo reads PNG alone and lays it from the middle, so that most pictures are laid out beforehand.
     """
     if texture.suffix != ".png" or surface.size != (span, span):
-        laid = spread(cv2.imread(str(folder / texture)), surface.size, span)
+        picture = cv2.imread(str(folder / texture))
+        assert picture is not None, "a texture is read once before it is kept"
+        laid = spread(picture, surface.size, span)
         texture = texture.with_name(f"{texture.stem}-ground.png")
         cv2.imwrite(str(folder / texture), laid)
     spec.assets = dict(spec.assets) | {texture.as_posix(): (folder / texture).read_bytes()}
