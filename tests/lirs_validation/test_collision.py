@@ -161,6 +161,7 @@ def test_energy_of_a_fall_is_kept_and_a_push_is_found_out() -> None:
     k = len(log.energy) - 25
     pushed = log.energy + np.where(np.arange(len(log.energy)) >= k, 8.0, 0.0)
     assert energy_gain([replace(leg, log=replace(log, energy=pushed))], mass).ratio > 1
+    motors = replace(log, energy=pushed, work=np.append(np.diff(pushed), 0.0))
     assert energy_gain([replace(leg, log=motors)], mass).ratio < 1
 
 
