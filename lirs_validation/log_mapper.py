@@ -37,12 +37,14 @@ def make_log_mapper(config: MapConfig) -> Mapper:
     return mapper_named(config.mapper, config.seed)
 
 
-def check_odometry(config: MapConfig, log: CarmenLog) -> None:
+def check_log(config: MapConfig, log: CarmenLog) -> None:
     """Tell whether a log holds what the mapper needs.
 
     Raises:
-        SourceError: it holds no odometry, and the mapper needs it.
+        SourceError: nothing was seen in it, or it holds no odometry and the mapper needs it.
     """
+    if not any(scan.hits.any() for scan in log.scans):
+        raise SourceError(f"{config.log}: none of its {len(log.scans)} scans met anything within range")
     if config.mapper in NEED_ODOMETRY and log.odometry[0] is None:
         raise SourceError(
             f"{config.log}: holds no odometry (or one that never changes), {config.mapper} needs it; "

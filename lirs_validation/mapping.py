@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from lirs_validation.cost import CostMeter
-from lirs_validation.log_mapper import check_odometry, make_log_mapper, rehearse_log_mapper
+from lirs_validation.log_mapper import check_log, make_log_mapper, rehearse_log_mapper
 from lirs_validation.map_accuracy import Accuracy, judge_trajectory
 from lirs_validation.map_record import MapConfig, MapRecord, log_figures, map_figures
 from lirs_validation.mapper_checks import check_pose, final_map, final_stats, final_trajectory
@@ -106,7 +106,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, report: Report | 
     tell("read", 0.0)
     with _timed(seconds, "read_seconds"):
         name, log = folder_name(config), read_log(config)
-        check_odometry(config, log)
+        check_log(config, log)
     tell("compile", 0.0)
     with _timed(seconds, "compile_seconds"):
         rehearse_log_mapper(config)

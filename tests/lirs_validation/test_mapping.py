@@ -17,7 +17,7 @@ from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.pose import Pose2
 from lirs_wct.trajectory import Trajectory
-from tests.carmen_room import PERIOD, START, room_lines, write_log
+from tests.carmen_room import PERIOD, START, flaser, room_lines, write_log
 from tests.slam_baselines.synthetic import ROOM, ranges_to
 
 SCANS = 90
@@ -119,6 +119,22 @@ def test_without_odometry_hector_maps_and_the_others_say_what_they_need(room: Pa
             SourceError, match=rf"blind\.clf: holds no odometry.*{other} needs it; hector maps"
         ):
             map_log(room / "blind.clf", mapper=other)
+
+
+@pytest.mark.usefixtures("unrehearsed")
+@pytest.mark.parametrize("mapper", ["hector", "gmapping", "cartographer"])
+@pytest.mark.parametrize("scans", [1, 2])
+def test_a_scan_or_two_make_a_map(tmp_path: Path, mapper: str, scans: int) -> None:
+    path = write_log(tmp_path / "x.clf", room_lines(30)[0][:scans])
+    mapped = map_log(path, mapper=mapper, out=tmp_path)
+    assert len(mapped.trajectory) == scans
+    assert mapped.grid.occupied.sum() > 50
+
+
+def test_a_log_in_which_nothing_was_seen_is_no_map(tmp_path: Path) -> None:
+    lines = [flaser(np.full(181, 81.83), Pose2(0.1 * k), START + k) for k in range(20)]
+    with pytest.raises(SourceError, match=r"x\.clf: none of its 20 scans met anything within range"):
+        map_log(write_log(tmp_path / "x.clf", lines))
 
 
 @pytest.mark.usefixtures("unrehearsed")
