@@ -19,7 +19,7 @@ FIELDS = st.builds(
     HeightField,
     hnp.arrays(
         np.float32,
-        hnp.array_shapes(min_dims=2, max_dims=2, min_side=2, max_side=9),
+        hnp.array_shapes(min_dims=2, max_dims=2, min_side=2, max_side=20),
         elements=st.one_of(st.sampled_from((0.0, 1.0)), HEIGHTS),
     ),
     st.tuples(st.sampled_from((0.25, 1.0, 0.3)), st.sampled_from((0.25, 1.0, 0.7))),

@@ -29,6 +29,7 @@ FIELDS = {
     "odd and square": rough(23, 18, (0.25, 0.25), 2),
     "a row of cells": rough(2, 33, (0.1, 0.6), 3),
     "one cell": rough(2, 2, (1.0, 2.0), 4),
+    "more levels than the start": rough(30, 151, (0.1, 0.15), 5),
 }
 
 
@@ -117,7 +118,7 @@ def agree(ours: Array, either: Array, other: Array) -> NDArray[np.bool_]:
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 @pytest.mark.parametrize("name", FIELDS)
 def test_equals_brute_force(name: str, kind) -> None:
-    """4 x 8 x 320 = 10,240 rays."""
+    """5 x 8 x 320 = 12,800 rays."""
     surface = FIELDS[name]
     caster = RayCaster(surface)
     origins, directions = kind(surface, 320, np.random.default_rng(7))
