@@ -112,7 +112,8 @@ def _strip(axes: Axes, figure: Figure, cells: Mapping[Cell, Sequence[Entry]], ma
         if min(values) > 0 and max(values) / min(values) > WIDE:
             axes.set_xscale("log")
     axes.grid(axis="x", color=INK, alpha=0.12, linewidth=0.6)
-    axes.locator_params(axis="x", nbins=4) if axes.get_xscale() == "linear" else None
+    if axes.get_xscale() == "linear":
+        axes.locator_params(axis="x", nbins=4)
 
 
 def _values(figure: Figure, runs: Sequence[Entry]) -> list[float]:

@@ -107,7 +107,8 @@ def caption_of(wanted: Sequence[Figure], entries: Sequence[Entry]) -> str:
     if any(f.place.startswith("rtf.") for f in wanted):
         beside = sum(bool(e["rtf"]) and not rtf_counts(e) for e in entries)
         if beside:
-            lines.append(f"{beside} runs that were not alone on the machine have no RTF here.")
+            runs, have = ("run", "has") if beside == 1 else ("runs", "have")
+            lines.append(f"{beside} {runs} with something running beside {have} no RTF here.")
         if any(e["rtf"] and e["rtf"]["extrapolated"] for e in entries):
             lines.append(f"{EXTRAPOLATED} extrapolated: some drives were stopped at their wall limit.")
     return " ".join(lines)

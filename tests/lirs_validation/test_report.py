@@ -161,9 +161,25 @@ def test_what_ran_beside_others_has_no_rtf_and_what_was_stopped_is_marked() -> N
     assert here.values == repeats([40.0, 42.0])
     assert isinstance(there, Spread)
     assert there.text == "0.0200†"
-    assert "1 runs that were not alone on the machine have no RTF here." in sheet.caption
+    assert "1 run with something running beside has no RTF here." in sheet.caption
     assert "† extrapolated" in sheet.caption
     assert sheet.rows[0][column + 1].values.count == 3  # type: ignore[union-attr]
+
+
+def test_a_page_without_any_rtf_is_a_page(tmp_path: Path) -> None:
+    for seed in (1, 2):
+        saved(tmp_path, seed=seed, concurrent=True)
+    _, html = told(tmp_path)
+    Reader(html)
+    assert "2 runs with something running beside have no RTF here." in html
+
+
+def test_a_page_of_failures_alone_is_a_page(tmp_path: Path) -> None:
+    saved(tmp_path, status="timeout")
+    report, html = told(tmp_path)
+    Reader(html)
+    assert "0 of 1" in html
+    assert [sheet.key for sheet in report.sheets] == ["failures", "summary", "commands"]
 
 
 def test_the_band_is_of_the_seeds() -> None:
