@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.grid import OccupancyGrid
@@ -16,9 +17,13 @@ from lirs_wct.scan import Imu, LaserScan
 from lirs_wct.trajectory import Trajectory
 from slam_baselines.global_config import GlobalConfig
 from slam_baselines.global_slam import GlobalSlam
+from slam_baselines.known_map import KnownMap
+from slam_baselines.levelling import ScanLeveller
 from slam_baselines.local_config import LocalConfig
 from slam_baselines.local_slam import LocalSlam
-from slam_baselines.mapper import MapperStats, Stopwatch
+from slam_baselines.localisation import Localiser
+from slam_baselines.localisation_config import LocalisationConfig
+from slam_baselines.mapper import Mapper, MapperStats, Stopwatch
 from slam_baselines.node_map import NodeMap
 from slam_baselines.node_trajectory import NodeTrajectory
 from slam_baselines.occupancy import UpdateConfig
@@ -37,9 +42,12 @@ class CartographerConfig:
             doubled, until the first one is finished.
         max_range: hits farther away are not used, metres.
         clear_range: a beam without return is believed to be free up to here, metres.
+        map: a known map, a grid or the path of its YAML: the robot is only localised in it.
+        start: `T_map_base` at the first scan in that map; None: it is searched for in all of it.
+        localisation: when a place in the known map is believed.
 
     Raises:
-        ConfigError: a resolution or range that is not above 0.
+        ConfigError: a resolution or range that is not above 0, or a start without a map.
     """
 
     local: LocalConfig = field(default_factory=LocalConfig)
@@ -49,10 +57,29 @@ class CartographerConfig:
     first_look: float = 2.0
     max_range: float = math.inf
     clear_range: float = 0.0
+    map: OccupancyGrid | str | Path | None = None
+    start: Pose2 | None = None
+    localisation: LocalisationConfig = field(default_factory=LocalisationConfig)
 
     def __post_init__(self) -> None:
         if not (self.map_resolution > 0 and self.max_range > 0):
             raise ConfigError("map_resolution and max_range must be above 0 m")
+        if self.start is not None and self.map is None:
+            raise ConfigError("start is a pose in a known map: map is needed with it")
+
+
+def make_cartographer(config: CartographerConfig) -> Mapper:
+    """Return a mapper, or where a map is given, what finds the robot in it.
+
+    Raises:
+        SourceError: the map's file cannot be used.
+        ConfigError: there is no wall in the map.
+    """
+    c = config
+    if c.map is None:
+        return CartographerMapper(c)
+    leveller = ScanLeveller(c.clear_range, c.max_range)
+    return Localiser(KnownMap.of(c.map), c.start, c.localisation, c.local.matching, c.local.motion, leveller)
 
 
 class CartographerMapper:

@@ -20,9 +20,9 @@ from lirs_wct.trajectory import Trajectory
 MAPPERS: Mapping[str, tuple[str, str, str]] = {
     "hector": ("slam_baselines.hector", "HectorConfig", "HectorMapper"),
     "gmapping": ("slam_baselines.gmapping", "GmappingConfig", "GmappingMapper"),
-    "cartographer": ("slam_baselines.cartographer", "CartographerConfig", "CartographerMapper"),
+    "cartographer": ("slam_baselines.cartographer", "CartographerConfig", "make_cartographer"),
 }
-"""Name -> module, class of its configuration, class of the method."""
+"""Name -> module, class of its configuration, what makes a mapper of one."""
 
 
 @dataclass(frozen=True, kw_only=True)
