@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from lirs_wct.options import BuildOptions
-from lirs_wct.source import is_log
 
 
 def with_logs_mapped(given: dict[str, Any], options: BuildOptions) -> tuple[dict[str, Any], BuildOptions]:
@@ -20,6 +19,9 @@ def with_logs_mapped(given: dict[str, Any], options: BuildOptions) -> tuple[dict
     Raises:
         WctError: a log cannot be mapped, or its map cannot be written.
     """
+    # What tells sources apart loads half of SciPy, which `--help` should not wait for.
+    from lirs_wct.source import is_log
+
     sources = given.get("sources") or [given.get("source", "")]
     logs = [source for source in sources if is_log(Path(source))]
     if not logs:

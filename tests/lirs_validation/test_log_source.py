@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gzip
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -161,3 +163,15 @@ def test_bad_input_is_one_line_and_code_2(
     assert expected in told
     assert len(told.splitlines()) == 1, told
     assert sorted(folder.rglob("*")) == before
+
+
+def test_the_first_scan_does_not_wait_for_what_it_does_not_need() -> None:
+    """Neither simulator nor drawing is loaded before a log is mapped; the command line loads less still."""
+    code = (
+        "import sys, lirs_validation.cli; early = set(sys.modules);"
+        "import lirs_validation.mapping, slam_baselines.cartographer;"
+        "heavy = {'mujoco', 'matplotlib', 'gymnasium', 'trimesh'};"
+        "print({'scipy.ndimage'} & early, heavy & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set() set()"
