@@ -75,9 +75,11 @@ def add_props(spec: mujoco.MjSpec, world: World, props: Sequence[Prop | Parked])
     """Add things and robots to a specification, on the world's ground.
 
     Raises:
-        ConfigError: one stands beyond the world's border.
+        ConfigError: one is of another type, or stands beyond the world's border.
     """
     for k, prop in enumerate(props):
+        if not isinstance(prop, Prop | Parked):
+            raise ConfigError(f"props must be Prop or Parked, got {prop!r}")
         height = prop.height if isinstance(prop, Prop) else prop.robot.base_height
         T = _standing(world, prop.place, height)
         if isinstance(prop, Parked):

@@ -40,12 +40,23 @@ class Noise:
         odometry: of the wheels.
         lidar: of the LRF: a level (`none`, `simulated`, `datasheet`) or figures of your own.
         sweep: whether the beams of a scan are spread over its time.
+
+    Raises:
+        ConfigError: one is of the wrong type.
     """
 
     imu: ImuConfig = field(default_factory=ImuConfig)
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
     lidar: LidarNoise | NoiseLevel = "simulated"
     sweep: bool = False
+
+    def __post_init__(self) -> None:
+        kinds = {"imu": ImuConfig, "odometry": OdometryConfig, "lidar": LidarNoise | str, "sweep": bool}
+        for name, kind in kinds.items():
+            value = getattr(self, name)
+            if not isinstance(value, kind):
+                words = getattr(kind, "__name__", "LidarNoise or the name of a level")
+                raise ConfigError(f"noise: {name} must be a {words}, got {value!r}")
 
 
 class Sensors:

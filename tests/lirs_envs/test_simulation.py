@@ -230,6 +230,7 @@ def test_arguments_of_the_wrong_type(plane: World, husky: Robot, make_world: Cal
         ((plane, husky), {"noise": "much"}, "noise must be a Noise"),
         ((plane, husky), {"lidar": 5}, "unknown lidar 5; legal"),
         ((plane, husky), {"terrain": "mud"}, "'mud'; legal"),
+        ((plane, husky), {"props": ["box"]}, "props must be Prop or Parked, got 'box'"),
     ):
         with pytest.raises(ConfigError, match=words):
             Simulation(*arguments, **options)
@@ -240,6 +241,17 @@ def test_arguments_of_the_wrong_type(plane: World, husky: Robot, make_world: Cal
     for command in (None, (1.0, 0.0), Twist("fast")):  # type: ignore[arg-type]
         with pytest.raises(ConfigError, match="a command must be"):
             sim.advance(command)  # type: ignore[arg-type]
+
+
+def test_noise_of_the_wrong_type() -> None:
+    for figures, words in (
+        ({"odometry": "ekf"}, "noise: odometry must be a OdometryConfig, got 'ekf'"),
+        ({"imu": 0.1}, "noise: imu must be a ImuConfig, got 0.1"),
+        ({"lidar": 0.01}, "noise: lidar must be a LidarNoise or the name of a level, got 0.01"),
+        ({"sweep": "yes"}, "noise: sweep must be a bool, got 'yes'"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            Noise(**figures)  # type: ignore[arg-type]
 
 
 def test_a_robot_too_large_for_the_world(husky: Robot, make_world: Callable[..., World]) -> None:
