@@ -30,6 +30,7 @@ AHEAD = 2
 """Cells handed to Ray for each of its cores: enough to keep it busy, few enough to stay small."""
 PATIENCE = 5.0
 """Seconds that a cluster has to answer."""
+TOKEN = Path.home() / ".ray" / "auth_token"
 
 Files = dict[str, bytes]
 
@@ -132,6 +133,8 @@ def _connected(address: str | None, jobs: int | None) -> Iterator[Any]:
     """Give Ray, connected; a cluster that was there before stays."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    if address is not None:
+        _show_token()
     try:
         import ray
     except ImportError as error:
@@ -171,3 +174,9 @@ def _knock(address: str) -> None:
         socket.create_connection((host, int(port)), timeout=PATIENCE).close()
     except OSError as error:
         raise ConfigError(f"--address {address}: no Ray cluster answers there: {error}") from error
+
+
+def _show_token() -> None:
+    """Use Ray's token where this machine has one, as `ray start` does; read when Ray is imported."""
+    if any(name in os.environ for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")) or TOKEN.exists():
+        os.environ.setdefault("RAY_AUTH_MODE", "token")
