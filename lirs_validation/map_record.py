@@ -16,6 +16,8 @@ from lirs_wct.formats.carmen import CarmenLog
 from lirs_wct.grid import OccupancyGrid
 
 SCHEMA = 1
+KIND = "map of a log"
+"""Tells these records from those of runs."""
 RESOLUTIONS = (0.01, 1.0)
 """Legal edges of a map's cell, metres: finer ones fill the memory, coarser ones hold no room."""
 
@@ -101,7 +103,7 @@ class MapRecord:
         # The run's record knows the whole simulator, which the first scan should not wait for.
         from lirs_validation.record import plain
 
-        entry = {"schema": SCHEMA, "kind": "map of a log", "seed": self.config.seed} | asdict(self)
+        entry = {"schema": SCHEMA, "kind": KIND, "seed": self.config.seed} | asdict(self)
         return json.dumps(entry, indent=1, default=plain, allow_nan=False) + "\n"
 
     def save(self, folder: Path) -> None:
@@ -112,6 +114,15 @@ class MapRecord:
         """
         with atomic_write(folder / "record.json") as path:
             path.write_text(self.to_json(), encoding="utf-8")
+
+
+def is_mapped_log(folder: Path) -> bool:
+    """Tell whether a folder holds the record of a mapped log."""
+    try:
+        entry = json.loads((folder / "record.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(entry, dict) and entry.get("kind") == KIND
 
 
 def log_figures(log: CarmenLog) -> dict[str, Any]:

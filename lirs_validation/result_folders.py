@@ -10,6 +10,7 @@ from types import NoneType
 from typing import Any
 
 from lirs_validation.collision import CollisionVerdict
+from lirs_validation.map_record import is_mapped_log
 from lirs_validation.record import read_record
 from lirs_validation.schema import schema_error
 from lirs_validation.sweep.collision_cell import STATUS, read_verdict
@@ -79,6 +80,8 @@ def read_results(root: Path) -> ResultFolder:
     skipped: list[tuple[str, str]] = []
     for folder in sorted(p for p in root.iterdir() if p.is_dir() and not p.name.startswith(".")):
         try:
+            if is_mapped_log(folder):
+                continue  # a source of runs, and none itself
             if (folder / "record.json").exists():
                 runs.append(read_run(folder))
             elif (folder / STATUS).exists():

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from lirs_validation import cli, resolve_source
+from lirs_validation.result_folders import read_results
 from lirs_validation.run import validate
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import SourceError
@@ -103,9 +104,12 @@ def test_view_and_info_take_logs(folder: Path, capsys: pytest.CaptureFixture[str
 
 def test_a_robot_drives_in_the_map_of_a_log(folder: Path) -> None:
     source = resolve_source("my room.clf", BuildOptions(log_mapper="hector"), folder)
-    run = validate(source, robot="turtlebot3_burger", seconds=2.0)
+    run = validate(source, robot="turtlebot3_burger", seconds=2.0, out=folder)
     assert run.record.world["name"] == "my_room"
     assert run.record.status == "ok"
+    results = read_results(folder)
+    assert [read.folder for read in results.runs] == [run.folder]
+    assert results.skipped == ()  # the map beside it is no damaged run
 
 
 def test_the_map_command_tells_figures_and_what_was_wrong(
