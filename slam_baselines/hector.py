@@ -151,7 +151,8 @@ class HectorMapper:
     def _fits(self, match: Match | None) -> bool:
         """Keep count of poor matches; return whether the scan may enter the map.
 
-        Before the first good match nothing is known that a scan could contradict.
+        Before the first good match nothing is known that a scan could contradict. The first metres among
+        hills are looked at again with more of the ground known: until then dead reckoning is believed.
         """
         c = self.config
         known = match is not None and match.known >= c.registration.known_share
@@ -159,7 +160,8 @@ class HectorMapper:
             self._settled |= known
             self._poor_in_a_row = 0
             return True
-        if not self._settled:
+        hills = not self._builder.flat and not self._second_look.over
+        if not self._settled or hills:
             return True
         self._poor_in_a_row += 1
         self._lost_scans += self.lost

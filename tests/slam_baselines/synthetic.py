@@ -80,9 +80,14 @@ def on_ground(surface: HeightField, pose: Pose2) -> Pose3:
 
 
 class Drive:
-    """Scans, odometry, attitude and truth of a drive over hilly ground at 25 Hz."""
+    """Scans, odometry, attitude and truth of a drive over hilly ground at 25 Hz.
 
-    def __init__(self, surface: HeightField, seconds: float, rng: np.random.Generator) -> None:
+    In a turn the robot slides downhill, by `slide` metres per radian and unit of slope; no wheel sees it.
+    """
+
+    def __init__(
+        self, surface: HeightField, seconds: float, rng: np.random.Generator, slide: float = 0.0
+    ) -> None:
         caster = RayCaster(surface)
         angles = -0.75 * math.pi + 1.5 * math.pi / 540 * np.arange(541)
         beams = np.stack((np.cos(angles), np.sin(angles), 0 * angles), axis=-1)
@@ -108,6 +113,9 @@ class Drive:
             self.odometry.append(odometry)
             self.truth.append(T)
             step = 0.8 * 0.04
-            pose = pose @ Pose2(step * math.cos(T.pitch), 0.0, rate * 0.04)
+            slid = slide * abs(rate) * 0.04
+            pose = pose @ Pose2(
+                step * math.cos(T.pitch) + slid * math.sin(T.pitch), -slid * math.sin(T.roll), rate * 0.04
+            )
             noise = rng.normal(0, 1, 2)
             odometry = odometry @ Pose2(step * (1.02 + 0.03 * noise[0]), 0.0, rate * 0.04 + 1e-5 * noise[1])

@@ -130,6 +130,34 @@ def test_hilly_ground() -> None:
     assert f1 > 0.85
 
 
+@pytest.mark.parametrize(("relief", "slide"), [(2.0, 2.0), (1.5, 4.0)])
+def test_sliding_in_turns_on_a_slope_does_no_harm(relief: float, slide: float) -> None:
+    """The wheels see nothing of it, so dead reckoning alone goes far astray."""
+    drive = Drive(wavy(relief), 24.0, np.random.default_rng(1), slide=slide)
+    mapper, T = HectorMapper(), drive.truth[0].to_pose2()
+    for scan, odometry, imu in zip(drive.scans, drive.odometry, drive.imus, strict=True):
+        mapper.update(scan, odometry, imu)
+    true = np.array([(p.x, p.y) for p in drive.truth])
+    reckoned = np.array([(p.x, p.y) for p in (T @ step for step in drive.odometry)])
+    error = np.linalg.norm(mapper.trajectory().moved(T).xy - true, axis=1)
+    assert np.sqrt(((reckoned - true) ** 2).sum(axis=1).mean()) > 0.5
+    assert np.sqrt((error**2).mean()) < 0.1
+    assert mapper.stats.lost == 0
+
+
+def test_odometry_that_stalls_and_catches_up_does_no_harm() -> None:
+    """It stands for a while and then gives the whole way at once: scans know better."""
+    rng, path, mapper = np.random.default_rng(0), loop(120), HectorMapper()
+    errors: list[float] = []
+    for k, pose in enumerate(path):
+        seen = path[0].inverse() @ path[k - k % 6]
+        estimate = mapper.update(room_scan(pose, 0.2 * k, rng), seen, None)
+        errors.append((path[0].inverse() @ pose).distance(estimate))
+    assert max(errors) < 0.12
+    assert errors[-1] < 0.04
+    assert not mapper.lost
+
+
 def test_unknown_names_list_the_legal_ones() -> None:
     with pytest.raises(ConfigError, match=r"unknown mapper 'hektor'; legal: .*hector"):
         make_mapper("hektor")
