@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from lirs_validation.map_agreement import contradicted
+from lirs_validation.record import SOUND, RunRecord
 from lirs_validation.report.hillshade import coloured_relief
 from lirs_validation.report.raster import Canvas, bounds_of
 from lirs_validation.report.style import (
@@ -32,9 +33,6 @@ from lirs_validation.report.words import key_figures
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.trajectory import Trajectory
 from lirs_wct.world import World
-
-if TYPE_CHECKING:
-    from lirs_validation.record import RunRecord
 
 MARGIN = 1.0
 """Metres shown around what the maps know."""
@@ -103,7 +101,9 @@ def bounds_shown(truth: Trajectory, true_pose: OccupancyGrid) -> tuple[float, fl
 def _headline(record: RunRecord) -> str:
     c = record.config
     text = f"{record.world['name']}: {c.robot} maps with {c.mapper}, seed {c.seed}"
-    return text if record.status == "ok" else f"{text} (failed: {record.reason or record.status})"
+    if record.status == "ok":
+        return text
+    return f"{text} ({'' if record.status in SOUND else 'failed: '}{record.reason or record.status})"
 
 
 def _terrain(axes: Axes, world: World, canvas: Canvas, truth: Trajectory, estimate: Trajectory) -> None:

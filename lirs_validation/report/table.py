@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from lirs_validation.record import SOUND, RunRecord
 from lirs_validation.report.words import NOTHING, Entry, as_entry, figure_at, status_of, told
-
-if TYPE_CHECKING:
-    from lirs_validation.record import RunRecord
 
 COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("world", "world.name", "{}"),
@@ -20,7 +17,7 @@ COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("mapper", "config.mapper", "{}"),
     ("seed", "config.seed", "{}"),
     ("status", "status", "{}"),
-    ("RTF", "rtf.mean", "{:.1f}"),
+    ("RTF", "rtf.mean", "{:.3g}"),
     ("driven [m]", "trajectory.length", "{:.1f}"),
     ("ATE [m]", "trajectory.ate_rmse", "{:.3f}"),
     ("F1", "map.f1", "{:.3f}"),
@@ -61,7 +58,7 @@ def results_table(records: Sequence[RunRecord | Entry]) -> Table:
             overflow="fold",
         )
     for entry in entries:
-        failed = status_of(entry) != "ok"
+        failed = status_of(entry) not in SOUND
         # As plain text: a name may hold brackets, which rich would take for its markup.
         table.add_row(*(Text(told(entry, c[1], c[2])) for c in columns), style="bold red" if failed else "")
     return table
@@ -84,7 +81,7 @@ def markdown_table(records: Sequence[RunRecord | Entry]) -> str:
 
 def ordered(records: Sequence[RunRecord | Entry]) -> list[Entry]:
     """Return the records as nested dicts: failures first, else as they came."""
-    return sorted((as_entry(r) for r in records), key=lambda entry: status_of(entry) == "ok")
+    return sorted((as_entry(r) for r in records), key=lambda entry: status_of(entry) in SOUND)
 
 
 def _named(entry: Entry, column: tuple[str, str, str]) -> str:
@@ -99,12 +96,16 @@ def _shown(entries: Sequence[Entry]) -> list[tuple[str, str, str]]:
 
 
 def _reasons(entries: Sequence[Entry]) -> str | None:
-    """Say in words what failed and why, one line each; None where nothing did."""
-    failed = [entry for entry in entries if status_of(entry) != "ok"]
-    if not failed:
+    """Say in words what failed or was stopped and why, one line each; None where nothing was."""
+    ended = [entry for entry in entries if status_of(entry) != "ok"]
+    if not ended:
         return None
     return "\n".join(
         f"{told(e, 'world.name', '{}')}, {told(e, 'config.robot', '{}')}, {told(e, 'config.mapper', '{}')}, "
-        f"seed {told(e, 'config.seed', '{}')} failed: {e.get('reason') or status_of(e) or NOTHING}"
-        for e in failed
+        f"seed {told(e, 'config.seed', '{}')}{_failed(e)}: {e.get('reason') or status_of(e) or NOTHING}"
+        for e in ended
     )
+
+
+def _failed(entry: Entry) -> str:
+    return "" if status_of(entry) in SOUND else " failed"

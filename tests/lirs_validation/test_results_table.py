@@ -44,6 +44,15 @@ def test_failures_come_first_and_say_why() -> None:
     assert "failed: it fell" in markdown
 
 
+def test_a_drive_that_its_wall_limit_stopped_has_not_failed() -> None:
+    stopped = entry("advanced", "wall limit", "stopped at the wall limit") | {"rtf": {"mean": 0.00579}}
+    text = " ".join(shown(entry(), stopped).split())
+    assert text.index("simple") < text.index("advanced")
+    assert "0.00579" in text
+    assert "advanced, husky, hector, seed 1: stopped at the wall limit" in text
+    assert "failed" not in text
+
+
 def test_the_figures_are_the_records() -> None:
     line = next(k for k in markdown_table([entry()]).splitlines() if "simple" in k)
     assert [c.strip() for c in line.strip("|").split("|")] == [
