@@ -82,7 +82,7 @@ class HectorMapper:
         self._estimate = Estimate(Pose2(), np.zeros((3, 3)))
         self._poses = KeyframeTrajectory()
         self._moves: list[Move | None] = []
-        self._received = self._matched = self._lost_scans = self._poor_in_a_row = 0
+        self._received = self._matched = self._unmatched = self._lost_scans = self._poor_in_a_row = 0
         self._settled = False
         self._earlier: Pose2 | None = None
         self._stopwatch = Stopwatch()
@@ -121,6 +121,7 @@ class HectorMapper:
         return MapperStats(
             received=self._received,
             used=self._matched,
+            skipped={"too few walls in view to match": self._unmatched} if self._unmatched else {},
             lost=self._lost_scans,
             memory=self._builder.memory,
             counts={
@@ -135,14 +136,16 @@ class HectorMapper:
         """Move the estimate to where the scan fits; to the expected one, if there is nothing to fit."""
         r, before, self._estimate = self.config.registration, self._estimate.pose, expected
         self._received += 1
-        if len(scan.hits) == 0 or self._builder.updates == 0:
+        if self._builder.updates == 0:
             return None
         weights = self._builder.weights(self._builder.steepness(scan, expected.pose))
         self._estimate, match = self._registration.fit(
             self._builder.pyramid, scan.hits, weights, expected, before, self._earlier
         )
         self._earlier = before
-        if match is not None:
+        if match is None:
+            self._unmatched += 1
+        else:
             self._matched += 1
             if match.score >= (r.poor_score if self._builder.flat else r.sure_score):
                 self._reckoning.learn(before, self._estimate.pose)

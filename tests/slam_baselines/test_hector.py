@@ -14,7 +14,7 @@ from lirs_validation.map_metrics import agreement, false_occupied
 from lirs_validation.relations import read_relations, relation_errors
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen import read_carmen
-from lirs_wct.pose import Pose2
+from lirs_wct.pose import Pose2, wrap_angle
 from lirs_wct.scan import Imu, LaserScan
 from slam_baselines.hector import HectorConfig, HectorMapper
 from slam_baselines.known_pose import KnownPoseMapper
@@ -85,6 +85,58 @@ def test_a_jump_is_found_again_or_admitted() -> None:
     np.testing.assert_allclose(near.trajectory().xy[-1], (0.3, 0.2), atol=0.03)
     assert far.lost
     assert far.stats.lost > 0
+
+
+@pytest.mark.parametrize("turn", [-0.45, 0.45])
+def test_a_sharp_turn_between_two_scans_needs_no_odometry(turn: float) -> None:
+    rng, mapper = np.random.default_rng(0), HectorMapper()
+    for k in range(5):
+        mapper.update(room_scan(Pose2(), 0.2 * k, rng), None, None)
+    for k in range(5, 12):
+        there = Pose2(0.1 * (k - 4), 0.05, turn * (k - 4))
+        estimate = mapper.update(room_scan(there, 0.2 * k, rng), None, None)
+        assert there.distance(estimate) < 0.05
+        assert abs(wrap_angle(there.yaw - estimate.yaw)) < 0.02
+    assert not mapper.lost
+
+
+def test_it_says_when_it_is_lost_and_when_it_is_back() -> None:
+    """Scans of nowhere make it lost; they do not enter the map, so the room is known again at once."""
+    rng, mapper = np.random.default_rng(0), HectorMapper()
+    drive_room(mapper, n=60)
+    before, home = mapper.map(), mapper.trajectory().pose2(-1)
+    room = room_scan(loop(60)[-1], 0.0, rng)
+    for k in range(15):
+        nowhere = rng.uniform(0.5, 2.5, 361).astype(np.float32)
+        mapper.update(replace(room, ranges=nowhere, stamp=100.0 + k), home, None)
+        assert mapper.lost == (k + 1 >= mapper.config.lost_after)
+    np.testing.assert_array_equal(mapper.map().log_odds, before.log_odds)
+    for k in range(3):
+        mapper.update(replace(room, stamp=200.0 + k), home, None)
+    assert not mapper.lost
+    assert mapper.stats.lost == 6
+
+
+def test_memory_follows_the_area_and_not_the_time() -> None:
+    once, often = HectorMapper(), HectorMapper()
+    drive_room(once, n=80)
+    rng, path = np.random.default_rng(0), loop(80)
+    for k in range(5 * 80):
+        pose = path[k % 80]
+        often.update(room_scan(pose, 0.1 * k, rng), path[0].inverse() @ pose, None)
+    assert often.stats.memory == once.stats.memory
+    assert often.stats.received == 400
+
+
+def test_scans_that_could_not_be_matched_are_counted() -> None:
+    mapper, rng = HectorMapper(), np.random.default_rng(0)
+    good = room_scan(Pose2(), 0.0, rng)
+    blind = replace(good, ranges=np.full(361, np.inf, np.float32))
+    for k, scan in enumerate((good, blind, good, blind)):
+        mapper.update(replace(scan, stamp=float(k)), Pose2(), None)
+    stats = mapper.stats
+    assert (stats.received, stats.used) == (4, 1)
+    assert list(stats.skipped.values()) == [2]
 
 
 def test_nothing_in_a_scan_breaks_it() -> None:
