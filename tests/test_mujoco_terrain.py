@@ -10,11 +10,13 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import KDTree
 
 from lirs_envs.robots import make_robot
 from lirs_envs.simulation import Simulation
 from lirs_validation import validate
-from lirs_wct import BuildOptions, World
+from lirs_wct import BuildOptions, World, build_world
+from lirs_wct.contact_grid import ContactGrid, contact_grid, steep_nodes
 from lirs_wct.contact_parts import TERRAINS, Terrain, contact_parts, prisms
 from lirs_wct.errors import ConfigError
 from lirs_wct.finish import Finish
@@ -73,9 +75,11 @@ def blocks(cells: np.ndarray, edge: float, corner: np.ndarray) -> TriangleMesh:
     return TriangleMesh(vertices * edge + corner, faces)
 
 
-def dropped(world: World, terrain: Terrain, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def dropped(
+    world: World, terrain: Terrain, points: np.ndarray, contact: ContactGrid | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Return (n, 3) centres of spheres after 5 s, when each touches the ground, and whether it does."""
-    spec = world_spec(world, terrain=terrain)
+    spec = world_spec(world, terrain=terrain, contact=contact)
     spec.option.timestep = 0.004
     for x, y, z in points:
         ball = spec.worldbody.add_body(
@@ -129,6 +133,52 @@ def test_spheres_rest_on_the_true_surface(terrain: Terrain, hills: World) -> Non
     assert (centres[inside, 2] > hills.surface.height_at(*centres[inside, :2].T)).all()
     assert touching[inside].mean() > 0.8
     assert np.abs(gap[touching[inside]]).max() < 0.01
+
+
+def gaps_by_sampling(surface: HeightField, centres: np.ndarray) -> np.ndarray:
+    """Return (n,) distance between sphere and the surface as the laser sees it, a point each 5 mm."""
+    across = np.linspace(-1.05, 1.05, 127) * RADIUS
+    found = []
+    for x, y, z in centres:
+        px, py = x + across[None, :], y + across[:, None]
+        pz = surface.height_at(px, py)
+        found.append(np.nanmin(np.sqrt((px - x) ** 2 + (py - y) ** 2 + (pz - z) ** 2)) - RADIUS)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("terrain", ["hfield", "prisms"])
+def test_spheres_on_the_ground_that_users_get(terrain: Terrain) -> None:
+    """On the contact grid, and on prisms within 1 cm: what is guaranteed against the true surface.
+
+    Where nothing steep is near, 1 cm. Beside a steep face vertical errors say little, and the face itself may
+    stand up to half a contact cell away: half a contact cell.
+    """
+    world = build_world("medium", BuildOptions(window=(0, 0, 16)))
+    surface, grid = world.surface, contact_grid(world.surface)
+    assert grid.stride > 1, "the contact grid is the surface itself, so that nothing is tested"
+    west, south, east, north = surface.bounds
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(west + 1, east - 1, SPHERES), rng.uniform(south + 1, north - 1, SPHERES)
+    side = np.linspace(-RADIUS, RADIUS, 25)
+    z = surface.height_at(x[:, None, None] + side[:, None], y[:, None, None] + side).max(axis=(1, 2))
+    centres, touching = dropped(world, terrain, np.column_stack((x, y, z)), grid)
+    kept = touching & surface.contains(centres[:, 0], centres[:, 1])
+    assert kept.sum() >= 95
+    centres = centres[kept]
+    assert (centres[:, 2] > surface.height_at(*centres[:, :2].T)).all()
+    gap = np.abs(gaps_by_sampling(surface, centres))
+    beside = near_steep(surface, centres)
+    assert 10 < beside.sum() < 80
+    assert gap[~beside].max() < 0.01
+    assert gap.max() < grid.horizontal_budget
+
+
+def near_steep(surface: HeightField, centres: np.ndarray) -> np.ndarray:
+    """Return (n,) whether a node of a steep triangle is in a sphere's reach."""
+    steep = np.argwhere(steep_nodes(surface.south_up, surface.cell, np.radians(45)))[:, ::-1]
+    nodes = np.array(surface.origin) + steep * np.array(surface.cell)
+    distance, _ = KDTree(nodes).query(centres[:, :2])
+    return distance < RADIUS + 2 * max(surface.cell)
 
 
 def test_spheres_rest_on_and_under_an_overhang(arch: World) -> None:
