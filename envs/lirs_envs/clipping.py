@@ -8,13 +8,13 @@ FAR = 1e300
 """Stands for infinity where a product with 0 must stay a number."""
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, error_model="numpy", forceinline=True)
 def inverse(slope: float) -> float:
     """Return 1 / slope; 0 for a slope so small (1e-14) that it moves no ray by more than rounding does."""
     return 1.0 / slope if abs(slope) > 1e-14 else 0.0
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, error_model="numpy", forceinline=True)
 def clip(o: float, per: float, low: float, high: float, t0: float, t1: float) -> tuple[float, float]:
     """Return the part of [t0, t1] in which low <= o + t / per <= high; empty when it starts after its end.
 

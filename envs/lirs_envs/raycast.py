@@ -76,7 +76,7 @@ class RayCaster:
         return ranges
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def cast_rays(
     terrain: Terrain, walls: WallCells, origins: Array, directions: Array, max_range: float, ranges: Array
 ) -> None:
@@ -91,7 +91,7 @@ def cast_rays(
         _cast_fan(terrain, walls, origins[k], directions[k : k + 1], max_range, ranges[k : k + 1])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _cast_fan(
     terrain: Terrain, walls: WallCells, origin: Array, directions: Array, max_range: float, ranges: Array
 ) -> None:

@@ -47,7 +47,7 @@ def wall_cells_of(walls: WallGrid | None) -> WallCells:
     return WallCells(distance, frame, hole)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def wall_ranges(walls: WallCells, origin: Array, directions: Array, max_range: float, ranges: Array) -> None:
     """Fill `ranges` (n,) with the range of the first wall cell on each ray, inf = none within `max_range`."""
     ranges[:] = np.inf
@@ -69,7 +69,7 @@ def wall_ranges(walls: WallCells, origin: Array, directions: Array, max_range: f
             ranges[k] = _first_wall(distance, (u, v, du, dv, per_u, per_v), t, t_end)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def through_holes(walls: WallCells, origin: Array, directions: Array, to_wall: Array, ranges: Array) -> None:
     """Give back the range of the wall behind, or inf, to rays that met the floor where it has a hole."""
     rows, cols = walls.hole.shape
@@ -83,7 +83,7 @@ def through_holes(walls: WallCells, origin: Array, directions: Array, to_wall: A
                 ranges[k] = to_wall[k]
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _first_wall(
     distance: NDArray[np.uint8], ray: tuple[float, float, float, float, float, float], t: float, t_end: float
 ) -> float:
