@@ -23,6 +23,7 @@ from slam_baselines.local_config import LocalConfig
 from slam_baselines.local_slam import LocalSlam
 from slam_baselines.localisation import Localiser
 from slam_baselines.localisation_config import LocalisationConfig
+from slam_baselines.loop_event import LoopEvent
 from slam_baselines.mapper import Mapper, MapperStats, Stopwatch
 from slam_baselines.node_map import NodeMap
 from slam_baselines.node_trajectory import NodeTrajectory
@@ -96,7 +97,15 @@ class CartographerMapper:
         self._stopwatch = Stopwatch()
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        """Match the scan to its submap, do a share of the work on the graph, return `T_map_base`."""
+        """Match the scan to its submap, do a share of the work on the graph, return `T_map_base`.
+
+        Raises:
+            ConfigError: there is no odometry.
+        """
+        if odometry is None:
+            raise ConfigError(
+                f"cartographer needs odometry, the scan at {scan.stamp} s has none; hector maps without"
+            )
         started = self._stopwatch.start()
         node = self._local.update(scan, odometry, imu)
         if node is not None:
@@ -133,6 +142,11 @@ class CartographerMapper:
         return self._scans.trajectory([node.pose for node in self._graph.nodes], poses, T_map_local)
 
     @property
+    def loops(self) -> list[LoopEvent]:
+        """The loops closed so far, in the order in which they were believed."""
+        return list(self._graph.events)
+
+    @property
     def lost(self) -> bool:
         """Whether so many scans in a row fit nowhere that the pose is not to be believed."""
         return self._local.lost
@@ -152,6 +166,7 @@ class CartographerMapper:
             counts={
                 "nodes": len(graph.nodes),
                 "submaps": len(local.submaps.all),
+                "submaps_trimmed": graph.trimmed,
                 "loops": len(graph.loops),
                 "loop_searches": counts.searched,
                 "loop_searches_ambiguous": counts.ambiguous,

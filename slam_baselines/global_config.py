@@ -9,6 +9,7 @@ from slam_baselines.confirmation import ConfirmationConfig
 from slam_baselines.constraint import ConstraintConfig
 from slam_baselines.loop_queue import QueueConfig
 from slam_baselines.pose_graph import OptimizationConfig
+from slam_baselines.trimming import TrimmingConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,6 +21,7 @@ class GlobalConfig:
         constraints: how they are made.
         confirmation: which loops need a second one.
         optimization: of the graph.
+        trimming: which submaps are forgotten.
         optimize_every_n_nodes: the graph is solved after so many new nodes, if there are new loops.
         searches_per_update: at most so many searches in one update.
         matcher_translation_error: standard deviation of a node's place in a submap that it entered, metres.
@@ -33,6 +35,7 @@ class GlobalConfig:
     constraints: ConstraintConfig = field(default_factory=ConstraintConfig)
     confirmation: ConfirmationConfig = field(default_factory=ConfirmationConfig)
     optimization: OptimizationConfig = field(default_factory=OptimizationConfig)
+    trimming: TrimmingConfig = field(default_factory=TrimmingConfig)
     optimize_every_n_nodes: int = 40
     searches_per_update: int = 1
     matcher_translation_error: float = 0.03

@@ -16,10 +16,12 @@ from slam_baselines.constraint import Constraint, ConstraintBuilder
 from slam_baselines.global_config import GlobalConfig
 from slam_baselines.graph_edges import Edges
 from slam_baselines.local_slam import LocalSlam
+from slam_baselines.loop_event import LoopEvent
 from slam_baselines.loop_queue import LoopQueue
 from slam_baselines.node import NOWHERE, Node, compounded
 from slam_baselines.pose_arrays import in_axes_of, inverted
 from slam_baselines.pose_graph import Problem, Solution, begin, improve
+from slam_baselines.trimming import Trimmer
 
 Array = NDArray[np.float64]
 Row = tuple[int, int, Array, Array, bool]
@@ -36,6 +38,8 @@ class GlobalSlam:
         queue: what is searched for next.
         builder: searches for loops.
         loops: constraints found and believed.
+        events: the same for those who want to know.
+        trimmed: submaps forgotten.
         optimizations: how often the graph was solved.
         version: changes whenever poses that were there before have changed.
     """
@@ -49,7 +53,9 @@ class GlobalSlam:
         self.builder = ConstraintBuilder(config.constraints)
         self.queue = LoopQueue(config.queue)
         self.loops: list[Constraint] = []
-        self.optimizations = self.version = 0
+        self.events: list[LoopEvent] = []
+        self.optimizations = self.version = self.trimmed = 0
+        self._trimmer = Trimmer(config.trimming)
         self._local = local
         self._confirmation = Confirmation(config.confirmation)
         self._to_nodes: list[Row] = []
@@ -125,10 +131,11 @@ class GlobalSlam:
         first = node.submaps[0]
         if submaps[first].finished:
             self._finished.append(first)
+            self._trimmer.finished(first, submaps[first])
             own = set(submaps[first].nodes)
             stride = max(1, round(1 / self.config.queue.sampling_ratio))
             for j in range(0, index, stride):
-                if j not in own:
+                if j not in own and not self.nodes[j].bare:
                     self._ask_near(j, first, fresh=False)
 
     def _ask_near(self, node: int, submap: int, *, fresh: bool) -> None:
@@ -140,6 +147,8 @@ class GlobalSlam:
     def _search(self, index: int, submap_index: int) -> None:
         """Search for a node in a submap; tie them together where it is found."""
         node, submap = self.nodes[index], self._local.submaps.all[submap_index]
+        if node.bare or submap_index not in self._finished:
+            return
         submap.revalue(self._local.relief.match_bound)
         walls = self._local.walls(node.scan, node.pose, node.height, node.steep) > 0
         expected = submap.pose @ self.submap_poses[submap_index].inverse() @ self.poses[index]
@@ -156,6 +165,24 @@ class GlobalSlam:
             z = believed.T_submap_node.as_array()
             self._to_nodes.append((believed.submap, believed.node, z, believed.information, True))
             self.loops.append(believed)
+            self.events.append(self._event(believed))
+
+    def _event(self, loop: Constraint) -> LoopEvent:
+        first = self._local.submaps.all[loop.submap].nodes[0]
+        stamps = self.nodes[loop.node].scan.stamp, self.nodes[first].scan.stamp
+        after = self.submap_poses[loop.submap] @ loop.T_submap_node
+        return LoopEvent(*stamps, self.poses[loop.node], after, loop.score)
+
+    def _trim(self) -> None:
+        """Forget submaps of places that were seen often enough since, and scans that are in no other."""
+        submaps = self._local.submaps.all
+        for index in self._trimmer.needless(self.submap_poses):
+            self.trimmed += 1
+            self._finished.remove(index)
+            submaps[index].trim()
+            for i in submaps[index].nodes:
+                if not any(k in self._finished or not submaps[k].finished for k in self.nodes[i].submaps):
+                    self.nodes[i] = self.nodes[i].trimmed()
 
     def _optimization_due(self) -> bool:
         nodes, loops = self._optimized_at
@@ -184,3 +211,5 @@ class GlobalSlam:
         submaps = [Pose2(*p) for p in solution.submaps.tolist()]
         newer = self._local.submaps.all[len(submaps) :]
         self.submap_poses = submaps + [self.T_map_local @ submap.pose for submap in newer]
+        if self._trimmer.due():
+            self._trim()

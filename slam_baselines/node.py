@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,17 @@ class Node:
     travelled: float
     tilt: float
     way: float
+
+    @property
+    def bare(self) -> bool:
+        """Whether its scan was forgotten."""
+        return len(self.scan.hits) == 0
+
+    def trimmed(self) -> Node:
+        """Return the node without its scan's points."""
+        nothing = np.empty((0, 3))
+        scan = replace(self.scan, hits=nothing, free=nothing)
+        return replace(self, scan=scan, steep=np.empty(0, np.uint8))
 
     @property
     def nbytes(self) -> int:

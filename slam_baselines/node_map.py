@@ -19,16 +19,18 @@ class NodeMap:
         self._resolution = resolution
         self._update = update
         self._relief_config = relief
-        self._drawn: list[Pose2] = []
+        self._drawn: list[tuple[Pose2, bool]] = []
         self._restart()
 
     def draw(self, nodes: Sequence[Node], poses: Sequence[Pose2]) -> OccupancyGrid:
         """Return the map of nodes at their poses `T_map_base`."""
-        if list(poses[: len(self._drawn)]) != self._drawn:
+        state = [(pose, node.bare) for node, pose in zip(nodes, poses, strict=True)]
+        if state[: len(self._drawn)] != self._drawn:
             self._restart()
-        for node, pose in zip(nodes[len(self._drawn) :], poses[len(self._drawn) :], strict=True):
-            self._enter(node, pose)
-            self._drawn.append(pose)
+        for node, (pose, bare) in zip(nodes[len(self._drawn) :], state[len(self._drawn) :], strict=True):
+            if not bare:
+                self._enter(node, pose)
+            self._drawn.append((pose, bare))
         return self._map.occupancy_grid(self._relief.bound)
 
     def _restart(self) -> None:

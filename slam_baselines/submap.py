@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose2
 from slam_baselines.branch_and_bound import BoundGrids
-from slam_baselines.occupancy import OccupancyMap, UpdateConfig
+from slam_baselines.occupancy import UNKNOWN, OccupancyMap, UpdateConfig
 from slam_baselines.scan_matching import MapPyramid
 
 Array = NDArray[np.float64]
@@ -73,6 +73,18 @@ class Submap:
         self._bounds: BoundGrids | None = None
         sizes = [config.resolution * 2**level for level in range(config.levels)]
         self.pyramid = MapPyramid(tuple(OccupancyMap(size, config.update) for size in sizes))
+
+    def trim(self) -> None:
+        """Forget what was drawn; pose and nodes stay."""
+        empty = (OccupancyMap(level.resolution) for level in self.pyramid.maps)
+        self.pyramid, self._bounds = MapPyramid(tuple(empty)), None
+
+    @property
+    def known_points(self) -> Array:
+        """(n, 2) centres of the cells of the coarsest level that beams came to, in the local frame."""
+        grid = self.pyramid.maps[-1].grid
+        cells = np.argwhere(grid.layers["log_odds"] != UNKNOWN)[:, ::-1] + (grid.col0, grid.row0)
+        return np.asarray((cells + 0.5) * grid.resolution, dtype=np.float64)
 
     def insert(
         self, node: int, origin: Array, hits: Array, free: Array, steep: NDArray[np.uint8], bound: int
