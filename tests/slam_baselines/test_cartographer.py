@@ -302,6 +302,6 @@ def test_a_slice_of_a_real_log(shared_data: Path):
 
 def test_no_odometry_is_said_so():
     mapper = make_mapper("cartographer")
-    with pytest.raises(ConfigError, match="needs odometry, the scan at 0.5 s has none"):
+    with pytest.raises(ConfigError, match=r"needs odometry, the scan at 0\.5 s has none"):
         mapper.update(corridor_scan(Pose2(7.5, 0, 1.5), 0.5, np.random.default_rng(1)), None, None)
     assert mapper.stats.received == 0
