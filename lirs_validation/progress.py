@@ -32,7 +32,7 @@ def run_with_progress(sweep: Sweep, executor: Executor, console: Console) -> Ite
     bar = Progress(
         TextColumn("{task.description}", style="bold", markup=False),
         BarColumn(),
-        TextColumn("{task.completed:.0f}/{task.total:.0f}" if len(sweep.pending) > 1 else ""),
+        TextColumn("{task.fields[done]}/{task.total:.0f}" if len(sweep.pending) > 1 else ""),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
@@ -43,7 +43,7 @@ def run_with_progress(sweep: Sweep, executor: Executor, console: Console) -> Ite
     running: dict[str, float] = {}
     done = 0
     with bar:
-        task = bar.add_task("", total=float(len(sweep.pending)))
+        task = bar.add_task("", total=float(len(sweep.pending)), done=0)
 
         def tell(name: str, stage: str, share: float) -> None:
             running[name] = share
@@ -52,5 +52,5 @@ def run_with_progress(sweep: Sweep, executor: Executor, console: Console) -> Ite
         for outcome in sweep.run(executor, tell):
             running.pop(outcome.cell, None)
             done += 1
-            bar.update(task, completed=done + sum(running.values()))
+            bar.update(task, completed=done + sum(running.values()), done=done)
             yield outcome
