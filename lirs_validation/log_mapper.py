@@ -48,7 +48,7 @@ def check_log(config: MapConfig, log: CarmenLog) -> None:
     if config.mapper in NEED_ODOMETRY and log.odometry[0] is None:
         raise SourceError(
             f"{config.log}: holds no odometry (or one that never changes), {config.mapper} needs it; "
-            "hector maps without (--mapper hector)"
+            "hector maps without"
         )
 
 

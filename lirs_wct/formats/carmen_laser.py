@@ -141,7 +141,7 @@ def _usual_sweep(name: str, n: int, parameters: Mapping[str, float]) -> Sweep:
     fov = resolution * (n - n % 2)
     if not 0 < fov <= 360:
         raise ConfigError(
-            f"{name} messages of {n} beams do not say how wide they see: give the field of view (--fov DEG)"
+            f"{name} messages of {n} beams do not say how wide they see: give it (lirs-wct map --fov DEG)"
         )
     return _sweep(n, math.radians(fov))
 

@@ -150,7 +150,9 @@ def test_field_of_view(tmp_path: Path, case: str) -> None:
 
 def test_a_field_of_view_that_nobody_knows_is_asked_for(tmp_path: Path) -> None:
     path = write_log(tmp_path / "x.clf", [flaser(np.full(200, 2.0), at(1), 1.0)])
-    with pytest.raises(SourceError, match=r"x\.clf: FLASER messages of 200 beams .* \(--fov DEG\)"):
+    with pytest.raises(
+        SourceError, match=r"x\.clf: FLASER messages of 200 beams .* \(lirs-wct map --fov DEG\)"
+    ):
         read_carmen(path)
 
 
