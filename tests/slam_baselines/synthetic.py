@@ -11,6 +11,7 @@ from lirs_envs.raycast import RayCaster
 from lirs_wct.heightfield import HeightField
 from lirs_wct.pose import Pose2, Pose3
 from lirs_wct.scan import Imu, LaserScan
+from slam_baselines.mapper import Mapper
 
 Array = NDArray[np.float64]
 ROOM = np.array(((-4.0, -3.0, 5.0, -3.0), (5.0, -3.0, 5.0, 4.0), (5.0, 4.0, -4.0, 4.0),
@@ -55,6 +56,21 @@ def loop(n: int, radius: float = 1.5) -> list[Pose2]:
     """A closed drive of n poses through the room, from the origin of the map frame."""
     turn = np.linspace(0, 2 * math.pi, n)
     return [Pose2(radius * math.sin(a), radius * (1 - math.cos(a)) - 0.5, float(a)) for a in turn]
+
+
+def drive_room(mapper: Mapper, *, odometry: bool = True, n: int = 240) -> Array:
+    """Drive a mapper round the loop; return errors (n, 3) in the map frame."""
+    rng = np.random.default_rng(0)
+    path = loop(n)
+    errors, walked = [], Pose2()
+    for k, pose in enumerate(path):
+        if k:
+            step = path[k - 1].inverse() @ pose
+            walked = walked @ Pose2(step.x * 1.05, step.y, step.yaw * 1.03)
+        estimate = mapper.update(room_scan(pose, 0.1 * k, rng), walked if odometry else None, None)
+        error = (path[0].inverse() @ pose).inverse() @ estimate
+        errors.append(error.as_array())
+    return np.array(errors)
 
 
 def wavy(relief: float, nodes: int = 601, cell: float = 0.05) -> HeightField:

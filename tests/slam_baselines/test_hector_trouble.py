@@ -1,0 +1,130 @@
+"""What goes wrong on the way: sharp turns, slopes that slide, blind scans, odometry that lies or lacks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lirs_wct.pose import Pose2, wrap_angle
+from lirs_wct.scan import Imu
+from slam_baselines.hector import HectorMapper
+from tests.slam_baselines.synthetic import Drive, drive_room, loop, room_scan, wavy
+
+
+def test_a_jump_is_found_again_or_admitted() -> None:
+    rng = np.random.default_rng(0)
+    near, far = HectorMapper(), HectorMapper()
+    for mapper in (near, far):
+        for k in range(5):
+            mapper.update(room_scan(Pose2(), 0.1 * k, rng), Pose2(), None)
+    for k in range(5, 20):
+        near.update(room_scan(Pose2(0.3, 0.2, 0.35), 0.1 * k, rng), Pose2(), None)
+        blind = room_scan(Pose2(), 0.1 * k, rng)
+        far.update(replace(blind, ranges=rng.uniform(0.5, 2.5, 361).astype(np.float32)), Pose2(), None)
+    assert not near.lost
+    np.testing.assert_allclose(near.trajectory().xy[-1], (0.3, 0.2), atol=0.03)
+    assert far.lost
+    assert far.stats.lost > 0
+
+
+@pytest.mark.parametrize("turn", [-0.45, 0.45])
+def test_a_sharp_turn_between_two_scans_needs_no_odometry(turn: float) -> None:
+    rng, mapper = np.random.default_rng(0), HectorMapper()
+    for k in range(5):
+        mapper.update(room_scan(Pose2(), 0.2 * k, rng), None, None)
+    for k in range(5, 12):
+        there = Pose2(0.1 * (k - 4), 0.05, turn * (k - 4))
+        estimate = mapper.update(room_scan(there, 0.2 * k, rng), None, None)
+        assert there.distance(estimate) < 0.05
+        assert abs(wrap_angle(there.yaw - estimate.yaw)) < 0.02
+    assert not mapper.lost
+
+
+def test_it_says_when_it_is_lost_and_when_it_is_back() -> None:
+    """Scans of nowhere make it lost; they do not enter the map, so the room is known again at once."""
+    rng, mapper = np.random.default_rng(0), HectorMapper()
+    drive_room(mapper, n=60)
+    before, home = mapper.map(), mapper.trajectory().pose2(-1)
+    room = room_scan(loop(60)[-1], 0.0, rng)
+    for k in range(15):
+        nowhere = rng.uniform(0.5, 2.5, 361).astype(np.float32)
+        mapper.update(replace(room, ranges=nowhere, stamp=100.0 + k), home, None)
+        assert mapper.lost == (k + 1 >= mapper.config.lost_after)
+    np.testing.assert_array_equal(mapper.map().log_odds, before.log_odds)
+    for k in range(3):
+        mapper.update(replace(room, stamp=200.0 + k), home, None)
+    assert not mapper.lost
+    assert mapper.stats.lost == 6
+
+
+def test_memory_follows_the_area_and_not_the_time() -> None:
+    once, often = HectorMapper(), HectorMapper()
+    drive_room(once, n=80)
+    rng, path = np.random.default_rng(0), loop(80)
+    for k in range(5 * 80):
+        pose = path[k % 80]
+        often.update(room_scan(pose, 0.1 * k, rng), path[0].inverse() @ pose, None)
+    assert often.stats.memory == once.stats.memory
+    assert often.stats.received == 400
+
+
+def test_scans_that_could_not_be_matched_are_counted() -> None:
+    mapper, rng = HectorMapper(), np.random.default_rng(0)
+    good = room_scan(Pose2(), 0.0, rng)
+    blind = replace(good, ranges=np.full(361, np.inf, np.float32))
+    for k, scan in enumerate((good, blind, good, blind)):
+        mapper.update(replace(scan, stamp=float(k)), Pose2(), None)
+    stats = mapper.stats
+    assert (stats.received, stats.used) == (4, 1)
+    assert list(stats.skipped.values()) == [2]
+
+
+def test_nothing_in_a_scan_breaks_it() -> None:
+    mapper, rng = HectorMapper(), np.random.default_rng(0)
+    good = room_scan(Pose2(), 0.0, rng)
+    odd = np.array((np.nan, np.inf, -np.inf, 0.0, -1.0, 1e30), np.float32)
+    for k, ranges in enumerate(
+        (np.zeros(0, np.float32), odd, good.ranges, np.full(361, np.nan, np.float32), odd, good.ranges)
+    ):
+        for imu in (None, Imu(0.1, -0.1)):
+            pose = mapper.update(replace(good, ranges=ranges, stamp=float(k)), None, imu)
+            assert np.isfinite(pose.as_array()).all()
+    assert mapper.map().known.any()
+    assert len(mapper.trajectory()) == 6
+
+
+def test_stamps_may_go_backwards() -> None:
+    mapper, rng = HectorMapper(), np.random.default_rng(0)
+    for stamp in (0.0, 2.0, 1.0, 2.0):
+        mapper.update(room_scan(Pose2(), stamp, rng), Pose2(), None)
+    assert mapper.trajectory().stamps.tolist() == [0.0, 1.0, 2.0]
+
+
+@pytest.mark.parametrize(("relief", "slide"), [(2.0, 2.0), (1.5, 4.0)])
+def test_sliding_in_turns_on_a_slope_does_no_harm(relief: float, slide: float) -> None:
+    """The wheels see nothing of it, so dead reckoning alone goes far astray."""
+    drive = Drive(wavy(relief), 24.0, np.random.default_rng(1), slide=slide)
+    mapper, T = HectorMapper(), drive.truth[0].to_pose2()
+    for scan, odometry, imu in zip(drive.scans, drive.odometry, drive.imus, strict=True):
+        mapper.update(scan, odometry, imu)
+    true = np.array([(p.x, p.y) for p in drive.truth])
+    reckoned = np.array([(p.x, p.y) for p in (T @ step for step in drive.odometry)])
+    error = np.linalg.norm(mapper.trajectory().moved(T).xy - true, axis=1)
+    assert np.sqrt(((reckoned - true) ** 2).sum(axis=1).mean()) > 0.5
+    assert np.sqrt((error**2).mean()) < 0.1
+    assert mapper.stats.lost == 0
+
+
+def test_odometry_that_stalls_and_catches_up_does_no_harm() -> None:
+    """It stands for a while and then gives the whole way at once: scans know better."""
+    rng, path, mapper = np.random.default_rng(0), loop(120), HectorMapper()
+    errors: list[float] = []
+    for k, pose in enumerate(path):
+        seen = path[0].inverse() @ path[k - k % 6]
+        estimate = mapper.update(room_scan(pose, 0.2 * k, rng), seen, None)
+        errors.append((path[0].inverse() @ pose).distance(estimate))
+    assert max(errors) < 0.12
+    assert errors[-1] < 0.04
+    assert not mapper.lost
