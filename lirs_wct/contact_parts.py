@@ -20,7 +20,8 @@ Terrain = Literal["hfield", "mesh", "prisms", "convex"]
 TERRAINS: tuple[Terrain, ...] = get_args(Terrain)
 """What is touched: a height field; the same, with the mesh to be seen; prisms; convex parts."""
 MAX_PRISMS = 20_000
-"""A step costs 20 us for each thousand."""
+"""A step costs about 1.7 us for each thousand: with these, no robot's takes more than 60 us (measured: 46 to
+48 us at 16,447, 59 to 65 us at 26,981)."""
 PRISM_ERROR = 0.01
 """Vertical deviation of prisms from the ground where the world has no budget of its own, metres."""
 DEPTH = 1.0
@@ -97,13 +98,14 @@ def prisms(world: Ground) -> Iterator[Part]:
     Raises:
         ConfigError: there are more than `MAX_PRISMS`.
     """
-    mesh = world.mesh
-    if not world.finish.limited and world.solid is None:
-        mesh = simplified_solid(world.surface, max_error=PRISM_ERROR)
+    if world.finish.limited or world.solid is not None:
+        mesh, budget = world.mesh, ""
+    else:
+        mesh, budget = simplified_solid(world.surface, max_error=PRISM_ERROR), f" within {PRISM_ERROR:g} m"
     top = mesh.faces[mesh.face_normals[:, 2] > 1e-9]
     if len(top) > MAX_PRISMS:
         raise ConfigError(
-            f"{world.name}: terrain prisms would need {len(top)}, at most {MAX_PRISMS} are legal; "
+            f"{world.name}: terrain prisms would need {len(top)}{budget}, at most {MAX_PRISMS} are legal; "
             "give --max-error or --max-triangles, or take hfield"
         )
     corners = mesh.vertices[top]

@@ -96,6 +96,6 @@ def make_lidar_preset(name: str) -> LidarPreset:
     Raises:
         ConfigError: no preset has this name; the message lists them.
     """
-    if name not in LIDARS:
+    if not isinstance(name, str) or name not in LIDARS:
         raise unknown_name("lidar", name, LIDARS)
     return LIDARS[name]

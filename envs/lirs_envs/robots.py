@@ -136,6 +136,6 @@ def make_robot(name: str) -> Robot:
     Raises:
         ConfigError: no robot has this name; the message lists them.
     """
-    if name not in ROBOTS:
+    if not isinstance(name, str) or name not in ROBOTS:
         raise unknown_name("robot", name, ROBOTS)
     return ROBOTS[name]

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_envs.checks import check_arguments, check_command, check_start
+from lirs_envs.checks import check_arguments, check_command, check_seed, check_start
 from lirs_envs.collisions import Collisions, ContactWatch, check_sane
 from lirs_envs.drive import Drive, Twist, Waypoint
 from lirs_envs.flight import Pilot
@@ -109,11 +109,12 @@ class Simulation:
             seed: of the noise; None = as before, so that the same run comes again.
 
         Raises:
-            ConfigError: the pose is not finite, or the seed is negative.
+            ConfigError: the pose is not finite, or the seed no whole number from 0 up.
             SimulationError: the robot cannot stand there.
         """
         self._initial = None
         check_start(start)
+        check_seed(self._seed if seed is None else seed)
         start = start_of(self.world, start)
         self.body.settle(standing_pose(self.world, self.robot, start), SETTLING)
         there = self.body.pose()

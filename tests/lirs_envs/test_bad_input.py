@@ -1,0 +1,107 @@
+"""What cannot be is refused in one clear sentence, before MuJoCo is entered; the simulation stays usable."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lirs_envs.drive import DriveConfig, Twist, Waypoint
+from lirs_envs.lidar import make_lidar_preset
+from lirs_envs.robots import Robot, make_robot
+from lirs_envs.simulation import Simulation
+from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.pose import Pose2
+from lirs_wct.world import World
+
+
+@pytest.mark.parametrize(
+    "start", [Pose2("a", 0.0), Pose2(0.0, None), Pose2(math.nan, 0.0), Pose2(0.0, 0.0, math.inf), (0.0, 0.0)]
+)  # type: ignore[arg-type]
+def test_a_start_that_is_no_pose(start: Any, plane: World, husky: Robot) -> None:
+    with pytest.raises(ConfigError, match="a start"):
+        Simulation(plane, husky).reset(start)
+
+
+@pytest.mark.parametrize("seed", ["x", 1.5, True, None, -1, (1,)])
+def test_a_seed_that_is_no_whole_number(seed: Any, plane: World, husky: Robot) -> None:
+    with pytest.raises(ConfigError, match="seed must be"):
+        Simulation(plane, husky, seed=seed)
+    sim = Simulation(plane, husky, seed=np.int64(3))
+    if seed is not None:
+        with pytest.raises(ConfigError, match="seed must be"):
+            sim.reset(seed=seed)
+    # It has not kept the bad one.
+    sim.reset()
+    sim.advance(Twist())
+
+
+@pytest.mark.parametrize("name", [5, None, ["husky"], "huksy", ""])
+@pytest.mark.parametrize("make", [make_robot, make_lidar_preset])
+def test_a_name_that_is_none(name: Any, make: Callable[[Any], object]) -> None:
+    with pytest.raises(ConfigError, match=r"unknown (robot|lidar) .*; legal: "):
+        make(name)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        None,
+        (1.0, 0.0),
+        Twist(math.nan),
+        Twist(0.0, math.inf),
+        Twist("1"),  # type: ignore[arg-type]
+        Twist(1j),  # type: ignore[arg-type]
+        Twist(np.array([0.5, 1.0])),  # type: ignore[arg-type]
+        Waypoint(1.0, 1.0, 1.0),
+    ],
+)
+def test_a_command_that_cannot_be(command: Any, plane: World, husky: Robot) -> None:
+    sim = Simulation(plane, husky)
+    sim.reset()
+    before = sim.T_world_base
+    with pytest.raises(ConfigError, match=r"a command must|husky drives: it takes a Twist"):
+        sim.advance(command)
+    assert sim.T_world_base == before
+    assert sim.time == 0
+    sim.advance(Twist(np.float32(0.5)))  # type: ignore[arg-type]
+
+
+def test_a_wall_a_border_and_a_small_world(
+    walled: World, T_world_wall: Pose2, husky: Robot, make_world: Callable[..., World]
+) -> None:
+    sim = Simulation(walled, husky)
+    with pytest.raises(SimulationError, match=r"husky cannot start at .*: a wall or a hole is within"):
+        sim.reset(T_world_wall @ Pose2(3.05, 0.0))
+    with pytest.raises(SimulationError, match=r"husky cannot start at .*: it needs 0\.58 m to the border"):
+        sim.reset(Pose2(1000.0, 0.0))
+    with pytest.raises(ConfigError, match="too large for"):
+        Simulation(make_world(lambda x, y: 0 * x, nodes=11), husky)
+
+
+def test_figures_that_cannot_be(husky: Robot) -> None:
+    for bad in (math.nan, math.inf, -1.0, 0.0):
+        with pytest.raises(ConfigError, match="track must be a finite number above 0"):
+            replace(husky, track=bad)
+    with pytest.raises(ConfigError, match="integral must be a finite number"):
+        DriveConfig(integral=math.nan)
+
+
+@pytest.mark.parametrize("where", ["qpos", "qvel"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e20])
+def test_a_state_that_is_not_finite_stops_it(
+    where: str, value: float, plane: World, husky: Robot, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file where it stands
+    sim = Simulation(plane, husky)
+    sim.reset()
+    getattr(sim.body.data, where)[2] = value
+    with pytest.raises(SimulationError, match=r"the simulation diverged at \d"):
+        sim.advance(Twist(0.5))
+    seen = sim.reset()
+    assert np.isfinite(sim.body.data.qpos).all()
+    assert not np.isnan(seen.scan.ranges).any()
