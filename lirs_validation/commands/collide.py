@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from lirs_validation.build_options import mujoco_terrain, with_build_options
 from lirs_validation.commands.console import RUN_FAILED, err, out
 from lirs_validation.commands.words import Sources
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import ConfigError, WctError
 from lirs_wct.options import BuildOptions
 
 if TYPE_CHECKING:
@@ -44,10 +44,10 @@ def collide(
     terrains = [mujoco_terrain(name) for name in words(terrain, "--terrain")]
     numbers = seed_numbers(seeds)
     verdicts: list[CollisionVerdict] = []
-    refused: list[ConfigError] = []
+    refused: list[WctError] = []
     try:
         for found in _checked(sources, options, robots, terrains, seconds, numbers):
-            if isinstance(found, ConfigError):
+            if isinstance(found, WctError):
                 refused.append(found)
             else:
                 verdicts.append(found)
@@ -102,7 +102,7 @@ def _checked(
     terrains: list[Terrain],
     seconds: float,
     seeds: list[int],
-) -> Iterator[CollisionVerdict | ConfigError]:
+) -> Iterator[CollisionVerdict | WctError]:
     """Yield a verdict for each robot, terrain and seed in each world, or why there can be none."""
     from lirs_validation.collision import check_collisions
     from lirs_validation.record import RunConfig
@@ -121,11 +121,16 @@ def _checked(
         task = bar.add_task("", total=len(sources) * len(robots) * len(terrains) * len(seeds))
         for source in sources:
             bar.update(task, description=f"{source}: building")
-            world = set_stage(RunConfig(source=source, seconds=seconds, build=options)).world
+            config = RunConfig(source=source, seconds=seconds, build=options)
+            try:
+                world = set_stage(config).world
+            except WctError as error:
+                yield error
+                continue
             for who, where, seed in ((r, t, s) for r in robots for t in terrains for s in seeds):
                 bar.update(task, description=f"{source}: {who.name} on {where}")
                 try:
                     yield check_collisions(world, who, terrain=where, seconds=seconds, seed=seed)
-                except ConfigError as error:
+                except WctError as error:
                     yield error
                 bar.advance(task)

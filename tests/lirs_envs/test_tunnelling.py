@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -92,3 +93,27 @@ def test_a_turtlebot_on_a_narrow_barrier_stays_or_falls(name: str, nodes_wide: i
             # base_link is near the belly's underside, which may graze the ridge while the robot rolls off it.
             assert T.z > float(touched.height_at(T.x, T.y)) - 0.02
         assert deepest <= IMPACT * math.sqrt(2 * 9.81 * 0.5)
+
+
+@pytest.mark.parametrize("where", ["flat_field", "plane", "walled"])
+@pytest.mark.parametrize("name", list(ROBOTS))
+def test_contacts_are_as_the_robots_file_says(
+    name: str, where: str, request: pytest.FixtureRequest, T_world_wall: Pose2
+) -> None:
+    """Ground and walls share nothing of their own: stiffness and friction are the robot's alone."""
+    sim = Simulation(request.getfixturevalue(where), make_robot(name), lidar="lms111")
+    sim.reset(T_world_wall @ Pose2(2.35 - sim.robot.radius) if where == "walled" else None)
+    model, data = sim.body.model, sim.body.data
+    if sim.robot.flies:
+        data.ctrl[:] = 0.0
+        mujoco.mj_step(model, data, 1000)
+    for _ in range(50):
+        sim.advance(Twist(sim.robot.max_speed / 2))
+    touching = data.contact.geom
+    assert len(touching) > 0 or sim.robot.flies
+    for pair, solref, friction in zip(touching, data.contact.solref, data.contact.friction, strict=True):
+        (own,) = (g for g in pair.tolist() if model.geom_bodyid[g] > 0)
+        assert solref == pytest.approx(model.geom_solref[own])
+        assert friction[0] == pytest.approx(model.geom_friction[own, 0])
+        assert model.geom_priority[own] > 0
+    assert not model.geom_priority[model.geom_bodyid == 0].any()

@@ -307,6 +307,8 @@ def test_the_command(tmp_path: Path) -> None:
     assert [entry["seed"] for entry in entries] == [1, 3, 4]
     # A terrain that does not fit is left out and told; the rest stands.
     assert run(*quick, "--terrain", "hfield,convex")[0] == 3
+    assert run("nope.png", *quick)[0] == 3
+    assert len(json.loads((tmp_path / "collisions.json").read_text())["collisions"]) == 1
     for words, says in (
         (("simple", "--robot", "huksy"), "unknown robot 'huksy'"),
         (("simple", "--robot", ","), "--robot must name at least one"),
