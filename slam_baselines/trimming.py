@@ -34,7 +34,7 @@ class TrimmingConfig:
         ConfigError: a value that is not above 0.
     """
 
-    fresh_submaps_count: int = 6
+    fresh_submaps_count: int = 3
     min_covered_area: float = 4.0
     min_added_submaps_count: int = 5
     cell: float = 0.5
