@@ -9,7 +9,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from lirs_validation.cells import by_cell
+from lirs_validation.cells import by_cell, telling
 from lirs_validation.record import read_record
 from lirs_validation.report.sheet import Sheet
 from lirs_validation.report.sheets import failures_sheet, summary_sheet
@@ -17,15 +17,19 @@ from lirs_validation.report.table import results_table
 from lirs_validation.sweep.collision_cell import CollisionCell, read_verdict
 from lirs_validation.sweep.sweep import Sweep
 
+TOLD = {"world", "robot", "mapper"}
+"""Fields that the table of single runs has columns for, beside the seed."""
+
 
 def sweep_tables(sweep: Sweep) -> Iterator[Table]:
-    """Yield the tables of what is finished: of several seeds the means, of collision checks verdicts."""
+    """Yield the tables of what is finished: means of cells, or single runs, and verdicts."""
     from lirs_validation.collision_files import verdicts_table
 
     finished = [cell for cell in sweep.cells if cell.name in sweep.outcomes]
     entries = [_entry(sweep, cell.name) for cell in finished if not isinstance(cell, CollisionCell)]
-    if any(len(runs) > 1 for runs in by_cell(entries).values()):
-        yield from _over_seeds(entries)
+    cells = by_cell(entries)
+    if len(cells) < len(entries) or not set(telling(cells)) <= TOLD:
+        yield from _by_cell(entries)
     elif entries:
         yield results_table(entries)
     checks = [cell for cell in finished if isinstance(cell, CollisionCell)]
@@ -34,7 +38,7 @@ def sweep_tables(sweep: Sweep) -> Iterator[Table]:
         yield verdicts_table(verdicts)
 
 
-def _over_seeds(entries: Sequence[dict[str, Any]]) -> Iterator[Table]:
+def _by_cell(entries: Sequence[dict[str, Any]]) -> Iterator[Table]:
     """Yield the failures, if any, and the means of each cell."""
     failures = failures_sheet(entries)
     if failures.rows:
