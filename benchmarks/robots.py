@@ -25,8 +25,8 @@ from robot_figures import LIDAR, Row, figures
 from lirs_envs.drive import Twist
 from lirs_envs.robots import ROBOTS, Robot, make_robot
 from lirs_envs.simulation import Simulation
-from lirs_validation.collision import CollisionVerdict, check_collisions
-from lirs_validation.collision_files import verdicts_table
+from lirs_validation.collision.files import verdicts_table
+from lirs_validation.collision.validation import CollisionVerdict, check_collisions
 from lirs_validation.record import RunConfig
 from lirs_validation.stage import set_stage
 from lirs_wct.bundled import RECIPES

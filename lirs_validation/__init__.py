@@ -4,8 +4,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from lirs_validation.log_source import resolve_source
-    from lirs_validation.mapping import MappedLog, map_log
+    from lirs_validation.offline.log_source import resolve_source
+    from lirs_validation.offline.mapping import MappedLog, map_log
     from lirs_validation.record import RunConfig, RunRecord, read_record
     from lirs_validation.run import Run, validate
 
@@ -21,9 +21,9 @@ __all__ = [
 ]
 
 _HOMES = {
-    "MappedLog": "mapping",
-    "map_log": "mapping",
-    "resolve_source": "log_source",
+    "MappedLog": "offline.mapping",
+    "map_log": "offline.mapping",
+    "resolve_source": "offline.log_source",
     "Run": "run",
     "validate": "run",
     "RunConfig": "record",

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lirs_envs.simulation import Observation, Simulation
-from lirs_validation.drivers import CoverageDriver
+from lirs_validation.driving.drivers import CoverageDriver
 from lirs_validation.mapper_checks import check_pose
 from lirs_validation.record import Status
 from lirs_wct.errors import SimulationError

@@ -12,7 +12,8 @@ from lirs_envs.seen import Rays
 from lirs_envs.simulation import Simulation
 from lirs_validation.company import company
 from lirs_validation.cost import CostMeter
-from lirs_validation.drivers import CoverageDriver
+from lirs_validation.driving.drivers import CoverageDriver
+from lirs_validation.driving.tour import plan
 from lirs_validation.judge import (
     Maps,
     judge_collisions,
@@ -27,7 +28,6 @@ from lirs_validation.mappers import mapper_named
 from lirs_validation.record import RunConfig, RunRecord
 from lirs_validation.results import write_results
 from lirs_validation.stage import Stage, StageCache
-from lirs_validation.tour import plan
 from lirs_validation.warm_up import warm_up
 from lirs_wct.contact_parts import Terrain
 from lirs_wct.errors import SimulationError

@@ -6,10 +6,10 @@ import time
 from dataclasses import replace
 
 from lirs_envs.robots import Robot
+from lirs_validation.driving.tour import plan
 from lirs_validation.loop import drive
 from lirs_validation.mappers import mapper_named, rehearse_named
 from lirs_validation.stage import Stage
-from lirs_validation.tour import plan
 
 WARM_UP = 2.0
 """Simulated seconds of the drive."""

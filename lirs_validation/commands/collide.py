@@ -17,7 +17,7 @@ from lirs_wct.options import BuildOptions
 
 if TYPE_CHECKING:
     from lirs_envs.robots import Robot
-    from lirs_validation.collision import CollisionVerdict
+    from lirs_validation.collision.validation import CollisionVerdict
     from lirs_wct.contact_parts import Terrain
 
 
@@ -38,7 +38,7 @@ def collide(
 ) -> None:
     """Drive robots at random into everything, and judge every contact: penetration, energy, slopes."""
     from lirs_envs.robots import make_robot
-    from lirs_validation.collision_files import verdicts_table, write_verdicts
+    from lirs_validation.collision.files import verdicts_table, write_verdicts
 
     robots = [make_robot(name) for name in words(robot, "--robot")]
     terrains = [mujoco_terrain(name) for name in words(terrain, "--terrain")]
@@ -104,7 +104,7 @@ def _checked(
     seeds: list[int],
 ) -> Iterator[CollisionVerdict | WctError]:
     """Yield a verdict for each robot, terrain and seed in each world, or why there can be none."""
-    from lirs_validation.collision import check_collisions
+    from lirs_validation.collision.validation import check_collisions
     from lirs_validation.record import RunConfig
     from lirs_validation.stage import set_stage
 

@@ -45,7 +45,7 @@ def _folder(output: Path | None) -> Path:
 def _mapped(log: str, options: BuildOptions, out: Path) -> str:
     from lirs_validation.commands.console import err
     from lirs_validation.commands.mapping import mapping_bar
-    from lirs_validation.log_source import resolve_source
+    from lirs_validation.offline.log_source import resolve_source
 
     with mapping_bar(log) as tell:
         path = resolve_source(log, options, out, tell)

@@ -14,7 +14,7 @@ from rich.table import Table
 from lirs_validation.commands.console import RUN_FAILED, err, out
 
 if TYPE_CHECKING:
-    from lirs_validation.map_record import MapRecord
+    from lirs_validation.offline.record import MapRecord
 
 STAGES = {"read": "reading", "compile": "compiling", "map": "mapping", "draw": "drawing"}
 
@@ -56,8 +56,8 @@ def map_log(
     ),
 ) -> None:
     """Map a laser log: map.pgm and map.yaml for ROS, the path, a picture, and how right it is."""
-    from lirs_validation.map_record import MapConfig
-    from lirs_validation.mapping import run_mapping
+    from lirs_validation.offline.mapping import run_mapping
+    from lirs_validation.offline.record import MapConfig
 
     config = MapConfig(
         log=log,

@@ -28,10 +28,10 @@ def report(
 ) -> None:
     """Tell a folder of results as one HTML page that opens anywhere, offline."""
     from lirs_validation.commands.console import err
+    from lirs_validation.comparison.result_folders import read_results
     from lirs_validation.report.contents import report_of
     from lirs_validation.report.page import page
     from lirs_validation.report.sheet import as_csv, as_markdown
-    from lirs_validation.result_folders import read_results
 
     with err.status(f"reading {results}") as status:
         read = read_results(results)
@@ -68,10 +68,10 @@ def compare(
     json: JsonFile = None,
 ) -> None:
     """Say which differences between two results are real, and which may be chance."""
-    from lirs_validation.compare import compare as compared
-    from lirs_validation.figures import COMPARED, figures_named
+    from lirs_validation.comparison.compare import compare as compared
+    from lirs_validation.comparison.figures import COMPARED, figures_named
+    from lirs_validation.comparison.result_folders import read_results
     from lirs_validation.report.compare_table import compare_table, write_compare_csv, write_compare_json
-    from lirs_validation.result_folders import read_results
 
     names = (str(a), str(b))
     first, second = read_results(a), read_results(b)
@@ -106,10 +106,10 @@ def score(
     output: Annotated[Path, typer.Option("-o", "--output", help="JSON to write.")] = Path("score.json"),
 ) -> None:
     """Score what another program made of a run's recorded scans (scans.clf.gz)."""
+    from lirs_validation.comparison.result_folders import read_run
+    from lirs_validation.comparison.score import check_frame
+    from lirs_validation.comparison.score import score as scored
     from lirs_validation.report.score_table import score_table, write_score
-    from lirs_validation.result_folders import read_run
-    from lirs_validation.score import check_frame
-    from lirs_validation.score import score as scored
 
     if trajectory is None and map_yaml is None:
         raise ConfigError("nothing to score: give --trajectory, --map or both")

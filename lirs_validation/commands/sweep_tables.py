@@ -9,7 +9,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from lirs_validation.cells import by_cell, telling
+from lirs_validation.comparison.cells import by_cell, telling
 from lirs_validation.record import read_record
 from lirs_validation.report.sheet import Sheet
 from lirs_validation.report.sheets import failures_sheet, summary_sheet
@@ -23,7 +23,7 @@ TOLD = {"world", "robot", "mapper"}
 
 def sweep_tables(sweep: Sweep) -> Iterator[Table]:
     """Yield the tables of what is finished: means of cells, or single runs, and verdicts."""
-    from lirs_validation.collision_files import verdicts_table
+    from lirs_validation.collision.files import verdicts_table
 
     finished = [cell for cell in sweep.cells if cell.name in sweep.outcomes]
     entries = [_entry(sweep, cell.name) for cell in finished if not isinstance(cell, CollisionCell)]

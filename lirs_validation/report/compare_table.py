@@ -13,8 +13,8 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from lirs_validation.cells import FIELDS, Cell, telling
-from lirs_validation.compare import LEVEL, Comparison, Difference
+from lirs_validation.comparison.cells import FIELDS, Cell, telling
+from lirs_validation.comparison.compare import LEVEL, Comparison, Difference
 from lirs_validation.report.words import NOTHING
 from lirs_wct.files import atomic_write
 

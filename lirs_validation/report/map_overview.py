@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from lirs_validation.map_accuracy import Accuracy
-from lirs_validation.map_record import MapRecord
+from lirs_validation.offline.accuracy import Accuracy
+from lirs_validation.offline.record import MapRecord
 from lirs_validation.report.map_words import map_lines
 from lirs_validation.report.raster import Canvas, bounds_of
 from lirs_validation.report.style import (

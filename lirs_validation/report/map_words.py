@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from lirs_validation.map_record import MapRecord
+from lirs_validation.offline.record import MapRecord
 
 MANY = 8
 """Reasons for skipping that are told one by one."""

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from lirs_validation.map_agreement import contradicted
+from lirs_validation.metrics.agreement import contradicted
 from lirs_validation.record import SOUND, RunRecord
 from lirs_validation.report.hillshade import coloured_relief
 from lirs_validation.report.raster import Canvas, bounds_of

@@ -8,13 +8,13 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from lirs_validation.figures import figures_named, rtf_counts, span
+from lirs_validation.comparison.figures import figures_named, rtf_counts, span
+from lirs_validation.comparison.result_folders import RunFolder
 from lirs_validation.report.charts import AROUND, distribution_chart, rtf_chart
 from lirs_validation.report.contents import Report
 from lirs_validation.report.pictures import Painter
 from lirs_validation.report.sheet import Sheet
 from lirs_validation.report.sheets import sound
-from lirs_validation.result_folders import RunFolder
 
 MOST_PICTURES = 120
 """Runs that are shown in pictures; of more, the first seed of each cell."""

@@ -10,13 +10,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_validation.map_agreement import contradicted
-from lirs_validation.recorded import recorded_config
+from lirs_validation.comparison.recorded import recorded_config
+from lirs_validation.comparison.result_folders import RunFolder
+from lirs_validation.metrics.agreement import contradicted
 from lirs_validation.report.hillshade import coloured_relief
 from lirs_validation.report.overview import bounds_shown, shown_bounds
 from lirs_validation.report.raster import Canvas, Mask, Rgb
 from lirs_validation.report.style import BLUE, VERMILLION
-from lirs_validation.result_folders import RunFolder
 from lirs_validation.stage import StageCache
 from lirs_wct.errors import WctError
 from lirs_wct.formats.map_server import read_map

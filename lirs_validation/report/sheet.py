@@ -7,8 +7,8 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lirs_validation.figures import Figure
-from lirs_validation.repeats import Repeats
+from lirs_validation.comparison.figures import Figure
+from lirs_validation.comparison.repeats import Repeats
 from lirs_validation.report.words import NOTHING
 
 

@@ -20,7 +20,7 @@ from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_folder
 
 if TYPE_CHECKING:
-    from lirs_validation.collision import CollisionVerdict
+    from lirs_validation.collision.validation import CollisionVerdict
 
 STATUS = "cell.json"
 """How the cell ended, and which code says so."""
@@ -68,8 +68,8 @@ class CollisionCell:
 
     def perform(self, out: Path, stages: StageCache, tell: Tell, *, concurrent: bool) -> Outcome:
         """Check the contacts; a figure over its limit is a finding, and no failure of the cell."""
-        from lirs_validation.collision import check_collisions
-        from lirs_validation.collision_files import write_verdicts
+        from lirs_validation.collision.files import write_verdicts
+        from lirs_validation.collision.validation import check_collisions
 
         tell("build", 0.0)
         world = stages.stage(self.place).world
@@ -117,7 +117,7 @@ def read_verdict(folder: Path) -> CollisionVerdict:
     Raises:
         SourceError: it is missing or damaged.
     """
-    from lirs_validation.collision import CollisionVerdict
+    from lirs_validation.collision.validation import CollisionVerdict
 
     path = folder / "collisions.json"
     try:

@@ -16,13 +16,13 @@ from typer.testing import CliRunner
 from lirs_envs.model import RobotModel
 from lirs_envs.robots import ROBOTS, make_robot
 from lirs_validation.cli import app
-from lirs_validation.collision import CollisionVerdict, check_collisions
-from lirs_validation.collision_figures import energy_gain, penetrations, stuck_seconds
-from lirs_validation.collision_files import verdicts_table, write_verdicts
-from lirs_validation.contact_log import ContactRecorder
-from lirs_validation.random_drive import CONTROL_PERIOD, PERIOD, Leg, places
-from lirs_validation.slope_test import climb
-from lirs_validation.touched import Touched
+from lirs_validation.collision.contact_log import ContactRecorder
+from lirs_validation.collision.figures import energy_gain, penetrations, stuck_seconds
+from lirs_validation.collision.files import verdicts_table, write_verdicts
+from lirs_validation.collision.random_drive import CONTROL_PERIOD, PERIOD, Leg, places
+from lirs_validation.collision.slope_test import climb
+from lirs_validation.collision.touched import Touched
+from lirs_validation.collision.validation import CollisionVerdict, check_collisions
 from lirs_wct.contact_parts import Terrain
 from lirs_wct.errors import ConfigError
 from lirs_wct.heightfield import HeightField

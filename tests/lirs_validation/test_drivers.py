@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 import pytest
 
-from lirs_validation.drivers import CoverageDriver, Driver, DriverConfig, plan_coverage
-from lirs_validation.planning import CoveragePlanner, TourConfig
-from lirs_validation.pursuit import PursuitConfig
+from lirs_validation.driving.drivers import CoverageDriver, Driver, DriverConfig, plan_coverage
+from lirs_validation.driving.planning import CoveragePlanner, TourConfig
+from lirs_validation.driving.pursuit import PursuitConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.pose import Pose2

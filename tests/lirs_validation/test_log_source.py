@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from lirs_validation import cli, resolve_source
-from lirs_validation.result_folders import read_results
+from lirs_validation.comparison.result_folders import read_results
 from lirs_validation.run import validate
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import SourceError
@@ -23,7 +23,7 @@ from tests.carmen_room import START, flaser, room_lines, write_log
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working folder with the log of a room; mappers are not rehearsed, which changes times only."""
-    monkeypatch.setattr("lirs_validation.log_mapper.rehearse", lambda name, **config: None)
+    monkeypatch.setattr("lirs_validation.offline.log_mapper.rehearse", lambda name, **config: None)
     monkeypatch.chdir(tmp_path)
     write_log(tmp_path / "my room.clf", room_lines(90)[0])
     return tmp_path
@@ -173,7 +173,7 @@ def test_the_first_scan_does_not_wait_for_what_it_does_not_need() -> None:
     """Neither simulator nor drawing is loaded before a log is mapped; the command line loads less still."""
     code = (
         "import sys, lirs_validation.cli; early = set(sys.modules);"
-        "import lirs_validation.mapping, slam_baselines.cartographer;"
+        "import lirs_validation.offline.mapping, slam_baselines.cartographer;"
         "heavy = {'mujoco', 'matplotlib', 'gymnasium', 'trimesh'};"
         "print({'scipy.ndimage'} & early, heavy & set(sys.modules))"
     )

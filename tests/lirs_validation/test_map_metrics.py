@@ -12,8 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from lirs_validation.geometry import near_obstacle
-from lirs_validation.map_agreement import contradicted, decided
 from lirs_validation.metrics import (
     agreement,
     cell_distance,
@@ -22,6 +20,8 @@ from lirs_validation.metrics import (
     map_scores,
     unknown_share,
 )
+from lirs_validation.metrics.agreement import contradicted, decided
+from lirs_validation.metrics.geometry import near_obstacle
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.heightfield import HeightField

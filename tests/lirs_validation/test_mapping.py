@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from lirs_validation import map_log
-from lirs_validation.map_record import MapConfig
+from lirs_validation.offline.record import MapConfig
 from lirs_wct.errors import ConfigError, MapperError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum, write_tum
@@ -43,7 +43,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def unrehearsed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the rehearsal, which changes times only."""
-    monkeypatch.setattr("lirs_validation.log_mapper.rehearse", lambda name, **config: None)
+    monkeypatch.setattr("lirs_validation.offline.log_mapper.rehearse", lambda name, **config: None)
 
 
 @pytest.mark.parametrize("mapper", ["hector", "gmapping", "cartographer"])

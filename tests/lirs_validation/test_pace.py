@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from lirs_envs.robots import ROBOTS
-from lirs_validation.drivers import DriverConfig
-from lirs_validation.pace import driver_config
+from lirs_validation.driving.drivers import DriverConfig
+from lirs_validation.driving.pace import driver_config
 
 
 def test_a_husky_is_driven_as_ever() -> None:

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation.map_accuracy import reference_errors
-from lirs_validation.planar import rms
-from lirs_validation.reference import read_reference
-from lirs_validation.trajectory_metrics import trajectory_errors
+from lirs_validation.metrics.planar import rms
+from lirs_validation.metrics.trajectory import trajectory_errors
+from lirs_validation.offline.accuracy import reference_errors
+from lirs_validation.offline.reference import read_reference
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.tum import write_tum
 from lirs_wct.pose import Pose2

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lirs_validation.relations import Relation, poses_at, read_relations, relation_errors
+from lirs_validation.metrics.relations import Relation, poses_at, read_relations, relation_errors
 from lirs_wct.errors import SourceError
 from lirs_wct.pose import Pose2
 from lirs_wct.trajectory import Trajectory

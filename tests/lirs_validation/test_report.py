@@ -16,10 +16,11 @@ from typer.testing import CliRunner
 
 from lirs_validation import cli
 from lirs_validation.build_options import with_build_options
-from lirs_validation.cells import Cell, by_cell
-from lirs_validation.figures import RTF, figures_named, significant
+from lirs_validation.comparison.cells import Cell, by_cell
+from lirs_validation.comparison.figures import RTF, figures_named, significant
+from lirs_validation.comparison.repeats import repeats
+from lirs_validation.comparison.result_folders import RunFolder, read_results
 from lirs_validation.record import RunConfig
-from lirs_validation.repeats import repeats
 from lirs_validation.report.charts import series_band
 from lirs_validation.report.command_line import command_of
 from lirs_validation.report.contents import Report, report_of
@@ -31,7 +32,6 @@ from lirs_validation.report.published import VIEWS
 from lirs_validation.report.sheet import Sheet, Spread, as_csv, as_markdown
 from lirs_validation.report.sheets import cell_sheet, summary_sheet
 from lirs_validation.report.svg import INK
-from lirs_validation.result_folders import RunFolder, read_results
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.tum import write_tum
 from lirs_wct.grid import OccupancyGrid

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from lirs_validation import cli, validate
+from lirs_validation.comparison.recorded import recorded_config, true_pose_map
+from lirs_validation.comparison.result_folders import RunFolder, read_run
+from lirs_validation.comparison.score import score
 from lirs_validation.metrics import agreement, iou
-from lirs_validation.recorded import recorded_config, true_pose_map
-from lirs_validation.result_folders import RunFolder, read_run
-from lirs_validation.score import score
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.tum import read_tum, write_tum

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lirs_validation.ssim import K1, K2, SIGMA, WINDOW, as_picture, map_ssim, similarity
+from lirs_validation.metrics.ssim import K1, K2, SIGMA, WINDOW, as_picture, map_ssim, similarity
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.pose import Pose2
 

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lirs_validation.metrics import associated, rigid_alignment, trajectory_errors
-from lirs_validation.planar import planar
-from lirs_validation.relations import Relation, relation_errors
-from lirs_validation.relative_metrics import related_pairs
+from lirs_validation.metrics.planar import planar
+from lirs_validation.metrics.relations import Relation, relation_errors
+from lirs_validation.metrics.relative import related_pairs
 from lirs_wct.errors import ConfigError
 from lirs_wct.pose import Pose2
 from lirs_wct.trajectory import Trajectory

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lirs_validation.metrics import trajectory_errors
-from lirs_validation.planar import planar
-from lirs_validation.relative_metrics import (
+from lirs_validation.metrics.planar import planar
+from lirs_validation.metrics.relative import (
     pairs_by_path,
     pairs_by_time,
     related_pairs,

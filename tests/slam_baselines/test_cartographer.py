@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation.relations import read_relations, relation_errors
+from lirs_validation.metrics.relations import read_relations, relation_errors
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen import read_carmen
 from lirs_wct.pose import Pose2

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lirs_validation.map_accuracy import reference_errors
-from lirs_validation.map_agreement import agreement
-from lirs_validation.map_metrics import false_occupied
-from lirs_validation.reference import read_reference
-from lirs_validation.relations import read_relations, relation_errors
+from lirs_validation.metrics.agreement import agreement
+from lirs_validation.metrics.map import false_occupied
+from lirs_validation.metrics.relations import read_relations, relation_errors
+from lirs_validation.offline.accuracy import reference_errors
+from lirs_validation.offline.reference import read_reference
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen import read_carmen
 from lirs_wct.pose import Pose2

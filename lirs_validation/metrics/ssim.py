@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_validation.map_agreement import sampled
+from lirs_validation.metrics.agreement import sampled
 from lirs_wct.grid import FREE, OCCUPIED, OccupancyGrid
 
 WINDOW, SIGMA = 11, 1.5

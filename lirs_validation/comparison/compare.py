@@ -13,9 +13,9 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from lirs_validation.cells import FIELDS, Cell, Entry, by_cell
-from lirs_validation.figures import Figure, rtf_counts
-from lirs_validation.paired import Test, holm, paired_test
+from lirs_validation.comparison.cells import FIELDS, Cell, Entry, by_cell
+from lirs_validation.comparison.figures import Figure, rtf_counts
+from lirs_validation.comparison.paired import Test, holm, paired_test
 from lirs_validation.record import SOUND
 from lirs_wct.errors import ConfigError, unknown_name
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from types import NoneType
 from typing import Any
 
-from lirs_validation.collision import CollisionVerdict
-from lirs_validation.map_record import is_mapped_log
+from lirs_validation.collision.validation import CollisionVerdict
+from lirs_validation.offline.record import is_mapped_log
 from lirs_validation.record import read_record
 from lirs_validation.schema import schema_error
 from lirs_validation.sweep.collision_cell import STATUS, read_verdict

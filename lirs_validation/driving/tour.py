@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from lirs_envs.robots import Robot
-from lirs_validation.drivers import CoverageDriver, plan_coverage
-from lirs_validation.pace import driver_config
+from lirs_validation.driving.drivers import CoverageDriver, plan_coverage
+from lirs_validation.driving.pace import driver_config
 from lirs_validation.record import RunConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.starts import start_poses

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from lirs_validation.repeats import CONFIDENCE, repeats
+from lirs_validation.comparison.repeats import CONFIDENCE, repeats
 
 RANKED = 10
 """From so many pairs on, differences that are plainly not normal are ranked instead."""

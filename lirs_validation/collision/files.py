@@ -12,7 +12,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from lirs_validation.collision import Check, CollisionVerdict
+from lirs_validation.collision.validation import Check, CollisionVerdict
 from lirs_wct.files import atomic_write
 
 SCHEMA = 1

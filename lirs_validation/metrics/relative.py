@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from lirs_validation.association import Indices, associated
-from lirs_validation.planar import motion, rms, wrapped
+from lirs_validation.metrics.association import Indices, associated
+from lirs_validation.metrics.planar import motion, rms, wrapped
 
 Array = NDArray[np.float64]
 

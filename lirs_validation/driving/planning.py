@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_validation.grid_search import Reach, area_round, cells_ahead, dear_behind, search
-from lirs_validation.path_smoothing import arc_length, smoothed
+from lirs_validation.driving.grid_search import Reach, area_round, cells_ahead, dear_behind, search
+from lirs_validation.driving.path_smoothing import arc_length, smoothed
 from lirs_wct.errors import ConfigError
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.pose import Pose2

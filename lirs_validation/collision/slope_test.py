@@ -11,7 +11,7 @@ from lirs_envs.drive import Drive, Twist
 from lirs_envs.model import RobotModel
 from lirs_envs.placement import standing_pose
 from lirs_envs.robots import Robot
-from lirs_validation.random_drive import MARGIN, SETTLING
+from lirs_validation.collision.random_drive import MARGIN, SETTLING
 from lirs_wct.errors import SimulationError
 from lirs_wct.pose import Pose2
 from lirs_wct.world import World

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from lirs_validation.map_record import MapConfig
 from lirs_validation.mappers import mapper_named
+from lirs_validation.offline.record import MapConfig
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen import CarmenLog
 from slam_baselines.mapper import MAPPERS, Mapper, make_mapper

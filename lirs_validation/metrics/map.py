@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lirs_validation.geometry import near_obstacle
-from lirs_validation.map_agreement import (
+from lirs_validation.metrics.agreement import (
     ROUNDING,
     TOLERANCE,
     Agreement,
@@ -22,7 +21,8 @@ from lirs_validation.map_agreement import (
     decided,
     sampled,
 )
-from lirs_validation.ssim import map_ssim
+from lirs_validation.metrics.geometry import near_obstacle
+from lirs_validation.metrics.ssim import map_ssim
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.heightfield import HeightField
 from lirs_wct.walls import WallGrid

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from lirs_validation.contact_log import DEEP, ContactLog, DeepContact
-from lirs_validation.random_drive import LEANS, Leg
-from lirs_validation.touched import Touched
+from lirs_validation.collision.contact_log import DEEP, ContactLog, DeepContact
+from lirs_validation.collision.random_drive import LEANS, Leg
+from lirs_validation.collision.touched import Touched
 
 IMPACT = 0.010
 """Metres of penetration that an impact may reach for each metre a second."""

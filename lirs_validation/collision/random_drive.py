@@ -16,7 +16,7 @@ from lirs_envs.flight import Pilot
 from lirs_envs.model import RobotModel
 from lirs_envs.placement import standing_pose
 from lirs_envs.robots import Robot
-from lirs_validation.contact_log import ContactLog, ContactRecorder
+from lirs_validation.collision.contact_log import ContactLog, ContactRecorder
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.pose import Pose2
 from lirs_wct.starts import start_poses

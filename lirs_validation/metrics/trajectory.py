@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lirs_validation.association import MAX_GAP, associated
-from lirs_validation.planar import moved, planar, rigid_alignment, rms, wrapped
-from lirs_validation.relative_metrics import (
+from lirs_validation.metrics.association import MAX_GAP, associated
+from lirs_validation.metrics.planar import moved, planar, rigid_alignment, rms, wrapped
+from lirs_validation.metrics.relative import (
     RelationError,
     RelativeError,
     pairs_by_path,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_envs.drive import Twist
-from lirs_validation.path_smoothing import SPACING, arc_length, curvature
+from lirs_validation.driving.path_smoothing import SPACING, arc_length, curvature
 from lirs_wct.errors import ConfigError
 from lirs_wct.heightfield import HeightField
 from lirs_wct.pose import Pose2, wrap_angle

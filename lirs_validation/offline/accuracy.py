@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_validation.association import associated
-from lirs_validation.planar import moved, planar, rigid_alignment, rms, wrapped
-from lirs_validation.relations import Relation, RelationErrors, relation_errors
+from lirs_validation.metrics.association import associated
+from lirs_validation.metrics.planar import moved, planar, rigid_alignment, rms, wrapped
+from lirs_validation.metrics.relations import Relation, RelationErrors, relation_errors
 from lirs_wct.pose import Pose2
 from lirs_wct.trajectory import Trajectory
 

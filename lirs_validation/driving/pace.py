@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from lirs_envs.robots import Robot
-from lirs_validation.drivers import DriverConfig
-from lirs_validation.pursuit import PursuitConfig
+from lirs_validation.driving.drivers import DriverConfig
+from lirs_validation.driving.pursuit import PursuitConfig
 
 SPEED_SHARE, TURN_SHARE, ACCELERATION_SHARE = 0.8, 0.6, 0.2
 """Of the robot's largest; the rest is left to its own control."""

@@ -10,12 +10,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from lirs_validation.cost import CostMeter
-from lirs_validation.log_mapper import check_log, make_log_mapper, rehearse_log_mapper
-from lirs_validation.map_accuracy import Accuracy, judge_trajectory
-from lirs_validation.map_record import MapConfig, MapRecord, log_figures, map_figures
 from lirs_validation.mapper_checks import check_pose, final_map, final_stats, final_trajectory
-from lirs_validation.reference import read_reference
-from lirs_validation.relations import Relation, read_relations
+from lirs_validation.metrics.relations import Relation, read_relations
+from lirs_validation.offline.accuracy import Accuracy, judge_trajectory
+from lirs_validation.offline.log_mapper import check_log, make_log_mapper, rehearse_log_mapper
+from lirs_validation.offline.record import MapConfig, MapRecord, log_figures, map_figures
+from lirs_validation.offline.reference import read_reference
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen import CarmenLog, read_carmen
 from lirs_wct.formats.carmen_laser import LaserFacts
@@ -186,7 +186,7 @@ def drive(config: MapConfig, mapper: Mapper, log: CarmenLog, tell: Report) -> No
 
 def _write(mapped: MappedLog, out: Path, tell: Report) -> Path:
     # Drawing needs matplotlib, which the first scan should not wait for.
-    from lirs_validation.map_results import write_mapped
+    from lirs_validation.offline.results import write_mapped
 
     tell("draw", 1.0)
     return write_mapped(out / mapped.record.name, mapped)

@@ -11,7 +11,7 @@ from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.tum import write_tum
 
 if TYPE_CHECKING:
-    from lirs_validation.mapping import MappedLog
+    from lirs_validation.offline.mapping import MappedLog
 
 
 def write_mapped(folder: Path, mapped: MappedLog) -> Path:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_validation.planar import motion, planar, wrapped
+from lirs_validation.metrics.planar import motion, planar, wrapped
 from lirs_wct.errors import SourceError
 from lirs_wct.pose import Pose2
 from lirs_wct.trajectory import Trajectory

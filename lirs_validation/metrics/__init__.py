@@ -1,18 +1,18 @@
 """What a run is judged by: errors of the trajectory, agreement of the map."""
 
-from lirs_validation.association import associated
-from lirs_validation.map_agreement import Agreement, CellDistance, agreement, cell_distance
-from lirs_validation.map_metrics import (
+from lirs_validation.metrics.agreement import Agreement, CellDistance, agreement, cell_distance
+from lirs_validation.metrics.association import associated
+from lirs_validation.metrics.map import (
     MapScores,
     false_occupied,
     iou,
     map_scores,
     unknown_share,
 )
-from lirs_validation.planar import rigid_alignment
-from lirs_validation.relative_metrics import RelationError, RelativeError
-from lirs_validation.ssim import map_ssim
-from lirs_validation.trajectory_metrics import TrajectoryErrors, trajectory_errors
+from lirs_validation.metrics.planar import rigid_alignment
+from lirs_validation.metrics.relative import RelationError, RelativeError
+from lirs_validation.metrics.ssim import map_ssim
+from lirs_validation.metrics.trajectory import TrajectoryErrors, trajectory_errors
 
 __all__ = [
     "Agreement",

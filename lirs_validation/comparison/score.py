@@ -9,11 +9,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lirs_validation.association import MAX_GAP, associated
-from lirs_validation.map_agreement import decided, sampled
+from lirs_validation.comparison.recorded import recorded_config, recorded_truth, true_pose_map
+from lirs_validation.comparison.result_folders import RunFolder
 from lirs_validation.metrics import map_scores, trajectory_errors
-from lirs_validation.recorded import recorded_config, recorded_truth, true_pose_map
-from lirs_validation.result_folders import RunFolder
+from lirs_validation.metrics.agreement import decided, sampled
+from lirs_validation.metrics.association import MAX_GAP, associated
 from lirs_validation.stage import set_stage
 from lirs_wct.errors import SourceError, unknown_name
 from lirs_wct.formats.map_server import read_map

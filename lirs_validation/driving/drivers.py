@@ -8,8 +8,8 @@ from typing import Literal, Protocol
 import numpy as np
 
 from lirs_envs.drive import Twist
-from lirs_validation.planning import CoveragePlanner, TourConfig
-from lirs_validation.pursuit import Pursuit, PursuitConfig, speed_profile
+from lirs_validation.driving.planning import CoveragePlanner, TourConfig
+from lirs_validation.driving.pursuit import Pursuit, PursuitConfig, speed_profile
 from lirs_wct.errors import ConfigError
 from lirs_wct.grid import OccupancyGrid
 from lirs_wct.heightfield import HeightField

@@ -1,0 +1,1 @@
+"""Results beside each other: repeats, paired differences, and other programs' results scored."""
