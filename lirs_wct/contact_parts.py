@@ -8,6 +8,8 @@ from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.finish import Finish
@@ -118,7 +120,8 @@ def convex_parts(mesh: TriangleMesh) -> Iterator[Part]:
     """Yield the parts of an approximate convex decomposition.
 
     Wei et al. 2022, "Approximate convex decomposition for 3D meshes with collision-aware concavity and
-    tree search" (CoACD); the same mesh gives the same parts.
+    tree search" (CoACD); the same mesh gives the same parts. Each closed body is cut on its own: where bodies
+    overlap, CoACD does not come to an end with all of them at once.
 
     Raises:
         ConfigError: coacd is not installed.
@@ -128,8 +131,21 @@ def convex_parts(mesh: TriangleMesh) -> Iterator[Part]:
     except ImportError:
         raise ConfigError("terrain convex needs the package coacd: pip install 'lirs-wct[mesh]'") from None
     coacd.set_log_level("error")
-    parts = coacd.run_coacd(
-        coacd.Mesh(mesh.vertices, mesh.faces), threshold=CONCAVITY, preprocess_mode="off", seed=0
-    )
-    for vertices, _ in parts:
-        yield np.asarray(vertices, dtype=np.float64)
+    for body in bodies(mesh):
+        parts = coacd.run_coacd(
+            coacd.Mesh(body.vertices, body.faces), threshold=CONCAVITY, preprocess_mode="off", seed=0
+        )
+        for vertices, _ in parts:
+            yield np.asarray(vertices, dtype=np.float64)
+
+
+def bodies(mesh: TriangleMesh) -> Iterator[TriangleMesh]:
+    """Yield the pieces of a mesh that share no vertex with each other, in the order of their vertices."""
+    a, b, c = mesh.faces.T
+    n = len(mesh.vertices)
+    edges = coo_array((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, c])), shape=(n, n))
+    _, label = connected_components(edges, directed=False)
+    for piece in np.unique(label[a]):
+        faces = mesh.faces[label[a] == piece]
+        used, renumbered = np.unique(faces, return_inverse=True)
+        yield TriangleMesh(mesh.vertices[used], renumbered.reshape(-1, 3).astype(np.int32))
