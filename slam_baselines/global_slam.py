@@ -82,8 +82,8 @@ class GlobalSlam:
             z = (submaps[i].pose.inverse() @ node.pose).as_array()
             self._to_nodes.append((i, index, z, in_axes_of(submaps[i].pose, information), False))
         self._since_submap = compounded(self._since_submap, node.odometry)
-        if len(submaps[-1].nodes) == 1:
-            self._tie_submap(len(submaps) - 1)
+        if node.submaps and submaps[node.submaps[-1]].nodes[0] == index:
+            self._tie_submap(node.submaps[-1])
         self._ask(index, node)
 
     def _tie_submap(self, index: int) -> None:

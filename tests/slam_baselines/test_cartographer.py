@@ -16,6 +16,7 @@ from lirs_wct.scan import LaserScan
 from lirs_wct.trajectory import Trajectory
 from slam_baselines.confirmation import Confirmation, ConfirmationConfig
 from slam_baselines.constraint import Constraint, ConstraintBuilder, ConstraintConfig, spread
+from slam_baselines.global_slam import GlobalSlam
 from slam_baselines.loop_queue import LoopQueue, QueueConfig
 from slam_baselines.mapper import make_mapper
 from slam_baselines.node_trajectory import NodeTrajectory
@@ -305,3 +306,22 @@ def test_no_odometry_is_said_so():
     with pytest.raises(ConfigError, match=r"needs odometry, the scan at 0\.5 s has none"):
         mapper.update(corridor_scan(Pose2(7.5, 0, 1.5), 0.5, np.random.default_rng(1)), None, None)
     assert mapper.stats.received == 0
+
+
+def test_the_same_nodes_added_again_are_tied_alike():
+    """Also where the newest submap holds a single node: each submap hangs on the one before, once."""
+    rng, mapper, truth = np.random.default_rng(2), make_mapper("cartographer"), ring(1)
+    local = mapper._local
+    for i, pose in enumerate(truth):
+        mapper.update(corridor_scan(pose, 0.2 * i, rng), truth[0].inverse() @ pose, None)
+        if len(local.submaps.all) == 2 and len(local.submaps.all[-1].nodes) == 1:
+            break
+    else:
+        pytest.fail("the drive is too short for a second submap")
+    again = GlobalSlam(mapper.config.graph, local)
+    for node in mapper._graph.nodes:
+        again.add(node)
+    assert [tie[:2] for tie in again._to_submaps] == [(0, 1)]
+    for tie, before in zip(again._to_submaps, mapper._graph._to_submaps, strict=True):
+        np.testing.assert_allclose(tie[2], before[2])
+        np.testing.assert_allclose(tie[3], before[3])
