@@ -97,7 +97,7 @@ def test_missing_log(tmp_path: Path) -> None:
 
 @pytest.mark.shared
 @pytest.mark.parametrize(
-    ("name", "scans", "beams"), [("intel/intel.clf.gz", 5178, 180), ("csail/mit-csail.clf.gz", 1988, 361)]
+    ("name", "scans", "beams"), [("intel/intel.clf.gz", 5426, 180), ("csail/mit-csail.clf.gz", 1988, 361)]
 )
 def test_real_logs(shared_data: Path, name: str, scans: int, beams: int) -> None:
     log = read_carmen(shared_data / "logs" / name)
