@@ -1,11 +1,12 @@
-"""Golden results: digests of what fixed commands write, so that a rearrangement can show that it changed nothing.
+"""Golden results: digests of what fixed commands write, to show that a rearrangement changed nothing.
 
     python benchmarks/golden.py record FILE [--data FOLDER] [--quick]
     python benchmarks/golden.py compare FILE [--data FOLDER] [--quick]
 
-`record` runs three mappers x three worlds x two seeds for 30 s, a laser map, a log and the build of six sources, and
-writes the SHA-256 of every `estimate.tum`, `map.pgm`, STL, DAE, MJCF and SDF. `compare` runs them again and exits 1,
-naming the files whose bytes differ. Digests hold on one machine: compilers round differently on another.
+`record` runs three mappers x three worlds x two seeds for 30 s, a laser map, a log and the build of six
+sources, and writes the SHA-256 of every `estimate.tum`, `map.pgm`, STL, DAE, MJCF and SDF. `compare` runs
+them again and exits 1, naming the files whose bytes differ. Digests hold on one machine: compilers round
+differently on another.
 """
 
 from __future__ import annotations

@@ -34,15 +34,15 @@ from benchmarks.lidar_places import (
     scans,
     triangles,
 )
-from lirs_envs.drive import Twist
-from lirs_envs.lidar_pattern import rings
-from lirs_envs.mesh_rays import MeshCaster
-from lirs_envs.raycast import RayCaster
-from lirs_envs.robots import make_robot
+from lirs_envs.lidar.mesh_rays import MeshCaster
+from lirs_envs.lidar.pattern import rings
+from lirs_envs.lidar.ray_casting import RayCaster
+from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.drive import Twist
 from lirs_envs.simulation import Simulation
-from lirs_wct.bundled import RECIPES
-from lirs_wct.heightfield import HeightField
-from lirs_wct.mesh import TriangleMesh
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.world import build_world
 
 SIZES = (257, 513, 1025, 2049, 4097)

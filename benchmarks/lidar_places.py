@@ -9,10 +9,10 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from lirs_envs.raycast import RayCaster, mujoco_ranges
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose2
-from lirs_wct.walls import WallGrid
+from lirs_envs.lidar.ray_casting import RayCaster, mujoco_ranges
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
 
 Array = NDArray[np.float64]
 Rays = tuple[Array, Array]

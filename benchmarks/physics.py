@@ -19,11 +19,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lirs_envs.drive import Twist
-from lirs_envs.robots import make_robot
+from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.drive import Twist
 from lirs_envs.simulation import Simulation
-from lirs_wct.bundled import RECIPES
-from lirs_wct.mjcf import TERRAIN_GROUP
+from lirs_wct.export.mjcf import TERRAIN_GROUP
+from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.world import build_world
 
 

@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from lirs_envs.drive import Twist, Waypoint
-from lirs_envs.robots import Robot
+from lirs_envs.robots.catalog import Robot
+from lirs_envs.robots.drive import Twist, Waypoint
 from lirs_envs.simulation import Simulation
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose2
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 
 LIDAR = "lms111"

@@ -22,15 +22,15 @@ from rich.console import Console
 from rich.table import Table
 from robot_figures import LIDAR, Row, figures
 
-from lirs_envs.drive import Twist
-from lirs_envs.robots import ROBOTS, Robot, make_robot
+from lirs_envs.robots.catalog import ROBOTS, Robot, make_robot
+from lirs_envs.robots.drive import Twist
 from lirs_envs.simulation import Simulation
 from lirs_validation.collision.files import verdicts_table
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions
-from lirs_validation.record import RunConfig
-from lirs_validation.stage import set_stage
-from lirs_wct.bundled import RECIPES
+from lirs_validation.experiment.scenario import set_stage
+from lirs_validation.record.run_record import RunConfig
 from lirs_wct.errors import WctError
+from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.world import World
 
 DEAREST = 60.0

@@ -21,9 +21,9 @@ from rich.console import Console
 from rich.table import Table
 
 from lirs_validation import validate
-from lirs_validation.judge import judge_trajectory
-from lirs_validation.mappers import mapper_named
-from lirs_validation.run import Run
+from lirs_validation.experiment.evaluation import judge_trajectory
+from lirs_validation.experiment.mapper_loading import mapper_named
+from lirs_validation.experiment.run import Run
 
 WORLDS = ("simple", "medium", "advanced")
 PAPER_RTF = {

@@ -28,11 +28,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from lirs_validation.logs.accuracy import reference_errors
+from lirs_validation.logs.reference import read_reference
 from lirs_validation.metrics.relations import Relation, read_relations, relation_errors
-from lirs_validation.offline.accuracy import reference_errors
-from lirs_validation.offline.reference import read_reference
-from lirs_wct.formats.carmen import CarmenLog, read_carmen
-from lirs_wct.trajectory import Trajectory
+from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
+from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.mapper import MAPPERS, Mapper, make_mapper
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "logs"

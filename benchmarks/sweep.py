@@ -22,13 +22,13 @@ from typing import Any
 from rich.console import Console
 
 from lirs_validation import RunRecord, validate
-from lirs_validation.commands.sweep_tables import sweep_tables
-from lirs_validation.progress import run_with_progress
-from lirs_validation.stage import StageCache
+from lirs_validation.cli.progress import run_with_progress
+from lirs_validation.cli.sweep_tables import sweep_tables
+from lirs_validation.experiment.scenario import StageCache
 from lirs_validation.sweep.cell import Tell
-from lirs_validation.sweep.executor import Executor, Serial
+from lirs_validation.sweep.engines.base import Executor, Serial
+from lirs_validation.sweep.engines.processes import Processes
 from lirs_validation.sweep.outcome import Outcome
-from lirs_validation.sweep.processes import Processes
 from lirs_validation.sweep.run_cell import RunCell
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.files import atomic_folder

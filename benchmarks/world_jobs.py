@@ -14,13 +14,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from lirs_wct.formats.collada import write_collada
-from lirs_wct.heightfield import HeightField
-from lirs_wct.image import read_height_field
-from lirs_wct.options import BuildOptions
-from lirs_wct.package import write_package
-from lirs_wct.simplify import triangulate
-from lirs_wct.solid import solid_mesh
+from lirs_wct.export.package import write_package
+from lirs_wct.formats.meshes.collada import write_collada
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.meshing.simplify import triangulate
+from lirs_wct.meshing.solid import solid_mesh
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.picture import read_height_field
 from lirs_wct.world import World, build_world
 
 Figures = dict[str, float | int | str]

@@ -8,10 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from lirs_validation import validate
-from lirs_validation.report.raster import Canvas
-from lirs_validation.report.style import BLUE, VERMILLION, new_figure, title
-from lirs_validation.report.view import block_picture
-from lirs_wct.bundled import bundled_picture
+from lirs_validation.drawing.canvas import Canvas
+from lirs_validation.drawing.style import BLUE, VERMILLION, new_figure, title
+from lirs_validation.drawing.view import block_picture
+from lirs_wct.sources.bundled import bundled_picture
 
 WORLD = "advanced"
 

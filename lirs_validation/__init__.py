@@ -4,10 +4,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from lirs_validation.offline.log_source import resolve_source
-    from lirs_validation.offline.mapping import MappedLog, map_log
-    from lirs_validation.record import RunConfig, RunRecord, read_record
-    from lirs_validation.run import Run, validate
+    from lirs_validation.experiment.run import Run, validate
+    from lirs_validation.logs.log_source import resolve_source
+    from lirs_validation.logs.mapping import MappedLog, map_log
+    from lirs_validation.record.run_record import RunConfig, RunRecord, read_record
 
 __all__ = [
     "MappedLog",
@@ -21,14 +21,14 @@ __all__ = [
 ]
 
 _HOMES = {
-    "MappedLog": "offline.mapping",
-    "map_log": "offline.mapping",
-    "resolve_source": "offline.log_source",
-    "Run": "run",
-    "validate": "run",
-    "RunConfig": "record",
-    "RunRecord": "record",
-    "read_record": "record",
+    "MappedLog": "logs.mapping",
+    "map_log": "logs.mapping",
+    "resolve_source": "logs.log_source",
+    "Run": "experiment.run",
+    "validate": "experiment.run",
+    "RunConfig": "record.run_record",
+    "RunRecord": "record.run_record",
+    "read_record": "record.run_record",
 }
 
 

@@ -8,12 +8,47 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lirs_wct.errors import WctError
-    from lirs_wct.options import BuildOptions
+    from lirs_wct.geometry.grid import OccupancyGrid
+    from lirs_wct.geometry.heightfield import HeightField
+    from lirs_wct.geometry.mesh import TriangleMesh
+    from lirs_wct.geometry.pose import Pose2, Pose3
+    from lirs_wct.geometry.scan import Imu, LaserScan
+    from lirs_wct.geometry.trajectory import Trajectory
+    from lirs_wct.geometry.walls import WallGrid
+    from lirs_wct.sources.options import BuildOptions
     from lirs_wct.world import World, build_world
 
-__all__ = ["BuildOptions", "WctError", "World", "build_world"]
+_HOMES = {
+    "BuildOptions": "sources.options",
+    "HeightField": "geometry.heightfield",
+    "Imu": "geometry.scan",
+    "LaserScan": "geometry.scan",
+    "OccupancyGrid": "geometry.grid",
+    "Pose2": "geometry.pose",
+    "Pose3": "geometry.pose",
+    "Trajectory": "geometry.trajectory",
+    "TriangleMesh": "geometry.mesh",
+    "WallGrid": "geometry.walls",
+    "WctError": "errors",
+    "World": "world",
+    "build_world": "world",
+}
 
-_HOMES = {"WctError": "errors", "BuildOptions": "options", "World": "world", "build_world": "world"}
+__all__ = [
+    "BuildOptions",
+    "HeightField",
+    "Imu",
+    "LaserScan",
+    "OccupancyGrid",
+    "Pose2",
+    "Pose3",
+    "Trajectory",
+    "TriangleMesh",
+    "WallGrid",
+    "WctError",
+    "World",
+    "build_world",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -12,25 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.finish import Finish, checked_texture, finish_of
+from lirs_wct.export.export_settings import Finish, checked_texture, finish_of
 from lirs_wct.formats.map_server import read_map, read_map_picture
 from lirs_wct.formats.world_json import read_fields, write_world
-from lirs_wct.grid import OccupancyGrid
-from lirs_wct.heightfield import HeightField
-from lirs_wct.mesh import TriangleMesh
-from lirs_wct.mesh_source import read_mesh_source
-from lirs_wct.occupancy import level_floor, walls_of, without_speckles
-from lirs_wct.options import BuildOptions
-from lirs_wct.pose import Pose2
-from lirs_wct.simplify import simplified_solid
-from lirs_wct.solid import solid_mesh
-from lirs_wct.source import Source, SourceKind, find_source, warn_of_useless
-from lirs_wct.starts import start_poses
-from lirs_wct.terrain_source import read_terrain
-from lirs_wct.traversability import traversable
-from lirs_wct.wall_solid import wall_mesh
-from lirs_wct.walls import WallGrid
-from lirs_wct.window import Window, cut_map, cut_nodes, cut_surface
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.meshing.simplify import simplified_solid
+from lirs_wct.meshing.solid import solid_mesh
+from lirs_wct.meshing.wall_solid import wall_mesh
+from lirs_wct.navigation.spawn_poses import start_poses
+from lirs_wct.navigation.traversability import traversable
+from lirs_wct.sources.laser_map import level_floor, walls_of, without_speckles
+from lirs_wct.sources.mesh_source import read_mesh_source
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import Source, SourceKind, find_source, warn_of_useless
+from lirs_wct.sources.terrain_source import read_terrain
+from lirs_wct.sources.window import Window, cut_map, cut_nodes, cut_surface
 
 START_CLEARANCE = 0.8
 """Metres of free ground around a start pose: a Husky and a step."""

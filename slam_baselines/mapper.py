@@ -11,16 +11,16 @@ from typing import Any, Protocol, TypedDict
 import numpy as np
 
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.grid import OccupancyGrid
-from lirs_wct.pose import Pose2
-from lirs_wct.scan import Imu, LaserScan
-from lirs_wct.trajectory import Trajectory
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry.trajectory import Trajectory
 
 # By name and not by import: one method must not drag in the others.
 MAPPERS: Mapping[str, tuple[str, str, str]] = {
-    "hector": ("slam_baselines.hector", "HectorConfig", "HectorMapper"),
-    "gmapping": ("slam_baselines.gmapping", "GmappingConfig", "GmappingMapper"),
-    "cartographer": ("slam_baselines.cartographer", "CartographerConfig", "make_cartographer"),
+    "hector": ("slam_baselines.hector.mapper", "HectorConfig", "HectorMapper"),
+    "gmapping": ("slam_baselines.gmapping.mapper", "GmappingConfig", "GmappingMapper"),
+    "cartographer": ("slam_baselines.cartographer.mapper", "CartographerConfig", "make_cartographer"),
 }
 """Name -> module, class of its configuration, what makes a mapper of one."""
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.pose import Pose2
+from lirs_wct.geometry.pose import Pose2
 from tests.slam_baselines.synthetic import ROOM, loop, ranges_to
 
 START = 1.0e9

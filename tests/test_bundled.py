@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from lirs_wct.bundled import PIXELS, RECIPES, SIZE, bundled_picture, slope_over
 from lirs_wct.errors import ConfigError
+from lirs_wct.sources.bundled import PIXELS, RECIPES, SIZE, bundled_picture, slope_over
 
 CELL = SIZE / (PIXELS - 1)
 CLAIMS = {"simple": (4.0, 0.5, 1), "medium": (10.0, 2.0, 2), "advanced": (18.0, 5.0, 4)}

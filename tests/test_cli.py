@@ -12,7 +12,7 @@ import pytest
 
 
 def wct(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "from lirs_validation.cli import main; main()", *map(str, arguments)]
+    command = [sys.executable, "-c", "from lirs_validation.cli.app import main; main()", *map(str, arguments)]
     return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
 
 

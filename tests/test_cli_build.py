@@ -13,8 +13,8 @@ import trimesh
 
 from lirs_validation import cli
 from lirs_wct import World
-from lirs_wct.formats.mesh_file import SUFFIXES, read_upright
-from lirs_wct.heightfield import HeightField
+from lirs_wct.formats.meshes.mesh_file import SUFFIXES, read_upright
+from lirs_wct.geometry.heightfield import HeightField
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from lirs_validation import cli, read_record
-from lirs_validation.record import RunRecord
+from lirs_validation.record.run_record import RunRecord
 from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.run_cell import RunCell
 from lirs_wct.errors import MapperError

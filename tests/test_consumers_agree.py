@@ -10,13 +10,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from lirs_envs.raycast import RayCaster
+from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_wct import BuildOptions, World, build_world
-from lirs_wct.contact_grid import contact_grid
-from lirs_wct.drape import drape
-from lirs_wct.formats.mesh_file import read_upright
-from lirs_wct.mjcf import world_spec
-from lirs_wct.package import write_package
+from lirs_wct.contact.contact_grid import contact_grid
+from lirs_wct.export.mjcf import world_spec
+from lirs_wct.export.package import write_package
+from lirs_wct.formats.meshes.mesh_file import read_upright
+from lirs_wct.sources.rasterize import drape
 
 POINTS = 1000
 BUDGET = 0.02

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lirs_wct.contact_grid import ContactBudget, ContactGrid, contact_grid, steep_nodes
+from lirs_wct.contact.contact_grid import ContactBudget, ContactGrid, contact_grid, steep_nodes
 from lirs_wct.errors import ConfigError
-from lirs_wct.heightfield import HeightField
+from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.world import build_world
 
 

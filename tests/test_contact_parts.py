@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from lirs_wct.contact_parts import bodies, convex_parts
-from lirs_wct.mesh import TriangleMesh
+from lirs_wct.contact.contact_parts import bodies, convex_parts
+from lirs_wct.geometry.mesh import TriangleMesh
 
 
 @pytest.fixture

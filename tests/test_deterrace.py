@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from lirs_wct.deterrace import deterrace
-from lirs_wct.heightfield import HeightField
-from lirs_wct.simplify import triangulate
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.meshing.simplify import triangulate
+from lirs_wct.sources.dequantize import deterrace
 
 
 def hills(n: int = 257) -> np.ndarray:

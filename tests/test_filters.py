@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.filters import denoised, resized, sharpened, smoothed
-from lirs_wct.heightfield import HeightField
-from lirs_wct.image import read_height_field
-from lirs_wct.options import BuildOptions
-from lirs_wct.solid import solid_mesh
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.meshing.solid import solid_mesh
+from lirs_wct.sources.filters import denoised, resized, sharpened, smoothed
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.picture import read_height_field
 
 RAMP = np.tile(np.arange(40, dtype=np.float32), (30, 1))
 

@@ -15,9 +15,9 @@ from PIL import Image
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.heightfield import HeightField
-from lirs_wct.image import read_height_field
-from lirs_wct.options import BuildOptions
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.picture import read_height_field
 from lirs_wct.world import build_world
 
 RAMP = np.arange(12, dtype=np.uint16).reshape(3, 4)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from lirs_wct.errors import SourceError
-from lirs_wct.image import read_height_field
-from lirs_wct.options import BuildOptions
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.picture import read_height_field
 
 COLOUR = "is in colour"
 HOLES = "pixels have no height"

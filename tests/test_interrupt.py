@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-MAIN = [sys.executable, "-c", "from lirs_validation.cli import main; main()"]
+MAIN = [sys.executable, "-c", "from lirs_validation.cli.app import main; main()"]
 
 
 def listing(folder: Path) -> list[str]:

@@ -15,11 +15,11 @@ from hypothesis.extra import numpy as hnp
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats import flat_yaml
 from lirs_wct.formats.map_server import read_map, read_map_picture, write_map
-from lirs_wct.grid import OccupancyGrid
-from lirs_wct.occupancy import merged_boxes, walls_of, without_speckles
-from lirs_wct.pose import Pose2
-from lirs_wct.wall_solid import SLAB, wall_mesh
-from lirs_wct.walls import WallGrid
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.meshing.wall_solid import SLAB, wall_mesh
+from lirs_wct.sources.laser_map import merged_boxes, walls_of, without_speckles
 
 masks = hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9))
 KEYS = "resolution: 0.5\norigin: [1.0, -2.0, 0.5]\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"

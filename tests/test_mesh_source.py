@@ -10,12 +10,12 @@ import pytest
 import trimesh
 
 from lirs_wct import BuildOptions, World, build_world
-from lirs_wct.drape import drape, layers
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.mesh_file import SUFFIXES, read_upright, write_mesh
-from lirs_wct.heightfield import HeightField
-from lirs_wct.mesh import TriangleMesh
-from lirs_wct.solid import solid_mesh
+from lirs_wct.formats.meshes.mesh_file import SUFFIXES, read_upright, write_mesh
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.meshing.solid import solid_mesh
+from lirs_wct.sources.rasterize import drape, layers
 
 
 @pytest.fixture

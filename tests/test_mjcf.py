@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from lirs_wct.contact_grid import contact_grid
-from lirs_wct.heightfield import HeightField
-from lirs_wct.mjcf import box_geoms, world_spec
-from lirs_wct.mjcf_file import write_mjcf
-from lirs_wct.pose import Pose2
-from lirs_wct.walls import WallGrid
+from lirs_wct.contact.contact_grid import contact_grid
+from lirs_wct.export.mjcf import box_geoms, world_spec
+from lirs_wct.export.mjcf_file import write_mjcf
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
 
 

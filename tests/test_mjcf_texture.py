@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from lirs_wct import BuildOptions, build_world
-from lirs_wct.mjcf_file import spread
-from lirs_wct.package import write_package
-from lirs_wct.texture import cube_uv
+from lirs_wct.export.mjcf_file import spread
+from lirs_wct.export.package import write_package
+from lirs_wct.meshing.uv import cube_uv
 
 
 @pytest.fixture

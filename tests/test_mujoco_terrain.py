@@ -12,19 +12,19 @@ import pytest
 import trimesh
 from scipy.spatial import KDTree
 
-from lirs_envs.robots import make_robot
+from lirs_envs.robots.catalog import make_robot
 from lirs_envs.simulation import Simulation
 from lirs_validation import validate
 from lirs_wct import BuildOptions, World, build_world
-from lirs_wct.contact_grid import ContactGrid, contact_grid, steep_nodes
-from lirs_wct.contact_parts import TERRAINS, Terrain, contact_parts, prisms
+from lirs_wct.contact.contact_grid import ContactGrid, contact_grid, steep_nodes
+from lirs_wct.contact.contact_parts import TERRAINS, Terrain, contact_parts, prisms
 from lirs_wct.errors import ConfigError
-from lirs_wct.finish import Finish
-from lirs_wct.heightfield import HeightField
-from lirs_wct.mesh import TriangleMesh
-from lirs_wct.mjcf import SEEN_GROUP, TERRAIN_GROUP, world_spec
-from lirs_wct.pose import Pose2
-from lirs_wct.walls import WallGrid
+from lirs_wct.export.export_settings import Finish
+from lirs_wct.export.mjcf import SEEN_GROUP, TERRAIN_GROUP, world_spec
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
 
 RADIUS, SPHERES = 0.3, 100
 

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lirs_wct.formats.collada import write_collada
-from lirs_wct.heightfield import HeightField
-from lirs_wct.package import FORMATS, write_package
+from lirs_wct.export.package import FORMATS, write_package
+from lirs_wct.formats.meshes.collada import write_collada
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.progress import Steps, ticking
-from lirs_wct.solid import solid_mesh
 from lirs_wct.world import World
 
 

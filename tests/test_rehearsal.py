@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lirs_wct.pose import Pose2
-from slam_baselines import rehearsal
+from lirs_wct.geometry.pose import Pose2
+from slam_baselines import warmup as rehearsal
 from slam_baselines.mapper import MAPPERS, make_mapper
 
 

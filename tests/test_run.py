@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_envs.drive import Twist
+from lirs_envs.robots.drive import Twist
 from lirs_envs.simulation import Observation
 from lirs_validation import RunConfig, read_record, validate
-from lirs_validation.loop import LOST_SECONDS, drive, per_second
-from lirs_validation.run import Run
-from lirs_validation.stage import set_stage
+from lirs_validation.experiment.loop import LOST_SECONDS, drive, per_second
+from lirs_validation.experiment.run import Run
+from lirs_validation.experiment.scenario import set_stage
 from lirs_wct.errors import ConfigError, MapperError, SimulationError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
-from lirs_wct.pose import Pose2, Pose3
-from lirs_wct.scan import Imu, LaserScan
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import Imu, LaserScan
 
 FILES = {
     "record.json", "overview.png", "rtf.csv", "truth.tum", "estimate.tum", "odometry.tum",

@@ -12,14 +12,14 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lirs_wct.drape import drape
 from lirs_wct.errors import ConfigError
-from lirs_wct.heightfield import HeightField
-from lirs_wct.image import read_height_field
-from lirs_wct.mesh import TriangleMesh
-from lirs_wct.options import BuildOptions
-from lirs_wct.simplify import simplified_solid, triangulate
-from lirs_wct.solid import solid_mesh
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.meshing.simplify import simplified_solid, triangulate
+from lirs_wct.meshing.solid import solid_mesh
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.picture import read_height_field
+from lirs_wct.sources.rasterize import drape
 
 
 def hills(rows: int, cols: int, seed: int = 0, blur: float = 3.0) -> HeightField:

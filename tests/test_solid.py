@@ -8,8 +8,8 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lirs_wct.heightfield import HeightField
-from lirs_wct.solid import base_height, solid_mesh, solid_triangles
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.meshing.solid import base_height, solid_mesh, solid_triangles
 
 
 def hills(rows: int, cols: int, seed: int = 0) -> HeightField:
@@ -73,7 +73,7 @@ def test_flat_ground_still_has_a_body() -> None:
 
 
 def test_triangles_row_by_row_are_the_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lirs_wct.solid._BLOCK", 50)
+    monkeypatch.setattr("lirs_wct.meshing.solid._BLOCK", 50)
     surface = hills(23, 17)
     mesh = solid_mesh(surface)
     count, chunks = solid_triangles(surface)

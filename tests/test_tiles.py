@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from lirs_wct.heightfield import HeightField
-from lirs_wct.mesh import TriangleMesh
-from lirs_wct.solid import solid_mesh
-from lirs_wct.texture import cube_uv, projection_groups
-from lirs_wct.tiles import split_tiles
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.meshing.solid import solid_mesh
+from lirs_wct.meshing.tiles import split_tiles
+from lirs_wct.meshing.uv import cube_uv, projection_groups
 
 
 def hills() -> TriangleMesh:

@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from lirs_wct.grid import OccupancyGrid
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose2
-from lirs_wct.starts import start_poses
-from lirs_wct.traversability import traversable
-from lirs_wct.walls import WallGrid
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.navigation.spawn_poses import start_poses
+from lirs_wct.navigation.traversability import traversable
 
 SLOPE = math.radians(20)
 
@@ -90,6 +90,6 @@ def test_slopes_strip_by_strip_are_those_of_the_whole(monkeypatch: pytest.Monkey
     surface = HeightField.centred(cv2.GaussianBlur(z, (0, 0), 6) * 3, (0.04, 0.05))
     whole = traversable(surface, clearance=0.1, max_slope=0.3)
     assert 0.05 < whole.free.mean() < 0.95
-    monkeypatch.setattr("lirs_wct.traversability._STRIP", 7)
+    monkeypatch.setattr("lirs_wct.navigation.traversability._STRIP", 7)
     strips = traversable(surface, clearance=0.1, max_slope=0.3)
     np.testing.assert_array_equal(whole.log_odds, strips.log_odds)

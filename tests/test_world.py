@@ -11,9 +11,9 @@ import pytest
 
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose2
-from lirs_wct.window import cut_surface
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.sources.window import cut_surface
 
 
 @pytest.fixture

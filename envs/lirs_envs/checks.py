@@ -7,11 +7,11 @@ from dataclasses import astuple
 
 import numpy as np
 
-from lirs_envs.robots import Robot
-from lirs_envs.sensors import Noise
-from lirs_envs.twist import Twist, Waypoint
+from lirs_envs.robots.catalog import Robot
+from lirs_envs.robots.twist import Twist, Waypoint
+from lirs_envs.sensing.sensors import Noise
 from lirs_wct.errors import ConfigError
-from lirs_wct.pose import Pose2
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 
 

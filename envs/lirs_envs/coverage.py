@@ -8,9 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose3
-from lirs_wct.scan import LaserScan
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry.scan import LaserScan
 
 
 class SeenArea:

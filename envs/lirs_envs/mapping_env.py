@@ -13,14 +13,14 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lirs_envs.coverage import SeenArea
-from lirs_envs.drive import Twist
-from lirs_envs.lidar_noise import NoiseLevel
-from lirs_envs.odometry import Method, OdometryConfig
-from lirs_envs.robots import make_robot
-from lirs_envs.seen import Rays
-from lirs_envs.sensors import Noise
+from lirs_envs.lidar.casters import Rays
+from lirs_envs.lidar.noise import NoiseLevel
+from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.drive import Twist
+from lirs_envs.sensing.odometry import Method, OdometryConfig
+from lirs_envs.sensing.sensors import Noise
 from lirs_envs.simulation import Observation, Simulation
-from lirs_wct.contact_parts import Terrain
+from lirs_wct.contact.contact_parts import Terrain
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.world import World, build_world
 

@@ -10,13 +10,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_envs.imu import Vector
 from lirs_envs.props import Parked, Prop, add_props
-from lirs_envs.robots import Robot
-from lirs_wct.contact_grid import ContactGrid, contact_grid
-from lirs_wct.contact_parts import Terrain
-from lirs_wct.mjcf import world_spec
-from lirs_wct.pose import Pose3
+from lirs_envs.robots.catalog import Robot
+from lirs_envs.sensing.imu import Vector
+from lirs_wct.contact.contact_grid import ContactGrid, contact_grid
+from lirs_wct.contact.contact_parts import Terrain
+from lirs_wct.export.mjcf import world_spec
+from lirs_wct.geometry.pose import Pose3
 from lirs_wct.world import World
 
 FULL = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -41,7 +41,7 @@ class RobotModel:
         period: time from scan to scan, seconds: a whole number of steps.
         control_period: longest time between control updates, seconds.
         props: what else stands there.
-        terrain: what is touched (see `lirs_wct.contact_parts.TERRAINS`).
+        terrain: what is touched (see `lirs_wct.contact.contact_parts.TERRAINS`).
         seen: whether MuJoCo's own rays are to meet the surface, where something else is touched.
     """
 

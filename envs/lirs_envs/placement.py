@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_envs.robots import Robot
+from lirs_envs.robots.catalog import Robot
 from lirs_wct.errors import ConfigError, SimulationError
-from lirs_wct.pose import Pose2, Pose3
-from lirs_wct.walls import WallGrid
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
 
 Array = NDArray[np.float64]

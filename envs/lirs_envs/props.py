@@ -9,9 +9,9 @@ from typing import Literal
 
 import mujoco
 
-from lirs_envs.robot import Robot
+from lirs_envs.robots.robot import Robot
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.pose import Pose2, Pose3
+from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.world import World
 
 PROP_GROUP = 1

@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 
 from lirs_envs.checks import check_arguments, check_command, check_seed, check_start
 from lirs_envs.collisions import Collisions, ContactWatch, check_sane
-from lirs_envs.drive import Drive, Twist, Waypoint
-from lirs_envs.flight import Pilot
-from lirs_envs.lidar import make_lidar_preset
+from lirs_envs.lidar.casters import Rays, casters_of, check_rays
+from lirs_envs.lidar.lidar import make_lidar_preset
 from lirs_envs.model import RobotModel
 from lirs_envs.placement import standing_pose, start_of
 from lirs_envs.props import Parked, Prop
-from lirs_envs.robots import Robot
-from lirs_envs.seen import Rays, casters_of, check_rays
-from lirs_envs.sensors import Noise, Observation, Sensors
+from lirs_envs.robots.catalog import Robot
+from lirs_envs.robots.drive import Drive, Twist, Waypoint
+from lirs_envs.robots.flight import Pilot
+from lirs_envs.sensing.sensors import Noise, Observation, Sensors
 from lirs_envs.timing import Replay, Timing
-from lirs_wct.contact_grid import ContactGrid
-from lirs_wct.contact_parts import Terrain
+from lirs_wct.contact.contact_grid import ContactGrid
+from lirs_wct.contact.contact_parts import Terrain
 from lirs_wct.errors import SimulationError
-from lirs_wct.pose import Pose2, Pose3
+from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.world import World
 
 __all__ = ["Observation", "Replay", "Simulation", "Timing"]

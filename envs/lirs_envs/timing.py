@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from lirs_wct.pose import Pose3
+from lirs_wct.geometry.pose import Pose3
 
 
 @dataclass

@@ -11,16 +11,16 @@ import cv2
 import numpy as np
 
 from lirs_envs.collisions import check_sane
-from lirs_envs.drive import Drive, Twist
-from lirs_envs.flight import Pilot
 from lirs_envs.model import RobotModel
 from lirs_envs.placement import standing_pose
-from lirs_envs.robots import Robot
+from lirs_envs.robots.catalog import Robot
+from lirs_envs.robots.drive import Drive, Twist
+from lirs_envs.robots.flight import Pilot
 from lirs_validation.collision.contact_log import ContactLog, ContactRecorder
 from lirs_wct.errors import ConfigError, SimulationError
-from lirs_wct.pose import Pose2
-from lirs_wct.starts import start_poses
-from lirs_wct.traversability import largest_area
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.navigation.spawn_poses import start_poses
+from lirs_wct.navigation.traversability import largest_area
 from lirs_wct.world import World
 
 PERIOD, CONTROL_PERIOD = 0.04, 0.008

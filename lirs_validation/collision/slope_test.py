@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lirs_envs.drive import Drive, Twist
 from lirs_envs.model import RobotModel
 from lirs_envs.placement import standing_pose
-from lirs_envs.robots import Robot
+from lirs_envs.robots.catalog import Robot
+from lirs_envs.robots.drive import Drive, Twist
 from lirs_validation.collision.random_drive import MARGIN, SETTLING
 from lirs_wct.errors import SimulationError
-from lirs_wct.pose import Pose2
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 
 PLACES = 20_000

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from lirs_envs.model import RobotModel
-from lirs_validation.info import mesh_error
-from lirs_wct.contact_parts import PRISM_ERROR, Terrain
-from lirs_wct.walls import WallGrid
+from lirs_validation.cli.info import mesh_error
+from lirs_wct.contact.contact_parts import PRISM_ERROR, Terrain
+from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
 
 Array = NDArray[np.float64]

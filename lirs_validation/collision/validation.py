@@ -26,14 +26,14 @@ import numpy as np
 
 from lirs_envs.checks import check_arguments
 from lirs_envs.model import RobotModel
-from lirs_envs.robots import Robot
-from lirs_envs.sensors import Noise
+from lirs_envs.robots.catalog import Robot
+from lirs_envs.sensing.sensors import Noise
 from lirs_validation.collision import figures
 from lirs_validation.collision.contact_log import DEEP
 from lirs_validation.collision.random_drive import CONTROL_PERIOD, PERIOD, drive_at_random
 from lirs_validation.collision.slope_test import climb
 from lirs_validation.collision.touched import Touched
-from lirs_wct.contact_parts import Terrain
+from lirs_wct.contact.contact_parts import Terrain
 from lirs_wct.errors import ConfigError
 from lirs_wct.world import World
 

@@ -7,13 +7,13 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from lirs_envs.drive import Twist
+from lirs_envs.robots.drive import Twist
 from lirs_validation.driving.planning import CoveragePlanner, TourConfig
 from lirs_validation.driving.pursuit import Pursuit, PursuitConfig, speed_profile
 from lirs_wct.errors import ConfigError
-from lirs_wct.grid import OccupancyGrid
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose2
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
 
 DriverState = Literal["driving", "backing off", "stuck"]
 

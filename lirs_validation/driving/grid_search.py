@@ -12,8 +12,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.grid import OccupancyGrid
-from lirs_wct.pose import Pose2
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
 
 Cells = NDArray[np.int64]
 Mask = NDArray[np.bool_]

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lirs_wct.grid import OccupancyGrid
+from lirs_wct.geometry.grid import OccupancyGrid
 
 Points = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from lirs_validation.driving.grid_search import Reach, area_round, cells_ahead, dear_behind, search
 from lirs_validation.driving.path_smoothing import arc_length, smoothed
 from lirs_wct.errors import ConfigError
-from lirs_wct.grid import OccupancyGrid
-from lirs_wct.pose import Pose2
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
 
 Points = NDArray[np.float64]
 Mask = NDArray[np.bool_]

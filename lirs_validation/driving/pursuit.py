@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_envs.drive import Twist
+from lirs_envs.robots.drive import Twist
 from lirs_validation.driving.path_smoothing import SPACING, arc_length, curvature
 from lirs_wct.errors import ConfigError
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose2, wrap_angle
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2, wrap_angle
 
 Points = NDArray[np.float64]
 Array = NDArray[np.float64]

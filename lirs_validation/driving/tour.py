@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from lirs_envs.robots import Robot
+from lirs_envs.robots.catalog import Robot
 from lirs_validation.driving.drivers import CoverageDriver, plan_coverage
 from lirs_validation.driving.pace import driver_config
-from lirs_validation.record import RunConfig
+from lirs_validation.record.run_record import RunConfig
 from lirs_wct.errors import ConfigError
-from lirs_wct.starts import start_poses
+from lirs_wct.navigation.spawn_poses import start_poses
 from lirs_wct.world import World
 
 MARGIN = 0.15

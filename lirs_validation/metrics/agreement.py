@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from lirs_wct.grid import OccupancyGrid
+from lirs_wct.geometry.grid import OccupancyGrid
 
 TOLERANCE = 0.10
 """Two occupied cells agree where their centres are at most this far apart, metres."""

@@ -8,8 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lirs_wct.heightfield import HeightField
-from lirs_wct.walls import WallGrid
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.walls import WallGrid
 
 STEEP = math.radians(45)
 """Faces steeper than this are obstacles, radians."""

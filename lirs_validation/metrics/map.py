@@ -23,9 +23,9 @@ from lirs_validation.metrics.agreement import (
 )
 from lirs_validation.metrics.geometry import near_obstacle
 from lirs_validation.metrics.ssim import map_ssim
-from lirs_wct.grid import OccupancyGrid
-from lirs_wct.heightfield import HeightField
-from lirs_wct.walls import WallGrid
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.walls import WallGrid
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from lirs_validation.metrics.planar import motion, planar, wrapped
 from lirs_wct.errors import SourceError
-from lirs_wct.pose import Pose2
-from lirs_wct.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_validation.metrics.agreement import sampled
-from lirs_wct.grid import FREE, OCCUPIED, OccupancyGrid
+from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
 
 WINDOW, SIGMA = 11, 1.5
 """Side and standard deviation of the Gaussian window, cells (Wang et al., Sec. III-C)."""

@@ -21,8 +21,8 @@ from lirs_validation.metrics.relative import (
     relative_error,
 )
 from lirs_wct.errors import ConfigError
-from lirs_wct.pose import Pose2
-from lirs_wct.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
 
 
 @dataclass(frozen=True, kw_only=True)

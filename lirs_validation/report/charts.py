@@ -14,8 +14,8 @@ from matplotlib.lines import Line2D
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from lirs_validation.comparison.cells import Cell, by_cell, telling
-from lirs_validation.comparison.figures import Figure, rtf_counts
+from lirs_validation.analysis.groups import Cell, by_cell, telling
+from lirs_validation.record.metric_catalogue import Figure, rtf_counts
 from lirs_validation.report.sheets import sound
 from lirs_validation.report.svg import INK, SMALL, as_svg, colour_of, plain
 

@@ -7,9 +7,9 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from lirs_validation.record import RunConfig
-from lirs_wct.options import BuildOptions
-from lirs_wct.pose import Pose2
+from lirs_validation.record.run_record import RunConfig
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.sources.options import BuildOptions
 
 OWN_WORDS = {"kind": "--as", "denoise": "--denoise-method"}
 """Options of `build` whose word is not their name."""

@@ -13,9 +13,9 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from lirs_validation.comparison.cells import FIELDS, Cell, telling
-from lirs_validation.comparison.compare import LEVEL, Comparison, Difference
-from lirs_validation.report.words import NOTHING
+from lirs_validation.analysis.compare import LEVEL, Comparison, Difference
+from lirs_validation.analysis.groups import FIELDS, Cell, telling
+from lirs_validation.record.formatting import NOTHING
 from lirs_wct.files import atomic_write
 
 

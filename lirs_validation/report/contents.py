@@ -6,16 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from lirs_validation.analysis.recorded import recorded_config
+from lirs_validation.analysis.result_folders import ResultFolder, RunFolder
 from lirs_validation.collision.files import failed as failed_checks
 from lirs_validation.collision.validation import CollisionVerdict
-from lirs_validation.comparison.recorded import recorded_config
-from lirs_validation.comparison.result_folders import ResultFolder, RunFolder
+from lirs_validation.record.formatting import NOTHING
 from lirs_validation.report.command_line import command_of
 from lirs_validation.report.findings import Finding, findings
 from lirs_validation.report.paper import paper_sheets
 from lirs_validation.report.sheet import Sheet
 from lirs_validation.report.sheets import GROUPS, cell_sheet, failures_sheet, run_sheet, sound, summary_sheet
-from lirs_validation.report.words import NOTHING
 from lirs_wct.errors import WctError
 
 Entry = Mapping[str, Any]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
 
-from lirs_validation.comparison.figures import rtf_counts, significant, span
+from lirs_validation.record.metric_catalogue import rtf_counts, significant, span
 from lirs_validation.report import published
 from lirs_validation.report.paper import RTF, husky_runs
 from lirs_validation.report.published import COMFORTABLE, HEIGHTMAP, MAPPERS, OURS, SOLID, VIEWS, WORLDS

@@ -8,8 +8,8 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from lirs_validation.comparison.figures import figures_named, rtf_counts, span
-from lirs_validation.comparison.result_folders import RunFolder
+from lirs_validation.analysis.result_folders import RunFolder
+from lirs_validation.record.metric_catalogue import figures_named, rtf_counts, span
 from lirs_validation.report.charts import AROUND, distribution_chart, rtf_chart
 from lirs_validation.report.contents import Report
 from lirs_validation.report.pictures import Painter

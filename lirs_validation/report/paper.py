@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from lirs_validation.comparison.figures import RTF as RTF_FIGURES
-from lirs_validation.comparison.figures import Figure
+from lirs_validation.record.metric_catalogue import RTF as RTF_FIGURES
+from lirs_validation.record.metric_catalogue import Figure
 from lirs_validation.report import published
 from lirs_validation.report.published import MAPPERS, OURS, SOLID, VIEWS, WORLDS
 from lirs_validation.report.sheet import Content, Sheet, Spread

@@ -10,19 +10,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_validation.comparison.recorded import recorded_config
-from lirs_validation.comparison.result_folders import RunFolder
+from lirs_validation.analysis.recorded import recorded_config
+from lirs_validation.analysis.result_folders import RunFolder
+from lirs_validation.drawing.canvas import Canvas, Mask, Rgb
+from lirs_validation.drawing.hillshade import coloured_relief
+from lirs_validation.drawing.overview import bounds_shown, shown_bounds
+from lirs_validation.drawing.style import BLUE, VERMILLION
+from lirs_validation.experiment.scenario import StageCache
 from lirs_validation.metrics.agreement import contradicted
-from lirs_validation.report.hillshade import coloured_relief
-from lirs_validation.report.overview import bounds_shown, shown_bounds
-from lirs_validation.report.raster import Canvas, Mask, Rgb
-from lirs_validation.report.style import BLUE, VERMILLION
-from lirs_validation.stage import StageCache
 from lirs_wct.errors import WctError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
-from lirs_wct.grid import OccupancyGrid
-from lirs_wct.trajectory import Trajectory
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.trajectory import Trajectory
 
 BUDGET = 3_000_000
 """Bytes of all pictures together, as they stand in the page."""

@@ -12,9 +12,9 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from lirs_validation.comparison.figures import MAP, TRAJECTORY
-from lirs_validation.comparison.score import Score
-from lirs_validation.report.words import NOTHING
+from lirs_validation.analysis.score import Score
+from lirs_validation.record.formatting import NOTHING
+from lirs_validation.record.metric_catalogue import MAP, TRAJECTORY
 from lirs_wct.files import atomic_write
 
 

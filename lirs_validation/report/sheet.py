@@ -7,9 +7,9 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lirs_validation.comparison.figures import Figure
-from lirs_validation.comparison.repeats import Repeats
-from lirs_validation.report.words import NOTHING
+from lirs_validation.analysis.repeats import Repeats
+from lirs_validation.record.formatting import NOTHING
+from lirs_validation.record.metric_catalogue import Figure
 
 
 @dataclass(frozen=True)

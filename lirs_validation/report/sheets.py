@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from lirs_validation.comparison import figures
-from lirs_validation.comparison.cells import FIELDS, Cell, by_cell, telling
-from lirs_validation.comparison.figures import Figure, rtf_counts
-from lirs_validation.comparison.repeats import repeats
-from lirs_validation.record import SOUND
+from lirs_validation.analysis.groups import FIELDS, Cell, by_cell, telling
+from lirs_validation.analysis.repeats import repeats
+from lirs_validation.record import metric_catalogue as figures
+from lirs_validation.record.metric_catalogue import Figure, rtf_counts
+from lirs_validation.record.run_record import SOUND
 from lirs_validation.report.sheet import Content, Sheet, Spread
 
 Entry = Mapping[str, Any]

@@ -8,8 +8,8 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from lirs_validation.record import SOUND, RunRecord
-from lirs_validation.report.words import NOTHING, Entry, as_entry, figure_at, status_of, told
+from lirs_validation.record.formatting import NOTHING, Entry, as_entry, figure_at, status_of, told
+from lirs_validation.record.run_record import SOUND, RunRecord
 
 COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("world", "world.name", "{}"),

@@ -6,12 +6,12 @@ import itertools
 import re
 from dataclasses import dataclass, field
 
-from lirs_envs.seen import Rays
-from lirs_validation.record import RunConfig
+from lirs_envs.lidar.casters import Rays
+from lirs_validation.record.run_record import RunConfig
 from lirs_validation.sweep.run_cell import RunCell
-from lirs_wct.contact_parts import Terrain
+from lirs_wct.contact.contact_parts import Terrain
 from lirs_wct.errors import ConfigError
-from lirs_wct.options import BuildOptions
+from lirs_wct.sources.options import BuildOptions
 
 MAX_SEEDS = 100_000
 

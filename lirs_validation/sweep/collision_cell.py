@@ -7,15 +7,15 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lirs_envs.robots import make_robot
-from lirs_validation.provenance import versions
-from lirs_validation.record import RunConfig, run_name
-from lirs_validation.stage import StageCache
+from lirs_envs.robots.catalog import make_robot
+from lirs_validation.experiment.scenario import StageCache
+from lirs_validation.record.provenance import versions
+from lirs_validation.record.run_record import RunConfig, run_name
 from lirs_validation.sweep.cell import Tell
-from lirs_validation.sweep.freshness import is_older, same_code, world_files
 from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.run_cell import world_name
-from lirs_wct.contact_parts import Terrain
+from lirs_validation.sweep.staleness import is_older, same_code, world_files
+from lirs_wct.contact.contact_parts import Terrain
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_folder
 

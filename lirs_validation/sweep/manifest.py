@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from lirs_validation.provenance import machine, versions
-from lirs_validation.record import plain
+from lirs_validation.record.provenance import machine, versions
+from lirs_validation.record.run_record import plain
 from lirs_wct.files import atomic_write
 
 NAME = "sweep.json"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import traceback
 from dataclasses import dataclass
 
-from lirs_validation.interrupts import is_interrupt
-from lirs_validation.record import SOUND, Status
+from lirs_validation.record.run_record import SOUND, Status
+from lirs_validation.sweep.interrupts import is_interrupt
 from lirs_wct.errors import MapperError, OutputError, WctError
 
 

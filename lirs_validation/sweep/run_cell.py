@@ -8,18 +8,18 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
-from lirs_envs.lidar_presets import make_lidar_preset
-from lirs_envs.robots import make_robot
-from lirs_validation.mappers import mapper_named, source_file
-from lirs_validation.record import RunConfig, RunRecord, read_record, run_name
-from lirs_validation.run import run
-from lirs_validation.stage import StageCache
+from lirs_envs.lidar.presets import make_lidar_preset
+from lirs_envs.robots.catalog import make_robot
+from lirs_validation.experiment.mapper_loading import mapper_named, source_file
+from lirs_validation.experiment.run import run
+from lirs_validation.experiment.scenario import StageCache
+from lirs_validation.record.run_record import RunConfig, RunRecord, read_record, run_name
 from lirs_validation.sweep.cell import Tell
-from lirs_validation.sweep.freshness import is_older, same_code, world_files
 from lirs_validation.sweep.outcome import Outcome
+from lirs_validation.sweep.staleness import is_older, same_code, world_files
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_folder
-from lirs_wct.source import SourceKind, find_source
+from lirs_wct.sources.source import SourceKind, find_source
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from lirs_validation.sweep.cell import Cell
-from lirs_validation.sweep.executor import Executor, Progress
+from lirs_validation.sweep.engines.base import Executor, Progress
 from lirs_validation.sweep.manifest import Manifest
 from lirs_validation.sweep.outcome import Outcome
 from lirs_wct.errors import OutputError, WctError

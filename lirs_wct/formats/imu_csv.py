@@ -11,7 +11,7 @@ import numpy as np
 
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
-from lirs_wct.scan import Imu
+from lirs_wct.geometry.scan import Imu
 
 HEADER = "stamp,roll,pitch,rate_x,rate_y,rate_z,acceleration_x,acceleration_y,acceleration_z"
 """Seconds; radians, REP 103; rad/s; m/s^2 with +9.81 on z at rest; all of base_link."""

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
 from lirs_wct.formats import flat_yaml
-from lirs_wct.formats.picture import read_picture
-from lirs_wct.grid import FREE, OCCUPIED, OccupancyGrid
-from lirs_wct.options import BuildOptions
-from lirs_wct.pose import Pose2
+from lirs_wct.formats.images.picture import read_picture
+from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.sources.options import BuildOptions
 
 MODES = ("trinary", "scale", "raw")
 BLACK, WHITE, UNKNOWN = 0, 254, 205

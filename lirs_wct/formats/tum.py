@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.files import atomic_write
-from lirs_wct.trajectory import Trajectory
+from lirs_wct.geometry.trajectory import Trajectory
 
 HEADER = "# stamp[s] x y z[m] qx qy qz qw"
 

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.errors import SourceError
+from lirs_wct.export.export_settings import Finish
 from lirs_wct.files import atomic_write
-from lirs_wct.finish import Finish
-from lirs_wct.grid import OccupancyGrid
-from lirs_wct.heightfield import HeightField
-from lirs_wct.mesh import TriangleMesh
-from lirs_wct.pose import Pose2
-from lirs_wct.walls import WallGrid
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
 
 if TYPE_CHECKING:
     from lirs_wct.world import World

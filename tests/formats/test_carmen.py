@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.carmen import read_carmen
-from lirs_wct.pose import Pose2
+from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.geometry.pose import Pose2
 
 
 def flaser(stamp: float, n: int = 180, r: str = "2.50", x: float = 1.0) -> str:

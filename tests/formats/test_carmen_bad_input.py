@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.carmen import CarmenLog, read_carmen
+from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
 from tests.carmen_room import START, room_lines, write_log
 
 LINES, _ = room_lines(12, beams=181)

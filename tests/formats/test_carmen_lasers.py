@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.carmen import read_carmen
-from lirs_wct.formats.carmen_laser import LaserFacts, no_return
-from lirs_wct.pose import Pose2, Pose3
+from lirs_wct.formats.carmen.laser import LaserFacts, no_return
+from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.geometry.pose import Pose2, Pose3
 from tests.carmen_room import flaser, room_lines, write_log
 
 HALF = np.full(181, 2.0)

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lirs_wct.errors import OutputError
-from lirs_wct.formats.carmen import read_carmen
-from lirs_wct.formats.carmen_writer import write_log
-from lirs_wct.pose import Pose2, Pose3
-from lirs_wct.scan import LaserScan
+from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.carmen.writer import write_log
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import LaserScan
 
 MOUNT = Pose3.from_rpy(0.22, -0.05, 0.4, 0.0, 0.0, 0.3)
 

@@ -12,11 +12,11 @@ from scipy.spatial import cKDTree
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats import collada_stream
-from lirs_wct.formats.collada import write_collada
-from lirs_wct.heightfield import HeightField
-from lirs_wct.mesh import TriangleMesh
-from lirs_wct.solid import solid_mesh
-from lirs_wct.texture import cube_uv
+from lirs_wct.formats.meshes.collada import write_collada
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.meshing.solid import solid_mesh
+from lirs_wct.meshing.uv import cube_uv
 
 WRITERS = {"pycollada": 10**9, "stream": 0, "stream in tiles": 0}
 
@@ -36,7 +36,7 @@ def corners_of(triangles: collada.triangleset.TriangleSet) -> np.ndarray:
 @pytest.fixture(params=WRITERS)
 def above(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
     if request.param == "stream in tiles":
-        monkeypatch.setattr("lirs_wct.formats.collada.TILE", 600)
+        monkeypatch.setattr("lirs_wct.formats.meshes.collada.TILE", 600)
     return WRITERS[request.param]
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.heightmap import heightmap_pixels, heightmap_sdf, heightmap_side, write_heightmap
-from lirs_wct.heightfield import HeightField
+from lirs_wct.formats.gazebo.heightmap import heightmap_pixels, heightmap_sdf, heightmap_side, write_heightmap
+from lirs_wct.geometry.heightfield import HeightField
 
 
 def hills(rows: int, cols: int) -> HeightField:

@@ -10,7 +10,7 @@ import pytest
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.imu_csv import HEADER, read_imu, write_imu
-from lirs_wct.scan import Imu
+from lirs_wct.geometry.scan import Imu
 
 
 def readings(count: int = 40) -> list[Imu]:

@@ -5,7 +5,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.sdf import Ground, Physics, model_config, model_sdf, world_sdf
+from lirs_wct.formats.gazebo.sdf import Ground, Physics, model_config, model_sdf, world_sdf
 
 
 def test_model_is_seen_and_felt_as_the_same_mesh() -> None:

@@ -8,10 +8,10 @@ import trimesh
 
 from lirs_wct.errors import OutputError, SourceError
 from lirs_wct.formats import stl
-from lirs_wct.formats.stl import read_mesh, write_stl
-from lirs_wct.heightfield import HeightField
-from lirs_wct.mesh import TriangleMesh
-from lirs_wct.solid import solid_mesh
+from lirs_wct.formats.meshes.stl import read_mesh, write_stl
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.meshing.solid import solid_mesh
 
 
 def hills() -> TriangleMesh:

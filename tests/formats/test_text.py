@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lirs_wct.formats.text import fixed_text
+from lirs_wct.formats.meshes.text import fixed_text
 
 
 @pytest.mark.parametrize(

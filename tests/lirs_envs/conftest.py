@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lirs_envs.robots import Robot, make_robot
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose2
-from lirs_wct.walls import WallGrid
+from lirs_envs.robots.catalog import Robot, make_robot
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
 
 Array = NDArray[np.float64]

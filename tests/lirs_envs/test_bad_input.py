@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lirs_envs.drive import DriveConfig, Twist, Waypoint
-from lirs_envs.lidar import make_lidar_preset
-from lirs_envs.robots import Robot, make_robot
+from lirs_envs.lidar.lidar import make_lidar_preset
+from lirs_envs.robots.catalog import Robot, make_robot
+from lirs_envs.robots.drive import DriveConfig, Twist, Waypoint
 from lirs_envs.simulation import Simulation
 from lirs_wct.errors import ConfigError, SimulationError
-from lirs_wct.pose import Pose2
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 
 

@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from lirs_envs.lidar import LIDARS, Lidar, LidarPreset, make_lidar_preset
-from lirs_envs.mipmap import EDGE, LEAF, ROW, terrain_of
-from lirs_envs.raycast import RayCaster
+from lirs_envs.lidar.lidar import LIDARS, Lidar, LidarPreset, make_lidar_preset
+from lirs_envs.lidar.mipmap import EDGE, LEAF, ROW, terrain_of
+from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_wct.errors import ConfigError, SimulationError
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose2, Pose3
-from lirs_wct.walls import WallGrid
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.walls import WallGrid
 
 
 def flat(height: float = 0.0) -> HeightField:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from lirs_envs.lidar import LIDARS, Lidar
-from lirs_envs.lidar_noise import DATASHEET, LidarNoise, draws, lidar_noise, measure
-from lirs_envs.raycast import RayCaster
+from lirs_envs.lidar.lidar import LIDARS, Lidar
+from lirs_envs.lidar.noise import DATASHEET, LidarNoise, draws, lidar_noise, measure
+from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_wct.errors import ConfigError
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose3
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose3
 
 BEAMS = 100_000
 ALMOST_SURE = 1e-4

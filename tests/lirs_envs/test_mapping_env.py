@@ -12,12 +12,12 @@ from gymnasium.utils.env_checker import check_env
 
 import lirs_envs  # noqa: F401  registers
 from lirs_envs.coverage import SeenArea
-from lirs_envs.ekf import FusedOdometry
 from lirs_envs.mapping_env import MappingEnv
+from lirs_envs.sensing.ekf import FusedOdometry
 from lirs_wct.errors import ConfigError, SimulationError, SourceError
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose2, Pose3
-from lirs_wct.scan import LaserScan
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.world import World
 
 

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from lirs_envs.drive import Twist
-from lirs_envs.ekf import FilterConfig, FusedOdometry
-from lirs_envs.imu import ImuConfig, ImuSensor
-from lirs_envs.odometry import Odometry, OdometryConfig, WheelNoise
-from lirs_envs.robots import Robot, make_robot
-from lirs_envs.sensors import Noise
+from lirs_envs.robots.catalog import Robot, make_robot
+from lirs_envs.robots.drive import Twist
+from lirs_envs.sensing.ekf import FilterConfig, FusedOdometry
+from lirs_envs.sensing.imu import ImuConfig, ImuSensor
+from lirs_envs.sensing.odometry import Odometry, OdometryConfig, WheelNoise
+from lirs_envs.sensing.sensors import Noise
 from lirs_envs.simulation import Simulation
 from lirs_wct.errors import ConfigError
-from lirs_wct.pose import Pose2, Pose3
+from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.world import World
 
 EKF = OdometryConfig(method="ekf")

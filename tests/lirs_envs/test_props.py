@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from lirs_envs.drive import Twist
 from lirs_envs.props import Parked, Prop
-from lirs_envs.robots import Robot, make_robot
-from lirs_envs.sensors import Noise
+from lirs_envs.robots.catalog import Robot, make_robot
+from lirs_envs.robots.drive import Twist
+from lirs_envs.sensing.sensors import Noise
 from lirs_envs.simulation import Simulation
 from lirs_wct.errors import ConfigError
-from lirs_wct.pose import Pose2
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 
 EXACT = Noise(lidar="none")

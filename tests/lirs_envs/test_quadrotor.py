@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from lirs_envs.drive import Twist, Waypoint
-from lirs_envs.flight import FlightConfig
-from lirs_envs.robots import Robot, make_robot
+from lirs_envs.robots.catalog import Robot, make_robot
+from lirs_envs.robots.drive import Twist, Waypoint
+from lirs_envs.robots.flight import FlightConfig
 from lirs_envs.simulation import Simulation
 from lirs_wct.errors import ConfigError
-from lirs_wct.pose import Pose2
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World, build_world
 
 TICK = 0.04

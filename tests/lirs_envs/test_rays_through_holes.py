@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lirs_envs.raycast import RayCaster
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose2
-from lirs_wct.walls import WallGrid
+from lirs_envs.lidar.ray_casting import RayCaster
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.6])

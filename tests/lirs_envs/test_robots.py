@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from lirs_envs.drive import Twist
-from lirs_envs.robots import ROBOTS, Robot
+from lirs_envs.robots.catalog import ROBOTS, Robot
+from lirs_envs.robots.drive import Twist
 from lirs_envs.simulation import Simulation
 from lirs_wct.errors import ConfigError
-from lirs_wct.pose import Pose2
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 
 GROUND = [robot for robot in ROBOTS.values() if not robot.flies]

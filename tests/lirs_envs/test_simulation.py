@@ -8,14 +8,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from lirs_envs.drive import Odometry, OdometryConfig, Twist
-from lirs_envs.imu import ImuConfig
-from lirs_envs.lidar import LIDARS
-from lirs_envs.robots import Robot, make_robot
-from lirs_envs.sensors import Noise
+from lirs_envs.lidar.lidar import LIDARS
+from lirs_envs.robots.catalog import Robot, make_robot
+from lirs_envs.robots.drive import Odometry, OdometryConfig, Twist
+from lirs_envs.sensing.imu import ImuConfig
+from lirs_envs.sensing.sensors import Noise
 from lirs_envs.simulation import Observation, Simulation
 from lirs_wct.errors import ConfigError, SimulationError
-from lirs_wct.pose import Pose2
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 
 SILENT = Noise(

@@ -8,21 +8,21 @@ import time
 import numpy as np
 import pytest
 
-from lirs_envs.drive import Twist
-from lirs_envs.lidar import LIDARS, Lidar, LidarPreset, Motion
-from lirs_envs.lidar_noise import LidarNoise
-from lirs_envs.lidar_pattern import BeamPattern, PatternLidar, rings
+from lirs_envs.lidar.deskew import deskewed_points, deskewed_scan, moved_frames
+from lirs_envs.lidar.lidar import LIDARS, Lidar, LidarPreset, Motion
+from lirs_envs.lidar.noise import LidarNoise
+from lirs_envs.lidar.pattern import BeamPattern, PatternLidar, rings
+from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_envs.props import Prop
-from lirs_envs.raycast import RayCaster
-from lirs_envs.robots import Robot
-from lirs_envs.sensors import Noise
+from lirs_envs.robots.catalog import Robot
+from lirs_envs.robots.drive import Twist
+from lirs_envs.sensing.sensors import Noise
 from lirs_envs.simulation import Simulation
-from lirs_wct.deskew import deskewed_points, deskewed_scan, moved_frames
 from lirs_wct.errors import ConfigError
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose2, Pose3
-from lirs_wct.scan import LaserScan
-from lirs_wct.walls import WallGrid
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
 
 MOUNT = Pose3(0.2, 0.05, 0.3)

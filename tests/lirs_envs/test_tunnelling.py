@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from lirs_envs.drive import Twist
-from lirs_envs.robots import ROBOTS, make_robot
+from lirs_envs.robots.catalog import ROBOTS, make_robot
+from lirs_envs.robots.drive import Twist
 from lirs_envs.simulation import Simulation
-from lirs_wct.bundled import RECIPES
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose2, Pose3
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.world import World, build_world
 
 GROUND = [name for name, robot in ROBOTS.items() if not robot.flies]

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from lirs_validation.record import RunConfig, RunRecord, Status
+from lirs_validation.record.run_record import RunConfig, RunRecord, Status
 
 SECONDS = 30
 

@@ -14,8 +14,8 @@ import pytest
 from typer.testing import CliRunner
 
 from lirs_envs.model import RobotModel
-from lirs_envs.robots import ROBOTS, make_robot
-from lirs_validation.cli import app
+from lirs_envs.robots.catalog import ROBOTS, make_robot
+from lirs_validation.cli.app import app
 from lirs_validation.collision.contact_log import ContactRecorder
 from lirs_validation.collision.figures import energy_gain, penetrations, stuck_seconds
 from lirs_validation.collision.files import verdicts_table, write_verdicts
@@ -23,12 +23,12 @@ from lirs_validation.collision.random_drive import CONTROL_PERIOD, PERIOD, Leg, 
 from lirs_validation.collision.slope_test import climb
 from lirs_validation.collision.touched import Touched
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions
-from lirs_wct.contact_parts import Terrain
+from lirs_wct.contact.contact_parts import Terrain
 from lirs_wct.errors import ConfigError
-from lirs_wct.heightfield import HeightField
-from lirs_wct.options import BuildOptions
-from lirs_wct.pose import Pose2, Pose3
-from lirs_wct.walls import WallGrid
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.sources.options import BuildOptions
 from lirs_wct.world import World, build_world
 
 Heights = Callable[[np.ndarray, np.ndarray], np.ndarray]

@@ -15,10 +15,10 @@ from hypothesis.extra.numpy import arrays
 from rich.console import Console
 from scipy import stats
 
-from lirs_validation.comparison.compare import compare
-from lirs_validation.comparison.figures import COMPARED, figures_named
-from lirs_validation.comparison.paired import holm, paired_test
-from lirs_validation.comparison.repeats import repeats
+from lirs_validation.analysis.compare import compare
+from lirs_validation.analysis.paired import holm, paired_test
+from lirs_validation.analysis.repeats import repeats
+from lirs_validation.record.metric_catalogue import COMPARED, figures_named
 from lirs_validation.report.compare_table import compare_table, write_compare_csv, write_compare_json
 from lirs_wct.errors import ConfigError
 from tests.lirs_validation.records import entry

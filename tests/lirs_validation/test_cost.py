@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation.company import company
-from lirs_validation.cost import CostMeter
-from lirs_validation.interrupts import is_interrupt
+from lirs_validation.experiment.cost import CostMeter
+from lirs_validation.experiment.cpu_contention import company
+from lirs_validation.sweep.interrupts import is_interrupt
 
 HOLD = """
 import sys, tempfile
 tempfile.tempdir = sys.argv[1]
-from lirs_validation.company import company
+from lirs_validation.experiment.cpu_contention import company
 with company() as others:
     print("in", flush=True)
     sys.stdin.readline()

@@ -16,9 +16,9 @@ from lirs_validation.driving.drivers import CoverageDriver, Driver, DriverConfig
 from lirs_validation.driving.planning import CoveragePlanner, TourConfig
 from lirs_validation.driving.pursuit import PursuitConfig
 from lirs_wct.errors import ConfigError
-from lirs_wct.grid import OccupancyGrid
-from lirs_wct.pose import Pose2
-from lirs_wct.starts import start_poses
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.navigation.spawn_poses import start_poses
 from lirs_wct.world import build_world
 
 ROBOT, MARGIN = 0.61, 0.15

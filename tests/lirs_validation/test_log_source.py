@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 
 from lirs_validation import cli, resolve_source
-from lirs_validation.comparison.result_folders import read_results
-from lirs_validation.run import validate
+from lirs_validation.analysis.result_folders import read_results
+from lirs_validation.experiment.run import validate
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import SourceError
-from lirs_wct.pose import Pose2
+from lirs_wct.geometry.pose import Pose2
 from tests.carmen_room import START, flaser, room_lines, write_log
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working folder with the log of a room; mappers are not rehearsed, which changes times only."""
-    monkeypatch.setattr("lirs_validation.offline.log_mapper.rehearse", lambda name, **config: None)
+    monkeypatch.setattr("lirs_validation.logs.log_mapper.rehearse", lambda name, **config: None)
     monkeypatch.chdir(tmp_path)
     write_log(tmp_path / "my room.clf", room_lines(90)[0])
     return tmp_path
@@ -172,8 +172,8 @@ def test_bad_input_is_one_line_and_code_2(
 def test_the_first_scan_does_not_wait_for_what_it_does_not_need() -> None:
     """Neither simulator nor drawing is loaded before a log is mapped; the command line loads less still."""
     code = (
-        "import sys, lirs_validation.cli; early = set(sys.modules);"
-        "import lirs_validation.offline.mapping, slam_baselines.cartographer;"
+        "import sys, lirs_validation.cli.app; early = set(sys.modules);"
+        "import lirs_validation.logs.mapping, slam_baselines.cartographer.mapper;"
         "heavy = {'mujoco', 'matplotlib', 'gymnasium', 'trimesh'};"
         "print({'scipy.ndimage'} & early, heavy & set(sys.modules))"
     )

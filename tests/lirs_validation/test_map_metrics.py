@@ -23,10 +23,10 @@ from lirs_validation.metrics import (
 from lirs_validation.metrics.agreement import contradicted, decided
 from lirs_validation.metrics.geometry import near_obstacle
 from lirs_wct.formats.map_server import read_map, write_map
-from lirs_wct.grid import OccupancyGrid
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose2
-from lirs_wct.walls import WallGrid
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
 
 # unknown, free, undecided, occupied
 cells = arrays(np.float64, (12, 15), elements=st.sampled_from([np.nan, 0.1, 0.5, 0.9]))

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation import mapper_checks, validate
-from lirs_validation.mappers import RESOLUTION, mapper_named
+from lirs_validation import validate
+from lirs_validation.experiment import mapper_checks
+from lirs_validation.experiment.mapper_loading import RESOLUTION, mapper_named
 from lirs_wct.errors import ConfigError, MapperError
-from lirs_wct.pose import Pose2
-from lirs_wct.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
 
 ROOT = Path(__file__).resolve().parents[2]
 MODULE = """

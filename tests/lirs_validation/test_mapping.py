@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from lirs_validation import map_log
-from lirs_validation.offline.record import MapConfig
+from lirs_validation.record.map_record import MapConfig
 from lirs_wct.errors import ConfigError, MapperError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum, write_tum
-from lirs_wct.pose import Pose2
-from lirs_wct.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
 from tests.carmen_room import PERIOD, START, flaser, room_lines, write_log
 from tests.slam_baselines.synthetic import ROOM, ranges_to
 
@@ -43,7 +43,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def unrehearsed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the rehearsal, which changes times only."""
-    monkeypatch.setattr("lirs_validation.offline.log_mapper.rehearse", lambda name, **config: None)
+    monkeypatch.setattr("lirs_validation.logs.log_mapper.rehearse", lambda name, **config: None)
 
 
 @pytest.mark.parametrize("mapper", ["hector", "gmapping", "cartographer"])
@@ -202,9 +202,9 @@ def test_a_real_log_against_its_reference(shared_data: Path) -> None:
 
 
 OWN = """
-from lirs_wct.grid import OccupancyGrid
-from lirs_wct.pose import Pose2
-from lirs_wct.trajectory import Trajectory
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.mapper import MapperStats
 import numpy as np
 

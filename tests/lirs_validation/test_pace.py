@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lirs_envs.robots import ROBOTS
+from lirs_envs.robots.catalog import ROBOTS
 from lirs_validation.driving.drivers import DriverConfig
 from lirs_validation.driving.pace import driver_config
 

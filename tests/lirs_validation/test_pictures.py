@@ -9,17 +9,17 @@ import cv2
 import numpy as np
 import pytest
 
-from lirs_validation.record import RunConfig, RunRecord
-from lirs_validation.report.hillshade import hillshade, shading
-from lirs_validation.report.oblique import oblique_view
-from lirs_validation.report.overview import overview_figure, shown_bounds
-from lirs_validation.report.raster import Canvas, bounds_of
-from lirs_validation.report.view import view_figure
-from lirs_wct.grid import OccupancyGrid
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose2
-from lirs_wct.trajectory import Trajectory
-from lirs_wct.walls import WallGrid
+from lirs_validation.drawing.canvas import Canvas, bounds_of
+from lirs_validation.drawing.hillshade import hillshade, shading
+from lirs_validation.drawing.oblique import oblique_view
+from lirs_validation.drawing.overview import overview_figure, shown_bounds
+from lirs_validation.drawing.view import view_figure
+from lirs_validation.record.run_record import RunConfig, RunRecord
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
 
 

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lirs_validation.logs.accuracy import reference_errors
+from lirs_validation.logs.reference import read_reference
 from lirs_validation.metrics.planar import rms
 from lirs_validation.metrics.trajectory import trajectory_errors
-from lirs_validation.offline.accuracy import reference_errors
-from lirs_validation.offline.reference import read_reference
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.tum import write_tum
-from lirs_wct.pose import Pose2
-from lirs_wct.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
 from tests.carmen_room import START, room_lines, write_log
 
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from lirs_validation.metrics.relations import Relation, poses_at, read_relations, relation_errors
 from lirs_wct.errors import SourceError
-from lirs_wct.pose import Pose2
-from lirs_wct.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
 
 STAMPS = [0.0, 1.0, 2.0]
 

@@ -15,12 +15,12 @@ import typer
 from typer.testing import CliRunner
 
 from lirs_validation import cli
-from lirs_validation.build_options import with_build_options
-from lirs_validation.comparison.cells import Cell, by_cell
-from lirs_validation.comparison.figures import RTF, figures_named, significant
-from lirs_validation.comparison.repeats import repeats
-from lirs_validation.comparison.result_folders import RunFolder, read_results
-from lirs_validation.record import RunConfig
+from lirs_validation.analysis.groups import Cell, by_cell
+from lirs_validation.analysis.repeats import repeats
+from lirs_validation.analysis.result_folders import RunFolder, read_results
+from lirs_validation.cli.build_options import with_build_options
+from lirs_validation.record.metric_catalogue import RTF, figures_named, significant
+from lirs_validation.record.run_record import RunConfig
 from lirs_validation.report.charts import series_band
 from lirs_validation.report.command_line import command_of
 from lirs_validation.report.contents import Report, report_of
@@ -34,10 +34,10 @@ from lirs_validation.report.sheets import cell_sheet, summary_sheet
 from lirs_validation.report.svg import INK
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.tum import write_tum
-from lirs_wct.grid import OccupancyGrid
-from lirs_wct.options import BuildOptions
-from lirs_wct.pose import Pose2
-from lirs_wct.trajectory import Trajectory
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.sources.options import BuildOptions
 from tests.lirs_validation.records import entry, saved
 
 

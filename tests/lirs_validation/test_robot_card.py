@@ -10,9 +10,10 @@ import mujoco
 import pytest
 from rich.console import Console
 
-from lirs_envs.robots import ROBOTS
-from lirs_envs.urdf import robot_urdf
-from lirs_validation import cli, robot_card
+from lirs_envs.robots.catalog import ROBOTS
+from lirs_envs.robots.urdf import robot_urdf
+from lirs_validation import cli
+from lirs_validation.cli import robot_card
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:

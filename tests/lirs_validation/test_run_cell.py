@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 import pytest
 
-from lirs_validation.record import RunConfig, RunRecord, Status, read_record
-from lirs_validation.sweep.executor import Serial
+from lirs_validation.record.run_record import RunConfig, RunRecord, Status, read_record
+from lirs_validation.sweep.engines.base import Serial
+from lirs_validation.sweep.engines.processes import Processes
 from lirs_validation.sweep.outcome import Outcome
-from lirs_validation.sweep.processes import Processes
 from lirs_validation.sweep.run_cell import RunCell
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct import BuildOptions

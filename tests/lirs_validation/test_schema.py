@@ -11,10 +11,10 @@ from typing import Any, get_args
 import jsonschema
 import pytest
 
+from lirs_validation.analysis.result_folders import read_results, read_run
 from lirs_validation.collision.validation import CollisionVerdict
-from lirs_validation.comparison.result_folders import read_results, read_run
-from lirs_validation.record import RunConfig, Status
-from lirs_validation.schema import record_schema, schema_error
+from lirs_validation.record.run_record import RunConfig, Status
+from lirs_validation.record.schema import record_schema, schema_error
 from lirs_wct.errors import SourceError
 from tests.lirs_validation.records import entry, saved
 

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 from lirs_validation import cli, validate
-from lirs_validation.comparison.recorded import recorded_config, true_pose_map
-from lirs_validation.comparison.result_folders import RunFolder, read_run
-from lirs_validation.comparison.score import score
+from lirs_validation.analysis.recorded import recorded_config, true_pose_map
+from lirs_validation.analysis.result_folders import RunFolder, read_run
+from lirs_validation.analysis.score import score
 from lirs_validation.metrics import agreement, iou
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.tum import read_tum, write_tum
-from lirs_wct.options import BuildOptions
-from lirs_wct.pose import Pose2
-from lirs_wct.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.sources.options import BuildOptions
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lirs_validation.metrics.ssim import K1, K2, SIGMA, WINDOW, as_picture, map_ssim, similarity
-from lirs_wct.grid import OccupancyGrid
-from lirs_wct.pose import Pose2
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
 
 
 def pictures(seed: int, shape: tuple[int, int] = (31, 42)) -> tuple[np.ndarray, np.ndarray]:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from lirs_validation.sweep.executor import Limits, Serial
+from lirs_validation.sweep.engines.base import Limits, Serial
+from lirs_validation.sweep.engines.processes import Processes
 from lirs_validation.sweep.manifest import Manifest
-from lirs_validation.sweep.processes import Processes
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.errors import WctError
 from tests.lirs_validation.fake_cells import FakeCell, Manner

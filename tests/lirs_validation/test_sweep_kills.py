@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from lirs_validation.sweep.executor import Serial
+from lirs_validation.sweep.engines.base import Serial
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.files import remove_leftovers
 from tests.lirs_validation.fake_cells import FakeCell
@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = """
 import sys
 from pathlib import Path
-from lirs_validation.sweep.processes import Processes
+from lirs_validation.sweep.engines.processes import Processes
 from lirs_validation.sweep.sweep import Sweep
 from tests.lirs_validation.fake_cells import FakeCell
 

@@ -14,8 +14,8 @@ from lirs_validation.metrics.planar import planar
 from lirs_validation.metrics.relations import Relation, relation_errors
 from lirs_validation.metrics.relative import related_pairs
 from lirs_wct.errors import ConfigError
-from lirs_wct.pose import Pose2
-from lirs_wct.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
 
 finite = st.floats(-50, 50)
 poses = st.builds(Pose2, finite, finite, st.floats(-math.pi, math.pi))

@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slam_baselines.branch_and_bound import BoundGrids, angular_step, branch_and_bound
-from slam_baselines.growing import GrowingGrid
+from slam_baselines.mapping.growing_grid import GrowingGrid
+from slam_baselines.matching.branch_and_bound import BoundGrids, angular_step, branch_and_bound
 
 
 def random_grid(rng, share):

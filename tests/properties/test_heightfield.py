@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.heightfield import HeightField
+from lirs_wct.geometry.heightfield import HeightField
 
 fields = st.builds(
     HeightField.centred,

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from lirs_wct.pose import Pose2, Pose3, wrap_angle
+from lirs_wct.geometry.pose import Pose2, Pose3, wrap_angle
 
 metres = st.floats(-100, 100)
 angles = st.floats(-10, 10) | st.floats(-1e-9, 1e-9)

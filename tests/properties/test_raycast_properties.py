@@ -7,10 +7,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from lirs_envs.raycast import RayCaster
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose2
-from lirs_wct.walls import WallGrid
+from lirs_envs.lidar.ray_casting import RayCaster
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
 from tests.reference.triangle_rays import triangle_ranges, triangles_of
 
 HEIGHTS = st.floats(-2.0, 2.0, width=32)

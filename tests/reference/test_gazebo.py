@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 import pytest
 
-from lirs_wct.formats.collada import write_collada
-from lirs_wct.formats.heightmap import heightmap_sdf, write_heightmap
-from lirs_wct.formats.sdf import model_config, model_sdf, world_sdf
-from lirs_wct.heightfield import HeightField
-from lirs_wct.solid import solid_mesh
-from lirs_wct.texture import cube_uv
+from lirs_wct.formats.gazebo.heightmap import heightmap_sdf, write_heightmap
+from lirs_wct.formats.gazebo.sdf import model_config, model_sdf, world_sdf
+from lirs_wct.formats.meshes.collada import write_collada
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.meshing.solid import solid_mesh
+from lirs_wct.meshing.uv import cube_uv
 
 ABOVE = {"pycollada": 10**9, "stream": 0}
 

@@ -17,8 +17,8 @@ import pytest
 import trimesh
 
 from lirs_wct import BuildOptions, World, build_world
-from lirs_wct.package import write_package
-from lirs_wct.starts import start_poses
+from lirs_wct.export.package import write_package
+from lirs_wct.navigation.spawn_poses import start_poses
 
 RADIUS = 0.3
 

@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from lirs_envs.raycast import RayCaster, mujoco_ranges
+from lirs_envs.lidar.ray_casting import RayCaster, mujoco_ranges
 from lirs_wct.errors import ConfigError
-from lirs_wct.heightfield import HeightField
+from lirs_wct.geometry.heightfield import HeightField
 
 
 def compiled(surface: HeightField) -> tuple[mujoco.MjModel, mujoco.MjData]:

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 import trimesh
 
-from lirs_envs.lidar import Lidar, LidarPreset, Motion
-from lirs_envs.lidar_noise import LidarNoise
-from lirs_envs.mesh_rays import MeshCaster
-from lirs_envs.raycast import mujoco_ranges
-from lirs_envs.robots import make_robot
-from lirs_envs.seen import Rays
-from lirs_envs.sensors import Noise
+from lirs_envs.lidar.casters import Rays
+from lirs_envs.lidar.lidar import Lidar, LidarPreset, Motion
+from lirs_envs.lidar.mesh_rays import MeshCaster
+from lirs_envs.lidar.noise import LidarNoise
+from lirs_envs.lidar.ray_casting import mujoco_ranges
+from lirs_envs.robots.catalog import make_robot
+from lirs_envs.sensing.sensors import Noise
 from lirs_envs.simulation import Simulation
 from lirs_wct.errors import ConfigError
-from lirs_wct.heightfield import HeightField
-from lirs_wct.mesh import TriangleMesh
-from lirs_wct.pose import Pose2, Pose3
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.world import World
 from tests.reference.triangle_rays import triangle_ranges
 
@@ -143,7 +143,7 @@ GATE = [
 def gate(monkeypatch: pytest.MonkeyPatch) -> World:
     """A slab of 8 x 8 m with a gate on it: the height field from above says that its roof is solid."""
     # It is touched as the boxes that it is made of, which a decomposition would take its time to find.
-    monkeypatch.setattr("lirs_wct.mjcf.contact_parts", lambda *_: iter([box.vertices for box in GATE]))
+    monkeypatch.setattr("lirs_wct.export.mjcf.contact_parts", lambda *_: iter([box.vertices for box in GATE]))
     whole = trimesh.util.concatenate(GATE)
     solid = TriangleMesh(np.array(whole.vertices), np.array(whole.faces, dtype=np.int32))
     top = np.zeros((81, 81), np.float32)

@@ -16,8 +16,8 @@ from lirs_validation.metrics.relative import (
     relation_error,
     relative_error,
 )
-from lirs_wct.pose import Pose2
-from lirs_wct.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
 
 metrics = pytest.importorskip("evo.core.metrics")
 sync = pytest.importorskip("evo.core.sync")

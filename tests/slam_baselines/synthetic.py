@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_envs.raycast import RayCaster
-from lirs_wct.heightfield import HeightField
-from lirs_wct.pose import Pose2, Pose3
-from lirs_wct.scan import Imu, LaserScan
+from lirs_envs.lidar.ray_casting import RayCaster
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import Imu, LaserScan
 from slam_baselines.mapper import Mapper
 
 Array = NDArray[np.float64]

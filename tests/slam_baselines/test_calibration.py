@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.pose import Pose2
-from lirs_wct.scan import Imu
-from slam_baselines.calibration import Calibration, CalibrationConfig
-from slam_baselines.odometry import DeadReckoning, Estimate, MotionConfig
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.scan import Imu
+from slam_baselines.motion.calibration import Calibration, CalibrationConfig
+from slam_baselines.motion.dead_reckoning import DeadReckoning, Estimate, MotionConfig
 
 
 @settings(max_examples=25, deadline=None)

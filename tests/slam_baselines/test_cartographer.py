@@ -10,17 +10,22 @@ import pytest
 
 from lirs_validation.metrics.relations import read_relations, relation_errors
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.carmen import read_carmen
-from lirs_wct.pose import Pose2
-from lirs_wct.scan import LaserScan
-from lirs_wct.trajectory import Trajectory
-from slam_baselines.confirmation import Confirmation, ConfirmationConfig
-from slam_baselines.constraint import Constraint, ConstraintBuilder, ConstraintConfig, spread
-from slam_baselines.global_slam import GlobalSlam
-from slam_baselines.loop_queue import LoopQueue, QueueConfig
+from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.cartographer.constraints.builder import (
+    Constraint,
+    ConstraintBuilder,
+    ConstraintConfig,
+    spread,
+)
+from slam_baselines.cartographer.constraints.candidates import LoopQueue, QueueConfig
+from slam_baselines.cartographer.constraints.verification import Confirmation, ConfirmationConfig
+from slam_baselines.cartographer.global_slam import GlobalSlam
+from slam_baselines.cartographer.node_trajectory import NodeTrajectory
+from slam_baselines.cartographer.submap import Submap, SubmapConfig, Submaps
 from slam_baselines.mapper import make_mapper
-from slam_baselines.node_trajectory import NodeTrajectory
-from slam_baselines.submap import Submap, SubmapConfig, Submaps
 from tests.slam_baselines.synthetic import ranges_to
 
 OUTER, INNER = 9.0, 6.0
@@ -128,7 +133,7 @@ def test_without_loops_the_same_drive_is_worse(twice_round):
 
 
 def no_loops():
-    from slam_baselines.global_config import GlobalConfig
+    from slam_baselines.cartographer.config import GlobalConfig
 
     return GlobalConfig(
         constraints=ConstraintConfig(min_refined_score=1.0, min_score=1.0, global_min_score=1.0)

@@ -9,11 +9,11 @@ import pytest
 
 from lirs_validation.metrics.relations import read_relations, relation_errors
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.carmen import read_carmen
-from lirs_wct.pose import Pose2
-from lirs_wct.scan import LaserScan
-from lirs_wct.trajectory import Trajectory
-from slam_baselines.lineage import Lineage
+from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.gmapping.trajectory_tree import Lineage
 from slam_baselines.mapper import Mapper, make_mapper
 
 WALLS = (

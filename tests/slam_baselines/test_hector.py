@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lirs_validation.logs.accuracy import reference_errors
+from lirs_validation.logs.reference import read_reference
 from lirs_validation.metrics.agreement import agreement
 from lirs_validation.metrics.map import false_occupied
 from lirs_validation.metrics.relations import read_relations, relation_errors
-from lirs_validation.offline.accuracy import reference_errors
-from lirs_validation.offline.reference import read_reference
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.carmen import read_carmen
-from lirs_wct.pose import Pose2
-from lirs_wct.scan import LaserScan
-from slam_baselines.hector import HectorConfig, HectorMapper
-from slam_baselines.known_pose import KnownPoseMapper
+from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.scan import LaserScan
+from slam_baselines.hector.mapper import HectorConfig, HectorMapper
 from slam_baselines.mapper import make_mapper
-from slam_baselines.registration import RegistrationConfig
-from slam_baselines.scan_matching import MatchConfig
+from slam_baselines.mapping.known_pose import KnownPoseMapper
+from slam_baselines.matching.gauss_newton import MatchConfig
+from slam_baselines.matching.registration import RegistrationConfig
 from tests.slam_baselines.synthetic import Drive, drive_room, loop, room_scan, wavy
 
 Array = NDArray[np.float64]

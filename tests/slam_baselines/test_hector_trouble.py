@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lirs_wct.pose import Pose2, wrap_angle
-from lirs_wct.scan import Imu
-from slam_baselines.hector import HectorMapper
+from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.geometry.scan import Imu
+from slam_baselines.hector.mapper import HectorMapper
 from tests.slam_baselines.synthetic import Drive, drive_room, loop, room_scan, wavy
 
 

@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lirs_wct.pose import Pose2
-from slam_baselines.growing import GrowingGrid
-from slam_baselines.keyframes import KeyframeTrajectory
+from lirs_wct.geometry.pose import Pose2
+from slam_baselines.hector.keyframes import KeyframeTrajectory
+from slam_baselines.mapping.growing_grid import GrowingGrid
 
 NEAR = st.floats(-3, 3)
 POSES = st.builds(Pose2, NEAR, NEAR, NEAR)

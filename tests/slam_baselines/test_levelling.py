@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lirs_wct.pose import Pose2, Pose3
-from lirs_wct.scan import Imu, LaserScan
-from slam_baselines.levelling import ScanLeveller
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import Imu, LaserScan
+from slam_baselines.scan.leveling import ScanLeveller
 
 ANGLE = st.floats(-0.4, 0.4)
 MOUNT = Pose3.from_rpy(0.22, -0.05, 0.32, 0.02, -0.03, 0.1)

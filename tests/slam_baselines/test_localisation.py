@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from lirs_validation import validate
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.map_server import read_map, write_map
-from lirs_wct.grid import OccupancyGrid
-from lirs_wct.pose import Pose2, wrap_angle
-from lirs_wct.scan import LaserScan
-from slam_baselines.known_map import KnownMap
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.geometry.scan import LaserScan
+from slam_baselines.cartographer.known_map import KnownMap
 from slam_baselines.mapper import Mapper, make_mapper
 from tests.slam_baselines.synthetic import ROOM, loop, room_scan
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError
-from slam_baselines.occupancy import STEP, OccupancyMap, UpdateConfig
+from slam_baselines.mapping.occupancy_map import STEP, OccupancyMap, UpdateConfig
 
 Array = NDArray[np.float64]
 NONE = np.zeros((0, 3))

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lirs_wct.pose import Pose2
-from slam_baselines.occupancy import OccupancyMap
-from slam_baselines.patch_kernels import ABSENT
-from slam_baselines.patch_map import PatchMaps
+from lirs_wct.geometry.pose import Pose2
+from slam_baselines.gmapping.copy_on_write_map import ABSENT, PatchMaps
+from slam_baselines.mapping.occupancy_map import OccupancyMap
 
 NO_FREE = np.zeros((0, 3))
 

@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import ConfigError
-from slam_baselines.graph_edges import Edges, errors, jacobians
-from slam_baselines.pose_arrays import composed, relative_poses, wrap
-from slam_baselines.pose_graph import OptimizationConfig, Problem, solve
+from slam_baselines.cartographer.optimization import (
+    Edges,
+    OptimizationConfig,
+    Problem,
+    errors,
+    jacobians,
+    solve,
+)
+from slam_baselines.common.se2 import composed, relative_poses, wrap
 
 TIGHT = np.diag((0.02**-2, 0.02**-2, 0.004**-2))
 LOCAL = np.diag((0.03**-2, 0.03**-2, 0.01**-2))

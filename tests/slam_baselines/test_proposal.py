@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.pose import Pose2
-from slam_baselines.patch_map import PatchMaps
-from slam_baselines.proposal import Proposal, ProposalConfig, Proposer
+from lirs_wct.geometry.pose import Pose2
+from slam_baselines.gmapping.copy_on_write_map import PatchMaps
+from slam_baselines.gmapping.proposal import Proposal, ProposalConfig, Proposer
 
 
 def ends(

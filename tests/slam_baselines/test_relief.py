@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.pose import Pose2
-from lirs_wct.scan import Imu
-from slam_baselines.levelling import LevelledScan, ScanLeveller
-from slam_baselines.relief import Relief, ReliefConfig
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.scan import Imu
+from slam_baselines.mapping.ground_filter import Relief, ReliefConfig
+from slam_baselines.scan.leveling import LevelledScan, ScanLeveller
 from tests.slam_baselines.synthetic import Drive, wavy
 
 Array = NDArray[np.float64]

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from lirs_validation import validate
-from lirs_wct.pose import Pose2
-from lirs_wct.scan import Imu
-from slam_baselines.levelling import LevelledScan
-from slam_baselines.odometry import MotionConfig
-from slam_baselines.retrace import Frame, Retrace
-from slam_baselines.step import GYRO, Step, unbiased
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.scan import Imu
+from slam_baselines.gmapping.bootstrap import Frame, Retrace
+from slam_baselines.motion.dead_reckoning import MotionConfig
+from slam_baselines.motion.increment import GYRO, Step, unbiased
+from slam_baselines.scan.leveling import LevelledScan
 
 BIAS = math.radians(0.03)
 

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lirs_wct.pose import Pose2
-from slam_baselines.correlative import SearchConfig, search
-from slam_baselines.levelling import ScanLeveller
-from slam_baselines.map_builder import BuilderConfig, MapBuilder
-from slam_baselines.matching_kernels import linearise
-from slam_baselines.scan_matching import MatchConfig, ScanMatcher
-from slam_baselines.small_matrices import invert3, moved_covariance, solve3
+from lirs_wct.geometry.pose import Pose2
+from slam_baselines.common.linalg import invert3, moved_covariance, solve3
+from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
+from slam_baselines.matching.correlative import SearchConfig, search
+from slam_baselines.matching.gauss_newton import MatchConfig, ScanMatcher, linearise
+from slam_baselines.scan.leveling import ScanLeveller
 from tests.slam_baselines.synthetic import ranges_to, room_scan
 
 Array = NDArray[np.float64]

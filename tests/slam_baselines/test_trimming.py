@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.pose import Pose2
-from slam_baselines.cartographer import CartographerConfig, CartographerMapper
-from slam_baselines.global_config import GlobalConfig
-from slam_baselines.local_config import LocalConfig
-from slam_baselines.submap import Submap, SubmapConfig
-from slam_baselines.trimming import Trimmer, TrimmingConfig
+from lirs_wct.geometry.pose import Pose2
+from slam_baselines.cartographer.config import GlobalConfig, LocalConfig
+from slam_baselines.cartographer.mapper import CartographerConfig, CartographerMapper
+from slam_baselines.cartographer.submap import Submap, SubmapConfig
+from slam_baselines.cartographer.trimmer import Trimmer, TrimmingConfig
 from tests.slam_baselines.synthetic import loop, room_scan
 
 LAP = 100

@@ -1,0 +1,1 @@
+"""The laser range finder: presets, beam patterns, noise, ray casting."""

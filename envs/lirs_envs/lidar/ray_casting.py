@@ -1,0 +1,157 @@
+"""Rays against the terrain and the walls of a world: the laser range finder's view of it.
+
+What a ray can meet:
+
+* the *triangles* of the height field, from above and from below alike. There is no skirt and no base: a
+  ray that comes from the side below the border flies in under the surface and meets it from below.
+* the *cells* of the wall grid as closed solids from z = 0 to the walls' height. A ray that starts in one
+  has range 0.
+* not the floor of a laser map where it has a hole: the ray goes on to a wall behind, or meets nothing.
+
+On a node, an edge or the border either neighbour's answer is given; a ray that only touches the surface,
+or lies in it, may meet it or not. No ray slips between two triangles: the kernel does not ask each triangle
+whether it was hit, it follows the sign of (ray - surface), which is continuous, from cell to cell.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from typing import Protocol
+
+import mujoco
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from lirs_envs.lidar.mipmap import Terrain, terrain_of
+from lirs_envs.lidar.terrain_rays import terrain_ranges
+from lirs_envs.lidar.wall_cells import WallCells, through_holes, wall_cells_of, wall_ranges
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.walls import WallGrid
+
+Array = NDArray[np.float64]
+
+
+class Caster(Protocol):
+    """What the laser's beams meet."""
+
+    def ranges(self, origins: Array, directions: Array, max_range: float) -> Array:
+        """Return (n,) metres along unit directions; inf where nothing is within `max_range`.
+
+        Args:
+            origins: (3,) start of all rays, or (n, 3) of each; world frame, metres, finite.
+            directions: (n, 3) unit vectors, world frame, contiguous.
+            max_range: metres.
+        """
+
+
+class RayCaster:
+    """Ranges from a point along rays to the nearest triangle or wall of a world."""
+
+    def __init__(self, surface: HeightField, walls: WallGrid | None = None) -> None:
+        self.terrain: Terrain = terrain_of(surface)
+        self.walls: WallCells = wall_cells_of(walls)
+
+    def cast(self, origin: ArrayLike, directions: ArrayLike, max_range: float = math.inf) -> Array:
+        """Return (n,) ranges in metres along unit directions; inf where nothing is within `max_range`.
+
+        Args:
+            origin: (3,) start of all rays, or (n, 3) of each; world frame, metres.
+            directions: (n, 3) unit vectors, world frame.
+            max_range: metres.
+
+        Raises:
+            ConfigError: an array has the wrong shape or a value that is not finite.
+        """
+        if not max_range >= 0:
+            raise ConfigError(f"max_range must be at least 0 m, got {max_range}")
+        return self.ranges(*_rays(origin, directions), float(max_range))
+
+    def ranges(self, origins: Array, directions: Array, max_range: float) -> Array:
+        """Return (n,) ranges of rays that are known to be legal (see `Caster`)."""
+        ranges = np.empty(len(directions))
+        cast_rays(self.terrain, self.walls, origins.reshape(-1, 3), directions, max_range, ranges)
+        return ranges
+
+
+@njit(cache=True, error_model="numpy")
+def cast_rays(
+    terrain: Terrain, walls: WallCells, origins: Array, directions: Array, max_range: float, ranges: Array
+) -> None:
+    """Fill `ranges` (n,) with the distance to the nearest wall or triangle, inf = none within `max_range`.
+
+    All rays start at one origin (1, 3), or each at its own (n, 3).
+    """
+    if len(origins) == 1:
+        _cast_fan(terrain, walls, origins[0], directions, max_range, ranges)
+        return
+    for k in range(len(directions)):
+        _cast_fan(terrain, walls, origins[k], directions[k : k + 1], max_range, ranges[k : k + 1])
+
+
+@njit(cache=True, error_model="numpy")
+def _cast_fan(
+    terrain: Terrain, walls: WallCells, origin: Array, directions: Array, max_range: float, ranges: Array
+) -> None:
+    wall_ranges(walls, origin, directions, max_range, ranges)
+    if walls.hole.size == 0:
+        terrain_ranges(terrain, origin, directions, max_range, ranges)
+        return
+    to_wall = ranges.copy()
+    terrain_ranges(terrain, origin, directions, max_range, ranges)
+    through_holes(walls, origin, directions, to_wall, ranges)
+
+
+def mujoco_ranges(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    origin: ArrayLike,
+    directions: ArrayLike,
+    max_range: float,
+    *,
+    exclude_body: int = -1,
+    groups: Collection[int] = (0, 1, 2),
+) -> Array:
+    """Return (n,) ranges in metres to MuJoCo's geoms: robots and props, which the height field does not hold.
+
+    Args:
+        model: the compiled model.
+        data: its state, after `mj_forward` or a step.
+        origin: (3,) start of all rays, or (n, 3) of each; world frame, metres.
+        directions: (n, 3) unit vectors, world frame.
+        max_range: metres; inf where nothing is nearer.
+        exclude_body: id of one body whose geoms are looked through.
+        groups: geom groups (0 to 5) that are seen.
+
+    Raises:
+        ConfigError: a group is not 0 to 5, or an array has the wrong shape.
+    """
+    if not set(groups) <= set(range(mujoco.mjNGROUP)):
+        raise ConfigError(f"geom groups must be 0 to {mujoco.mjNGROUP - 1}, got {sorted(groups)}")
+    o, d = _rays(origin, directions)
+    n = len(d)
+    mask = np.array([g in groups for g in range(mujoco.mjNGROUP)], dtype=np.uint8)
+    geoms, distance = np.full(n, -1, np.int32), np.empty(n)
+    if o.ndim == 2:
+        for k in range(n):
+            distance[k] = mujoco.mj_ray(
+                model, data, o[k], d[k], mask, True, exclude_body, geoms[k : k + 1], None
+            )
+    elif n:
+        mujoco.mj_multiRay(
+            model, data, o, d.ravel(), mask, True, exclude_body, geoms, distance, None, n, max_range
+        )
+    return np.where((geoms >= 0) & (distance <= max_range), distance, np.inf)
+
+
+def _rays(origin: ArrayLike, directions: ArrayLike) -> tuple[Array, Array]:
+    """Return both as contiguous float64, checked."""
+    o = np.ascontiguousarray(origin, dtype=np.float64)
+    d = np.ascontiguousarray(directions, dtype=np.float64)
+    if d.ndim != 2 or d.shape[1] != 3 or o.shape not in ((3,), d.shape):
+        raise ConfigError(f"rays need an origin (3,) and directions (n, 3), got {o.shape} and {d.shape}")
+    if not (np.isfinite(o).all() and np.isfinite(d).all()):
+        raise ConfigError("origin and directions of rays must be finite")
+    return o, d

@@ -1,0 +1,117 @@
+"""Rays against the walls of a laser map: exact cells, with free space skipped by distance."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_cdt
+
+from lirs_envs.lidar.clipping import FAR, clip, inverse
+from lirs_wct.geometry.walls import WallGrid
+
+Array = NDArray[np.float64]
+
+
+class WallCells(NamedTuple):
+    """Walls as the kernels read them.
+
+    Attributes:
+        distance: (rows, cols) uint8, row 0 = south: cells to the nearest wall cell in the larger of the two
+            directions (0 = wall), at most 255; without walls (0, 0).
+        frame: (6,) x and y of the outer corner of cell (0, 0), cosine and sine of the grid's yaw,
+            resolution, height.
+        hole: (rows, cols) bool, cells without floor; without holes (0, 0).
+    """
+
+    distance: NDArray[np.uint8]
+    frame: NDArray[np.float64]
+    hole: NDArray[np.bool_]
+
+
+def wall_cells_of(walls: WallGrid | None) -> WallCells:
+    """Build the distances to the walls; none when there is no wall cell."""
+    distance, hole = np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.bool_)
+    if walls is None:
+        return WallCells(distance, np.zeros(6), hole)
+    if walls.solid.any():
+        cells = distance_transform_cdt(~walls.solid, metric="chessboard")
+        distance = np.ascontiguousarray(np.minimum(cells, 255).astype(np.uint8))
+    if walls.hole is not None:
+        hole = np.ascontiguousarray(walls.hole)
+    T = walls.origin
+    frame = np.array((T.x, T.y, math.cos(T.yaw), math.sin(T.yaw), walls.resolution, walls.height))
+    return WallCells(distance, frame, hole)
+
+
+@njit(cache=True, error_model="numpy")
+def wall_ranges(walls: WallCells, origin: Array, directions: Array, max_range: float, ranges: Array) -> None:
+    """Fill `ranges` (n,) with the range of the first wall cell on each ray, inf = none within `max_range`."""
+    ranges[:] = np.inf
+    distance, frame = walls.distance, walls.frame
+    if distance.size == 0:
+        return
+    ny, nx = distance.shape
+    c, s, per_metre, height = frame[2], frame[3], 1.0 / frame[4], frame[5]
+    x, y = origin[0] - frame[0], origin[1] - frame[1]
+    u, v = (c * x + s * y) * per_metre, (c * y - s * x) * per_metre
+    for k in range(len(directions)):
+        du = (c * directions[k, 0] + s * directions[k, 1]) * per_metre
+        dv = (c * directions[k, 1] - s * directions[k, 0]) * per_metre
+        per_u, per_v = inverse(du), inverse(dv)
+        t, t_end = clip(u, per_u, 0.0, float(nx), 0.0, max_range)
+        t, t_end = clip(v, per_v, 0.0, float(ny), t, t_end)
+        t, t_end = clip(origin[2], inverse(directions[k, 2]), 0.0, height, t, t_end)
+        if t <= t_end:
+            ranges[k] = _first_wall(distance, (u, v, du, dv, per_u, per_v), t, t_end)
+
+
+@njit(cache=True, error_model="numpy")
+def through_holes(walls: WallCells, origin: Array, directions: Array, to_wall: Array, ranges: Array) -> None:
+    """Give back the range of the wall behind, or inf, to rays that met the floor where it has a hole."""
+    rows, cols = walls.hole.shape
+    x0, y0, c, s, resolution = walls.frame[0], walls.frame[1], walls.frame[2], walls.frame[3], walls.frame[4]
+    for k in range(len(ranges)):
+        if ranges[k] < to_wall[k]:
+            x = origin[0] + ranges[k] * directions[k, 0] - x0
+            y = origin[1] + ranges[k] * directions[k, 1] - y0
+            i, j = math.floor((c * x + s * y) / resolution), math.floor((c * y - s * x) / resolution)
+            if 0 <= i < cols and 0 <= j < rows and walls.hole[j, i]:
+                ranges[k] = to_wall[k]
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _first_wall(
+    distance: NDArray[np.uint8], ray: tuple[float, float, float, float, float, float], t: float, t_end: float
+) -> float:
+    """Return where a ray enters the first wall cell in [t, t_end], else inf.
+
+    Around a cell at distance d every cell nearer than d is free: the ray leaves that square in one step.
+    At a corner it steps through one of the two neighbours, so that it never slips between two cells that
+    touch at a corner only.
+    """
+    u, v, du, dv, per_u, per_v = ray
+    ny, nx = distance.shape
+    east, north = 1 if du > 0.0 else 0, 1 if dv > 0.0 else 0
+    far_u, far_v = 0.0 if per_u != 0.0 else FAR, 0.0 if per_v != 0.0 else FAR
+    i, j = min(max(int(u + t * du), 0), nx - 1), min(max(int(v + t * dv), 0), ny - 1)
+    while True:
+        free = np.int64(distance[j, i])  # int() of an unsigned stays unsigned in numba
+        if free == 0:
+            return t
+        tx = ((i + free if east else i + 1 - free) - u) * per_u + far_u
+        ty = ((j + free if north else j + 1 - free) - v) * per_v + far_v
+        t = max(t, min(tx, ty))
+        if t >= t_end:
+            return np.inf
+        if tx <= ty:
+            j = min(max(int(v + t * dv), j + 1 - free, 0), j + free - 1, ny - 1)
+            i += free if east else -free
+        else:
+            i = min(max(int(u + t * du), i + 1 - free, 0), i + free - 1, nx - 1)
+            j += free if north else -free
+        if i < 0 or j < 0 or i >= nx or j >= ny:
+            return np.inf

@@ -1,0 +1,1 @@
+"""The robots: data, MJCF files, drive and flight control, URDF."""

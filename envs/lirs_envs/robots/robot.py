@@ -1,0 +1,102 @@
+"""What is said about a robot outside its MJCF file."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.pose import Pose3
+
+ASSETS = Path(__file__).parent / "assets"
+POSITIVE = (
+    "base_height",
+    "radius",
+    "max_speed",
+    "max_turn_rate",
+    "max_acceleration",
+    "max_turn_acceleration",
+    "max_slope",
+    "friction",
+)
+"""What every robot has."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+    """One row of data; a robot has driven wheels on both sides, or rotors.
+
+    Attributes:
+        name: how users call it; its MJCF file is `assets/NAME.xml`.
+        left_wheels: joints (and actuators) of the driven wheels on the left.
+        right_wheels: the same on the right.
+        wheel_radius: loaded, metres.
+        wheelbase: between front and rear driven axle, metres; 0 = one driven axle (differential drive).
+        track: between left and right wheels, metres.
+        rotors: actuators (thrust, newtons) of a flying robot instead of wheels.
+        base_height: base_link above level ground, metres; of a flying robot, when it starts.
+        radius: of the circle around base_link that holds the robot, metres.
+        max_speed: metres a second.
+        max_turn_rate: rad/s.
+        max_acceleration: m/s^2.
+        max_turn_acceleration: rad/s^2.
+        max_slope: steepest ground that it is set down on or sent over, radians.
+        friction: sliding friction of all its contact geoms but casters.
+        lidar: name of its LRF preset.
+        T_base_laser: mount of the LRF, such that the body is never in the way.
+
+    Raises:
+        ConfigError: a figure is not legal.
+    """
+
+    name: str
+    left_wheels: tuple[str, ...] = ()
+    right_wheels: tuple[str, ...] = ()
+    wheel_radius: float = 0.0
+    wheelbase: float = 0.0
+    track: float = 0.0
+    rotors: tuple[str, ...] = ()
+    base_height: float
+    radius: float
+    max_speed: float
+    max_turn_rate: float
+    max_acceleration: float
+    max_turn_acceleration: float
+    max_slope: float
+    friction: float
+    lidar: str
+    T_base_laser: Pose3 = field(default_factory=Pose3)
+
+    def __post_init__(self) -> None:
+        wheels = bool(self.left_wheels) and bool(self.right_wheels)
+        if wheels == self.flies or bool(self.left_wheels) != bool(self.right_wheels):
+            raise ConfigError(f"robot {self.name!r} needs driven wheels on both sides, or rotors")
+        for name in POSITIVE if self.flies else (*POSITIVE, "wheel_radius", "track"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ConfigError(
+                    f"robot {self.name!r}: {name} must be a finite number above 0, got {getattr(self, name)}"
+                )
+        if not 0 <= self.wheelbase < math.inf:
+            raise ConfigError(f"robot {self.name!r}: wheelbase must be at least 0 m, got {self.wheelbase}")
+
+    @property
+    def flies(self) -> bool:
+        """Whether it has rotors instead of wheels."""
+        return bool(self.rotors)
+
+    @property
+    def mjcf(self) -> Path:
+        """The robot's MJCF file."""
+        return ASSETS / f"{self.name}.xml"
+
+    @property
+    def skid_factor(self) -> float:
+        """Wheel speed difference over `track` times yaw rate while all wheels slide or roll.
+
+        On the spot a wheel slides sideways at wheelbase / 2 times the yaw rate. Dry friction opposes the
+        slip's direction, and the moments of its two parts cancel where slip ahead / slip sideways =
+        wheelbase / track; hence 1 + (wheelbase / track)^2, whatever the friction (1.80 for a Husky, whose
+        makers drive it with 1.875). 1 for a single driven axle.
+        """
+        return 1 + (self.wheelbase / self.track) ** 2

@@ -1,0 +1,1 @@
+"""What a robot perceives besides its laser: odometry, inertial unit, their fusion."""

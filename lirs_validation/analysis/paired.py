@@ -1,0 +1,44 @@
+"""Are paired differences more than chance?"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from lirs_validation.analysis.repeats import CONFIDENCE, repeats
+
+RANKED = 10
+"""From so many pairs on, differences that are plainly not normal are ranked instead."""
+PLAINLY = 0.01
+"""P value of Shapiro's and Wilk's test below which differences are plainly not normal."""
+
+Test = Literal["t", "Wilcoxon", "sign", "none"]
+
+
+def paired_test(d: NDArray[np.float64]) -> tuple[Test, float | None, float | None, float | None]:
+    """Return the test that suits paired differences (n,), its p value, and the mean's 95 % interval."""
+    found = repeats(d.tolist())
+    if found is None or found.half_width is None:
+        return "none", None, None, None
+    low, high = found.mean - found.half_width, found.mean + found.half_width
+    if np.ptp(d) <= 1e-12 * max(1.0, float(np.abs(d).max())):
+        # No spread to hold the mean against: only that all point one way.
+        return "sign", 1.0 if abs(found.mean) <= 1e-12 else 2.0 ** (1 - len(d)), low, high
+    if len(d) >= RANKED and float(stats.shapiro(d).pvalue) < PLAINLY:
+        interval = stats.bootstrap(
+            (d,), np.mean, confidence_level=CONFIDENCE, rng=np.random.default_rng(0)
+        ).confidence_interval
+        return "Wilcoxon", float(stats.wilcoxon(d).pvalue), float(interval.low), float(interval.high)
+    return "t", float(stats.ttest_1samp(d, 0.0).pvalue), low, high
+
+
+def holm(p: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return p values (n,) corrected for being n: the k-th smallest times n - k + 1, never decreasing."""
+    order = np.argsort(p, kind="stable")
+    raised = p[order] * np.arange(len(p), 0, -1)
+    result = np.empty_like(p)
+    result[order] = np.minimum(np.maximum.accumulate(raised), 1.0)
+    return result

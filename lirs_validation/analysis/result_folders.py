@@ -1,0 +1,144 @@
+"""Reading what runs and sweeps left: the good records, and by name what cannot be read."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import NoneType
+from typing import Any
+
+from lirs_validation.collision.validation import CollisionVerdict
+from lirs_validation.record.map_record import is_mapped_log
+from lirs_validation.record.run_record import read_record
+from lirs_validation.record.schema import schema_error
+from lirs_validation.sweep.collision_cell import STATUS, read_verdict
+from lirs_validation.sweep.manifest import NAME as MANIFEST
+from lirs_wct.errors import SourceError
+
+Entry = Mapping[str, Any]
+WORDS = ("world", "robot", "terrain", "diverged")
+"""Of a collision verdict, what is not a number."""
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """A run's folder and its record as nested dicts."""
+
+    folder: Path
+    entry: Entry
+
+
+@dataclass(frozen=True)
+class ResultFolder:
+    """What a folder of results holds.
+
+    Attributes:
+        root: the folder.
+        runs: by name of their folders.
+        collisions: verdicts of collision validations.
+        broken: names of collision validations that came to nothing, and why.
+        skipped: names of folders that cannot be read, and why.
+        manifest: what the sweep was asked for; empty without a `sweep.json`.
+    """
+
+    root: Path
+    runs: tuple[RunFolder, ...]
+    collisions: tuple[CollisionVerdict, ...] = ()
+    broken: tuple[tuple[str, str], ...] = ()
+    skipped: tuple[tuple[str, str], ...] = ()
+    manifest: Entry | None = None
+
+
+def read_run(folder: Path) -> RunFolder:
+    """Read a run's folder.
+
+    Raises:
+        SourceError: it holds no record, or one that is damaged or of another version.
+    """
+    entry = read_record(folder)
+    problem = schema_error(entry)
+    if problem is not None:
+        raise SourceError(f"{folder / 'record.json'}: damaged: {problem}")
+    return RunFolder(folder, entry)
+
+
+def read_results(root: Path) -> ResultFolder:
+    """Read a run's folder, or a folder of such folders; what cannot be read is named and left out.
+
+    Raises:
+        SourceError: there is no such folder, or no record in it can be read.
+    """
+    if not root.is_dir():
+        raise SourceError(f"{root}: no such folder of results")
+    if (root / "record.json").exists():
+        return ResultFolder(root, (read_run(root),))
+    runs: list[RunFolder] = []
+    verdicts: list[CollisionVerdict] = []
+    broken: list[tuple[str, str]] = []
+    skipped: list[tuple[str, str]] = []
+    for folder in sorted(p for p in root.iterdir() if p.is_dir() and not p.name.startswith(".")):
+        try:
+            if is_mapped_log(folder):
+                continue  # a source of runs, and none itself
+            if (folder / "record.json").exists():
+                runs.append(read_run(folder))
+            elif (folder / STATUS).exists():
+                reason = _failure(folder / STATUS)
+                if reason is None:
+                    verdicts.append(_sane(folder, read_verdict(folder)))
+                else:
+                    broken.append((folder.name, reason))
+        except SourceError as error:
+            skipped.append((folder.name, str(error).removeprefix(f"{folder}/")))
+    manifest = _manifest(root / MANIFEST, skipped)
+    if not runs and not verdicts:
+        named = "".join(f"; {name}: {reason}" for name, reason in skipped[:3])
+        raise SourceError(f"{root}: holds no readable record of a run (folders with a record.json){named}")
+    return ResultFolder(root, tuple(runs), tuple(verdicts), tuple(broken), tuple(skipped), manifest)
+
+
+def _failure(path: Path) -> str | None:
+    """Return why a collision validation came to nothing; None where it did not."""
+    entry = _json(path)
+    status, reason = entry.get("status"), entry.get("reason")
+    if not isinstance(status, str) or not isinstance(reason, str):
+        raise SourceError(f"{path}: damaged: status and reason must be text")
+    return None if status == "ok" else reason or status
+
+
+def _sane(folder: Path, verdict: CollisionVerdict) -> CollisionVerdict:
+    """Return a verdict whose figures are numbers.
+
+    Raises:
+        SourceError: one is not.
+    """
+    for name, value in vars(verdict).items():
+        if not isinstance(value, (str, int, float, NoneType)) or isinstance(value, str) != (name in WORDS):
+            raise SourceError(f"{folder / 'collisions.json'}: damaged: {name} is {value!r}")
+    return verdict
+
+
+def _manifest(path: Path, skipped: list[tuple[str, str]]) -> Entry | None:
+    if not path.exists():
+        return None
+    try:
+        entry = _json(path)
+        cells = entry.get("cells", [])
+        if not (isinstance(cells, list) and all(isinstance(cell, dict) for cell in cells)):
+            raise SourceError(f"{path}: damaged: cells must be a list of objects")
+        return entry
+    except SourceError as error:
+        skipped.append((path.name, str(error)))
+        return None
+
+
+def _json(path: Path) -> Entry:
+    try:
+        entry = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise SourceError(f"{path}: not readable, or damaged ({type(error).__name__})") from error
+    if not isinstance(entry, dict):
+        raise SourceError(f"{path}: damaged: an object is required, got {type(entry).__name__}")
+    return entry

@@ -1,0 +1,175 @@
+"""Scoring what another program made of a run's recorded scans, by the figures of the run's own record."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from lirs_validation.analysis.recorded import recorded_config, recorded_truth, true_pose_map
+from lirs_validation.analysis.result_folders import RunFolder
+from lirs_validation.experiment.scenario import set_stage
+from lirs_validation.metrics import map_scores, trajectory_errors
+from lirs_validation.metrics.agreement import decided, sampled
+from lirs_validation.metrics.association import MAX_GAP, associated
+from lirs_wct.errors import SourceError, unknown_name
+from lirs_wct.formats.map_server import read_map
+from lirs_wct.formats.tum import read_tum
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.geometry.trajectory import Trajectory
+
+Frame = Literal["auto", "map", "world"]
+FRAMES: tuple[Frame, ...] = ("auto", "map", "world")
+NEAR, NEAR_SHARE, NEAR_YAW = 0.5, 0.1, math.radians(20)
+"""A trajectory begins where the run was: within so many metres, this share of the way driven until then, and
+this angle; else it is in another frame."""
+SAME_RESOLUTION = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """What a result scored.
+
+    Attributes:
+        run: name of the run.
+        frame: in which the result was given.
+        given: poses of the trajectory; 0 without one.
+        trajectory: as in a record; empty without a trajectory.
+        map: as in a record; empty without a map.
+    """
+
+    run: str
+    frame: Literal["map", "world"]
+    given: int
+    trajectory: dict[str, Any]
+    map: dict[str, Any]
+
+
+def score(
+    run: RunFolder, *, trajectory: Path | None = None, map_yaml: Path | None = None, frame: Frame = "auto"
+) -> Score:
+    """Score a trajectory and a map that were made from a run's `scans.clf.gz`.
+
+    Args:
+        run: the run.
+        trajectory: TUM file, poses of base_link at stamps of the run.
+        map_yaml: ROS map.
+        frame: of both: `map`, whose origin is the first base pose; `world`, as the run's own files; `auto`:
+            told by where the trajectory begins, `map` without one.
+
+    Raises:
+        SourceError: a file cannot be read, or does not fit the run: stamps, frame, place.
+    """
+    truth = recorded_truth(run.folder)
+    estimate = None if trajectory is None else read_tum(trajectory)
+    if estimate is not None and trajectory is not None:
+        _check_stamps(trajectory, estimate, truth)
+        frame = frame_of(trajectory, estimate, truth, frame)
+    frame = "map" if frame == "auto" else frame
+    T_world_frame = truth.pose2(0) if frame == "map" else Pose2()
+    return Score(
+        run=str(run.entry["name"]),
+        frame=frame,
+        given=0 if estimate is None else len(estimate),
+        trajectory={} if estimate is None else _score_trajectory(run, truth, estimate, T_world_frame),
+        map={} if map_yaml is None else _score_map(run, map_yaml, T_world_frame),
+    )
+
+
+def check_frame(frame: str) -> Frame:
+    """Return a frame's name.
+
+    Raises:
+        ConfigError: there is no such frame.
+    """
+    for legal in FRAMES:
+        if frame == legal:
+            return legal
+    raise unknown_name("frame", frame, FRAMES)
+
+
+def frame_of(path: Path, estimate: Trajectory, truth: Trajectory, frame: Frame) -> Literal["map", "world"]:
+    """Return the frame in which a trajectory begins where the run was.
+
+    Raises:
+        SourceError: it does in none, or not in the one that was named.
+    """
+    i, j = associated(truth.stamps, estimate.stamps)
+    true, first = truth.pose2(int(i[0])), estimate.pose2(int(j[0]))
+    driven = float(np.linalg.norm(np.diff(truth.xy[: int(i[0]) + 1], axis=0), axis=1).sum())
+    there = {"map": truth.pose2(0).inverse() @ true, "world": true}
+    fits = [name for name, pose in there.items() if _near(first, pose, driven)]
+    if frame in fits or (frame == "auto" and fits):
+        return "map" if (frame if frame in fits else fits[0]) == "map" else "world"
+    told = " or ".join(
+        f"{_told(pose)} in the {name} frame" for name, pose in there.items() if frame in ("auto", name)
+    )
+    hint = f"; it fits the {fits[0]} frame: --frame {fits[0]}" if fits else ""
+    raise SourceError(
+        f"{path}: another frame: at {estimate.stamps[j[0]]:.2f} s it begins at {_told(first)}, where the run "
+        f"was at {told}; the map frame's origin is the first base pose{hint}"
+    )
+
+
+def _near(a: Pose2, b: Pose2, driven: float) -> bool:
+    return a.distance(b) <= NEAR + NEAR_SHARE * driven and abs(wrap_angle(a.yaw - b.yaw)) <= NEAR_YAW
+
+
+def _told(pose: Pose2) -> str:
+    return f"({pose.x:.2f}, {pose.y:.2f}) m, {math.degrees(pose.yaw):.0f} deg"
+
+
+def _check_stamps(path: Path, estimate: Trajectory, truth: Trajectory) -> None:
+    """Refuse a trajectory of other times.
+
+    Raises:
+        SourceError: fewer than two poses lie at stamps of the run.
+    """
+    i, _ = associated(truth.stamps, estimate.stamps)
+    if len(i) >= 2:
+        return
+    spans = [f"{t.stamps[0]:.2f} .. {t.stamps[-1]:.2f} s" if len(t) else "none" for t in (estimate, truth)]
+    raise SourceError(
+        f"{path}: other stamps: {len(i)} of its {len(estimate)} poses lie within {MAX_GAP} s of one of the "
+        f"run's {len(truth)}, at least 2 must; its stamps are {spans[0]}, the run's {spans[1]} (seconds "
+        "since the start, as in scans.clf.gz)"
+    )
+
+
+def _score_trajectory(
+    run: RunFolder, truth: Trajectory, estimate: Trajectory, T_world_frame: Pose2
+) -> dict[str, Any]:
+    odometry = read_tum(run.folder / "odometry.tum")
+    return asdict(trajectory_errors(truth, estimate, T_world_map=T_world_frame)) | {
+        "odometry_ate_rmse": trajectory_errors(truth, odometry).ate_rmse
+    }
+
+
+def _score_map(run: RunFolder, path: Path, T_world_frame: Pose2) -> dict[str, Any]:
+    """Compare with the recorded true-pose map, or with one made anew where the cells have another size.
+
+    Raises:
+        SourceError: the map knows nothing of where the run took place.
+    """
+    config = recorded_config(run.entry)
+    built = read_map(path).moved(T_world_frame)
+    reference = read_map(run.folder / "map_true_pose.yaml")
+    if abs(reference.resolution - built.resolution) > SAME_RESOLUTION:
+        reference = true_pose_map(run.folder, config, built.resolution)
+    _check_place(path, built, reference)
+    world = set_stage(config).world
+    scores = map_scores(built, reference, surface=world.surface, walls=world.walls, truth=world.truth)
+    return asdict(scores)
+
+
+def _check_place(path: Path, built: OccupancyGrid, reference: OccupancyGrid) -> None:
+    there = ~np.isnan(sampled(decided(built), decided(reference)))
+    if not (there & decided(reference).known).any():
+        raise SourceError(
+            f"{path}: knows no cell of where the run took place: is its origin given in the map frame, "
+            "that of the first base pose?"
+        )

@@ -1,0 +1,61 @@
+"""The command line, `lirs-wct`: every command is a function of `lirs_validation.commands`."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from typing import Any
+
+import typer
+from typer.exceptions import TyperException
+
+from lirs_validation.cli.collide import collide
+from lirs_validation.cli.console import BAD_INPUT, INTERRUPTED, err
+from lirs_validation.cli.mapping import map_log
+from lirs_validation.cli.reports import compare, report, score
+from lirs_validation.cli.robot_card import robot
+from lirs_validation.cli.runs import validate
+from lirs_validation.cli.worlds import build, convert, info, view
+from lirs_validation.sweep.interrupts import is_interrupt
+from lirs_wct.errors import WctError
+
+app = typer.Typer(
+    name="lirs-wct",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, judge the result.",
+)
+for command in (build, validate, report, compare, score, collide, view, info, convert, robot):
+    app.command()(command)
+app.command("map")(map_log)
+
+
+def main() -> None:
+    """Run the command line; bad input is one line on stderr and exit code 2."""
+    warnings.showwarning = _one_line
+    try:
+        code = app(standalone_mode=False)
+        if code == INTERRUPTED:
+            # Typer turns Ctrl-C into its exit code, and says nothing.
+            raise KeyboardInterrupt
+    except WctError as error:
+        _fail(str(error))
+    except TyperException as error:
+        _fail(error.format_message())
+    except (typer.Abort, KeyboardInterrupt):
+        _fail("interrupted; nothing half-written was left", INTERRUPTED)
+    except SystemError as error:
+        if not is_interrupt(error):
+            raise
+        _fail("interrupted; nothing half-written was left", INTERRUPTED)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(message: str, code: int = BAD_INPUT) -> None:
+    err.print(f"lirs-wct: {message}", markup=False, highlight=False, soft_wrap=True, style="red")
+    sys.exit(code)
+
+
+def _one_line(message: Warning | str, *_: Any, **__: Any) -> None:
+    err.print(f"lirs-wct: {message}", markup=False, highlight=False, soft_wrap=True, style="yellow")

@@ -1,0 +1,136 @@
+"""The command `collide`: collision validation of robots in worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from lirs_validation.cli.arguments import Sources
+from lirs_validation.cli.build_options import mujoco_terrain, with_build_options
+from lirs_validation.cli.console import RUN_FAILED, err, out
+from lirs_wct.errors import ConfigError, WctError
+from lirs_wct.sources.options import BuildOptions
+
+if TYPE_CHECKING:
+    from lirs_envs.robots.catalog import Robot
+    from lirs_validation.collision.validation import CollisionVerdict
+    from lirs_wct.contact.contact_parts import Terrain
+
+
+@with_build_options
+def collide(
+    sources: Sources,
+    robot: Annotated[str, typer.Option(metavar="R,R,...", help="Robots.")] = "husky,jackal,turtlebot2",
+    terrain: Annotated[
+        str, typer.Option(metavar="T,T,...", help="What MuJoCo touches: hfield, mesh, prisms, convex.")
+    ] = "hfield",
+    seconds: Annotated[float, typer.Option(help="Simulated seconds to drive each.")] = 60.0,
+    seeds: Annotated[str, typer.Option(metavar="N,N-M", help="Seeds of the random drives.")] = "1",
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Folder for collisions.json and collisions.csv.")
+    ] = Path("out"),
+    *,
+    options: BuildOptions,
+) -> None:
+    """Drive robots at random into everything, and judge every contact: penetration, energy, slopes."""
+    from lirs_envs.robots.catalog import make_robot
+    from lirs_validation.collision.files import verdicts_table, write_verdicts
+
+    robots = [make_robot(name) for name in words(robot, "--robot")]
+    terrains = [mujoco_terrain(name) for name in words(terrain, "--terrain")]
+    numbers = seed_numbers(seeds)
+    verdicts: list[CollisionVerdict] = []
+    refused: list[WctError] = []
+    try:
+        for found in _checked(sources, options, robots, terrains, seconds, numbers):
+            if isinstance(found, WctError):
+                refused.append(found)
+            else:
+                verdicts.append(found)
+    finally:
+        if verdicts:
+            out.print(verdicts_table(verdicts))
+            for path in write_verdicts(output, verdicts):
+                out.print(f"{path}", soft_wrap=True, highlight=False)
+    if not verdicts:
+        raise refused[0]
+    for error in refused:
+        err.print(f"left out: {error}", markup=False, highlight=False, soft_wrap=True, style="yellow")
+    if refused or not all(verdict.passed for verdict in verdicts):
+        raise typer.Exit(RUN_FAILED)
+
+
+def words(text: str, option: str) -> list[str]:
+    """Return the comma-separated names of an option.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    found = [word.strip() for word in text.split(",") if word.strip()]
+    if not found:
+        raise ConfigError(f"{option} must name at least one, got {text!r}")
+    return found
+
+
+def seed_numbers(text: str) -> list[int]:
+    """Return the seeds of `1,2,5-7`.
+
+    Raises:
+        ConfigError: it is no list of whole numbers from 0 up.
+    """
+    numbers: list[int] = []
+    for part in text.split(","):
+        first, dash, last = part.partition("-")
+        try:
+            low, high = int(first), int(last if dash else first)
+        except ValueError:
+            low, high = 0, -1
+        if low > high:
+            raise ConfigError(f"--seeds must be whole numbers or ranges like 1-5, got {text!r}")
+        numbers += range(low, high + 1)
+    return numbers
+
+
+def _checked(
+    sources: list[str],
+    options: BuildOptions,
+    robots: list[Robot],
+    terrains: list[Terrain],
+    seconds: float,
+    seeds: list[int],
+) -> Iterator[CollisionVerdict | WctError]:
+    """Yield a verdict for each robot, terrain and seed in each world, or why there can be none."""
+    from lirs_validation.collision.validation import check_collisions
+    from lirs_validation.experiment.scenario import set_stage
+    from lirs_validation.record.run_record import RunConfig
+
+    bar = Progress(
+        TextColumn("[bold]{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=err,
+        transient=True,
+    )
+    with bar:
+        task = bar.add_task("", total=len(sources) * len(robots) * len(terrains) * len(seeds))
+        for source in sources:
+            bar.update(task, description=f"{source}: building")
+            config = RunConfig(source=source, seconds=seconds, build=options)
+            try:
+                world = set_stage(config).world
+            except WctError as error:
+                yield error
+                continue
+            for who, where, seed in ((r, t, s) for r in robots for t in terrains for s in seeds):
+                bar.update(task, description=f"{source}: {who.name} on {where}")
+                try:
+                    yield check_collisions(world, who, terrain=where, seconds=seconds, seed=seed)
+                except WctError as error:
+                    yield error
+                bar.advance(task)

@@ -1,0 +1,114 @@
+"""What a world is, in figures: size, heights, slopes, where robots can drive, its mesh and its error."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from rich.table import Table
+
+from lirs_envs.robots.catalog import ROBOTS
+from lirs_wct.sources.rasterize import drape
+from lirs_wct.world import World
+
+CELLS = 2000
+"""Cells along the longer side, at most, of the grid on which drivable ground is counted."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorldFacts:
+    """Figures of a world.
+
+    Attributes:
+        size: eastward and northward, metres.
+        nodes: rows and columns of the surface.
+        heights: lowest and highest ground, metres.
+        slopes: median and 95th percentile at the nodes, degrees.
+        drivable: percent of the ground where a robot's centre may be, by robot.
+        walls: wall cells, cells, resolution in metres, height in metres; None without a laser map.
+        triangles: of the mesh that is written.
+        watertight: whether it is closed.
+        volume: enclosed, cubic metres.
+        error: largest vertical distance of the mesh from the surface at its nodes, metres; None for the
+            walls of a laser map, which are exact.
+    """
+
+    size: tuple[float, float]
+    nodes: tuple[int, int]
+    heights: tuple[float, float]
+    slopes: tuple[float, float]
+    drivable: dict[str, float]
+    walls: tuple[int, int, float, float] | None
+    triangles: int
+    watertight: bool
+    volume: float
+    error: float | None
+
+
+def world_facts(world: World) -> WorldFacts:
+    """Measure a world."""
+    surface, walls, mesh = world.surface, world.walls, world.mesh
+    slope = np.degrees(surface.slope())
+    return WorldFacts(
+        size=surface.size,
+        nodes=surface.shape,
+        heights=(float(surface.z.min()), float(surface.z.max())),
+        slopes=(float(np.median(slope)), float(np.percentile(slope, 95))),
+        drivable=_drivable(world),
+        walls=None
+        if walls is None
+        else (int(walls.solid.sum()), walls.solid.size, walls.resolution, walls.height),
+        triangles=len(mesh.faces),
+        watertight=mesh.is_watertight,
+        volume=mesh.volume,
+        error=None if walls is not None else mesh_error(world),
+    )
+
+
+def mesh_error(world: World) -> float:
+    """Return the largest vertical distance of the world's mesh from its surface at the nodes, metres."""
+    surface = world.surface
+    top = drape(world.mesh, (*surface.origin, *surface.cell), surface.shape)
+    return float(np.nanmax(np.abs(top - surface.south_up)))
+
+
+def facts_table(world: World, facts: WorldFacts) -> Table:
+    """Return the figures as a table to print."""
+    table = Table(title=f"{world.name}: {world.kind}, {world.scale}", show_header=False, title_justify="left")
+    rows = [
+        ("size", f"{facts.size[0]:g} x {facts.size[1]:g} m"),
+        ("surface", f"{facts.nodes[1]} x {facts.nodes[0]} nodes, {_cells(world)} m apart"),
+        ("heights", f"{facts.heights[0]:.3f} to {facts.heights[1]:.3f} m"),
+        ("slopes", f"median {facts.slopes[0]:.1f} deg, 95 % below {facts.slopes[1]:.1f} deg"),
+        *(
+            (f"drivable, {robot}", f"{share:.1f} %, up to {math.degrees(ROBOTS[robot].max_slope):.0f} deg")
+            for robot, share in facts.drivable.items()
+        ),
+        ("start poses", f"{len(world.starts)}"),
+        ("triangles", f"{facts.triangles}"),
+        ("watertight", f"{'yes' if facts.watertight else 'no'}, {facts.volume:.6g} m3"),
+        ("mesh error", "exact" if facts.error is None else f"{facts.error:.6f} m at the nodes"),
+    ]
+    if facts.walls is not None:
+        solid, cells, resolution, height = facts.walls
+        rows.insert(2, ("walls", f"{solid} of {cells} cells of {resolution:g} m, {height:g} m high"))
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def _cells(world: World) -> str:
+    across, along = world.surface.cell
+    return f"{across:.4g}" if math.isclose(across, along) else f"{across:.4g} and {along:.4g}"
+
+
+def _drivable(world: World) -> dict[str, float]:
+    resolution = max(0.1, max(world.surface.size) / CELLS)
+    shares = {}
+    for name, robot in ROBOTS.items():
+        free = world.traversable(
+            clearance=robot.radius, max_slope=robot.max_slope, resolution=resolution
+        ).free
+        shares[name] = 100 * float(free.mean())
+    return shares

@@ -1,0 +1,138 @@
+"""Commands about results: `report`, `compare`, `score`."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lirs_validation.cli.console import out
+from lirs_wct.errors import ConfigError
+
+CsvFile = Annotated[Path | None, typer.Option("--csv", help="Write the table there as CSV, too.")]
+JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the table there as JSON, too.")]
+
+
+def report(
+    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Folder of a sweep, or of one run.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="HTML file to write.")] = Path("report.html"),
+    csv: Annotated[
+        Path | None, typer.Option("--csv", metavar="FOLDER", help="Write the tables there as CSV, too.")
+    ] = None,
+    markdown: Annotated[
+        Path | None,
+        typer.Option("--markdown", metavar="FILE", help="Write the tables there as Markdown, too."),
+    ] = None,
+) -> None:
+    """Tell a folder of results as one HTML page that opens anywhere, offline."""
+    from lirs_validation.analysis.result_folders import read_results
+    from lirs_validation.cli.console import err
+    from lirs_validation.report.contents import report_of
+    from lirs_validation.report.page import page
+    from lirs_validation.report.sheet import as_csv, as_markdown
+
+    with err.status(f"reading {results}") as status:
+        read = read_results(results)
+        _tell_skipped(read.skipped)
+        told = report_of(read)
+        status.update("drawing")
+        html = page(told, shlex.join(["lirs-wct", "report", str(results), "-o", str(output)]))
+    _write(output, html)
+    if csv is not None:
+        for sheet in told.sheets:
+            _write(csv / f"{sheet.key}.csv", as_csv(sheet))
+    if markdown is not None:
+        _write(markdown, f"# {told.title}\n\n" + "\n".join(map(as_markdown, told.sheets)))
+    out.print(
+        f"{output}: {len(told.runs)} runs, {len(html.encode()) / 1e6:.1f} MB", soft_wrap=True, highlight=False
+    )
+
+
+def compare(
+    a: Annotated[Path, typer.Argument(metavar="A", help="Folder of results.")],
+    b: Annotated[Path, typer.Argument(metavar="B", help="Folder of results to hold against it.")],
+    across: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FIELD,...",
+            help="Pair runs that differ in these: world, robot, mapper, terrain, rays, lidar, seconds.",
+        ),
+    ] = None,
+    figures: Annotated[
+        str | None,
+        typer.Option(metavar="PLACE,...", help="Figures of the record to compare, such as map.f1,rtf.mean."),
+    ] = None,
+    csv: CsvFile = None,
+    json: JsonFile = None,
+) -> None:
+    """Say which differences between two results are real, and which may be chance."""
+    from lirs_validation.analysis.compare import compare as compared
+    from lirs_validation.analysis.result_folders import read_results
+    from lirs_validation.record.metric_catalogue import COMPARED, figures_named
+    from lirs_validation.report.compare_table import compare_table, write_compare_csv, write_compare_json
+
+    names = (str(a), str(b))
+    first, second = read_results(a), read_results(b)
+    _tell_skipped(first.skipped + second.skipped)
+    comparison = compared(
+        [run.entry for run in first.runs],
+        [run.entry for run in second.runs],
+        figures_named(_words(figures)) if figures else COMPARED,
+        _words(across),
+    )
+    out.print(compare_table(comparison, names))
+    if csv is not None:
+        write_compare_csv(csv, comparison)
+    if json is not None:
+        write_compare_json(json, comparison, names)
+
+
+def score(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    trajectory: Annotated[
+        Path | None, typer.Option(help="TUM file: poses of base_link, at stamps of the run's scans.")
+    ] = None,
+    map_yaml: Annotated[Path | None, typer.Option("--map", help="ROS map: a YAML with its picture.")] = None,
+    frame: Annotated[
+        str,
+        typer.Option(
+            metavar="auto|map|world",
+            help="Frame of both: map, whose origin is the first base pose; world, as the run's own files; "
+            "auto: told by where the trajectory begins.",
+        ),
+    ] = "auto",
+    output: Annotated[Path, typer.Option("-o", "--output", help="JSON to write.")] = Path("score.json"),
+) -> None:
+    """Score what another program made of a run's recorded scans (scans.clf.gz)."""
+    from lirs_validation.analysis.result_folders import read_run
+    from lirs_validation.analysis.score import check_frame
+    from lirs_validation.analysis.score import score as scored
+    from lirs_validation.report.score_table import score_table, write_score
+
+    if trajectory is None and map_yaml is None:
+        raise ConfigError("nothing to score: give --trajectory, --map or both")
+    recorded = read_run(run)
+    result = scored(recorded, trajectory=trajectory, map_yaml=map_yaml, frame=check_frame(frame))
+    out.print(score_table(result, recorded.entry))
+    write_score(output, result, trajectory, map_yaml)
+    out.print(f"{output}", soft_wrap=True, highlight=False)
+
+
+def _write(path: Path, text: str) -> None:
+    from lirs_wct.files import atomic_write
+
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _words(text: str | None) -> tuple[str, ...]:
+    return tuple(word.strip() for word in (text or "").split(",") if word.strip())
+
+
+def _tell_skipped(skipped: tuple[tuple[str, str], ...]) -> None:
+    from lirs_validation.cli.console import err
+
+    for name, reason in skipped:
+        err.print(f"skipped {name}: {reason}", markup=False, highlight=False, soft_wrap=True, style="yellow")

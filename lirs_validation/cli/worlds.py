@@ -1,0 +1,116 @@
+"""Commands about worlds: `build`, `view`, `info`, `convert`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lirs_validation.cli.arguments import Source
+from lirs_validation.cli.build_options import gazebo_terrain, with_build_options
+from lirs_validation.cli.console import err, out, work_bar
+from lirs_validation.cli.option_help import RotateX
+from lirs_wct.sources.options import BuildOptions
+
+if TYPE_CHECKING:
+    from lirs_wct.world import World
+
+
+@with_build_options
+def build(
+    source: Source,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the world's folder.")] = Path(
+        "worlds"
+    ),
+    to: Annotated[
+        str, typer.Option(metavar="F,F,...", help="What to write: dae, stl, sdf, mjcf, obj, hfield.")
+    ] = "dae,stl,sdf,mjcf",
+    terrain: Annotated[
+        str,
+        typer.Option(
+            metavar="solid|heightmap",
+            help="Gazebo's model: the solid mesh, or a heightmap (square, 2^n + 1 px, 8 bit).",
+        ),
+    ] = "solid",
+    *,
+    options: BuildOptions,
+) -> None:
+    """Build a world: Gazebo model and world, MuJoCo MJCF, meshes, texture, world.json."""
+    from lirs_wct.export.package import write_package
+    from lirs_wct.world import build_world
+
+    formats = [word.strip() for word in to.split(",") if word.strip()]
+    with work_bar(f"building {source}") as tell:
+        world = build_world(source, options)
+        folder = write_package(
+            world,
+            output,
+            formats=formats,
+            terrain=gazebo_terrain(terrain),
+            report=lambda name, share: tell(f"{world.name}: {name}", share),
+        )
+    width, depth = world.surface.size
+    out.print(f"{folder}: {world.kind}, {width:g} x {depth:g} m, relief {world.surface.relief:.2f} m")
+
+
+@with_build_options
+def view(
+    source: Source,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="PNG to write; default: NAME-view.png here.")
+    ] = None,
+    *,
+    options: BuildOptions,
+) -> None:
+    """Draw a picture of any source: hillshade, walls, start poses. No OpenGL needed."""
+    from lirs_wct.world import build_world
+
+    with err.status(f"drawing {source}"):
+        world = build_world(source, options)
+    _draw(world, output or Path(f"{world.name}-view.png"))
+
+
+@with_build_options
+def info(
+    source: Source,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="PNG to draw; default: no picture.")
+    ] = None,
+    *,
+    options: BuildOptions,
+) -> None:
+    """Say what a source is: size, heights, slopes, where robots can drive, triangles, error."""
+    from lirs_validation.cli.info import facts_table, world_facts
+    from lirs_wct.world import build_world
+
+    with err.status(f"measuring {source}"):
+        world = build_world(source, options)
+        facts = world_facts(world)
+    out.print(facts_table(world, facts))
+    if output is not None:
+        _draw(world, output)
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="Mesh: stl, dae, obj, ply, glb.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="Mesh in another of these formats.")],
+    rotate_x: RotateX = 0.0,
+) -> None:
+    """Convert a mesh between stl, dae, obj, ply and glb; up stays up."""
+    from lirs_wct.formats.meshes.mesh_file import read_upright, write_mesh
+
+    with err.status(f"converting {source}"):
+        mesh = read_upright(source)
+        write_mesh(target, mesh.rotated_x(rotate_x) if rotate_x else mesh)
+    closed = "watertight" if mesh.is_watertight else "not watertight"
+    out.print(f"{target}: {len(mesh.faces)} triangles, {closed}", soft_wrap=True, highlight=False)
+
+
+def _draw(world: World, target: Path) -> None:
+    from lirs_validation.drawing.view import view_figure
+    from lirs_wct.files import atomic_write
+
+    with atomic_write(target) as path:
+        view_figure(world).savefig(path, format="png")
+    out.print(f"{target}", soft_wrap=True, highlight=False)

@@ -1,0 +1,1 @@
+"""Pictures of worlds, runs and maps."""

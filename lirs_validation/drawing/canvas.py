@@ -1,0 +1,112 @@
+"""The common canvas of all pictures: the same square metres in the same pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
+
+Rgb = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+FREE_SHADE, UNKNOWN_SHADE = 1.0, 0.80
+"""Gray of what is known to be free, and of what nobody knows."""
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """A picture's place in the world; row 0 = north, so that it shows as it lies on the map.
+
+    Attributes:
+        bounds: west, south, east, north in metres.
+        shape: rows, columns of square pixels.
+    """
+
+    bounds: tuple[float, float, float, float]
+    shape: tuple[int, int]
+
+    @staticmethod
+    def over(bounds: tuple[float, float, float, float], pixels: int = 900) -> Canvas:
+        """Lay square pixels over bounds, `pixels` along the longer side."""
+        west, south, east, north = bounds
+        pixel = max(east - west, north - south) / pixels
+        rows, cols = max(1, round((north - south) / pixel)), max(1, round((east - west) / pixel))
+        return Canvas((west, south, west + cols * pixel, south + rows * pixel), (rows, cols))
+
+    @property
+    def pixel(self) -> float:
+        """Edge of a pixel, metres."""
+        return (self.bounds[2] - self.bounds[0]) / self.shape[1]
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """West, east, south, north: what matplotlib's `imshow` wants."""
+        west, south, east, north = self.bounds
+        return west, east, south, north
+
+    @property
+    def centres(self) -> NDArray[np.float64]:
+        """(rows, cols, 2) x and y of the pixels' centres, metres."""
+        west, _, _, north = self.bounds
+        x = west + (np.arange(self.shape[1]) + 0.5) * self.pixel
+        y = north - (np.arange(self.shape[0]) + 0.5) * self.pixel
+        return np.stack(np.meshgrid(x, y), axis=-1)
+
+    def heights(self, surface: HeightField) -> NDArray[np.float64]:
+        """Return (rows, cols) metres; NaN off the surface."""
+        xy = self.centres
+        return surface.height_at(xy[..., 0], xy[..., 1])
+
+    def marked(self, mask: Mask, resolution: float, origin: Pose2) -> Mask:
+        """Return the pixels that hold a marked cell of a grid, however thin: row 0 of `mask` is south."""
+        local = np.floor(origin.inverse().apply(self.centres) / resolution).astype(np.int64)
+        col, row = local[..., 0], local[..., 1]
+        inside = (row >= 0) & (row < mask.shape[0]) & (col >= 0) & (col < mask.shape[1])
+        seen: Mask = inside & mask[np.where(inside, row, 0), np.where(inside, col, 0)]
+        if resolution < self.pixel:
+            points = origin.apply((np.argwhere(mask)[:, ::-1] + 0.5) * resolution)
+            self._touch(seen, points)
+        return seen
+
+    def _touch(self, pixels: Mask, points: NDArray[np.float64]) -> None:
+        col = np.floor((points[:, 0] - self.bounds[0]) / self.pixel).astype(np.int64)
+        row = np.floor((self.bounds[3] - points[:, 1]) / self.pixel).astype(np.int64)
+        inside = (row >= 0) & (row < self.shape[0]) & (col >= 0) & (col < self.shape[1])
+        pixels[row[inside], col[inside]] = True
+
+    def walls(self, walls: WallGrid) -> Mask:
+        """Return the pixels that hold a wall cell."""
+        return self.marked(walls.solid, walls.resolution, walls.origin)
+
+    def known(self, grid: OccupancyGrid) -> Mask:
+        """Return the pixels that hold a known cell of a map."""
+        return self.marked(grid.known, grid.resolution, grid.origin)
+
+    def occupied(self, grid: OccupancyGrid) -> Mask:
+        """Return the pixels that hold an occupied cell of a map."""
+        return self.marked(grid.occupied, grid.resolution, grid.origin)
+
+    def grid_picture(self, grid: OccupancyGrid) -> Rgb:
+        """Return (rows, cols, 3) a map as ROS shows it: black occupied, white free, gray unknown."""
+        shade = np.full(self.shape, UNKNOWN_SHADE)
+        shade[self.known(grid)] = FREE_SHADE
+        shade[self.occupied(grid)] = 0.0
+        return np.repeat(shade[..., None], 3, axis=-1)
+
+
+def bounds_of(grid: OccupancyGrid) -> tuple[float, float, float, float] | None:
+    """Return west, south, east, north of what a map knows, metres; None where it knows nothing."""
+    cells = np.argwhere(grid.known)
+    if len(cells) == 0:
+        return None
+    low, high = cells.min(axis=0), cells.max(axis=0) + 1
+    corners = np.array([(c, r) for r in (low[0], high[0]) for c in (low[1], high[1])], dtype=np.float64)
+    xy = grid.origin.apply(corners * grid.resolution)
+    (west, south), (east, north) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
+    return west, south, east, north

@@ -1,0 +1,82 @@
+"""Relief in a picture: hillshade, walls, heights in colour."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.colors import Colormap, LinearSegmentedColormap
+from numpy.typing import NDArray
+
+from lirs_validation.drawing.canvas import Canvas, Rgb
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.world import World
+
+AZIMUTH, ALTITUDE = math.radians(315), math.radians(45)
+"""Where the light comes from: north-west, as on printed maps since the Swiss Dufour map."""
+WALL = (0.16, 0.16, 0.20)
+FLOOR, BEYOND = (0.97, 0.97, 0.96), (0.84, 0.84, 0.85)
+"""A laser map's free floor, and what it does not know."""
+
+Array = NDArray[np.float64]
+
+
+def height_colours() -> Colormap:
+    """Return a light scale from low (slate) to high (sand); brightness rises with it, for every eye."""
+    return LinearSegmentedColormap.from_list("relief", ["#7d97a5", "#a9b5ac", "#d3cfb4", "#f6e8c6"])
+
+
+def hillshade(surface: HeightField, walls: WallGrid | None = None, canvas: Canvas | None = None) -> Rgb:
+    """Return (rows, cols, 3) a gray relief in [0, 1], row 0 = north; walls dark.
+
+    Lambertian shading (Horn, "Hill shading and the reflectance map", Proc. IEEE 1981); heights are
+    exaggerated until the ground's typical slope is visible.
+
+    Args:
+        surface: the ground.
+        walls: what stands on it.
+        canvas: which square metres in which pixels; default: the whole surface, 900 pixels.
+    """
+    canvas = canvas or Canvas.over(surface.bounds)
+    shade = shading(canvas.heights(surface), canvas.pixel)
+    rgb = np.repeat((0.35 + 0.65 * shade)[..., None], 3, axis=-1)
+    return _with_walls(rgb, walls, canvas)
+
+
+def coloured_relief(world: World, canvas: Canvas) -> Rgb:
+    """Return (rows, cols, 3) a hillshade tinted by height; of a laser map, its floor and what is unknown."""
+    surface = world.surface
+    z = canvas.heights(surface)
+    if world.truth is not None:
+        rgb = np.where(canvas.known(world.truth)[..., None], FLOOR, BEYOND)
+    else:
+        low, high = float(surface.z.min()), float(surface.z.max())
+        tint = height_colours()((np.nan_to_num(z, nan=low) - low) / max(high - low, 1e-9))[..., :3]
+        rgb = np.clip(tint * (0.42 + 0.78 * shading(z, canvas.pixel)[..., None]), 0, 1)
+    return _with_walls(rgb, world.walls, canvas)
+
+
+def shading(z: Array, pixel: float) -> Array:
+    """Return (rows, cols) brightness in [0, 1] of heights in metres, row 0 = north; level: 0.7."""
+    height = np.where(np.isnan(z), np.nanmin(z) if np.isfinite(z).any() else 0.0, z)
+    if min(height.shape) < 2:
+        return np.full(height.shape, math.sin(ALTITUDE))
+    north, east = np.gradient(height, -pixel, pixel)
+    typical = float(np.median(np.hypot(north, east)))
+    exaggeration = float(np.clip(0.25 / typical, 1.0, 6.0)) if typical > 1e-4 else 1.0
+    east, north = east * exaggeration, north * exaggeration
+    light = (
+        math.sin(AZIMUTH) * math.cos(ALTITUDE),
+        math.cos(AZIMUTH) * math.cos(ALTITUDE),
+        math.sin(ALTITUDE),
+    )
+    lambert = (light[2] - east * light[0] - north * light[1]) / np.sqrt(1 + east**2 + north**2)
+    brightness: Array = np.clip(lambert, 0.0, 1.0)
+    return brightness
+
+
+def _with_walls(rgb: Rgb, walls: WallGrid | None, canvas: Canvas) -> Rgb:
+    if walls is not None:
+        rgb[canvas.walls(walls)] = WALL
+    return rgb

@@ -1,0 +1,73 @@
+"""The figures of a mapped log in words, for the terminal and for the picture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from lirs_validation.record.map_record import MapRecord
+
+MANY = 8
+"""Reasons for skipping that are told one by one."""
+
+
+def map_lines(record: MapRecord) -> list[tuple[str, str]]:
+    """Return names and values of the figures that exist, the status first."""
+    log, grid, mapper, cost = record.log, record.map, record.mapper, record.cost
+    width, depth = grid["size"]
+    way = log["odometry_length"]
+    lines = [
+        ("status", record.status),
+        ("scans", f"{log['scans']} of {log['beams']} beams ({log['laser']})"),
+        ("time", f"{log['seconds']:.0f} s"),
+        ("way by odometry", "no odometry" if way is None else f"{way:.0f} m"),
+        ("map", f"{width:.1f} x {depth:.1f} m, {grid['resolution']:g} m a cell"),
+        ("known", f"{grid['known_area']:.0f} m2"),
+        ("scans received, used", f"{mapper['received']}, {mapper['used']}"),
+        ("scans while lost", f"{mapper['lost']}"),
+        (
+            "ms a scan (p50, p95, max)",
+            ", ".join(f"{mapper[f'ms_{p}']:.2f}" for p in ("p50", "p95", "max")),
+        ),
+        ("mapping took", f"{cost['map_seconds']:.1f} s"),
+        ("memory of the maps", f"{mapper['memory'] / 1e6:.0f} MB"),
+    ]
+    return lines + _accuracy_lines(record)
+
+
+def repair_lines(record: MapRecord) -> list[tuple[str, str]]:
+    """Return what of the log was left out or put right, and how often; nothing where it was sound."""
+    log = record.log
+    lines = [("skipped", f"{count} x {why}") for why, count in _most(log["skipped"])]
+    if log["late"]:
+        lines.append(("sorted in", f"{log['late']} lines with an earlier stamp than one before"))
+    lines += [("put right", f"{count} x {what}") for what, count in _most(log["repaired"])]
+    for name, figures in record.accuracy.items():
+        if figures is not None and figures["outside"]:
+            lines.append((f"outside the log, {name}", f"{figures['outside']}"))
+    return lines
+
+
+def _accuracy_lines(record: MapRecord) -> list[tuple[str, str]]:
+    lines = []
+    relations, reference = record.accuracy["relations"], record.accuracy["reference"]
+    if relations is not None and relations["used"]:
+        shift = f"{relations['translation_mean']:.3f} +- {relations['translation_std']:.3f} m"
+        turn = f"{relations['rotation_mean_deg']:.2f} +- {relations['rotation_std_deg']:.2f} deg"
+        lines += [(f"{relations['used']} relations", shift), ("", turn)]
+    if reference is not None and reference["used"]:
+        lines.append((f"ATE over {reference['used']} poses", f"{reference['ate_rmse']:.3f} m"))
+    lines += [
+        (name, "nothing within the log's time")
+        for name, figures in record.accuracy.items()
+        if figures is not None and not figures["used"]
+    ]
+    return lines
+
+
+def _most(counts: Mapping[str, int]) -> list[tuple[str, int]]:
+    """Return the commonest reasons, and the rest in one."""
+    ordered = sorted(counts.items(), key=lambda item: -item[1])
+    if len(ordered) <= MANY:
+        return ordered
+    rest = ordered[MANY:]
+    return [*ordered[:MANY], (f"{len(rest)} other reasons", sum(count for _, count in rest))]

@@ -1,0 +1,164 @@
+"""The picture of a mapped log: the map with the path in it, what is known of the errors, figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from lirs_validation.drawing.canvas import Canvas, bounds_of
+from lirs_validation.drawing.map_figures import map_lines
+from lirs_validation.drawing.style import (
+    BLACK,
+    BLUE,
+    GRAY,
+    GREEN,
+    TEXT,
+    TITLE,
+    VERMILLION,
+    legend,
+    map_axes,
+    new_figure,
+    plain_axes,
+    title,
+)
+from lirs_validation.logs.accuracy import Accuracy
+from lirs_validation.record.map_record import MapRecord
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.trajectory import Trajectory
+
+MARGIN = 1.0
+"""Metres shown around what the map knows."""
+WIDTH = 6.4
+"""Of the map, inches."""
+LEAST_PLOTS = 2
+"""Plots for which room is left under the figures."""
+
+Array = NDArray[np.float64]
+
+
+def map_overview(
+    record: MapRecord,
+    grid: OccupancyGrid,
+    estimate: Trajectory,
+    reference: Trajectory | None,
+    accuracy: Accuracy,
+) -> Figure:
+    """Draw a mapped log on one page.
+
+    Args:
+        record: its figures.
+        grid: the map.
+        estimate: pose of every scan in the map.
+        reference: in its own frame.
+        accuracy: errors pose by pose; what was not asked for is not drawn.
+    """
+    canvas = Canvas.over(_shown(grid, estimate))
+    rows, cols = canvas.shape
+    plots = _plots(record, accuracy)
+    tall = max(WIDTH * min(max(rows / cols, 0.4), 1.6), 3.6)
+    figure = new_figure(WIDTH + 4.4, tall + 1.0)
+    c = record.config
+    figure.suptitle(
+        f"{Path(c.log).name}: mapped by {c.mapper}, seed {c.seed}",
+        fontsize=TITLE + 1.5, x=0.012, ha="left", color=BLACK,
+    )  # fmt: skip
+    halves = figure.add_gridspec(1, 2, width_ratios=(WIDTH, 4.0))
+    _map(figure.add_subplot(halves[0]), canvas, grid, estimate, _moved(reference, accuracy))
+    rows = max(len(plots), LEAST_PLOTS)
+    cells = halves[1].subgridspec(1 + rows, 1, height_ratios=(1.5, *[1.0] * rows))
+    _figures(figure.add_subplot(cells[0]), record)
+    for k, (name, unit, stamps, errors) in enumerate(plots, start=1):
+        _errors(figure.add_subplot(cells[k]), name, unit, stamps - estimate.stamps[0], errors)
+    return figure
+
+
+def _shown(grid: OccupancyGrid, estimate: Trajectory) -> tuple[float, float, float, float]:
+    """Return west, south, east, north of the path and of what the map knows, metres."""
+    boxes = [(*estimate.xy.min(axis=0).tolist(), *estimate.xy.max(axis=0).tolist())]
+    known = bounds_of(grid)
+    if known is not None:
+        boxes.append(known)
+    box = np.array(boxes)
+    west, south = (box[:, :2].min(axis=0) - MARGIN).tolist()
+    east, north = (box[:, 2:].max(axis=0) + MARGIN).tolist()
+    return west, south, east, north
+
+
+def _plots(record: MapRecord, accuracy: Accuracy) -> list[tuple[str, str, Array, Array]]:
+    """Return name, unit, stamps and errors of each plot that there is something for."""
+    plots = []
+    relations, reference = accuracy.relations, accuracy.reference
+    if reference is not None and len(reference.stamps):
+        ate = record.accuracy["reference"]["ate_rmse"]
+        plots.append((f"Against the reference (RMSE {ate:.3f} m)", "m", reference.stamps, reference.position))
+    if relations is not None and len(relations.stamps):
+        told = record.accuracy["relations"]
+        mean, turn = told["translation_mean"], told["rotation_mean_deg"]
+        plots.append((f"Of relations (mean {mean:.3f} m)", "m", relations.stamps, relations.translation))
+        plots.append(
+            (
+                f"... and their turn (mean {turn:.2f} deg)",
+                "deg",
+                relations.stamps,
+                np.degrees(relations.rotation),
+            )
+        )
+    return plots
+
+
+def _moved(reference: Trajectory | None, accuracy: Accuracy) -> Trajectory | None:
+    """Return the reference in the map frame, if the two could be compared."""
+    if reference is None or accuracy.reference is None or not len(accuracy.reference.stamps):
+        return None
+    return reference.moved(accuracy.reference.T_map_reference)
+
+
+def _map(
+    axes: Axes, canvas: Canvas, grid: OccupancyGrid, estimate: Trajectory, reference: Trajectory | None
+) -> None:
+    map_axes(axes, canvas, canvas.grid_picture(grid))
+    axes.set_anchor("N")
+    handles = []
+    if reference is not None:
+        axes.plot(*reference.xy.T, color=BLUE, linewidth=2.0, alpha=0.6, zorder=3)
+        handles.append(Line2D([], [], color=BLUE, linewidth=2.0, alpha=0.6, label="reference"))
+    axes.plot(*estimate.xy.T, color=VERMILLION, linewidth=0.8, zorder=4)
+    axes.plot(*estimate.xy[0], "o", color="white", markeredgecolor=BLACK, markersize=5, zorder=5)
+    axes.plot(*estimate.xy[-1], "s", color="white", markeredgecolor=BLACK, markersize=4.5, zorder=5)
+    handles.append(Line2D([], [], color=VERMILLION, linewidth=0.8, label="path"))
+    for shape, label in (("o", "start"), ("s", "end")):
+        handles.append(
+            Line2D([], [], color="white", marker=shape, markeredgecolor=BLACK, markersize=5, linestyle="",
+                   label=label)
+        )  # fmt: skip
+    title(axes, "Map and path")
+    legend(axes, handles)
+
+
+def _figures(axes: Axes, record: MapRecord) -> None:
+    """Write the figures, name to the left and value to the right."""
+    axes.set_axis_off()
+    axes.set_xlim(0, 1)
+    axes.set_ylim(0, 1)
+    lines = map_lines(record)
+    step = 1.0 / max(len(lines), 10)
+    for k, (name, value) in enumerate(lines):
+        y = 1.0 - (k + 0.5) * step
+        axes.text(0.0, y, name, fontsize=TEXT, color=GRAY, va="center")
+        axes.text(1.0, y, value, fontsize=TEXT, color=BLACK, va="center", ha="right")
+    title(axes, "Figures")
+
+
+def _errors(axes: Axes, name: str, unit: str, seconds: Array, errors: Array) -> None:
+    """Draw errors over time, each a dot, with their mean."""
+    axes.plot(seconds, errors, ".", color=BLACK, markersize=1.6, rasterized=True)
+    axes.axhline(float(errors.mean()), color=GREEN, linewidth=1.2)
+    plain_axes(axes, "time [s]", f"error [{unit}]")
+    axes.set_ylim(0.0, max(1e-6, 1.05 * float(np.percentile(errors, 99.5))))
+    axes.grid(axis="y", color=GRAY, alpha=0.2, linewidth=0.6)
+    title(axes, name)

@@ -1,0 +1,179 @@
+"""The picture of a run: terrain with both paths, speed and figures, true-pose map, built map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from lirs_validation.drawing.canvas import Canvas, bounds_of
+from lirs_validation.drawing.hillshade import coloured_relief
+from lirs_validation.drawing.style import (
+    BLACK,
+    BLUE,
+    GRAY,
+    GREEN,
+    TEXT,
+    TITLE,
+    VERMILLION,
+    legend,
+    map_axes,
+    new_figure,
+    plain_axes,
+    title,
+)
+from lirs_validation.metrics.agreement import contradicted
+from lirs_validation.record.formatting import key_figures
+from lirs_validation.record.run_record import SOUND, RunRecord
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.world import World
+
+MARGIN = 1.0
+"""Metres shown around what the maps know."""
+
+
+def overview_figure(
+    world: World,
+    record: RunRecord,
+    truth: Trajectory,
+    estimate: Trajectory,
+    true_pose: OccupancyGrid,
+    built: OccupancyGrid,
+) -> Figure:
+    """Draw a run on one page.
+
+    Args:
+        world: where it took place.
+        record: its figures.
+        truth: true poses, world frame.
+        estimate: estimated poses, world frame (moved by the true start pose).
+        true_pose: map made with the true poses, world frame.
+        built: the mapper's map, world frame (moved by the true start pose).
+    """
+    canvas = Canvas.over(shown_bounds(world, truth, true_pose))
+    rows, cols = canvas.shape
+    width = 4.9
+    tall = width * min(max(rows / cols, 0.35), 1.5)
+    upper = max(tall, 4.2)
+    figure = new_figure(2 * width + 0.6, 1.2 + upper + tall)
+    grid = figure.add_gridspec(2, 2, height_ratios=(upper, tall))
+    figure.suptitle(_headline(record), fontsize=TITLE + 1.5, x=0.012, ha="left", color=BLACK)
+    _terrain(figure.add_subplot(grid[0, 0]), world, canvas, truth, estimate)
+    speed = grid[0, 1].subgridspec(2, 1, height_ratios=(1.0, 1.05))
+    _rtf(figure.add_subplot(speed[0]), record.rtf)
+    _figures(figure.add_subplot(speed[1]), record)
+    _reference(figure.add_subplot(grid[1, 0]), canvas, true_pose)
+    _built(figure.add_subplot(grid[1, 1]), canvas, built, true_pose)
+    return figure
+
+
+def shown_bounds(
+    world: World, truth: Trajectory, true_pose: OccupancyGrid
+) -> tuple[float, float, float, float]:
+    """Return west, south, east, north of what is worth showing: what was seen, within the world, metres."""
+    seen = np.array(bounds_shown(truth, true_pose))
+    low = np.maximum(seen[:2], world.surface.bounds[:2])
+    high = np.minimum(seen[2:], world.surface.bounds[2:])
+    middle, half = (low + high) / 2, np.maximum((high - low) / 2, MARGIN)
+    west, south = (middle - half).tolist()
+    east, north = (middle + half).tolist()
+    return west, south, east, north
+
+
+def bounds_shown(truth: Trajectory, true_pose: OccupancyGrid) -> tuple[float, float, float, float]:
+    """Return west, south, east, north of path and map with a margin, metres."""
+    boxes = [(*truth.xy.min(axis=0).tolist(), *truth.xy.max(axis=0).tolist())]
+    known = bounds_of(true_pose)
+    if known is not None:
+        boxes.append(known)
+    seen = np.array(boxes)
+    west, south = (seen[:, :2].min(axis=0) - MARGIN).tolist()
+    east, north = (seen[:, 2:].max(axis=0) + MARGIN).tolist()
+    return west, south, east, north
+
+
+def _headline(record: RunRecord) -> str:
+    c = record.config
+    text = f"{record.world['name']}: {c.robot} maps with {c.mapper}, seed {c.seed}"
+    if record.status == "ok":
+        return text
+    return f"{text} ({'' if record.status in SOUND else 'failed: '}{record.reason or record.status})"
+
+
+def _terrain(axes: Axes, world: World, canvas: Canvas, truth: Trajectory, estimate: Trajectory) -> None:
+    map_axes(axes, canvas, coloured_relief(world, canvas))
+    axes.set_anchor("N")
+    axes.plot(*truth.xy.T, color=BLUE, linewidth=2.6, solid_capstyle="round", zorder=4)
+    axes.plot(*estimate.xy.T, color=VERMILLION, linewidth=1.1, zorder=5)
+    axes.plot(*truth.xy[0], "o", color="white", markeredgecolor=BLACK, markersize=6, zorder=6)
+    axes.plot(*truth.xy[-1], "s", color="white", markeredgecolor=BLACK, markersize=5.5, zorder=6)
+    title(axes, "Terrain and paths" if world.walls is None else "Input map and paths")
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], color=BLUE, linewidth=2.6, label="true"),
+        Line2D([], [], color=VERMILLION, linewidth=1.1, label="estimated"),
+        _marker("o", "start"),
+        _marker("s", "end"),
+    ]
+    legend(axes, handles)
+
+
+def _marker(shape: str, label: str) -> Line2D:
+    return Line2D(
+        [], [], color="white", marker=shape, markeredgecolor=BLACK, markersize=5, linestyle="", label=label
+    )
+
+
+def _reference(axes: Axes, canvas: Canvas, true_pose: OccupancyGrid) -> None:
+    map_axes(axes, canvas, canvas.grid_picture(true_pose))
+    title(axes, "Map at the true poses")
+
+
+def _built(axes: Axes, canvas: Canvas, built: OccupancyGrid, true_pose: OccupancyGrid) -> None:
+    """Show the built map; what the true-pose map contradicts by more than 0.10 m stands out."""
+    picture = canvas.grid_picture(built)
+    wrong = contradicted(built, true_pose)
+    picture[canvas.marked(wrong, built.resolution, built.origin)] = _rgb(VERMILLION)
+    map_axes(axes, canvas, picture)
+    title(axes, "Built map")
+    handles = [Patch(color="black", label="occupied"), Patch(color=VERMILLION, label="> 0.10 m off")]
+    legend(axes, handles)
+
+
+def _rgb(colour: str) -> tuple[float, ...]:
+    return tuple(int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5))
+
+
+def _rtf(axes: Axes, rtf: Mapping[str, Any]) -> None:
+    """Draw simulated seconds per wall second over time, with mean and standard deviation."""
+    series = np.asarray(rtf["series"], dtype=np.float64)
+    seconds = np.arange(1, len(series) + 1)
+    mean, std = float(rtf["mean"]), float(rtf["std"])
+    axes.axhspan(mean - std, mean + std, color=GREEN, alpha=0.13, linewidth=0)
+    axes.axhline(mean, color=GREEN, linewidth=1.2)
+    axes.plot(seconds, series, color=BLACK, linewidth=0.9, marker="." if len(series) < 4 else "")
+    plain_axes(axes, "simulated time [s]", "real-time factor")
+    axes.set_ylim(0.0, max(1.0, 1.15 * float(series.max(initial=mean))))
+    axes.set_xlim(0.0, max(1.0, float(len(series))))
+    axes.grid(axis="y", color=GRAY, alpha=0.2, linewidth=0.6)
+    title(axes, "Real-time factor")
+    legend(axes, [Line2D([], [], color=GREEN, linewidth=1.2, label=f"mean {mean:.1f}, std {std:.1f}")])
+
+
+def _figures(axes: Axes, record: RunRecord) -> None:
+    """Write the key figures, name to the left and value to the right."""
+    axes.set_axis_off()
+    axes.set_xlim(0, 1)
+    axes.set_ylim(0, 1)
+    lines = key_figures(record)
+    step = 1.0 / max(len(lines), 10)
+    for k, (name, value) in enumerate(lines):
+        y = 0.94 - k * step
+        axes.text(0.0, y, name, fontsize=TEXT, color=BLACK, va="center")
+        axes.text(1.0, y, value, fontsize=TEXT, color=BLACK, va="center", ha="right")
+        axes.plot((0.0, 1.0), (y - step / 2,) * 2, color=GRAY, linewidth=0.4, alpha=0.5)

@@ -1,0 +1,72 @@
+"""One look for all pictures: fonts, colours that colour-blind readers tell apart, axes in metres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from lirs_validation.drawing.canvas import Canvas, Rgb
+
+DPI = 150
+TITLE, TEXT, SMALL = 10.5, 9.0, 8.0
+"""Font sizes, points."""
+
+BLUE, VERMILLION, GREEN, BLACK, GRAY = "#0072B2", "#D55E00", "#009E73", "#1a1a1a", "#6b6b6b"
+"""Okabe and Ito's colours: told apart with every kind of colour blindness, and in gray."""
+
+
+def title(axes: Axes, text: str) -> None:
+    """Set a panel's title, left-aligned as in a paper."""
+    axes.set_title(text, fontsize=TITLE, loc="left", color=BLACK, pad=5)
+
+
+def plain_axes(axes: Axes, x: str, y: str) -> None:
+    """Label axes, make ticks small, take away the frame's upper and right side."""
+    axes.set_xlabel(x, fontsize=TEXT, color=BLACK)
+    axes.set_ylabel(y, fontsize=TEXT, color=BLACK)
+    axes.tick_params(labelsize=SMALL, length=3, width=0.6, colors=BLACK)
+    for side, spine in axes.spines.items():
+        spine.set_linewidth(0.6)
+        spine.set_visible(side in ("left", "bottom"))
+
+
+def map_axes(axes: Axes, canvas: Canvas, picture: Rgb) -> None:
+    """Show a picture in metres, both axes alike."""
+    axes.imshow(picture, extent=canvas.extent, interpolation="antialiased", zorder=0)
+    plain_axes(axes, "x [m]", "y [m]")
+    for spine in axes.spines.values():
+        spine.set_visible(True)
+        spine.set_color(GRAY)
+    axes.set_aspect("equal")
+    axes.set_xlim(canvas.bounds[0], canvas.bounds[2])
+    axes.set_ylim(canvas.bounds[1], canvas.bounds[3])
+    axes.locator_params(nbins=7)
+
+
+def legend(axes: Axes, handles: Sequence[Any]) -> None:
+    """Put a small legend above a panel's right end, where it hides nothing."""
+    axes.legend(
+        handles=handles,
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=len(handles),
+        fontsize=SMALL,
+        frameon=False,
+        borderpad=0.1,
+        borderaxespad=0.15,
+        handlelength=1.6,
+        handletextpad=0.4,
+        columnspacing=1.0,
+    )
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return a white figure in inches that lays its panels out by itself."""
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained", facecolor="white")
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.set(w_pad=0.06, h_pad=0.06, wspace=0.02, hspace=0.02)  # type: ignore[call-arg]
+    return figure

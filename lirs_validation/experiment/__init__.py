@@ -1,0 +1,1 @@
+"""One validation run: scenario, loop, evaluation, results."""

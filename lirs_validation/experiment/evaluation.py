@@ -1,0 +1,108 @@
+"""From the log of a drive to the figures of the record."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from lirs_envs.simulation import Simulation
+from lirs_validation.experiment.loop import DriveLog, per_second
+from lirs_validation.experiment.mapper_checks import final_map
+from lirs_validation.experiment.scenario import Stage
+from lirs_validation.metrics import map_scores, trajectory_errors
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.world import World
+from slam_baselines.mapper import Mapper
+from slam_baselines.mapping.known_pose import KnownPoseMapper
+
+
+@dataclass(frozen=True)
+class Maps:
+    """The two maps of a run, both in the world frame, and what comparing them gave."""
+
+    built: OccupancyGrid
+    true_pose: OccupancyGrid
+    scores: dict[str, Any]
+
+
+def judge_maps(world: World, log: DriveLog, mapper: Mapper) -> Maps:
+    """Compare the mapper's map with the one that the true poses give; move it by the true start only."""
+    T_world_map = log.truth[0].to_pose2()
+    built = final_map(mapper)
+    reference = KnownPoseMapper(resolution=built.resolution)
+    for observation, T_world_base in zip(log.observations, log.truth, strict=True):
+        T_map_base = T_world_map.inverse() @ T_world_base.to_pose2()
+        reference.update(observation.scan, T_map_base, observation.imu)
+    built, true_pose = built.moved(T_world_map), reference.map().moved(T_world_map)
+    scores = map_scores(built, true_pose, surface=world.surface, walls=world.walls, truth=world.truth)
+    return Maps(built, true_pose, asdict(scores))
+
+
+def judge_trajectory(log: DriveLog) -> dict[str, Any]:
+    """Compare the estimate, and the odometry beside it, with the truth."""
+    truth, estimate, odometry = log.trajectories()
+    if len(truth) < 2:
+        return {"length": 0.0, "poses": len(truth)}
+    figures = asdict(trajectory_errors(truth, estimate))
+    online = log.online().moved(log.truth[0].to_pose2())
+    return figures | {
+        "ate_rmse_online": trajectory_errors(truth, online).ate_rmse,
+        "odometry_ate_rmse": trajectory_errors(truth, odometry).ate_rmse,
+    }
+
+
+def judge_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
+    """Return the real-time factor, its spread over simulated seconds and its parts."""
+    period = simulation.period
+    walls = per_second(log.walls, period)
+    parts = {
+        "physics": sum(simulation.timing.physics) / (len(log.walls) * period),
+        "sensors": sum(simulation.timing.sensors) / (len(log.walls) * period),
+        "mapper": sum(log.mapper_seconds) / (len(log.walls) * period),
+    }
+    total = sum(log.walls) / (len(log.walls) * period)
+    series = 1.0 / walls
+    return {
+        "mean": 1.0 / total,
+        "std": float(np.std(series)),
+        "min": float(series.min()),
+        "parts": parts | {"rest": total - sum(parts.values())},
+        "physics_only": simulation.replay_rtf(),
+        "simulated_seconds": len(log.walls) * period,
+        "wall_seconds": sum(log.walls),
+        "concurrent": log.concurrent,
+        "extrapolated": log.status == "wall limit",
+        "series": series.tolist(),
+    }
+
+
+def judge_contact(simulation: Simulation) -> dict[str, Any]:
+    """Return what is touched, and by how much it differs from the surface or of how many parts it is."""
+    terrain = {"terrain": simulation.terrain}
+    if simulation.terrain in ("hfield", "mesh"):
+        return terrain | asdict(simulation.contact)
+    model = simulation.body.model
+    return terrain | {"parts": sum(model.geom(g).name.startswith("ground") for g in range(model.ngeom))}
+
+
+def judge_collisions(simulation: Simulation) -> dict[str, Any]:
+    """Return contact figures of the whole run."""
+    return asdict(simulation.collisions)
+
+
+def judge_world(stage: Stage, simulation: Simulation) -> dict[str, Any]:
+    """Describe the world and what is touched of it."""
+    world, surface = stage.world, stage.world.surface
+    return {
+        "name": world.name,
+        "kind": world.kind,
+        "scale": world.scale,
+        "size": surface.size,
+        "bounds": surface.bounds,
+        "relief": surface.relief,
+        "nodes": surface.shape,
+        "window": stage.window,
+        "contact": judge_contact(simulation),
+    }

@@ -1,0 +1,173 @@
+"""The online loop: driver, simulation and mapper, one LRF period at a time, on the clock."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lirs_envs.simulation import Observation, Simulation
+from lirs_validation.driving.drivers import CoverageDriver
+from lirs_validation.experiment.mapper_checks import check_pose
+from lirs_validation.record.run_record import Status
+from lirs_wct.errors import SimulationError
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.mapper import Mapper
+
+LOST_SECONDS = 5.0
+"""A mapper that does not know its place for so long has lost it."""
+
+Progress = Callable[[float], None]
+"""Called with the simulated seconds so far, about once a simulated second."""
+
+
+@dataclass
+class DriveLog:
+    """Everything that a run leaves behind; grows by one entry a scan.
+
+    Attributes:
+        observations: what the mapper was fed.
+        truth: `T_world_base`, from the simulator.
+        estimates: `T_map_base`, the mapper's online answers.
+        final: the mapper's trajectory in the map frame after the drive; None while it lasts.
+        walls: wall-clock seconds of each tick.
+        mapper_seconds: of these, spent in the mapper.
+        status: how it ended, `reason` in words.
+        concurrent: whether something else of ours ran at the same time.
+    """
+
+    observations: list[Observation] = field(default_factory=list)
+    truth: list[Pose3] = field(default_factory=list)
+    estimates: list[Pose2] = field(default_factory=list)
+    final: Trajectory | None = None
+    walls: list[float] = field(default_factory=list)
+    mapper_seconds: list[float] = field(default_factory=list)
+    status: Status = "ok"
+    reason: str = ""
+    concurrent: bool = False
+
+    @property
+    def stamps(self) -> list[float]:
+        """Seconds since the start, one a scan."""
+        return [o.scan.stamp for o in self.observations]
+
+    def online(self) -> Trajectory:
+        """Return the mapper's answers as it gave them, in the map frame."""
+        return Trajectory.from_poses(self.stamps, self.estimates)
+
+    def scans_dropped(self, driven: float, period: float) -> int:
+        """Return how many of the scans due in a time, one at its start, the mapper was not given."""
+        due = round(driven / period) + 1 - (self.status == "diverged")
+        return due - len(self.estimates)
+
+    def trajectories(self) -> tuple[Trajectory, Trajectory, Trajectory]:
+        """Return truth, final estimate and odometry, all in the world frame.
+
+        The final estimate is the mapper's own, with all that it learnt later; see `online`.
+        """
+        T_world_map = self.truth[0].to_pose2()
+        T_odom_base = self.observations[0].odometry
+        T_world_odom = T_world_map @ T_odom_base.inverse()
+        odometry = [o.odometry for o in self.observations]
+        return (
+            Trajectory.from_poses(self.stamps, self.truth),
+            (self.online() if self.final is None else self.final).moved(T_world_map),
+            Trajectory.from_poses(self.stamps, odometry).moved(T_world_odom),
+        )
+
+
+def drive(
+    simulation: Simulation,
+    driver: CoverageDriver,
+    mapper: Mapper,
+    seconds: float,
+    progress: Progress | None = None,
+    *,
+    wall_limit: float | None = None,
+) -> DriveLog:
+    """Drive for a time, or until something fails or the wall limit is over; the log says which.
+
+    Raises:
+        MapperError: the mapper answered with something other than a finite pose.
+    """
+    log = DriveLog()
+    _map(log, simulation.reset(driver.start), simulation, mapper, time.perf_counter())
+    # The first scan comes before anything moves: no simulated time passes, so none is counted.
+    log.walls.clear()
+    log.mapper_seconds.clear()
+    period = simulation.period
+    next_report = 1.0
+    lost_since: float | None = None
+    spent = 0.0
+    for tick in range(max(1, math.ceil(seconds / period - 1e-9))):
+        begun = time.perf_counter()
+        try:
+            observation = simulation.advance(
+                driver.command(simulation.T_world_base.to_pose2(), tick * period)
+            )
+        except SimulationError as error:
+            return _ended(log, "diverged", str(error))
+        _map(log, observation, simulation, mapper, begun)
+        lost_since = (lost_since or simulation.time) if mapper.lost else None
+        failure = _failure(simulation, driver, lost_since)
+        if failure is not None:
+            return _ended(log, *failure)
+        spent += log.walls[-1]
+        if wall_limit is not None and spent >= wall_limit and (tick + 1) * period < seconds:
+            return _ended(log, "wall limit", _over(spent, simulation.time, seconds))
+        if progress is not None and (tick + 1) * period >= next_report:
+            progress((tick + 1) * period)
+            next_report += 1.0
+    return log
+
+
+def _map(
+    log: DriveLog, observation: Observation, simulation: Simulation, mapper: Mapper, begun: float
+) -> None:
+    """Feed the mapper, and nothing but sensors; then note what happened and how long it took."""
+    handed = time.perf_counter()
+    estimate = mapper.update(observation.scan, observation.odometry, observation.imu)
+    done = time.perf_counter()
+    check_pose(estimate, observation.scan.stamp)
+    log.observations.append(observation)
+    log.truth.append(simulation.T_world_base)
+    log.estimates.append(estimate)
+    log.mapper_seconds.append(done - handed)
+    log.walls.append(time.perf_counter() - begun)
+
+
+def _failure(
+    simulation: Simulation, driver: CoverageDriver, lost_since: float | None
+) -> tuple[Status, str] | None:
+    if simulation.tipped:
+        return "tipped", f"the robot tipped over at {simulation.time:.1f} s"
+    if simulation.off_world:
+        return "off world", f"the robot left the world at {simulation.time:.1f} s"
+    if driver.stuck:
+        return "stuck", f"the robot made no progress and gave up at {simulation.time:.1f} s"
+    if lost_since is not None and simulation.time - lost_since >= LOST_SECONDS:
+        return "lost", f"the mapper lost its place at {lost_since:.1f} s"
+    return None
+
+
+def _over(spent: float, driven: float, seconds: float) -> str:
+    return (
+        f"stopped at the wall limit, after {spent:.1f} s for {driven:.1f} of {seconds:g} simulated seconds; "
+        "its real-time factor is extrapolated from these"
+    )
+
+
+def _ended(log: DriveLog, status: Status, reason: str) -> DriveLog:
+    log.status, log.reason = status, reason
+    return log
+
+
+def per_second(values: list[float], period: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Return (n,) sums of per-tick values over each whole simulated second (a rest counts by its share)."""
+    ticks = max(1, round(1.0 / period))
+    whole = [values[i : i + ticks] for i in range(0, len(values), ticks)]
+    return np.array([sum(part) / (len(part) * period) for part in whole if part], dtype=np.float64)

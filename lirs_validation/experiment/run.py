@@ -1,0 +1,179 @@
+"""One validation run, as in the paper's experiment: build the world, drive, map, judge, write."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from lirs_envs.lidar.casters import Rays
+from lirs_envs.robots.catalog import make_robot
+from lirs_envs.simulation import Simulation
+from lirs_validation.driving.drivers import CoverageDriver
+from lirs_validation.driving.tour import plan
+from lirs_validation.experiment.cost import CostMeter
+from lirs_validation.experiment.cpu_contention import company
+from lirs_validation.experiment.evaluation import (
+    Maps,
+    judge_collisions,
+    judge_maps,
+    judge_rtf,
+    judge_trajectory,
+    judge_world,
+)
+from lirs_validation.experiment.loop import DriveLog, drive
+from lirs_validation.experiment.mapper_checks import final_stats, final_trajectory
+from lirs_validation.experiment.mapper_loading import mapper_named
+from lirs_validation.experiment.results import write_results
+from lirs_validation.experiment.scenario import Stage, StageCache
+from lirs_validation.experiment.warm_up import warm_up
+from lirs_validation.record.run_record import RunConfig, RunRecord
+from lirs_wct.contact.contact_parts import Terrain
+from lirs_wct.errors import SimulationError
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.world import World
+from slam_baselines.mapper import Mapper
+
+Report = Callable[[str, float], None]
+"""Called with what is going on and the share that is done, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run leaves behind: the record, the log of the drive, the maps, the world."""
+
+    record: RunRecord
+    log: DriveLog
+    maps: Maps
+    world: World
+    folder: Path | None
+
+
+def validate(
+    source: str | Path,
+    *,
+    robot: str = "husky",
+    mapper: str = "hector",
+    lidar: str | None = None,
+    terrain: Terrain = "hfield",
+    rays: Rays = "ours",
+    seconds: float = 120.0,
+    seed: int = 1,
+    wall_limit: float | None = None,
+    options: BuildOptions | None = None,
+    out: str | Path | None = None,
+    report: Report | None = None,
+) -> Run:
+    """Drive a robot through a source with a mapper running, and say how well and how fast that went.
+
+    Args:
+        source: a bundled world's name, a built folder, a picture or a map YAML.
+        robot: name of the robot.
+        mapper: name of the mapper, or `module:name` of your own.
+        lidar: name of an LRF preset; None = the robot's own.
+        terrain: what MuJoCo touches: `hfield`, `mesh`, `prisms` or `convex`.
+        rays: whose rays the LRF takes: `ours`, or `mujoco` for comparison.
+        seconds: simulated time to drive.
+        seed: of every random number in the run; same seed, same bytes.
+        wall_limit: wall seconds after which the drive is stopped; None = never.
+        options: how the source becomes a world.
+        out: folder that receives the run's folder; None = nothing is written.
+        report: called with the stage and the share done.
+
+    Raises:
+        WctError: the source, a name or an option cannot be used, or results cannot be written.
+    """
+    config = RunConfig(
+        source=str(source),
+        robot=robot,
+        mapper=mapper,
+        lidar=lidar,
+        terrain=terrain,
+        rays=rays,
+        seconds=seconds,
+        seed=seed,
+        wall_limit=wall_limit,
+        build=options or BuildOptions(),
+    )
+    return run(config, out=None if out is None else Path(out), report=report)
+
+
+def run(
+    config: RunConfig,
+    *,
+    out: Path | None = None,
+    report: Report | None = None,
+    stages: StageCache | None = None,
+    concurrent: bool = False,
+) -> Run:
+    """Run a config (see `validate`).
+
+    Args:
+        config: what to run.
+        out: folder that receives the run's folder; None = nothing is written.
+        report: called with the stage and the share done.
+        stages: worlds that were built before.
+        concurrent: whether other runs share the processor; found out beside that.
+    """
+    tell = report or (lambda stage, share: None)
+    robot, mapper = make_robot(config.robot), mapper_named(config.mapper, config.seed)
+    tell("build", 0.0)
+    stage = (stages or StageCache()).stage(config)
+    tell("plan", 0.0)
+    driver = plan(stage.world, robot, config)
+    tell("compile", 0.0)
+    compiled = {"compile_seconds": warm_up(stage, robot)}
+    simulation = stage.simulation(robot)
+    log, cost = _timed_drive(simulation, driver, mapper, config, tell)
+    if not log.walls:
+        raise SimulationError(f"{config.source}: nothing was driven: {log.reason}")
+    tell("judge", 1.0)
+    log.final = final_trajectory(mapper)
+    log.concurrent = log.concurrent or concurrent
+    maps = judge_maps(stage.world, log, mapper)
+    record = judge(stage, simulation, mapper, log, maps, cost | compiled)
+    folder = None if out is None else write_results(out / record.name, record, log, maps, stage.world)
+    return Run(record, log, maps, stage.world, folder)
+
+
+def _timed_drive(
+    simulation: Simulation, driver: CoverageDriver, mapper: Mapper, config: RunConfig, tell: Report
+) -> tuple[DriveLog, dict[str, Any]]:
+    """Drive; return the log and what the drive cost."""
+    with company() as others:
+        meter = CostMeter()
+        log = drive(
+            simulation,
+            driver,
+            mapper,
+            config.seconds,
+            lambda done: tell("drive", done / config.seconds),
+            wall_limit=config.wall_limit,
+        )
+        cost = {"cpu_seconds": meter.cpu_seconds(), "peak_memory": meter.peak_memory()}
+    log.concurrent = others.found
+    return log, cost | {"scans_dropped": log.scans_dropped(simulation.time, simulation.period)}
+
+
+def judge(
+    stage: Stage,
+    simulation: Simulation,
+    mapper: Mapper,
+    log: DriveLog,
+    maps: Maps,
+    cost: dict[str, Any],
+) -> RunRecord:
+    """Turn a finished drive into a record."""
+    return RunRecord(
+        config=stage.config,
+        world=judge_world(stage, simulation),
+        status=log.status,
+        reason=log.reason,
+        rtf=judge_rtf(log, simulation) | {"compile_seconds": cost["compile_seconds"]},
+        trajectory=judge_trajectory(log),
+        map=maps.scores,
+        collisions=judge_collisions(simulation),
+        mapper=asdict(final_stats(mapper)),
+        cost=cost,
+    )

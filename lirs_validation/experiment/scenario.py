@@ -1,0 +1,69 @@
+"""Where a run takes place: the config's world, built once for all runs in it."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+
+from lirs_envs.robots.catalog import Robot
+from lirs_envs.simulation import Simulation
+from lirs_validation.record.run_record import RunConfig
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.window import Window
+from lirs_wct.world import World, build_world
+
+LARGE = 200.0
+"""A terrain longer than this (metres) is validated on a window."""
+WINDOW = 50.0
+KEPT = 2
+"""Worlds that a cache holds at a time; memory stays flat over a long sweep."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A config and its world; `window` is the square that was cut out of a larger one, if any."""
+
+    config: RunConfig
+    world: World
+    window: Window | None
+
+    def simulation(self, robot: Robot) -> Simulation:
+        """Put the robot into the world."""
+        c = self.config
+        return Simulation(self.world, robot, lidar=c.lidar, seed=c.seed, terrain=c.terrain, rays=c.rays)
+
+
+def set_stage(config: RunConfig) -> Stage:
+    """Build the config's world; of a terrain larger than 200 m, its middle 50 m."""
+    world = build_world(config.source, config.build)
+    if (
+        max(world.surface.size) <= LARGE
+        or world.kind == "map"
+        or world.overhangs
+        or config.build.window is not None
+    ):
+        return Stage(config, world, config.build.window)
+    west, south, east, north = world.surface.bounds
+    window = ((west + east) / 2, (south + north) / 2, WINDOW)
+    return Stage(config, build_world(config.source, replace(config.build, window=window)), window)
+
+
+class StageCache:
+    """Gives configs their stages, and keeps the last worlds for the next configs in them."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[tuple[str, BuildOptions], Stage] = OrderedDict()
+
+    def stage(self, config: RunConfig) -> Stage:
+        """Return the config's stage (see `set_stage`)."""
+        key = (config.source, config.build)
+        if key not in self._kept:
+            self.put(set_stage(config))
+        self._kept.move_to_end(key)
+        return replace(self._kept[key], config=config)
+
+    def put(self, stage: Stage) -> None:
+        """Keep a stage that was built elsewhere."""
+        self._kept[(stage.config.source, stage.config.build)] = stage
+        while len(self._kept) > KEPT:
+            self._kept.popitem(last=False)

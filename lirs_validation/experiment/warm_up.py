@@ -1,0 +1,38 @@
+"""A short drive before the clock starts, so that what is timed is not the compiler."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+from lirs_envs.robots.catalog import Robot
+from lirs_validation.driving.tour import plan
+from lirs_validation.experiment.loop import drive
+from lirs_validation.experiment.mapper_loading import mapper_named, rehearse_named
+from lirs_validation.experiment.scenario import Stage
+
+WARM_UP = 2.0
+"""Simulated seconds of the drive."""
+BRIEF = 0.2
+"""The same where MuJoCo's rays meet its height field: there a scan alone may take seconds."""
+_WARM: set[tuple[str | None, ...]] = set()
+"""What this process has driven already."""
+
+
+def warm_up(stage: Stage, robot: Robot) -> float:
+    """Drive a throw-away simulation for a moment, so that every kernel is compiled; return the seconds.
+
+    What this process drove before is compiled: then it takes none.
+    """
+    c = stage.config
+    kind = (stage.world.kind, c.robot, c.lidar, c.terrain, c.rays, c.mapper)
+    if kind in _WARM:
+        return 0.0
+    begun = time.perf_counter()
+    rehearse_named(c.mapper)
+    slow = c.rays == "mujoco" and c.terrain == "hfield"
+    config = replace(c, seconds=BRIEF if slow else WARM_UP)
+    driver = plan(stage.world, robot, config)
+    drive(stage.simulation(robot), driver, mapper_named(c.mapper, c.seed), config.seconds)
+    _WARM.add(kind)
+    return time.perf_counter() - begun

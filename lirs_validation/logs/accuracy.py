@@ -1,0 +1,121 @@
+"""How right a mapped trajectory is: against relations, against a reference trajectory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_validation.metrics.association import associated
+from lirs_validation.metrics.planar import moved, planar, rigid_alignment, rms, wrapped
+from lirs_validation.metrics.relations import Relation, RelationErrors, relation_errors
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
+
+WITHIN = 0.5
+"""A reference pose is compared with the nearest scan, at most so many seconds away."""
+FEWEST = 2
+"""Poses that an alignment needs."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ReferenceErrors:
+    """Errors at the reference poses with a scan near by, after rigid alignment without scale.
+
+    Attributes:
+        stamps: (n,) seconds.
+        position: (n,) metres.
+        yaw: (n,) radians, not negative.
+        outside: reference poses without a scan near by.
+        T_map_reference: where the reference's frame lies in the map, so that the two can be drawn together.
+    """
+
+    stamps: Array
+    position: Array
+    yaw: Array
+    outside: int
+    T_map_reference: Pose2
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """What is known of a trajectory's errors; None where it was not asked for or nothing can be compared."""
+
+    relations: RelationErrors | None = None
+    reference: ReferenceErrors | None = None
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures of a record."""
+        return {
+            "relations": None if self.relations is None else _of_relations(self.relations),
+            "reference": None if self.reference is None else _of_reference(self.reference),
+        }
+
+
+def judge_trajectory(
+    estimate: Trajectory,
+    odometry: Trajectory,
+    relations: Sequence[Relation] | None,
+    reference: Trajectory | None,
+) -> Accuracy:
+    """Compare an estimate in the map frame with what is known.
+
+    Args:
+        estimate: of every scan.
+        odometry: raw, any frame; may be empty.
+        relations: true relations between poses.
+        reference: poses in any frame.
+    """
+    return Accuracy(
+        None if relations is None else relation_errors(estimate, relations, odometry),
+        None if reference is None else reference_errors(estimate, reference),
+    )
+
+
+def reference_errors(estimate: Trajectory, reference: Trajectory) -> ReferenceErrors:
+    """Compare each reference pose with the nearest scan's (ATE of Sturm et al. 2012, Eq. 4, in the plane)."""
+    i, j = associated(reference.stamps, estimate.stamps, max_gap=WITHIN)
+    outside = len(reference) - len(i)
+    if len(i) < FEWEST:
+        nothing = np.empty(0)
+        return ReferenceErrors(nothing, nothing, nothing, outside, Pose2())
+    true, found = planar(reference)[i], planar(estimate)[j]
+    T_reference_map = rigid_alignment(found[:, :2], true[:, :2])
+    aligned = moved(found, T_reference_map)
+    return ReferenceErrors(
+        reference.stamps[i],
+        np.linalg.norm(aligned[:, :2] - true[:, :2], axis=1),
+        np.abs(wrapped(aligned[:, 2] - true[:, 2])),
+        outside,
+        T_reference_map.inverse(),
+    )
+
+
+def _of_relations(errors: RelationErrors) -> dict[str, Any]:
+    turn = np.degrees(errors.rotation)
+    some = len(turn) > 0
+    return {
+        "translation_mean": float(errors.translation.mean()) if some else None,
+        "translation_std": float(errors.translation.std()) if some else None,
+        "rotation_mean_deg": float(turn.mean()) if some else None,
+        "rotation_std_deg": float(turn.std()) if some else None,
+        "used": len(turn),
+        "outside": errors.outside,
+    }
+
+
+def _of_reference(errors: ReferenceErrors) -> dict[str, Any]:
+    some = len(errors.position) > 0
+    return {
+        "ate_rmse": rms(errors.position) if some else None,
+        "ate_max": float(errors.position.max()) if some else None,
+        "yaw_rmse_deg": math.degrees(rms(errors.yaw)) if some else None,
+        "used": len(errors.position),
+        "outside": errors.outside,
+    }

@@ -1,0 +1,58 @@
+"""The mapper that a log is mapped with: made by its config, and its kernels compiled."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lirs_validation.experiment.mapper_loading import mapper_named
+from lirs_validation.record.map_record import MapConfig
+from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.formats.carmen.log import CarmenLog
+from slam_baselines.mapper import MAPPERS, Mapper, make_mapper
+from slam_baselines.warmup import rehearse
+
+RESOLUTION = {"hector": "map_resolution", "gmapping": "delta", "cartographer": "map_resolution"}
+"""What each mapper calls the edge of its map's cell."""
+REHEARSED = {"gmapping": {"particles": 4}}
+"""Kernels need no more particles than these to be compiled."""
+NEED_ODOMETRY = ("gmapping", "cartographer")
+"""Mappers to which the scans of a log alone, a few a second, do not tell how the robot moved."""
+
+
+def make_log_mapper(config: MapConfig) -> Mapper:
+    """Make the mapper; a parameter that it does not have is refused.
+
+    Raises:
+        ConfigError: there is no such mapper, or it has no such parameter.
+    """
+    given: dict[str, Any] = {}
+    if config.particles is not None:
+        given["particles"] = config.particles
+    if config.resolution is not None:
+        given[RESOLUTION.get(config.mapper, "resolution")] = config.resolution
+    if config.mapper in MAPPERS:
+        return make_mapper(config.mapper, seed=config.seed, **given)
+    if given:
+        raise ConfigError(f"{', '.join(given)} can be given for {', '.join(MAPPERS)} only")
+    return mapper_named(config.mapper, config.seed)
+
+
+def check_log(config: MapConfig, log: CarmenLog) -> None:
+    """Tell whether a log holds what the mapper needs.
+
+    Raises:
+        SourceError: nothing was seen in it, or it holds no odometry and the mapper needs it.
+    """
+    if not any(scan.hits.any() for scan in log.scans):
+        raise SourceError(f"{config.log}: none of its {len(log.scans)} scans met anything within range")
+    if config.mapper in NEED_ODOMETRY and log.odometry[0] is None:
+        raise SourceError(
+            f"{config.log}: holds no odometry (or one that never changes), {config.mapper} needs it; "
+            "hector maps without"
+        )
+
+
+def rehearse_log_mapper(config: MapConfig) -> None:
+    """Compile a mapper's kernels; one of your own is not rehearsed."""
+    if config.mapper in MAPPERS:
+        rehearse(config.mapper, **REHEARSED.get(config.mapper, {}))

@@ -1,0 +1,59 @@
+"""A log as a source: it is mapped once, and from then on its map is what worlds are built from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+from lirs_validation.logs.mapping import folder_name, run_mapping
+from lirs_validation.record.map_record import MapConfig
+from lirs_validation.record.provenance import versions
+from lirs_wct.errors import SourceError
+from lirs_wct.files import atomic_write
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import SourceKind, find_source
+
+Report = Callable[[str, float], None]
+"""Called with what is going on and the share that is done, 0 to 1."""
+
+
+def resolve_source(
+    source: str | Path, options: BuildOptions, out: str | Path, report: Report | None = None
+) -> str | Path:
+    """Return the source itself; of a log the YAML of its map, which bears the log's name.
+
+    The map is made into `out` as `lirs-wct map` makes it. One that lies there already is used again, if
+    this very log and this very code made it.
+
+    Raises:
+        WctError: there is no such source, the log cannot be mapped, or the map cannot be written.
+    """
+    found = find_source(source, BuildOptions())
+    if found.kind is not SourceKind.LOG:
+        return source
+    config = MapConfig(log=str(source), mapper=options.log_mapper, resolution=options.resolution)
+    out = Path(out)
+    folder = out / folder_name(config)
+    status = _status(folder)
+    if status is None:
+        status = run_mapping(config, out=out, report=report).record.status
+    if status != "ok":
+        raise SourceError(
+            f"{source}: {config.mapper} lost its place in this log, its map is no world (see {folder}); "
+            "try another --log-mapper"
+        )
+    named = folder / f"{found.name}.yaml"
+    with atomic_write(named) as path:
+        path.write_bytes((folder / "map.yaml").read_bytes())
+    return named
+
+
+def _status(folder: Path) -> str | None:
+    """Return how the mapping ended whose results lie in a folder; None where none of ours do."""
+    try:
+        record = json.loads((folder / "record.json").read_text(encoding="utf-8"))
+        fresh = record["versions"] == versions() and (folder / "map.yaml").is_file()
+        return str(record["status"]) if fresh else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None

@@ -1,0 +1,200 @@
+"""A log becomes a map: log x mapper x seed -> map, trajectory, record."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from lirs_validation.experiment.cost import CostMeter
+from lirs_validation.experiment.mapper_checks import check_pose, final_map, final_stats, final_trajectory
+from lirs_validation.logs.accuracy import Accuracy, judge_trajectory
+from lirs_validation.logs.log_mapper import check_log, make_log_mapper, rehearse_log_mapper
+from lirs_validation.logs.reference import read_reference
+from lirs_validation.metrics.relations import Relation, read_relations
+from lirs_validation.record.map_record import MapConfig, MapRecord, log_figures, map_figures
+from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.formats.carmen.laser import LaserFacts
+from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import find_source
+from slam_baselines.mapper import Mapper
+
+Report = Callable[[str, float], None]
+"""Called with what is going on and the share that is done, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class MappedLog:
+    """What mapping a log leaves behind.
+
+    Attributes:
+        record: every figure.
+        log: as read.
+        grid: the map; its frame is the first base pose.
+        trajectory: pose of every scan in the map, by the log's stamps.
+        reference: in its own frame; None where none was given.
+        accuracy: errors pose by pose.
+        folder: where it was written; None = nowhere.
+    """
+
+    record: MapRecord
+    log: CarmenLog
+    grid: OccupancyGrid
+    trajectory: Trajectory
+    reference: Trajectory | None
+    accuracy: Accuracy
+    folder: Path | None = None
+
+
+def map_log(
+    log: str | Path,
+    *,
+    mapper: str = "cartographer",
+    seed: int = 1,
+    particles: int | None = None,
+    resolution: float | None = None,
+    fov: float | None = None,
+    range_max: float | None = None,
+    relations: str | Path | None = None,
+    reference: str | Path | None = None,
+    out: str | Path | None = None,
+    report: Report | None = None,
+) -> MappedLog:
+    """Map a CARMEN log.
+
+    Args:
+        log: path of a .clf or .log file, gzipped or not.
+        mapper: name of the mapper, or `module:name` of your own.
+        seed: of its random numbers; same seed, same bytes.
+        particles: of gmapping; None = its own number.
+        resolution: edge of a cell, metres; None = the mapper's own.
+        fov: field of view of the laser, degrees; None = as the log says.
+        range_max: ranges from here on are no return, metres; None = as the log says.
+        relations: file of relations that are known to be true; the record then tells the accuracy.
+        reference: file of a reference trajectory (TUM, or a CARMEN log of corrected poses); the same.
+        out: folder that receives the map's folder; None = nothing is written.
+        report: called with the stage and the share done.
+
+    Raises:
+        WctError: a file, a name or an option cannot be used, or results cannot be written.
+    """
+    config = MapConfig(
+        log=str(log),
+        mapper=mapper,
+        seed=seed,
+        particles=particles,
+        resolution=resolution,
+        fov=fov,
+        range_max=range_max,
+        relations=None if relations is None else str(relations),
+        reference=None if reference is None else str(reference),
+    )
+    return run_mapping(config, out=None if out is None else Path(out), report=report)
+
+
+def run_mapping(config: MapConfig, *, out: Path | None = None, report: Report | None = None) -> MappedLog:
+    """Map a log by its config (see `map_log`)."""
+    tell, meter, seconds = report or (lambda stage, share: None), CostMeter(), dict[str, float]()
+    mapper = make_log_mapper(config)
+    relations, reference = read_truth(config)
+    tell("read", 0.0)
+    with _timed(seconds, "read_seconds"):
+        name, log = folder_name(config), read_log(config)
+        check_log(config, log)
+    tell("compile", 0.0)
+    with _timed(seconds, "compile_seconds"):
+        rehearse_log_mapper(config)
+    with _timed(seconds, "map_seconds"):
+        drive(config, mapper, log, tell)
+        grid, trajectory = final_map(mapper), final_trajectory(mapper)
+    accuracy = judge_trajectory(trajectory, log.track, relations, reference)
+    cost = {**seconds, "cpu_seconds": meter.cpu_seconds(), "peak_memory": meter.peak_memory()}
+    record = MapRecord(
+        name=name,
+        config=config,
+        status="lost" if mapper.lost else "ok",
+        log=log_figures(log),
+        map=map_figures(grid),
+        mapper=asdict(final_stats(mapper)),
+        accuracy=accuracy.figures(),
+        cost=cost,
+    )
+    mapped = MappedLog(record, log, grid, trajectory, reference, accuracy)
+    return mapped if out is None else replace(mapped, folder=_write(mapped, out, tell))
+
+
+def read_truth(config: MapConfig) -> tuple[tuple[Relation, ...] | None, Trajectory | None]:
+    """Read the relations and the reference trajectory, where they are given.
+
+    Raises:
+        SourceError: one of them cannot be used.
+    """
+    c = config
+    return (
+        None if c.relations is None else read_relations(Path(c.relations)),
+        None if c.reference is None else read_reference(Path(c.reference)),
+    )
+
+
+def read_log(config: MapConfig) -> CarmenLog:
+    """Read the log with what the config says about its laser.
+
+    Raises:
+        SourceError: it cannot be used.
+    """
+    fov = None if config.fov is None else math.radians(config.fov)
+    return read_carmen(Path(config.log), LaserFacts(fov=fov, range_max=config.range_max))
+
+
+def folder_name(config: MapConfig) -> str:
+    """Return the name of the map's folder: it tells log, mapper, seed, and all else by a digest.
+
+    Raises:
+        SourceError: the log cannot be read.
+    """
+    path = Path(config.log)
+    try:
+        digest = config.digest(path.read_bytes())
+    except OSError as error:
+        raise SourceError(f"{path}: cannot be read: {error.strerror or error}") from error
+    stem = find_source(path, BuildOptions()).name
+    return f"{stem}-{config.mapper.rpartition(':')[2]}-s{config.seed}-{digest}"
+
+
+def drive(config: MapConfig, mapper: Mapper, log: CarmenLog, tell: Report) -> None:
+    """Feed the whole log.
+
+    Raises:
+        SourceError: the mapper needs what the log does not hold.
+        MapperError: it answered with something other than a finite pose.
+    """
+    scans = len(log.scans)
+    for k, (scan, odometry) in enumerate(zip(log.scans, log.odometry, strict=True)):
+        try:
+            estimate = mapper.update(scan, odometry, None)
+        except ConfigError as error:
+            raise SourceError(f"{config.log}: {error}") from error
+        check_pose(estimate, scan.stamp)
+        tell("map", (k + 1) / scans)
+
+
+def _write(mapped: MappedLog, out: Path, tell: Report) -> Path:
+    # Drawing needs matplotlib, which the first scan should not wait for.
+    from lirs_validation.logs.results import write_mapped
+
+    tell("draw", 1.0)
+    return write_mapped(out / mapped.record.name, mapped)
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
+    """Note under a name how many wall seconds a block takes."""
+    begun = time.perf_counter()
+    yield
+    seconds[name] = time.perf_counter() - begun

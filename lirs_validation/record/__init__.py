@@ -1,0 +1,1 @@
+"""The run record: config, provenance, schema, catalogue of metrics."""

@@ -1,0 +1,37 @@
+"""The JSON schema of a run's record, shipped with the package, and what in a record does not fit it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from jsonschema import Draft202012Validator
+from jsonschema.exceptions import best_match
+
+
+def record_schema() -> dict[str, Any]:
+    """Return the JSON schema of `record.json`."""
+    text = files(__package__).joinpath("record.schema.json").read_text(encoding="utf-8")
+    schema: dict[str, Any] = json.loads(text)
+    return schema
+
+
+def schema_error(entry: Mapping[str, Any]) -> str | None:
+    """Return where a record does not fit the schema, and why, in one line; None where it does."""
+    error = best_match(_validator().iter_errors(entry))
+    if error is not None:
+        place = ".".join(str(part) for part in error.absolute_path) or "record"
+        return " ".join(f"{place}: {error.message}".split())[:200]
+    try:
+        json.dumps(entry, allow_nan=False)
+    except ValueError:
+        return "record: a number is not finite"
+    return None
+
+
+@cache
+def _validator() -> Draft202012Validator:
+    return Draft202012Validator(record_schema())

@@ -1,0 +1,1 @@
+"""Engines that perform the experiments of a sweep: serial, processes, Ray."""

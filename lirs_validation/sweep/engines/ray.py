@@ -1,0 +1,182 @@
+"""The engine of many machines: Ray runs the cells, and this process alone writes what comes back.
+
+A cell whose worker dies is run again elsewhere (at least once); its result arrives once.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from lirs_validation.experiment.scenario import Stage, StageCache, set_stage
+from lirs_validation.sweep.cell import Cell, attempt
+from lirs_validation.sweep.engines.base import Limits, Progress
+from lirs_validation.sweep.engines.processes import Processes, cores
+from lirs_validation.sweep.engines.worker import ONE_THREAD
+from lirs_validation.sweep.outcome import Outcome, outcome_of
+from lirs_wct.errors import ConfigError, OutputError
+from lirs_wct.files import atomic_folder
+
+RETRIES = 3
+"""Times that a cell is given to another worker when one dies."""
+AHEAD = 2
+"""Cells handed to Ray for each of its cores: enough to keep it busy, few enough to stay small."""
+PATIENCE = 5.0
+"""Seconds that a cluster has to answer."""
+TOKEN = Path.home() / ".ray" / "auth_token"
+
+Files = dict[str, bytes]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RayCluster:
+    """Cells on a Ray cluster. Its machines need this package; worlds go to them, results come back.
+
+    Attributes:
+        address: of the cluster; None = one is started on this machine, and stopped after the sweep.
+        jobs: cells at a time on a cluster of its own; None = one a core.
+        limits: of a cell.
+    """
+
+    address: str | None = None
+    jobs: int | None = None
+    limits: Limits = field(default_factory=Limits)
+
+    def run(self, cells: Sequence[Cell], out: Path, progress: Progress) -> Iterator[Outcome]:
+        """Run cells into folders of `out`.
+
+        Raises:
+            ConfigError: Ray is not installed, or no cluster answers at the address.
+        """
+        with _connected(self.address, self.jobs) as ray:
+            yield from _Flight(ray, self.limits).outcomes(cells, out, progress)
+
+
+class _Flight:
+    """The cells that Ray has at present."""
+
+    def __init__(self, ray: Any, limits: Limits) -> None:
+        self._ray, self._limits = ray, limits
+        self._perform = ray.remote(num_cpus=1, max_retries=RETRIES)(perform_remotely)
+        self._room = AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
+        self._stages: dict[Any, Any] = {}
+        self._flying: dict[Any, Cell] = {}
+
+    def outcomes(self, cells: Sequence[Cell], out: Path, progress: Progress) -> Iterator[Outcome]:
+        waiting = list(reversed(cells))
+        while waiting or self._flying:
+            while waiting and len(self._flying) < self._room:
+                cell = waiting.pop()
+                try:
+                    self._start(cell)
+                except Exception as error:
+                    yield outcome_of(error, cell.name)
+            for done in self._ray.wait(list(self._flying), timeout=1.0)[0]:
+                cell = self._flying.pop(done)
+                outcome = self._collected(done, cell, out)
+                progress(cell.name, "judge", 1.0)
+                yield outcome
+
+    def _start(self, cell: Cell) -> None:
+        place = cell.place
+        key = (place.source, place.build)
+        if key not in self._stages:
+            # Cells come world by world: the one before is let go, and Ray frees it after its last cell.
+            self._stages = {key: self._ray.put(set_stage(place))}
+        task = self._perform.remote(cell, self._stages[key], self._limits, str(Path.cwd()))
+        self._flying[task] = cell
+
+    def _collected(self, done: Any, cell: Cell, out: Path) -> Outcome:
+        """Write what came back; only here, so that a cell run twice is in the results once."""
+        try:
+            outcome, files = self._ray.get(done)
+        except Exception as error:
+            return outcome_of(error, cell.name)
+        if not outcome.written:
+            return outcome  # type: ignore[no-any-return]
+        try:
+            with atomic_folder(out / cell.name) as folder:
+                for name, data in files.items():
+                    (folder / name).write_bytes(data)
+        except OutputError as error:
+            return outcome_of(error, cell.name)
+        return outcome  # type: ignore[no-any-return]
+
+
+def perform_remotely(cell: Cell, stage: Stage, limits: Limits, here: str) -> tuple[Outcome, Files]:
+    """Run a cell on a machine of the cluster; return the files that it wrote."""
+    with suppress(OSError):
+        os.chdir(here)  # a mapper of your own lies there, where the machines share a file system
+    with tempfile.TemporaryDirectory(prefix="lirs-wct-") as temporary:
+        out = Path(temporary)
+        if limits.any:
+            engine = Processes(jobs=1, limits=limits, stage=stage, concurrent=True)
+            outcome = next(engine.run([cell], out, lambda name, stage, share: None))
+        else:
+            stages = StageCache()
+            stages.put(stage)
+            outcome = attempt(cell, out, stages, lambda stage, share: None, concurrent=True)
+        folder = out / cell.name
+        files = {p.name: p.read_bytes() for p in folder.iterdir()} if folder.is_dir() else {}
+    return outcome, files
+
+
+@contextmanager
+def _connected(address: str | None, jobs: int | None) -> Iterator[Any]:
+    """Give Ray, connected; a cluster that was there before stays."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    if address is not None:
+        _show_token()
+    try:
+        import ray
+    except ImportError as error:
+        raise ConfigError("--engine ray needs Ray: pip install 'lirs-wct[dist]'") from error
+    if ray.is_initialized():
+        yield ray
+        return
+    if address is not None:
+        _knock(address)
+    own: dict[str, Any] = {"address": "local", "num_cpus": jobs or cores(), "include_dashboard": False}
+    try:
+        ray.init(
+            **({"address": address} if address else own),
+            runtime_env={"env_vars": ONE_THREAD},
+            log_to_driver=False,
+            logging_level=logging.ERROR,
+        )
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        words = " ".join(str(error).split())
+        raise ConfigError(f"--address {address}: no Ray cluster answers there: {words}") from error
+    try:
+        yield ray
+    finally:
+        ray.shutdown()
+
+
+def _knock(address: str) -> None:
+    """Tell at once where nobody listens: Ray itself would try for minutes.
+
+    Raises:
+        ConfigError: nobody does.
+    """
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    if not port.isdigit():
+        return  # `auto` and the like
+    try:
+        socket.create_connection((host, int(port)), timeout=PATIENCE).close()
+    except OSError as error:
+        raise ConfigError(f"--address {address}: no Ray cluster answers there: {error}") from error
+
+
+def _show_token() -> None:
+    """Use Ray's token where this machine has one, as `ray start` does; read when Ray is imported."""
+    if any(name in os.environ for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")) or TOKEN.exists():
+        os.environ.setdefault("RAY_AUTH_MODE", "token")

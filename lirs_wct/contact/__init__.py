@@ -1,0 +1,1 @@
+"""What a physics engine touches: contact grid, prisms, convex parts."""

@@ -1,0 +1,188 @@
+"""How coarse the ground may be that wheels touch, and by how much it then differs from the surface.
+
+MuJoCo tests every prism of a height field under a geom's bounding box, so that half the spacing costs up to
+four times as much. The laser still sees the surface itself; this file bounds what the two differ by.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.heightfield import HeightField
+
+Floats = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactBudget:
+    """What a contact grid may differ from the surface by.
+
+    Attributes:
+        vertical: metres, at nodes where no adjacent triangle is as steep as `steep`.
+        horizontal: contact cells along each axis, at the other nodes: within this distance the contact
+            grid must have the node's height.
+        match: metres to which it must have it: at the foot of a wall the ground itself rises by so much.
+        steep: radians.
+        max_cell: no contact cell is made larger than this, metres: there is nothing left to gain.
+
+    Raises:
+        ConfigError: a value is not above 0.
+    """
+
+    vertical: float = 0.01
+    horizontal: float = 0.5
+    match: float = 0.02
+    steep: float = math.radians(45)
+    max_cell: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in ("vertical", "horizontal", "match", "steep", "max_cell"):
+            value = getattr(self, name)
+            if not 0 < value < math.inf:
+                raise ConfigError(f"contact budget: {name} must be a finite number above 0, got {value}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactGrid:
+    """A contact grid in figures: spacing, budget, and the deviation measured at every node of the surface.
+
+    Attributes:
+        stride: cells of the surface in a contact cell, along each axis; 1 = the surface itself.
+        cell: spacing of the contact grid's nodes, metres.
+        vertical_budget: metres (see `ContactBudget`).
+        horizontal_budget: metres, half a contact cell.
+        match_budget: metres, the height's tolerance at the horizontal deviation.
+        vertical: largest vertical deviation where the slope is under 45 deg, metres.
+        horizontal: largest horizontal deviation along an axis on steeper faces, metres.
+        nodes: number of nodes compared.
+    """
+
+    stride: int
+    cell: tuple[float, float]
+    vertical_budget: float
+    horizontal_budget: float
+    match_budget: float
+    vertical: float
+    horizontal: float
+    nodes: int
+
+    def heights(self, surface: HeightField) -> HeightField:
+        """Return the contact grid of the surface that it was made for; it begins at the south-west node.
+
+        Where the stride does not divide the surface's cells, the last row and column lie beyond the border,
+        on the straight line through the border's node.
+        """
+        return HeightField(
+            np.ascontiguousarray(_coarse(surface.south_up, self.stride)[::-1]), self.cell, surface.origin
+        )
+
+
+def contact_grid(surface: HeightField, budget: ContactBudget | None = None) -> ContactGrid:
+    """Return the coarsest grid, by whole cells of the surface, whose deviation is within the budget."""
+    budget = budget or ContactBudget()
+    z = surface.south_up
+    steep = steep_nodes(z, surface.cell, budget.steep)
+    largest = min(int(budget.max_cell / max(surface.cell)), min(z.shape) - 1)
+    for stride in range(max(largest, 1), 1, -1):
+        found = _measured(z, steep, stride, budget)
+        if found is not None:
+            return _figures(surface, stride, budget, *found)
+    return _figures(surface, 1, budget, 0.0, 0.0)
+
+
+def steep_nodes(z: Floats, cell: tuple[float, float], steep: float) -> Mask:
+    """Return (rows, cols) the nodes (row 0 = south) of triangles that are at least as steep as an angle."""
+    sw, se, nw, ne = z[:-1, :-1], z[:-1, 1:], z[1:, :-1], z[1:, 1:]
+    limit = math.tan(steep)
+    below = np.hypot((se - sw) / cell[0], (ne - se) / cell[1]) >= limit
+    above = np.hypot((ne - nw) / cell[0], (nw - sw) / cell[1]) >= limit
+    mask = np.zeros(z.shape, np.bool_)
+    mask[:-1, :-1] |= below | above
+    mask[1:, 1:] |= below | above
+    mask[:-1, 1:] |= below
+    mask[1:, :-1] |= above
+    return mask
+
+
+def _figures(
+    surface: HeightField, stride: int, budget: ContactBudget, vertical: float, cells: float
+) -> ContactGrid:
+    cell = (stride * surface.cell[0], stride * surface.cell[1])
+    return ContactGrid(
+        stride=stride,
+        cell=cell,
+        vertical_budget=budget.vertical,
+        horizontal_budget=budget.horizontal * max(cell),
+        match_budget=budget.match,
+        vertical=vertical,
+        horizontal=cells * max(surface.cell),
+        nodes=surface.z.size,
+    )
+
+
+def _measured(z: Floats, steep: Mask, stride: int, budget: ContactBudget) -> tuple[float, float] | None:
+    """Return the deviation, vertical in metres and horizontal in cells; None where it breaks the budget."""
+    contact = np.empty_like(z)
+    vertical = float(_resampled(_coarse(z, stride), stride, z, steep, budget.vertical, contact))
+    if vertical > budget.vertical:
+        return None
+    # Along a path from one node to another a continuous surface has every height between the two: the
+    # node's height is reached in its window when it lies between the window's lowest and highest.
+    far = (np.abs(contact - z) > budget.vertical).astype(np.uint8)
+    for cells in range(int(budget.horizontal * stride) + 1):
+        window = np.ones((2 * cells + 1, 2 * cells + 1), np.uint8)
+        low, high = cv2.erode(contact, window), cv2.dilate(contact, window)
+        far &= (z < low - budget.match) | (z > high + budget.match)
+        if not far.any():
+            return vertical, float(cells)
+    return None
+
+
+def _coarse(z: Floats, stride: int) -> Floats:
+    """Return every stride-th node from the south-west; a last one beyond the border where it takes one."""
+    for axis in (0, 1):
+        z = np.moveaxis(z, axis, 0)
+        whole, rest = divmod(len(z) - 1, stride)
+        nodes = z[: whole * stride + 1 : stride]
+        if rest:
+            beyond = nodes[-1] + (z[-1] - nodes[-1]) * np.float32(stride / rest)
+            nodes = np.concatenate((nodes, beyond[None]))
+        z = np.moveaxis(nodes, 0, axis)
+    return np.ascontiguousarray(z)
+
+
+@njit(cache=True)
+def _resampled(coarse: Floats, stride: int, z: Floats, steep: Mask, limit: float, contact: Floats) -> float:
+    """Fill `contact` with the coarse grid at every node; return the largest deviation at gentle ones.
+
+    Stops at the first gentle node that deviates by more than `limit`.
+    """
+    worst = 0.0
+    for r in range(z.shape[0]):
+        j = min(r // stride, coarse.shape[0] - 2)
+        v = (r - j * stride) / stride
+        for c in range(z.shape[1]):
+            i = min(c // stride, coarse.shape[1] - 2)
+            u = (c - i * stride) / stride
+            sw, ne = coarse[j, i], coarse[j + 1, i + 1]
+            if u >= v:
+                se = coarse[j, i + 1]
+                height = sw + u * (se - sw) + v * (ne - se)
+            else:
+                nw = coarse[j + 1, i]
+                height = sw + u * (ne - nw) + v * (nw - sw)
+            contact[r, c] = height
+            if not steep[r, c]:
+                deviation = abs(height - z[r, c])
+                worst = max(worst, deviation)
+                if deviation > limit:
+                    return float(worst)
+    return float(worst)

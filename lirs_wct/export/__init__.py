@@ -1,0 +1,1 @@
+"""A world becomes files: MJCF, Gazebo package."""

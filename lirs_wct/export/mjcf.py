@@ -1,0 +1,185 @@
+"""A world as MuJoCo's model: only this file and `mjcf_file` know MuJoCo.
+
+MuJoCo's height field has row 0 at -y, where ours has it in the north; the flip is `HeightField.south_up`.
+Its heights are scaled to [0, 1] by their own lowest and highest, so that the geom carries both: the lowest as
+its z, the relief as its elevation.
+"""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.contact.contact_grid import ContactGrid
+from lirs_wct.contact.contact_parts import Ground, Terrain, check_terrain, contact_parts
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.meshing.tiles import MUJOCO_FACES, split_tiles
+from lirs_wct.sources.laser_map import merged_boxes, merged_rectangles
+
+TERRAIN_GROUP = 3
+"""Geom group of ground and walls in a simulation: rays for robots and props leave it out."""
+BASE = 1.0
+"""Metres that the ground reaches below its lowest point; contacts push out the shorter way: up."""
+SEEN_GROUP = 5
+"""Geom group of a true mesh that MuJoCo's rays see, since no height field can hold it; no robot uses it."""
+GROUND_COLOUR = (0.62, 0.57, 0.48, 1.0)
+WALL_COLOUR = (0.45, 0.5, 0.55, 1.0)
+
+
+def world_spec(
+    world: Ground,
+    *,
+    contact: ContactGrid | None = None,
+    robot: mujoco.MjSpec | None = None,
+    group: int = TERRAIN_GROUP,
+    terrain: Terrain = "hfield",
+    seen: bool = False,
+    heights: bool = True,
+) -> mujoco.MjSpec:
+    """Return the world as a specification to compile.
+
+    Args:
+        world: ground and walls.
+        contact: the grid that is touched; default: the surface itself.
+        robot: specification that the world is added to; its options and defaults stay as they are.
+        group: geom group of ground and walls.
+        terrain: what is touched (see `TERRAINS`).
+        seen: whether MuJoCo's own rays are to meet the surface itself, where something else is touched.
+        heights: whether the height field holds its heights; without, they are to come from a file.
+
+    Raises:
+        ConfigError: the terrain does not fit the world.
+    """
+    check_terrain(terrain, world)
+    spec = robot if robot is not None else mujoco.MjSpec()
+    spec.modelname = world.name
+    surface = world.surface if contact is None else contact.heights(world.surface)
+    if terrain in ("prisms", "convex"):
+        _add_parts(spec, world, terrain, group)
+    elif world.walls is None or world.walls.hole is None:
+        _add_ground(spec, surface, group, heights=heights)
+    else:
+        _add_boxes(spec, world.walls, world.walls.floor, (-BASE, 0.0), group, GROUND_COLOUR)
+    if world.walls is not None:
+        _add_boxes(spec, world.walls, world.walls.solid, (0.0, world.walls.height), group, WALL_COLOUR)
+    if terrain == "mesh" or world.overhangs:
+        _add_tiles(spec, world, SEEN_GROUP if world.overhangs else group)
+    elif seen and (terrain != "hfield" or surface.shape != world.surface.shape):
+        _hide(spec, group)
+        _add_ground(spec, world.surface, group, name="seen", contype=0, conaffinity=0)
+    for geom in spec.worldbody.geoms:
+        # The robot's defaults are in force here too: equal in priority, ground and robot would share theirs.
+        geom.priority = 0
+    spec.worldbody.add_light(pos=(0, 0, 50), dir=(0.3, 0.2, -1), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    return spec
+
+
+def box_geoms(walls: WallGrid) -> NDArray[np.float64]:
+    """Return (n, 4) the walls' boxes: centre x, y in the world, half extents along the grid's axes."""
+    return _boxes(walls, merged_boxes(walls))
+
+
+def _boxes(walls: WallGrid, rectangles: NDArray[np.int64]) -> NDArray[np.float64]:
+    boxes = np.asarray(rectangles, dtype=np.float64).reshape(-1, 4) * walls.resolution
+    centre = walls.origin.apply((boxes[:, [1, 0]] + boxes[:, [3, 2]]) / 2)
+    half = (boxes[:, [3, 2]] - boxes[:, [1, 0]]) / 2
+    return np.concatenate((centre, half), axis=1)
+
+
+def _add_ground(
+    spec: mujoco.MjSpec,
+    surface: HeightField,
+    group: int,
+    name: str = "ground",
+    heights: bool = True,
+    **options: int,
+) -> None:
+    west, south, east, north = surface.bounds
+    low, relief = float(surface.z.min()), surface.relief
+    half = ((east - west) / 2, (north - south) / 2)
+    common = {
+        "name": name,
+        "pos": ((west + east) / 2, (south + north) / 2, low),
+        "group": group,
+        "rgba": GROUND_COLOUR,
+        **options,
+    }
+    if relief == 0.0:
+        # A plane costs a contact test, a flat height field all the prisms under a wheel.
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(*half, 1.0), **common)
+        return
+    data = {}
+    if heights:
+        data = dict(zip(("nrow", "ncol"), surface.shape, strict=True), userdata=surface.south_up.ravel())
+    spec.add_hfield(name=name, size=(*half, relief, BASE), **data)
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, **common)
+
+
+def _add_boxes(
+    spec: mujoco.MjSpec,
+    walls: WallGrid,
+    cells: NDArray[np.bool_],
+    span: tuple[float, float],
+    group: int,
+    colour: tuple[float, ...],
+) -> None:
+    """Add boxes to the world's body itself: a body of their own would be updated with them at every step."""
+    half_yaw = walls.origin.yaw / 2
+    quat = (math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw))
+    low, high = span
+    for x, y, hx, hy in _boxes(walls, merged_rectangles(cells)).tolist():
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=(x, y, (low + high) / 2),
+            size=(hx, hy, (high - low) / 2),
+            quat=quat,
+            group=group,
+            rgba=colour,
+        )
+    # With sleeping enabled MuJoCo leaves out what never moves: 2,372 boxes cost 5 us a step instead of 19.
+    spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+
+
+def _add_parts(spec: mujoco.MjSpec, world: Ground, terrain: Terrain, group: int) -> None:
+    """Add each convex part as a mesh: MuJoCo touches its hull, which is the part."""
+    for k, corners in enumerate(contact_parts(world, terrain)):
+        name = f"ground{k}"
+        spec.add_mesh(name=name, uservert=corners.ravel())
+        spec.worldbody.add_geom(
+            name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, group=group, rgba=GROUND_COLOUR
+        )
+    spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+
+
+def _hide(spec: mujoco.MjSpec, group: int) -> None:
+    """Make what is touched invisible, to cameras and to MuJoCo's rays."""
+    for geom in spec.worldbody.geoms:
+        if geom.group == TERRAIN_GROUP or geom.group == group:
+            geom.rgba = (*geom.rgba[:3], 0.0)
+
+
+def _add_tiles(spec: mujoco.MjSpec, world: Ground, group: int) -> None:
+    """Add the world's mesh to be seen only; what is touched becomes invisible."""
+    _hide(spec, group)
+    for k, tile in enumerate(split_tiles(world.mesh, aim=MUJOCO_FACES // 2)):
+        name = f"seen{k}"
+        spec.add_mesh(
+            name=name,
+            uservert=tile.vertices.ravel(),
+            userface=tile.faces.ravel(),
+            # A tile is open: it has no volume to take an inertia from.
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+        spec.worldbody.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=name,
+            contype=0,
+            conaffinity=0,
+            group=group,
+            rgba=GROUND_COLOUR,
+        )

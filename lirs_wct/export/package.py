@@ -1,0 +1,162 @@
+"""A world's folder: a Gazebo model package and world, MuJoCo's MJCF, meshes, texture and `world.json`."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import Literal
+
+import cv2
+
+from lirs_wct.errors import ConfigError, OutputError, unknown_name
+from lirs_wct.export.mjcf_file import write_hfield, write_mjcf
+from lirs_wct.files import atomic_folder
+from lirs_wct.formats.gazebo.heightmap import heightmap_sdf, write_heightmap
+from lirs_wct.formats.gazebo.sdf import model_config, model_sdf, world_sdf
+from lirs_wct.formats.meshes.collada import write_collada
+from lirs_wct.formats.meshes.obj import write_obj
+from lirs_wct.formats.meshes.stl import write_stl, write_triangles
+from lirs_wct.formats.world_json import TEXTURES
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.meshing.ground_texture import ground_texture
+from lirs_wct.meshing.solid import solid_triangles
+from lirs_wct.meshing.uv import cube_uv
+from lirs_wct.progress import Report, Steps
+from lirs_wct.world import World
+
+FORMATS = ("dae", "stl", "sdf", "mjcf", "obj", "hfield")
+"""What a package can hold beside `world.json`."""
+DEFAULT_FORMATS = FORMATS[:4]
+LARGE = 1_000_000
+"""Nodes of a surface above which an STL of the full grid is written without making its mesh."""
+
+GazeboTerrain = Literal["solid", "heightmap"]
+
+
+def write_package(
+    world: World,
+    parent: str | Path,
+    *,
+    formats: Collection[str] = DEFAULT_FORMATS,
+    terrain: GazeboTerrain = "solid",
+    report: Report | None = None,
+) -> Path:
+    """Write `parent/NAME/`, whole or not at all, and return it.
+
+    Args:
+        world: to be written.
+        parent: folder for the world's folder.
+        formats: of `FORMATS`.
+        terrain: what Gazebo's model is: the solid mesh, or a heightmap (8 bit, as the paper compares with).
+        report: called with what is being written and the share that is done.
+
+    Raises:
+        ConfigError: no such format, or the world cannot be written in it.
+        OutputError: the folder cannot be written, or holds something that is not a built world.
+    """
+    folder = Path(parent) / world.name
+    _check(world, formats, terrain)
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / "world.json").is_file():
+        raise OutputError(
+            f"{folder}: holds files that are not a built world; choose another folder or --name"
+        )
+    steps = Steps(2 + len(set(formats)), report)
+    with atomic_folder(folder) as temporary:
+        steps.begin("world.json")
+        world.save(temporary)
+        _write_meshes(world, temporary, formats, steps)
+        if "sdf" in formats:
+            steps.begin("model.sdf")
+            _write_model(world, temporary, formats, terrain)
+        if "mjcf" in formats:
+            steps.begin(f"{world.name}.xml")
+            texture = write_texture(world, temporary) if world.kind == "terrain" else None
+            write_mjcf(world, temporary, texture, world.finish.texture_size)
+        if "hfield" in formats:
+            steps.begin(f"{world.name}.hfield")
+            write_hfield(temporary / f"{world.name}.hfield", world.surface)
+    return folder
+
+
+def _check(world: World, formats: Collection[str], terrain: str) -> None:
+    for wanted in formats:
+        if wanted not in FORMATS:
+            raise unknown_name("format", wanted, FORMATS)
+    if not formats:
+        raise ConfigError(f"nothing to write; legal: {', '.join(FORMATS)}")
+    if terrain not in ("solid", "heightmap"):
+        raise unknown_name("terrain for Gazebo", terrain, ("solid", "heightmap"))
+    if terrain == "heightmap" and (world.walls is not None or world.overhangs):
+        raise ConfigError(f"{world.name}: a heightmap cannot hold upright walls or overhangs; take solid")
+    if "sdf" in formats and terrain == "solid" and not {"dae", "stl"} & set(formats):
+        raise ConfigError("sdf shows a mesh: ask for dae or stl as well, or for --terrain heightmap")
+
+
+def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: Steps) -> None:
+    kinds = [kind for kind in ("stl", "dae", "obj") if kind in formats]
+    if kinds == ["stl"] and _streams(world):
+        steps.begin("meshes")
+        write_triangles(_mesh_path(world, folder, "stl"), *solid_triangles(world.surface), steps.tick)
+        return
+    if not kinds:
+        return
+    finish = world.finish
+    steps.begin("triangles")
+    mesh = _turned(world.mesh, finish.rotate_x)
+    if "stl" in kinds:
+        steps.begin(f"{world.name}.stl")
+        write_stl(_mesh_path(world, folder, "stl"), mesh, steps.tick)
+    if kinds == ["stl"]:
+        return
+    texture = f"../{write_texture(world, folder).as_posix()}"
+    dressed = _turned(cube_uv(world.mesh, finish.texture_size), finish.rotate_x)
+    if "dae" in kinds:
+        steps.begin(f"{world.name}.dae")
+        write_collada(_mesh_path(world, folder, "dae"), dressed, texture, tick=steps.tick)
+    if "obj" in kinds:
+        steps.begin(f"{world.name}.obj")
+        write_obj(_mesh_path(world, folder, "obj"), dressed, texture)
+
+
+def _streams(world: World) -> bool:
+    """Whether the mesh is the full grid of a large surface: its STL is written without making it."""
+    plain = world.kind == "terrain" and not world.finish.limited and world.finish.rotate_x == 0
+    return plain and world.surface.z.size > LARGE
+
+
+def _mesh_path(world: World, folder: Path, kind: str) -> Path:
+    return folder / "meshes" / f"{world.name}.{kind}"
+
+
+def _turned(mesh: TriangleMesh, degrees: float) -> TriangleMesh:
+    return mesh if degrees == 0 else mesh.rotated_x(degrees)
+
+
+def _write_model(world: World, folder: Path, formats: Collection[str], terrain: GazeboTerrain) -> None:
+    name = world.name
+    if terrain == "heightmap":
+        picture = TEXTURES / f"{name}-heights.png"
+        write_heightmap(folder / picture, world.surface)
+        texture = write_texture(world, folder)
+        model = heightmap_sdf(name, world.surface, picture.as_posix(), texture.as_posix())
+    else:
+        model = model_sdf(name, mesh=f"meshes/{name}.{'dae' if 'dae' in formats else 'stl'}")
+    for file, text in (
+        ("model.config", model_config(name)),
+        ("model.sdf", model),
+        (f"{name}.world", world_sdf(name)),
+    ):
+        (folder / file).write_text(text, encoding="utf-8")
+
+
+def write_texture(world: World, folder: Path) -> Path:
+    """Write the world's texture into a package, unless `World.save` did, and return its path inside."""
+    given = world.finish.texture
+    if given is not None:
+        return TEXTURES / f"{world.name}{given.suffix.lower()}"
+    path = TEXTURES / f"{world.name}.png"
+    if (folder / path).is_file():
+        return path
+    (folder / TEXTURES).mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(folder / path), ground_texture(world.surface, world.walls))
+    return path

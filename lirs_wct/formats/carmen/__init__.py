@@ -1,0 +1,1 @@
+"""CARMEN logs: lines, laser, odometry; reading and writing."""

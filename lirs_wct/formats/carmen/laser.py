@@ -1,0 +1,182 @@
+"""What a CARMEN log does not say outright about its laser: field of view, codes for "nothing", mount."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.formats.carmen.lines import Message, Sweep
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import LaserScan
+
+SICK_INVALID = (81.87, 81.88, 81.89, 81.90, 81.91)
+"""Codes of the SICK LMS for "no valid measurement" (dazzled, too noisy): NaN, they say nothing, metres."""
+NO_RETURN = 50.0
+"""Ranges from here on mean that nothing came back (50, 51.2, 81.83): +inf, metres."""
+RANGE_MIN = 0.02
+"""A SICK LMS measures from its front pane on; shorter ranges are errors, metres."""
+FIELDS = {
+    **dict.fromkeys((180, 181, 360, 361), 180.0),
+    **dict.fromkeys((101, 201, 401), 100.0),
+    **dict.fromkeys((540, 541, 1080, 1081), 270.0),
+}
+"""Beams of the usual lasers, and their field of view, degrees."""
+REAR = ("RLASER", "ROBOTLASER2", "RAWLASER2")
+"""Messages of the laser that looks back."""
+
+CODE_SHARE, CODE_BEAMS, CODE_CONTRAST, CODE_MOST = 0.001, 0.05, 20, 100
+"""A range is a code where it is the largest, makes up this share of all, comes on this share of the beams,
+is so many times as frequent as each of the three metres below it, and at most so many times as all others."""
+MOUNT_SPREAD = 0.05
+"""Metres and radians within which the laser's pose must follow the base's to tell the mount."""
+MOUNT_REACH = 3.0
+"""A laser farther from its base than this is not mounted on it, metres."""
+
+Ranges = NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaserFacts:
+    """What the user says about the laser, above what the log says.
+
+    Attributes:
+        fov: field of view, radians, centred on the laser's x axis; None = as the log says.
+        range_max: ranges from here on are no return, metres; None = as the log says.
+
+    Raises:
+        ConfigError: a value that no laser has.
+    """
+
+    fov: float | None = None
+    range_max: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.fov is not None and not 0 < self.fov <= math.tau + 1e-9:
+            raise ConfigError(
+                f"field of view must be above 0 and at most 360 deg, got {math.degrees(self.fov):g}"
+            )
+        if self.range_max is not None and not self.range_max > RANGE_MIN:
+            raise ConfigError(f"range max must be above {RANGE_MIN} m, got {self.range_max:g}")
+
+
+def scans_of(
+    name: str,
+    messages: Sequence[Message],
+    parameters: Mapping[str, float],
+    facts: LaserFacts,
+    repaired: Counter[str],
+) -> list[LaserScan]:
+    """Return the scans of messages that all have one number of beams.
+
+    Raises:
+        ConfigError: nobody says how wide the laser sees.
+    """
+    n = len(messages[0].ranges)
+    ranges = np.stack([m.ranges for m in messages])
+    limit = facts.range_max or no_return(ranges)
+    if facts.range_max is None and limit < NO_RETURN:
+        codes = int(((ranges >= limit) & (ranges < NO_RETURN)).sum())
+        repaired[f"readings of {limit:.2f} m or more, a code for no return"] = codes
+    mount = _mount(name, messages, parameters, repaired)
+    field = None if facts.fov is None else _sweep(n, facts.fov)
+    scans = []
+    for message, meant in zip(messages, _decoded(ranges), strict=True):
+        sweep = field or message.sweep or _usual_sweep(name, n, parameters)
+        most = min(limit, NO_RETURN if message.sweep is None else message.sweep.most)
+        r = np.where(meant >= most, np.float32(np.inf), meant)
+        scans.append(LaserScan(r, sweep.start, sweep.step, RANGE_MIN, most, message.stamp, mount))
+    return scans
+
+
+def no_return(ranges: Ranges) -> float:
+    """Return the smallest code for "nothing came back", metres; 50 where there is none below.
+
+    Beside the codes beyond 50 m, known ones, many sensors give their largest range: it comes again and
+    again, in all directions, and nothing else near it.
+
+    Args:
+        ranges: (scans, beams) metres, as logged.
+    """
+    real = (ranges >= RANGE_MIN) & (ranges < NO_RETURN)
+    cm = np.where(real, np.round(np.where(real, ranges, 0) * 100), 0).astype(np.int64)
+    counts = np.bincount(cm.ravel(), minlength=2)
+    counts[0] = 0
+    limit = NO_RETURN
+    while counts.any():
+        top = int(np.flatnonzero(counts)[-1])
+        below = counts[max(0, top - 300) : top]
+        count, rest = int(counts[top]), int(counts[:top].sum())
+        usual = CODE_CONTRAST * max(1.0, float(np.median(below)))
+        if CODE_MOST * rest < count or count < max(usual, CODE_SHARE * ranges.size):
+            return limit
+        if (cm == top).any(axis=0).sum() < CODE_BEAMS * ranges.shape[1]:
+            return limit
+        limit = (top - 0.5) / 100
+        counts[top] = 0
+    return limit
+
+
+def _decoded(ranges: Ranges) -> Ranges:
+    """Return ranges as REP 117 has them, but for what lies beyond the largest."""
+    invalid = np.zeros(ranges.shape, np.bool_)
+    for code in SICK_INVALID:
+        invalid |= np.abs(ranges - np.float32(code)) < 1e-3
+    decoded = np.where(ranges < RANGE_MIN, np.float32(-np.inf), ranges)
+    decoded[invalid] = np.nan
+    return decoded
+
+
+def _usual_sweep(name: str, n: int, parameters: Mapping[str, float]) -> Sweep:
+    """Return the beams of a message that says nothing about them: by their number, else by PARAM lines."""
+    if n in FIELDS:
+        return _sweep(n, math.radians(FIELDS[n]))
+    side = "rear" if name in REAR else "front"
+    resolution = parameters.get(f"laser_{side}_laser_resolution", 0.0)
+    fov = resolution * (n - n % 2)
+    if not 0 < fov <= 360:
+        raise ConfigError(
+            f"{name} messages of {n} beams do not say how wide they see: give it (lirs-wct map --fov DEG)"
+        )
+    return _sweep(n, math.radians(fov))
+
+
+def _sweep(n: int, fov: float) -> Sweep:
+    """Spread beams; an even number leaves out the last of the field of view (180 beams: -90..+89 deg)."""
+    return Sweep(-fov / 2, fov / max(n - n % 2, 1), math.inf)
+
+
+def _mount(
+    name: str, messages: Sequence[Message], parameters: Mapping[str, float], repaired: Counter[str]
+) -> Pose3:
+    """Return `T_base_laser`: the log holds both poses, rounded; older ones hold one of them twice."""
+    mounts = [m.base.inverse() @ m.laser for m in messages if m.base is not None and m.laser is not None]
+    found = _steady(mounts)
+    if found is None:
+        repaired["laser poses that do not follow the odometry: the laser is taken to be at the base"] = len(
+            mounts
+        )
+        found = Pose2()
+    if max(abs(found.x), abs(found.y), abs(found.yaw)) >= 1e-3:
+        return Pose3.from_pose2(found)
+    side, yaw = ("rear", math.pi) if name in REAR else ("front", 0.0)
+    offset = parameters.get(f"robot_{side}laser_offset", 0.0)
+    usable = abs(offset) < MOUNT_REACH
+    return Pose3.from_pose2(Pose2(offset if usable else 0.0, 0.0, yaw)) if offset or yaw else Pose3()
+
+
+def _steady(mounts: Sequence[Pose2]) -> Pose2 | None:
+    """Return the median mount; None where most differ from it, as where one of the poses was corrected."""
+    if not mounts:
+        return Pose2()
+    x, y = (float(np.median([getattr(m, key) for m in mounts])) for key in ("x", "y"))
+    yaws = np.array([m.yaw for m in mounts])
+    yaw = float(math.atan2(np.median(np.sin(yaws)), np.median(np.cos(yaws))))
+    off = [max(math.hypot(m.x - x, m.y - y), abs(math.remainder(m.yaw - yaw, math.tau))) for m in mounts]
+    steady = float(np.median(off)) <= MOUNT_SPREAD and math.hypot(x, y) <= MOUNT_REACH
+    return Pose2(x, y, yaw) if steady else None

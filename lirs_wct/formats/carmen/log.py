@@ -1,0 +1,151 @@
+"""CARMEN logs (.clf, .log, also gzipped): laser scans with the odometry of the robot that made them.
+
+Read are the messages of one laser (FLASER, ROBOTLASER1, RAWLASER1; RLASER, ROBOTLASER2, RAWLASER2 where
+only the rear one was logged), ODOM and PARAM; what else the log holds is counted, not kept.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.formats.carmen.laser import REAR, LaserFacts, scans_of
+from lirs_wct.formats.carmen.lines import PARSERS, Lines, Message, messages_of, parameters_of, read_lines
+from lirs_wct.formats.carmen.odometry import odometry_of
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.geometry.trajectory import Trajectory
+
+DAY = 86_400.0
+"""A stamp farther than this from the log's middle is damaged, seconds ..."""
+FEW = 0.01
+"""... where no more than this share of all are."""
+REASONS = 5
+"""Reasons that an error tells."""
+
+
+@dataclass(frozen=True)
+class CarmenLog:
+    """A log as read, sorted by stamp.
+
+    Attributes:
+        scans: by stamp, strictly increasing.
+        odometry: `T_odom_base` of each scan, as many as scans; all None where the log holds no odometry.
+        track: every pose that the log's odometry gives, of messages with and without a scan; may be empty.
+        skipped: how many lines were left out, by reason.
+        late: lines whose stamp was before that of an earlier line; they were sorted in and kept.
+        repaired: how often something was put right, by what.
+        laser: name of the messages that the scans are from.
+    """
+
+    scans: tuple[LaserScan, ...]
+    odometry: tuple[Pose2 | None, ...]
+    track: Trajectory
+    skipped: Mapping[str, int] = field(default_factory=dict)
+    late: int = 0
+    repaired: Mapping[str, int] = field(default_factory=dict)
+    laser: str = "FLASER"
+
+    @property
+    def stamps(self) -> NDArray[np.float64]:
+        """(n,) seconds, of the scans."""
+        return np.array([scan.stamp for scan in self.scans])
+
+
+def read_carmen(path: Path, facts: LaserFacts | None = None) -> CarmenLog:
+    """Read a CARMEN log; lines that cannot be used are skipped and counted.
+
+    Args:
+        path: of the log.
+        facts: what the user knows about the laser better than the log.
+
+    Raises:
+        SourceError: the file cannot be read, is not text, or holds no usable laser scan.
+    """
+    lines = read_lines(path)
+    skipped, repaired = Counter[str](), Counter[str]()
+    for name in lines.keys() - PARSERS.keys() - {"PARAM"}:
+        skipped[f"message {name[:20]}" if name.isidentifier() else "not a message"] += len(lines[name])
+    odoms = messages_of("ODOM", lines.get("ODOM", ()), skipped)
+    laser, read = _lasers(lines, skipped)
+    if not read:
+        raise SourceError(
+            f"{path}: no usable laser scan (FLASER, ROBOTLASER1, ...) in this CARMEN log{_told(skipped)}"
+        )
+    read, odoms = _in_time(read, skipped), _in_time(odoms, skipped)
+    late = _late([*read, *odoms])
+    scans = _by_stamp(read, skipped)
+    parameters = parameters_of(lines.get("PARAM", ()))
+    odometry, track = odometry_of([m.stamp for m in scans], scans, odoms, repaired)
+    try:
+        found = scans_of(laser, scans, parameters, facts or LaserFacts(), repaired)
+    except ConfigError as error:
+        raise SourceError(f"{path}: {error}") from error
+    return CarmenLog(tuple(found), tuple(odometry), track, dict(skipped), late, dict(repaired), laser)
+
+
+def _lasers(lines: Lines, skipped: Counter[str]) -> tuple[str, list[Message]]:
+    """Return the messages of one laser: the front one, with poses if possible, of the commonest message."""
+    names = sorted(
+        (name for name in lines if name in PARSERS and name != "ODOM"),
+        key=lambda name: (name in REAR, name.startswith("RAW"), -len(lines[name])),
+    )
+    for k, name in enumerate(names):
+        messages = messages_of(name, lines[name], skipped)
+        if messages:
+            for other in names[k + 1 :]:
+                skipped[f"{other} beside {name}"] += len(lines[other])
+            return name, _of_one_size(name, messages, skipped)
+    return "", []
+
+
+def _of_one_size(name: str, messages: list[Message], skipped: Counter[str]) -> list[Message]:
+    """Keep the scans that have as many beams as most: a laser does not change."""
+    sizes = Counter(len(m.ranges) for m in messages)
+    usual = sizes.most_common(1)[0][0]
+    for size, count in sizes.items():
+        if size != usual:
+            skipped[f"{name} of {size} beams where the log's have {usual}"] += count
+    return [m for m in messages if len(m.ranges) == usual]
+
+
+def _in_time(messages: list[Message], skipped: Counter[str]) -> list[Message]:
+    """Leave out the few messages whose stamps lie more than a day from the others."""
+    if not messages:
+        return messages
+    stamps = np.array([m.stamp for m in messages])
+    away = np.abs(stamps - np.median(stamps)) > DAY
+    if not 0 < away.mean() <= FEW:
+        return messages
+    skipped["stamp more than a day from the others"] += int(away.sum())
+    return [m for m, far in zip(messages, away.tolist(), strict=True) if not far]
+
+
+def _late(messages: Sequence[Message]) -> int:
+    """Count the lines whose stamp is before that of an earlier line."""
+    stamps = np.array([m.stamp for m in sorted(messages, key=lambda m: m.line)])
+    return int((stamps < np.maximum.accumulate(stamps)).sum())
+
+
+def _by_stamp(messages: Sequence[Message], skipped: Counter[str]) -> list[Message]:
+    """Sort by stamp; of several scans with one stamp the first line stays."""
+    first: dict[float, Message] = {}
+    for message in messages:
+        first.setdefault(message.stamp, message)
+    if len(first) < len(messages):
+        skipped["stamp of an earlier scan repeated"] += len(messages) - len(first)
+    return [first[stamp] for stamp in sorted(first)]
+
+
+def _told(skipped: Counter[str]) -> str:
+    if not skipped:
+        return ""
+    told = ", ".join(f"{n} x {why}" for why, n in skipped.most_common(REASONS))
+    more = len(skipped) - REASONS
+    return f"; skipped: {told}" + (f" and {more} other reasons" if more > 0 else "")

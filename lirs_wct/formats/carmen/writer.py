@@ -1,0 +1,99 @@
+"""Laser scans with odometry as a CARMEN log of `ROBOTLASER1` messages, gzipped, for any SLAM program.
+
+The message says its own start angle, field of view, resolution and largest range, so that no reader has
+to assume 180 degrees. Ranges are in millimetres' steps; nothing in range is the largest range or more,
+too near is 0, and invalid is 81.91, a SICK's code for it.
+"""
+
+from __future__ import annotations
+
+import gzip
+import math
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.files import atomic_write
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import LaserScan
+
+INVALID = 81.91
+"""Written for a beam whose measurement is invalid, metres."""
+HOST = "lirs-wct"
+HEADER = (
+    "# CARMEN log: ROBOTLASER1 laser_type start_angle field_of_view angular_resolution maximum_range\n"
+    "#   accuracy remission_mode num_readings [ranges] num_remissions laser_x laser_y laser_theta\n"
+    "#   robot_x robot_y robot_theta laser_tv laser_rv forward_safety_dist side_safety_dist turn_axis\n"
+    "#   timestamp host logger_timestamp\n"
+    "# metres, radians, seconds since the start; the robot's pose is its odometry\n"
+)
+LEVEL = 1
+"""Of gzip: noise of the sensor hardly shrinks further, at many times the work."""
+
+
+def write_log(path: Path, scans: Iterable[tuple[LaserScan, Pose2]]) -> None:
+    """Write scans and the odometry `T_odom_base` at their stamps; the same data give the same bytes.
+
+    Of the laser's mount the messages hold what lies in the plane: x, y and yaw; a comment tells all of it.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with (
+        atomic_write(path) as temporary,
+        temporary.open("wb") as raw,
+        gzip.GzipFile("", "wb", LEVEL, raw, mtime=0) as zipped,
+    ):
+        zipped.write(HEADER.encode())
+        for k, (scan, T_odom_base) in enumerate(scans):
+            if k == 0:
+                zipped.write(_mount(scan.T_base_laser).encode())
+            zipped.write(_message(scan, T_odom_base).encode())
+
+
+def _mount(T_base_laser: Pose3) -> str:
+    """Return a comment that says what the messages have no room for."""
+    x, y, z = T_base_laser.position.tolist()
+    angles = f"{T_base_laser.roll:.6f} {T_base_laser.pitch:.6f} {T_base_laser.yaw:.6f}"
+    return f"# laser on base_link, x y z roll pitch yaw: {x:.6f} {y:.6f} {z:.6f} {angles}\n"
+
+
+def _message(scan: LaserScan, T_odom_base: Pose2) -> str:
+    n = len(scan.ranges)
+    laser = T_odom_base @ scan.T_base_laser.to_pose2()
+    fov = scan.angle_increment * (n - 1)
+    geometry = f"{scan.angle_min:.9f} {fov:.9f} {scan.angle_increment:.12f} {scan.range_max:.3f}"
+    poses = f"{_pose(laser)} {_pose(T_odom_base)}"
+    stamp = f"{scan.stamp:.6f}"
+    return f"ROBOTLASER1 0 {geometry} 0 0 {n} {_ranges(scan)} 0 {poses} 0 0 0 0 0 {stamp} {HOST} {stamp}\n"
+
+
+def _pose(pose: Pose2) -> str:
+    return f"{pose.x:.6f} {pose.y:.6f} {pose.yaw:.8f}"
+
+
+def _ranges(scan: LaserScan) -> str:
+    words = _words(math.ceil(scan.range_max * 1000) + 1)
+    mm = _millimetres(scan.ranges, len(words) - 2)
+    return " ".join([words[k] for k in mm.tolist()])
+
+
+def _millimetres(ranges: NDArray[np.float32], most: int) -> NDArray[np.int64]:
+    """Return (n,) millimetres; `most` where nothing came back, -1 where the measurement is invalid.
+
+    A hit stays below `most`, since that means no return.
+    """
+    finite = np.isfinite(ranges)
+    mm = np.clip(np.rint(np.where(finite, ranges, 0) * 1000.0), 0, most - 1).astype(np.int64)
+    mm[ranges == np.inf] = most
+    mm[np.isnan(ranges)] = -1
+    return mm
+
+
+@cache
+def _words(millimetres: int) -> list[str]:
+    """Return each number of millimetres as metres, last the code for "invalid": formatted once for all."""
+    return [*(f"{mm / 1000:.3f}" for mm in range(millimetres)), f"{INVALID:.2f}"]

@@ -1,0 +1,1 @@
+"""Gazebo's files: SDF, model package, heightmap."""

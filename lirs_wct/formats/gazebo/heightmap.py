@@ -1,0 +1,95 @@
+"""Gazebo's heightmap: a square 8-bit picture of 2^n + 1 pixels and the model that shows it.
+
+What the paper compares its solid worlds with; 8 bits, since 16 read as infinite heights in Gazebo.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.sax.saxutils import escape, quoteattr
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.files import atomic_write
+from lirs_wct.formats.gazebo.sdf import VERSION, model_uri
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.sources.filters import resized
+
+SIDES = tuple(2**n + 1 for n in range(4, 13))
+"""Legal pixels a side: 17 to 4097."""
+
+
+def heightmap_side(surface: HeightField) -> int:
+    """Return the smallest legal side that is not coarser than the surface, at most 4097."""
+    side: int = next((side for side in SIDES if side >= max(surface.shape)), SIDES[-1])
+    return side
+
+
+def heightmap_pixels(surface: HeightField, side: int | None = None) -> NDArray[np.uint8]:
+    """Return (side, side) gray levels: 0 is the lowest point, 255 the highest.
+
+    Raises:
+        ConfigError: side is not 2^n + 1.
+    """
+    side = side or heightmap_side(surface)
+    if side not in SIDES:
+        raise ConfigError(f"a heightmap has 2^n + 1 pixels a side, got {side}; legal: {SIDES}")
+    above = surface.z - surface.z.min()
+    levels = resized(above, side, side) * np.float32(255 / max(surface.relief, 1e-9))
+    pixels: NDArray[np.uint8] = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+    return pixels
+
+
+def write_heightmap(path: Path, surface: HeightField, side: int | None = None) -> None:
+    """Write the picture as PNG.
+
+    Raises:
+        ConfigError: side is not 2^n + 1.
+        OutputError: the file cannot be written.
+    """
+    done, data = cv2.imencode(".png", heightmap_pixels(surface, side))
+    assert done, "an 8-bit picture can always be encoded"
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(data.tobytes())
+
+
+def heightmap_sdf(name: str, surface: HeightField, picture: str, texture: str | None = None) -> str:
+    """Return `model.sdf` of a heightmap model.
+
+    Args:
+        name: of the model and of its folder.
+        surface: gives the metres.
+        picture: path of the heightmap inside the package.
+        texture: path of a texture inside the package; it spans the longer side once.
+    """
+    width, depth = surface.size
+    west, south, east, north = surface.bounds
+    # Gazebo divides by the height: level ground gets a millimetre.
+    size = f"<size>{width:.9g} {depth:.9g} {max(surface.relief, 1e-3):.9g}</size>"
+    place = f"<pos>{(west + east) / 2:.9g} {(south + north) / 2:.9g} {float(surface.z.min()):.9g}</pos>"
+    uri = f"<uri>{escape(model_uri(name, picture))}</uri>"
+    look = ""
+    if texture is not None:
+        diffuse = escape(model_uri(name, texture))
+        look = (
+            f"<texture><diffuse>{diffuse}</diffuse><normal>{diffuse}</normal>"
+            f"<size>{max(width, depth):.9g}</size></texture>"
+        )
+    return f"""<?xml version="1.0"?>
+<sdf version="{VERSION}">
+  <model name={quoteattr(name)}>
+    <static>true</static>
+    <link name="ground">
+      <visual name="visual">
+        <geometry><heightmap>{uri}{look}{size}{place}</heightmap></geometry>
+      </visual>
+      <collision name="collision">
+        <geometry><heightmap>{uri}{size}{place}</heightmap></geometry>
+      </collision>
+    </link>
+  </model>
+</sdf>
+"""

@@ -1,0 +1,146 @@
+"""Size and completeness of a picture from its bytes, before any pixel is decoded.
+
+Decoders allocate what a header announces and some fill in silently what is missing, so both are
+checked here first. Every function raises ValueError with a reason, or struct.error where the file
+ends too early.
+"""
+
+from __future__ import annotations
+
+import mmap
+import re
+import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from lirs_wct.formats.images import tiff
+
+_PNM = re.compile(rb"P[1-6fF]\s+(?:#[^\n]*\n\s*)*(\d+)\s+(?:#[^\n]*\n\s*)*(\d+)")
+
+
+@dataclass(frozen=True, slots=True)
+class PictureHeader:
+    """What a picture file says about itself.
+
+    Attributes:
+        width: pixels.
+        height: pixels.
+        pages: pictures in the file.
+        tags: a TIFF's tags.
+    """
+
+    width: int
+    height: int
+    pages: int = 1
+    tags: tiff.Tags = field(default_factory=dict)
+
+
+def read_header(data: mmap.mmap) -> PictureHeader:
+    """Return the header of a PNG, PNM, GIF, JPEG, TIFF or BMP file.
+
+    Raises:
+        ValueError: the format is none of these, or the file is damaged.
+        struct.error: the file ends inside its header.
+    """
+    readers: tuple[tuple[tuple[bytes, ...], Callable[[mmap.mmap], PictureHeader]], ...] = (
+        ((b"\x89PNG\r\n\x1a\n",), _png),
+        ((b"GIF87a", b"GIF89a"), _gif),
+        ((b"\xff\xd8\xff",), _jpeg),
+        ((b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), _tiff),
+        ((b"BM",), _bmp),
+        (tuple(b"P%c" % c for c in b"123456fF"), _pnm),
+    )
+    start = data[:8]
+    for magics, read in readers:
+        if start.startswith(magics):
+            return read(data)
+    raise ValueError("is not a picture; legal: PNG, PGM/PNM, GIF, JPEG, TIFF, BMP")
+
+
+def check_complete(data: mmap.mmap) -> None:
+    """Look for damage that a decoder would pass over or report on stderr by itself.
+
+    Raises:
+        ValueError: the file is truncated or a checksum is wrong.
+        struct.error: the file ends inside a structure.
+    """
+    if data[:4] == b"\x89PNG":
+        _check_png(data)
+    elif data[:3] == b"\xff\xd8\xff" and data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
+        raise ValueError("is truncated: the JPEG's end marker is missing")
+
+
+def _png(data: mmap.mmap) -> PictureHeader:
+    if data[12:16] != b"IHDR":
+        raise ValueError("is damaged: the PNG does not begin with IHDR")
+    return PictureHeader(*struct.unpack(">II", data[16:24]))
+
+
+def _check_png(data: mmap.mmap) -> None:
+    at, view = 8, memoryview(data)
+    while at + 12 <= len(data):
+        length, kind = struct.unpack(">I4s", data[at : at + 8])
+        end = at + 8 + length
+        if end + 4 > len(data):
+            break
+        if zlib.crc32(view[at + 4 : end]) != struct.unpack(">I", data[end : end + 4])[0]:
+            raise ValueError(f"is damaged: checksum of PNG chunk {kind.decode('latin-1')} is wrong")
+        if kind == b"IEND":
+            return
+        at = end + 4
+    raise ValueError("is truncated: the PNG's end is missing")
+
+
+def _gif(data: mmap.mmap) -> PictureHeader:
+    width, height, flags = struct.unpack("<HHB", data[6:11])
+    at, pages = 13 + _gif_table(flags), 0
+    while at < len(data) and data[at] != 0x3B:
+        if data[at] == 0x2C:
+            w, h, flags = struct.unpack("<HHB", data[at + 5 : at + 10])
+            width, height, pages = max(width, w), max(height, h), pages + 1
+            at += 11 + _gif_table(flags)
+        else:
+            at += 2
+        while at < len(data) and data[at]:
+            at += data[at] + 1
+        at += 1
+    return PictureHeader(width, height, max(pages, 1))
+
+
+def _gif_table(flags: int) -> int:
+    """Return the bytes of a colour table."""
+    return 3 << (flags % 8 + 1) if flags & 0x80 else 0
+
+
+def _jpeg(data: mmap.mmap) -> PictureHeader:
+    at = 2
+    while at < len(data):
+        marker, length = struct.unpack(">HH", data[at : at + 4])
+        if not 0xFFC0 <= marker <= 0xFFFE:
+            break
+        if marker <= 0xFFCF and marker not in (0xFFC4, 0xFFC8, 0xFFCC):
+            height, width = struct.unpack(">HH", data[at + 5 : at + 9])
+            return PictureHeader(width, height)
+        at += 2 + length
+    raise ValueError("is damaged: the JPEG has no frame header")
+
+
+def _tiff(data: mmap.mmap) -> PictureHeader:
+    tags, pages = tiff.read_tags(data)
+    if tiff.WIDTH not in tags or tiff.HEIGHT not in tags:
+        raise ValueError("is damaged: the TIFF does not say its size")
+    return PictureHeader(int(tags[tiff.WIDTH][0]), int(tags[tiff.HEIGHT][0]), pages, tags)
+
+
+def _bmp(data: mmap.mmap) -> PictureHeader:
+    (size,) = struct.unpack("<I", data[14:18])
+    width, height = struct.unpack("<HH", data[18:22]) if size == 12 else struct.unpack("<ii", data[18:26])
+    return PictureHeader(width, abs(height))
+
+
+def _pnm(data: mmap.mmap) -> PictureHeader:
+    found = _PNM.match(data[:4096])
+    if found is None:
+        raise ValueError("is damaged: the PNM header lacks the size")
+    return PictureHeader(int(found[1]), int(found[2]))

@@ -1,0 +1,1 @@
+"""Mesh files: COLLADA, STL, OBJ and what trimesh reads."""

@@ -1,0 +1,107 @@
+"""Mesh files of any common format, read and written upright: z up, metres."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.files import atomic_write
+from lirs_wct.formats.meshes.collada import write_collada
+from lirs_wct.formats.meshes.obj import write_obj
+from lirs_wct.formats.meshes.stl import read_mesh, write_stl
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.sources.source import MESHES as SUFFIXES
+
+_HEAD = 1 << 16
+"""Bytes of a COLLADA file in which its <asset> stands."""
+
+
+def read_upright(path: Path) -> TriangleMesh:
+    """Read a mesh, equal vertices merged, turned so that z is up, in metres.
+
+    A GLB has y up by its standard, a COLLADA file says what it has and its unit; the others do not say,
+    and are taken to be z up in metres.
+
+    Raises:
+        SourceError: the file is missing, damaged, of a format that is not read, or without triangles.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise SourceError(f"{path}: not a mesh that is read; legal: {', '.join(SUFFIXES)}")
+    mesh = _merged(read_mesh(path))
+    if path.suffix.lower() == ".glb":
+        return mesh.rotated_x(90.0)
+    if path.suffix.lower() == ".dae":
+        up, unit = _collada_frame(path)
+        turn = {"X": np.array(((0, 1, 0), (-1, 0, 0), (0, 0, 1))), "Y": None, "Z": np.eye(3)}[up]
+        mesh = mesh.rotated_x(90.0) if turn is None else TriangleMesh(mesh.vertices @ turn, mesh.faces)
+        return TriangleMesh(mesh.vertices * unit, mesh.faces)
+    return mesh
+
+
+def write_mesh(path: Path, mesh: TriangleMesh) -> None:
+    """Write a mesh in the format of the file's suffix; a GLB with y up, as its readers expect.
+
+    Raises:
+        ConfigError: the suffix is none that is written.
+        OutputError: the file cannot be written.
+    """
+    writers: dict[str, Callable[[Path, TriangleMesh], None]] = {
+        ".stl": write_stl,
+        ".dae": write_collada,
+        ".obj": write_obj,
+        ".ply": _write_ply,
+        ".glb": _write_glb,
+    }
+    suffix = path.suffix.lower()
+    if suffix not in writers:
+        raise ConfigError(f"{path}: not a mesh that is written; legal: {', '.join(SUFFIXES)}")
+    writers[suffix](path, mesh)
+
+
+def _write_ply(path: Path, mesh: TriangleMesh) -> None:
+    with atomic_write(path) as temporary:
+        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary)
+
+
+def _write_glb(path: Path, mesh: TriangleMesh) -> None:
+    turned = mesh.rotated_x(-90.0)
+    with atomic_write(path) as temporary:
+        trimesh.Trimesh(turned.vertices, turned.faces, process=False).export(temporary)
+
+
+def _merged(mesh: TriangleMesh) -> TriangleMesh:
+    """Return the mesh with one vertex a place, and without triangles that have two corners there."""
+    # Adding 0 makes -0.0 and 0.0 the same place.
+    vertices = np.ascontiguousarray(mesh.vertices + 0.0)
+    keys = vertices.view(np.uint64)
+    mixed: NDArray[np.uint64] = keys[:, 0].copy()
+    for column in (1, 2):
+        mixed = (mixed * np.uint64(0x9E3779B97F4A7C15)) ^ (mixed >> np.uint64(29)) ^ keys[:, column]
+    _, first, index = np.unique(mixed, return_index=True, return_inverse=True)
+    if not np.array_equal(vertices[first][index], vertices):
+        # Two places with one key: as good as never, and then slowly.
+        _, first, index = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+    faces = index.reshape(-1)[mesh.faces].astype(np.int32)
+    a, b, c = faces.T
+    return TriangleMesh(vertices[first], faces[(a != b) & (b != c) & (c != a)])
+
+
+def _collada_frame(path: Path) -> tuple[str, float]:
+    """Return the axis that is up, and metres a unit; the standard's defaults are Y and 1."""
+    with path.open("rb") as file:
+        head = file.read(_HEAD).decode("utf-8", errors="replace")
+    up = re.search(r"<up_axis>\s*([XYZ])_UP", head)
+    unit = re.search(r"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']+)", head)
+    try:
+        metres = float(unit[1]) if unit else 1.0
+    except ValueError:
+        raise SourceError(f"{path}: its unit is not a number of metres") from None
+    if not 0 < metres < float("inf"):
+        raise SourceError(f"{path}: its unit must be above 0 m, got {metres:g}")
+    return (up[1] if up else "Y"), metres

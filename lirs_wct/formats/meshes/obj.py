@@ -1,0 +1,64 @@
+"""Wavefront OBJ: a text that everything opens; with its material beside it when there is a texture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.files import atomic_write
+from lirs_wct.formats.meshes.text import fixed_text
+from lirs_wct.geometry.mesh import TriangleMesh
+
+_ROWS = 1 << 16
+_METRE_DECIMALS, _UNIT_DECIMALS = 6, 5
+
+
+def write_obj(path: Path, mesh: TriangleMesh, texture: str | None = None) -> None:
+    """Write a mesh, with its texture coordinates and normals where it has them.
+
+    Args:
+        path: file; the material goes beside it as STEM.mtl.
+        mesh: in the world frame, z up, metres.
+        texture: path of a picture relative to the file; needs texture coordinates.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    textured = texture is not None and mesh.uv is not None
+    if textured:
+        with atomic_write(path.with_suffix(".mtl")) as temporary:
+            temporary.write_text(f"newmtl ground\nKa 1 1 1\nKd 1 1 1\nmap_Kd {texture}\n", encoding="utf-8")
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        file.write(b"# LIRS-WCT, metres, z up\n")
+        if textured:
+            file.write(f"mtllib {path.stem}.mtl\nusemtl ground\n".encode())
+        for word, values, decimals in (
+            (b"v", mesh.vertices, _METRE_DECIMALS),
+            (b"vt", mesh.uv, _UNIT_DECIMALS),
+            (b"vn", mesh.normals, _UNIT_DECIMALS),
+        ):
+            for start in range(0, 0 if values is None else len(values), _ROWS):
+                assert values is not None
+                file.write(_lines(word, fixed_text(values[start : start + _ROWS], decimals)))
+        for start in range(0, len(mesh.faces), _ROWS):
+            file.write(_faces(mesh.faces[start : start + _ROWS] + 1, mesh))
+
+
+def _lines(word: bytes, rows: bytes) -> bytes:
+    return word + b" " + rows[:-1].replace(b"\n", b"\n" + word + b" ") + b"\n"
+
+
+def _faces(corners: NDArray[np.int32], mesh: TriangleMesh) -> bytes:
+    """Return the lines of some faces; position, texture and normal of a corner have one number."""
+    text = fixed_text(corners, 0)
+    if mesh.uv is None and mesh.normals is None:
+        return _lines(b"f", text)
+    slots = (b"%s/%s/%s", b"%s/%s", b"%s//%s")
+    form = slots[0] if mesh.uv is not None and mesh.normals is not None else slots[1 + (mesh.uv is None)]
+    out = [
+        b"f " + b" ".join(form % ((corner,) * form.count(b"%s")) for corner in line.split())
+        for line in text.splitlines()
+    ]
+    return b"\n".join(out) + b"\n"

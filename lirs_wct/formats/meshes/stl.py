@@ -1,0 +1,92 @@
+"""STL: triangles without names, materials or units, binary."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numba import njit
+from numpy.typing import NDArray
+
+from lirs_wct.errors import SourceError
+from lirs_wct.files import atomic_write
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.progress import Tick, ticking
+
+_CHUNK = 1 << 14
+_RECORD = np.dtype([("floats", "<f4", 12), ("attribute", "<u2")])
+
+
+def write_stl(path: Path, mesh: TriangleMesh, tick: Tick | None = None) -> None:
+    """Write a mesh as binary STL; `tick` is called with the share that is written, 0 to 1.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    starts = range(0, len(mesh.faces), _CHUNK)
+    chunks = (mesh.vertices[mesh.faces[i : i + _CHUNK]] for i in starts)
+    write_triangles(path, len(mesh.faces), chunks, tick)
+
+
+def write_triangles(
+    path: Path, count: int, chunks: Iterable[NDArray[np.float64]], tick: Tick | None = None
+) -> None:
+    """Write triangles as they come, so that a surface larger than the memory can be written.
+
+    Args:
+        path: file.
+        count: triangles in all, below 2**32.
+        chunks: (n, 3, 3) corners in metres each.
+        tick: called with the share that is written, 0 to 1.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        # The header must not begin with "solid", which marks ASCII.
+        file.write(struct.pack("<80sI", b"LIRS-WCT, metres, z up", count))
+        for corners in ticking(chunks, count, len, tick):
+            record = np.zeros(len(corners), dtype=_RECORD)
+            record["floats"] = _facets(np.ascontiguousarray(corners))
+            file.write(record.data)
+
+
+@njit(cache=True)
+def _facets(corners: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return (n, 12) unit normal and corners of each triangle; zero normal without area."""
+    out = np.empty((len(corners), 12), np.float32)
+    for i in range(len(corners)):
+        a, b, c = corners[i]
+        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        length = np.sqrt(nx * nx + ny * ny + nz * nz)
+        scale = 1 / length if length > 0 else 0.0
+        out[i, 0], out[i, 1], out[i, 2] = nx * scale, ny * scale, nz * scale
+        for k in range(3):
+            out[i, 3 + k], out[i, 6 + k], out[i, 9 + k] = a[k], b[k], c[k]
+    return out
+
+
+def read_mesh(path: Path) -> TriangleMesh:
+    """Read a mesh in any format that trimesh knows, equal vertices merged, as it stands in the file.
+
+    Raises:
+        SourceError: the file is missing, damaged, of an unknown format, or holds no triangles.
+    """
+    if not path.is_file():
+        raise SourceError(f"{path}: no such file")
+    try:
+        loaded = trimesh.load_mesh(path)
+    except Exception as error:  # every loader of trimesh has errors of its own
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise SourceError(f"{path}: cannot be read as a mesh: {reason}") from error
+    vertices, faces = np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int32)
+    if len(faces) == 0:
+        raise SourceError(f"{path}: holds no triangles, at least one is needed")
+    if not np.isfinite(vertices).all():
+        raise SourceError(f"{path}: has vertices that are not finite")
+    return TriangleMesh(vertices, faces)

@@ -1,0 +1,92 @@
+"""The occupancy grid: what is known about which cell, in a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.pose import Pose2
+
+OCCUPIED = 0.65
+"""A cell is occupied where its probability exceeds this (ROS map_saver's `occupied_thresh`)."""
+FREE = 0.25
+"""A cell is free where its probability is below this (ROS map_saver's `free_thresh`)."""
+
+
+@dataclass(frozen=True, slots=True)
+class OccupancyGrid:
+    """Cells of a plane with the log-odds of being occupied; unknown is a state of its own.
+
+    Attributes:
+        log_odds: (rows, cols) float32, row 0 = south (ROS order), NaN = unknown.
+        resolution: edge of a cell, metres.
+        origin: `T_frame_grid`: pose of the outer corner of cell (0, 0), as in a ROS map YAML.
+
+    Raises:
+        ConfigError: resolution is not positive or the array has the wrong shape or type.
+    """
+
+    log_odds: NDArray[np.float32]
+    resolution: float
+    origin: Pose2 = field(default_factory=Pose2)
+
+    def __post_init__(self) -> None:
+        if not self.resolution > 0:
+            raise ConfigError(f"resolution must be above 0 m, got {self.resolution}")
+        if self.log_odds.ndim != 2 or self.log_odds.dtype != np.float32:
+            raise ConfigError(
+                f"log_odds must be a float32 matrix, got {self.log_odds.dtype} {self.log_odds.shape}"
+            )
+
+    @staticmethod
+    def from_probability(p: ArrayLike, resolution: float, origin: Pose2 | None = None) -> OccupancyGrid:
+        """Build from probabilities (rows, cols), row 0 = south, NaN = unknown; 0 and 1 are clipped."""
+        q = np.clip(np.asarray(p, dtype=np.float64), 1e-6, 1 - 1e-6)
+        np.divide(q, 1 - q, out=q)
+        return OccupancyGrid(np.log(q, out=q).astype(np.float32), resolution, origin or Pose2())
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows (northward), columns (eastward)."""
+        return self.log_odds.shape[0], self.log_odds.shape[1]
+
+    @property
+    def probability(self) -> NDArray[np.float32]:
+        """(rows, cols) probability of being occupied, NaN = unknown."""
+        return (1 / (1 + np.exp(-self.log_odds))).astype(np.float32)
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """(rows, cols) cells about which something is known."""
+        return ~np.isnan(self.log_odds)
+
+    @property
+    def occupied(self) -> NDArray[np.bool_]:
+        """(rows, cols) known cells with p > 0.65."""
+        return self.probability > OCCUPIED
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """(rows, cols) known cells with p < 0.25."""
+        return self.probability < FREE
+
+    def cells(self, points: ArrayLike) -> NDArray[np.int64]:
+        """Return (..., 2) row and column of points (..., 2) in the grid's frame; may lie outside."""
+        local = self.origin.inverse().apply(points)
+        return np.floor(local[..., ::-1] / self.resolution).astype(np.int64)
+
+    def centres(self, cells: ArrayLike) -> NDArray[np.float64]:
+        """Return (..., 2) the centres of cells (..., 2) given as row, column, in the grid's frame."""
+        rc = np.asarray(cells, dtype=np.float64)
+        return self.origin.apply((rc[..., ::-1] + 0.5) * self.resolution)
+
+    def occupied_points(self) -> NDArray[np.float64]:
+        """Return (n, 2) centres of the occupied cells."""
+        return self.centres(np.argwhere(self.occupied))
+
+    def moved(self, T_new_frame: Pose2) -> OccupancyGrid:
+        """Return the same cells expressed in another frame."""
+        return replace(self, origin=T_new_frame @ self.origin)

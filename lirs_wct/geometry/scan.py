@@ -1,0 +1,74 @@
+"""What the sensors say: a planar laser scan and an inertial reading."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.pose import Pose3
+
+
+@dataclass(frozen=True, slots=True)
+class LaserScan:
+    """One sweep of a planar laser range finder, after ROS `sensor_msgs/LaserScan` and REP 117.
+
+    Attributes:
+        ranges: (n,) float32 metres. +inf = nothing in range, -inf = too near, NaN = invalid.
+        angle_min: angle of the first beam about the sensor's z, radians, counter-clockwise from its x.
+        angle_increment: angle between beams, radians.
+        range_min: smallest range that the sensor measures, metres.
+        range_max: largest range that the sensor measures, metres.
+        stamp: time of the first beam, seconds.
+        T_base_laser: where the sensor sits on the robot.
+        time_increment: time between beams, seconds; 0 = all at once.
+
+    Raises:
+        ConfigError: ranges are not a vector of float32.
+    """
+
+    ranges: NDArray[np.float32]
+    angle_min: float
+    angle_increment: float
+    range_min: float
+    range_max: float
+    stamp: float
+    T_base_laser: Pose3 = field(default_factory=Pose3)
+    time_increment: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.ranges.ndim != 1 or self.ranges.dtype != np.float32:
+            raise ConfigError(
+                f"ranges must be a vector of float32, got {self.ranges.dtype} {self.ranges.shape}"
+            )
+
+    @property
+    def angles(self) -> NDArray[np.float64]:
+        """(n,) beam angles in the sensor frame, radians."""
+        return self.angle_min + self.angle_increment * np.arange(len(self.ranges), dtype=np.float64)
+
+    @property
+    def hits(self) -> NDArray[np.bool_]:
+        """(n,) which beams met something within the sensor's range."""
+        return np.isfinite(self.ranges) & (self.ranges >= self.range_min) & (self.ranges <= self.range_max)
+
+
+@dataclass(frozen=True, slots=True)
+class Imu:
+    """An inertial reading in the base frame. Yaw is left out: without a compass nobody knows it.
+
+    Attributes:
+        roll: attitude about x (fixed axes, REP 103), radians.
+        pitch: attitude about y, radians; positive = nose down.
+        angular_velocity: rates about x, y, z of the base, rad/s.
+        linear_acceleration: specific force along x, y, z of the base, m/s^2 (+9.81 on z at rest).
+        stamp: seconds.
+    """
+
+    roll: float = 0.0
+    pitch: float = 0.0
+    angular_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    linear_acceleration: tuple[float, float, float] = (0.0, 0.0, 9.81)
+    stamp: float = 0.0

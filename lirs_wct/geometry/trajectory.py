@@ -1,0 +1,92 @@
+"""Stamped poses of base_link."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.pose import Pose2, Pose3
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Poses over time in one frame.
+
+    Attributes:
+        stamps: (n,) seconds, strictly increasing.
+        positions: (n, 3) metres.
+        quaternions: (n, 4) unit, wxyz.
+
+    Raises:
+        ConfigError: lengths differ or stamps do not increase.
+    """
+
+    stamps: NDArray[np.float64]
+    positions: NDArray[np.float64]
+    quaternions: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        n = len(self.stamps)
+        if self.positions.shape != (n, 3) or self.quaternions.shape != (n, 4):
+            raise ConfigError(
+                f"a trajectory of {n} stamps needs positions ({n}, 3) and quaternions ({n}, 4), "
+                f"got {self.positions.shape} and {self.quaternions.shape}"
+            )
+        if np.any(np.diff(self.stamps) <= 0):
+            raise ConfigError("stamps of a trajectory must increase strictly")
+
+    @staticmethod
+    def from_poses(stamps: Sequence[float], poses: Sequence[Pose2] | Sequence[Pose3]) -> Trajectory:
+        """Build from poses; planar ones lie upright at z = 0."""
+        lifted = [Pose3.from_pose2(p) if isinstance(p, Pose2) else p for p in poses]
+        return Trajectory(
+            np.asarray(stamps, dtype=np.float64),
+            np.array([(p.x, p.y, p.z) for p in lifted], dtype=np.float64).reshape(-1, 3),
+            np.array([(p.qw, p.qx, p.qy, p.qz) for p in lifted], dtype=np.float64).reshape(-1, 4),
+        )
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    @property
+    def xy(self) -> NDArray[np.float64]:
+        """(n, 2) metres."""
+        return self.positions[:, :2]
+
+    @property
+    def yaw(self) -> NDArray[np.float64]:
+        """(n,) radians."""
+        w, x, y, z = self.quaternions.T
+        yaw: NDArray[np.float64] = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return yaw
+
+    @property
+    def length(self) -> float:
+        """Planar path length, metres."""
+        return float(np.linalg.norm(np.diff(self.xy, axis=0), axis=1).sum())
+
+    def pose2(self, i: int) -> Pose2:
+        """Return pose i projected on the plane."""
+        return Pose2(float(self.positions[i, 0]), float(self.positions[i, 1]), float(self.yaw[i]))
+
+    def planar_at(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (m, 3) x, y, yaw at stamps (m,): linear between neighbours, the end pose beyond the ends.
+
+        Metres and radians; the yaw turns the short way round and may leave (-pi, pi].
+        """
+        yaw = np.unwrap(self.yaw)
+        columns = (self.positions[:, 0], self.positions[:, 1], yaw)
+        return np.column_stack([np.interp(stamps, self.stamps, column) for column in columns])
+
+    def moved(self, T_new_frame: Pose2) -> Trajectory:
+        """Return the same motion expressed in another frame (planar move)."""
+        T = Pose3.from_pose2(T_new_frame)
+        poses = [
+            T @ Pose3(*map(float, p), *map(float, q))
+            for p, q in zip(self.positions, self.quaternions, strict=True)
+        ]
+        return Trajectory.from_poses(self.stamps.tolist(), poses)

@@ -1,0 +1,68 @@
+"""The walls of a laser map: exact cells that stand upright on the floor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.pose import Pose2
+
+
+@dataclass(frozen=True, slots=True)
+class WallGrid:
+    """Cells of a laser map: wall from the floor at z = 0 up to one height, floor, or a hole in it.
+
+    Attributes:
+        solid: (rows, cols) bool, row 0 = south (ROS order).
+        resolution: edge of a cell, metres.
+        origin: `T_world_grid`: pose of the outer corner of cell (0, 0), from the map's YAML.
+        height: metres.
+        hole: (rows, cols) bool, cells without wall and without floor; None = the floor is whole.
+
+    Raises:
+        ConfigError: an array is not a bool matrix of the one shape, a cell is wall and hole, no floor or
+            wall is left, or resolution or height is not above 0.
+    """
+
+    solid: NDArray[np.bool_]
+    resolution: float
+    origin: Pose2 = field(default_factory=Pose2)
+    height: float = 1.0
+    hole: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        if self.solid.ndim != 2 or self.solid.dtype != np.bool_:
+            raise ConfigError(f"walls must be a bool matrix, got {self.solid.dtype} {self.solid.shape}")
+        if not self.resolution > 0:
+            raise ConfigError(f"resolution must be above 0 m, got {self.resolution}")
+        if not self.height > 0:
+            raise ConfigError(f"wall height must be above 0 m, got {self.height}")
+        if self.hole is None:
+            return
+        if self.hole.shape != self.solid.shape or self.hole.dtype != np.bool_:
+            raise ConfigError(
+                f"holes must be a bool matrix {self.solid.shape}, got {self.hole.dtype} {self.hole.shape}"
+            )
+        if (self.hole & self.solid).any():
+            raise ConfigError("a cell cannot be both wall and hole")
+        if self.hole.all():
+            raise ConfigError("every cell is a hole: no floor and no wall is left")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows (northward), columns (eastward)."""
+        return self.solid.shape[0], self.solid.shape[1]
+
+    @property
+    def floor(self) -> NDArray[np.bool_]:
+        """(rows, cols) bool, the cells that are neither wall nor hole."""
+        return ~self.solid if self.hole is None else ~(self.solid | self.hole)
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """(4, 2) outer corners in the world frame, counter-clockwise from cell (0, 0)."""
+        h, w = self.solid.shape[0] * self.resolution, self.solid.shape[1] * self.resolution
+        return self.origin.apply(((0.0, 0.0), (w, 0.0), (w, h), (0.0, h)))

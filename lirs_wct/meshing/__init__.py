@@ -1,0 +1,1 @@
+"""A height field or walls become a closed mesh: solid, triangulation, tiles, texture."""

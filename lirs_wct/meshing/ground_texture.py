@@ -1,0 +1,65 @@
+"""The texture that a world wears unless the user brings one: its own heights and slopes in earth colours."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.walls import WallGrid
+
+PIXELS = 1024
+EARTH = np.array(((92, 110, 70), (146, 138, 96), (178, 158, 122), (222, 214, 200)), np.float64)
+"""Meadow, dry grass, rock, scree: red, green, blue from the lowest to the highest ground."""
+FLOOR, WALL = np.array((205, 203, 196), np.float64), np.array((120, 116, 112), np.float64)
+SUN = np.array((-0.5, 0.5, 0.7071))
+"""Unit vector towards the light: north-west, 45 deg up."""
+
+
+def ground_texture(surface: HeightField, walls: WallGrid | None = None) -> NDArray[np.uint8]:
+    """Return (1024, 1024, 3) BGR: what cube projection lays on the upper side, row 0 = north.
+
+    The square's lower-left corner is the surface's south-west corner and its edge the longer of
+    the surface's sides, as `cube_uv` unfolds it.
+    """
+    west, south, _, _ = surface.bounds
+    span = max(surface.size)
+    at = (np.arange(PIXELS) + 0.5) * span / PIXELS
+    x, y = west + at, (south + at[::-1])[:, None]
+    if walls is None:
+        rgb = _earth(surface, x, y, span / PIXELS)
+    else:
+        on_wall = _on_wall(walls, *np.broadcast_arrays(x, y))
+        rgb = np.where(on_wall[..., None], WALL.astype(np.uint8), FLOOR.astype(np.uint8))
+    return np.ascontiguousarray(rgb[..., ::-1])
+
+
+def _earth(
+    surface: HeightField, x: NDArray[np.float64], y: NDArray[np.float64], pixel: float
+) -> NDArray[np.uint8]:
+    # Strip by strip and colour by colour: the whole would take a hundred megabytes for a moment.
+    z = np.concatenate([surface.height_at(x, strip) for strip in np.array_split(y, 16)])
+    np.nan_to_num(z, copy=False, nan=float(surface.z.min()))
+    light = _light(z, pixel)
+    z -= z.min()
+    z /= max(float(z.max()), 1e-9)
+    levels = np.linspace(0, 1, len(EARTH))
+    rgb = np.empty((*z.shape, 3), np.uint8)
+    for k in range(3):
+        rgb[..., k] = np.clip(np.interp(z, levels, EARTH[:, k]) * light, 0, 255)
+    return rgb
+
+
+def _light(z: NDArray[np.float64], pixel: float) -> NDArray[np.float64]:
+    """Return how bright each node is: Lambert's cosine under `SUN`, from 0.55 in the shade."""
+    dz_dy, dz_dx = np.gradient(z, pixel)
+    cosine = (-dz_dx * SUN[0] + dz_dy * SUN[1] + SUN[2]) / np.sqrt(dz_dx**2 + dz_dy**2 + 1)
+    light: NDArray[np.float64] = 0.55 + 0.6 * np.clip(cosine, 0, 1)
+    return light
+
+
+def _on_wall(walls: WallGrid, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+    local = walls.origin.inverse().apply(np.stack((x, y), axis=-1)) / walls.resolution
+    col, row = np.floor(local[..., 0]).astype(int), np.floor(local[..., 1]).astype(int)
+    inside = (row >= 0) & (row < walls.shape[0]) & (col >= 0) & (col < walls.shape[1])
+    return inside & walls.solid[np.where(inside, row, 0), np.where(inside, col, 0)]

@@ -1,0 +1,134 @@
+"""A height field becomes few triangles: within a budget of error, or of triangles.
+
+Unlike a grid thinned out, the result is as fine as the ground asks for, place by place.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.meshing.refinement import FULL, count_bins, refine
+from lirs_wct.meshing.solid import base_height, close_solid, node_axes
+from lirs_wct.meshing.tin import BORDER, POINTS, STRIDE, TRIANGLES, WORST, Ints, Tin
+
+LEAST_FACES = 14
+"""Two triangles, four skirts of two, a base of four."""
+_FIRST_SIZE = 1 << 16
+"""Triangles that there is room for at first."""
+_ROUNDING = 1e-6
+"""Share of the budget kept back for rounding, and share of the relief below which an error is rounding."""
+
+
+def simplified_solid(
+    surface: HeightField,
+    *,
+    max_error: float | None = None,
+    max_triangles: int | None = None,
+    thickness: float | None = None,
+) -> TriangleMesh:
+    """Return a closed mesh whose top deviates vertically by at most `max_error` at every pixel.
+
+    The border stays on straight edges; skirt and base are as `solid_mesh` makes them.
+
+    Args:
+        surface: the ground.
+        max_error: metres, above 0.
+        max_triangles: of the whole solid; the error is then as small as they allow.
+        thickness: metres from the lowest point down to the base (see `solid_mesh`).
+
+    Raises:
+        ConfigError: neither or both budgets are given, or one is not legal.
+    """
+    points, faces = triangulate(surface, max_error=max_error, max_triangles=max_triangles)
+    x, y = node_axes(surface)
+    row, col = points.T
+    vertices = np.column_stack((x[col], y[row], surface.z[row, col].astype(np.float64)))
+    return close_solid(vertices, faces, _border(points, surface.shape), base_height(surface, thickness))
+
+
+def triangulate(
+    surface: HeightField, *, max_error: float | None = None, max_triangles: int | None = None
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Choose pixels and triangulate them (Garland and Heckbert 1995; kernels in `tin_search`).
+
+    Returns:
+        points: (n, 2) row and column of the chosen pixels.
+        faces: (m, 3) points, counter-clockwise from above.
+
+    Raises:
+        ConfigError: neither or both budgets are given, or one is not legal.
+    """
+    _check(max_error, max_triangles)
+    floor = surface.relief * _ROUNDING
+    budget = floor if max_error is None else max(max_error * (1 - _ROUNDING), floor)
+    most = np.iinfo(np.int64).max if max_triangles is None else max_triangles
+    z, cols = surface.z.ravel(), surface.shape[1]
+    tin = _two_triangles(*surface.shape, count_bins(budget, max(budget, surface.relief)))
+    while refine(tin, z, cols, budget, most) == FULL:
+        tin = _grown(tin)
+    points, triangles = int(tin.used[POINTS]), int(tin.used[TRIANGLES])
+    return tin.point[:points].copy(), tin.link.reshape(-1, STRIDE)[:triangles, :3].copy()
+
+
+def _check(max_error: float | None, max_triangles: int | None) -> None:
+    if (max_error is None) == (max_triangles is None):
+        raise ConfigError("give one of --max-error, --max-triangles")
+    if max_error is not None and not 0 < max_error < float("inf"):
+        raise ConfigError(f"max error must be a finite number above 0 m, got {max_error}")
+    if max_triangles is not None and max_triangles < LEAST_FACES:
+        raise ConfigError(
+            f"max triangles must be at least {LEAST_FACES}, a box has as many, got {max_triangles}"
+        )
+
+
+def _two_triangles(rows: int, cols: int, bins: int) -> Tin:
+    tin = _empty(_FIRST_SIZE)._replace(bins=np.full(bins, -1, np.int32))
+    south, east = rows - 1, cols - 1
+    tin.point[:4] = (0, 0), (0, east), (south, 0), (south, east)
+    nw, ne, sw, se = range(4)
+    triangles = tin.link.reshape(-1, STRIDE)
+    # They share the diagonal: edge 1 of the first, edge 2 of the second.
+    triangles[0, :WORST] = nw, sw, ne, -1, STRIDE + 2, -1
+    triangles[1, :WORST] = sw, se, ne, -1, -1, 1
+    tin.used[[POINTS, TRIANGLES, BORDER]] = 4, 2, 4
+    return tin
+
+
+def _empty(triangles: int) -> Tin:
+    t = triangles
+    return Tin(
+        point=np.empty((t, 2), np.int32),
+        link=np.empty(STRIDE * t, np.int32),
+        queue=np.empty(2 * t, np.int32),
+        bins=np.empty(0, np.int32),
+        fan=np.empty(t, np.int32),
+        rim=np.empty(2 * t + 1, np.int32),
+        stack=np.empty(t + 3, np.int32),
+        used=np.zeros(4, np.int64),
+    )
+
+
+def _grown(tin: Tin) -> Tin:
+    """Return the same triangulation with room for twice as much."""
+    larger = _empty(2 * len(tin.fan))._replace(bins=tin.bins, used=tin.used)
+    for name in ("point", "link", "queue"):
+        part: Ints = getattr(tin, name)
+        getattr(larger, name)[: len(part)] = part
+    return larger
+
+
+def _border(points: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.int32]:
+    """Return the points along the outline, counter-clockwise from above, from the north-west corner."""
+    row, col = points.T
+    south, east = shape[0] - 1, shape[1] - 1
+    sides = ((col == 0, row), (row == south, col), (col == east, -row), (row == 0, -col))
+    chain = []
+    for on_side, along in sides:
+        chosen = np.flatnonzero(on_side)
+        # The last one is the first of the next side.
+        chain.append(chosen[np.argsort(along[chosen])][:-1])
+    return np.concatenate(chain).astype(np.int32)

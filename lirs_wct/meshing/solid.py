@@ -1,0 +1,130 @@
+"""A height field becomes a closed solid: surface, skirt down its border, flat base."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
+
+MIN_THICKNESS = 0.1
+"""Metres of ground below the lowest point, at least: a robot's wheel must not reach through in a step."""
+
+_BLOCK = 1 << 13
+"""Nodes whose triangles are made at a time."""
+
+
+def solid_mesh(surface: HeightField, *, thickness: float | None = None) -> TriangleMesh:
+    """Return the full grid as a closed mesh: two triangles a cell, a skirt, and a base.
+
+    Vertices come in this order: the surface's nodes row by row from the north-west, then the base's
+    border. Cells split from south-west to north-east as `HeightField` says.
+
+    Args:
+        surface: the ground.
+        thickness: metres from the lowest point down to the base; default a tenth of the relief and at
+            least 0.1 m.
+    """
+    rows, cols = surface.shape
+    vertices = np.empty((rows * cols, 3))
+    grid = vertices.reshape(rows, cols, 3)
+    x, y = node_axes(surface)
+    grid[..., 0], grid[..., 1], grid[..., 2] = x, y[:, None], surface.z
+    return close_solid(
+        vertices, _grid_faces(rows, cols), _border(rows, cols), base_height(surface, thickness)
+    )
+
+
+def solid_triangles(
+    surface: HeightField, *, thickness: float | None = None
+) -> tuple[int, Iterator[NDArray[np.float64]]]:
+    """Return how many triangles `solid_mesh` has, and their corners (n, 3, 3) a few rows at a time.
+
+    For surfaces whose mesh would fill the memory.
+    """
+    rows, cols = surface.shape
+    count = 2 * (rows - 1) * (cols - 1) + 6 * (rows + cols - 2)
+    return count, _rows_and_rim(surface, base_height(surface, thickness))
+
+
+def _rows_and_rim(surface: HeightField, z_base: float) -> Iterator[NDArray[np.float64]]:
+    rows, cols = surface.shape
+    x, y = node_axes(surface)
+    step = max(1, _BLOCK // cols)
+    for start in range(0, rows - 1, step):
+        part = slice(start, min(start + step, rows - 1) + 1)
+        strip = surface.z[part]
+        nodes = np.empty((*strip.shape, 3))
+        nodes[..., 0], nodes[..., 1], nodes[..., 2] = x, y[part, None], strip
+        yield nodes.reshape(-1, 3)[_grid_faces(len(strip), cols)]
+    row, col = np.divmod(_border(rows, cols), cols)
+    rim = np.column_stack((x[col], y[row], surface.z[row, col].astype(np.float64)))
+    rest = close_solid(rim, np.empty((0, 3), np.int32), np.arange(len(rim), dtype=np.int32), z_base)
+    yield rest.vertices[rest.faces]
+
+
+def base_height(surface: HeightField, thickness: float | None = None) -> float:
+    """Return z of the base, metres (see `solid_mesh`)."""
+    if thickness is None:
+        thickness = max(MIN_THICKNESS, surface.relief / 10)
+    return float(surface.z.min()) - thickness
+
+
+def node_axes(surface: HeightField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return x (cols,) from west to east and y (rows,) from north to south of the nodes, metres."""
+    rows, cols = surface.shape
+    west, south, east, north = surface.bounds
+    # linspace: the border lies on the bounds to the last bit.
+    return np.linspace(west, east, cols), np.linspace(north, south, rows)
+
+
+def close_solid(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], border: NDArray[np.int32], z_base: float
+) -> TriangleMesh:
+    """Add a skirt and a base to an open surface over a rectangle.
+
+    The base is a fan around its centre, which the convex outline allows.
+
+    Args:
+        vertices: (n, 3) metres.
+        faces: (m, 3), counter-clockwise from above.
+        border: (k,) vertices along the outline, counter-clockwise from above.
+        z_base: height of the base, metres, below every vertex.
+    """
+    n, k = len(vertices), len(border)
+    base = vertices[border]
+    base[:, 2] = z_base
+    centre = np.array([[*(base[:, :2].min(axis=0) + base[:, :2].max(axis=0)) / 2, z_base]])
+    top, top_next = border, np.roll(border, -1)
+    low = np.arange(n, n + k, dtype=np.int32)
+    low_next = np.roll(low, -1)
+    middle = np.full(k, n + k, dtype=np.int32)
+    skirt = np.concatenate(
+        (np.stack((top, low, low_next), axis=1), np.stack((top, low_next, top_next), axis=1))
+    )
+    bottom = np.stack((low_next, low, middle), axis=1)
+    return TriangleMesh(np.concatenate((vertices, base, centre)), np.concatenate((faces, skirt, bottom)))
+
+
+def _grid_faces(rows: int, cols: int) -> NDArray[np.int32]:
+    """Return (2 * cells, 3) faces; both triangles of a cell stand next to each other."""
+    nw = (np.arange(rows - 1, dtype=np.int32)[:, None] * cols + np.arange(cols - 1, dtype=np.int32)).ravel()
+    faces = np.empty((len(nw), 2, 3), dtype=np.int32)
+    # nw, sw, ne and sw, se, ne share the diagonal sw-ne.
+    for i, offset in enumerate((0, cols, 1)):
+        faces[:, 0, i] = nw + offset
+    for i, offset in enumerate((cols, cols + 1, 1)):
+        faces[:, 1, i] = nw + offset
+    return faces.reshape(-1, 3)
+
+
+def _border(rows: int, cols: int) -> NDArray[np.int32]:
+    """Return the outline's nodes, counter-clockwise from above, from the north-west corner."""
+    west = np.arange(0, (rows - 1) * cols, cols, dtype=np.int32)
+    south = (rows - 1) * cols + np.arange(cols - 1, dtype=np.int32)
+    # The opposite sides, turned round: node i of the whole is the last one's n - i.
+    last = np.int32(rows * cols - 1)
+    return np.concatenate((west, south, last - west, last - south))

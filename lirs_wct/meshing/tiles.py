@@ -1,0 +1,87 @@
+"""A mesh cut into tiles without cracks: for consumers that cap a mesh, for files that must stay small.
+
+Neighbours share the vertices on their border, to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lirs_wct.geometry.mesh import TriangleMesh
+
+MUJOCO_FACES = 200_000
+"""MuJoCo refuses a mesh file with more triangles."""
+
+
+def split_tiles(
+    mesh: TriangleMesh,
+    *,
+    aim: int,
+    most: int = MUJOCO_FACES,
+    groups: NDArray[np.int8] | None = None,
+) -> Iterator[TriangleMesh]:
+    """Yield tiles that together are the mesh, squares of the ground plan.
+
+    Args:
+        mesh: to be cut.
+        aim: triangles of a tile, about.
+        most: triangles of a tile, never more.
+        groups: (faces,) numbers from 0; a tile holds triangles of one group only.
+    """
+    if groups is None:
+        groups = np.zeros(len(mesh.faces), dtype=np.int8)
+    seen = np.full(len(mesh.vertices), -1, dtype=np.int32)
+    for group in range(int(groups.max(initial=0)) + 1):
+        chosen = np.flatnonzero(groups == group).astype(np.int32)
+        tile, count = _squares(mesh, chosen, aim)
+        chosen = chosen[np.argsort(tile, kind="stable")]
+        ends = np.cumsum(np.bincount(tile, minlength=count))
+        for start, end in zip(np.concatenate(([0], ends[:-1])), ends, strict=True):
+            for i in range(start, end, most):
+                faces, used = _renumber(mesh.faces, chosen[i : min(i + most, end)], seen)
+                yield TriangleMesh(
+                    mesh.vertices[used],
+                    faces,
+                    None if mesh.uv is None else mesh.uv[used],
+                    None if mesh.normals is None else mesh.normals[used],
+                )
+
+
+def _squares(mesh: TriangleMesh, chosen: NDArray[np.int32], aim: int) -> tuple[NDArray[np.int32], int]:
+    """Return the square in which each chosen face begins, and how many squares there are."""
+    side = max(1, round((len(chosen) / aim) ** 0.5))
+    if side == 1:
+        return np.zeros(len(chosen), dtype=np.int32), 1
+    first = mesh.faces[chosen, 0]
+    square = np.zeros(len(chosen), dtype=np.int32)
+    for axis in (0, 1):
+        x = mesh.vertices[:, axis]
+        low, extent = x.min(), max(float(np.ptp(x)), 1e-9)
+        step = ((x[first] - low) * (side / extent)).astype(np.int32)
+        square = square * side + np.minimum(step, side - 1)
+    return square, side * side
+
+
+@njit(cache=True)
+def _renumber(
+    faces: NDArray[np.int32], chosen: NDArray[np.int32], seen: NDArray[np.int32]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Number the vertices of the chosen faces as they come; `seen` is all -1 before and after."""
+    out = np.empty((len(chosen), 3), np.int32)
+    used = np.empty(3 * len(chosen), np.int32)
+    n = 0
+    for i in range(len(chosen)):
+        for k in range(3):
+            v = faces[chosen[i], k]
+            if seen[v] < 0:
+                seen[v] = n
+                used[n] = v
+                n += 1
+            out[i, k] = seen[v]
+    for j in range(n):
+        seen[used[j]] = -1
+    return out, used[:n].copy()

@@ -1,0 +1,177 @@
+"""Cube projection of a texture, with the vertex normals that a renderer needs beside it.
+
+The paper's tool maps one texture onto each face of a cube around the model (section III-B). Here the
+faces of the cube are unfolded around the upper one, so that the texture runs on without a seam from
+the terrain over its border down the skirt.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.mesh import TriangleMesh
+
+EAST, WEST, NORTH, SOUTH, UP, DOWN = range(6)
+FLAT = 6
+"""Added to the side for faces that are vertical or face downward: they are shaded apart."""
+LABELS = 12
+
+
+def cube_uv(mesh: TriangleMesh, size: float | None = None) -> TriangleMesh:
+    """Return the mesh with texture coordinates and vertex normals.
+
+    A vertex whose triangles are projected on different sides, or that lies on the sharp border
+    between ground and skirt, is split: the result is closed in space, not in its indices.
+
+    Args:
+        mesh: triangles without attributes.
+        size: metres that one texture spans; default the longest edge of the bounding box, so that one
+            texture spans each side of the cube.
+
+    Raises:
+        ConfigError: size is not above 0.
+    """
+    bounds = mesh.bounds
+    span = float(np.ptp(bounds, axis=0).max()) if size is None else size
+    if not 0 < span < float("inf"):
+        raise ConfigError(f"texture size must be a finite number above 0 m, got {span}")
+    vertices, faces = np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces)
+    label, mask, top = _label_faces(vertices, faces)
+    first = np.concatenate(([0], np.cumsum(_COUNT[mask])))
+    split = np.repeat(np.arange(len(vertices)), _COUNT[mask])
+    side = _sides(mask)
+    new_faces, normals = _split_faces(vertices, faces, label, mask, first[:-1], len(split))
+    return TriangleMesh(
+        vertices[split], new_faces, _unfold(vertices[split], top[split], side, bounds, span), normals
+    )
+
+
+def projection_groups(mesh: TriangleMesh) -> NDArray[np.int8]:
+    """Return (faces,) numbers from 0 to 11: within one, a place has one texture coordinate and normal."""
+    label: NDArray[np.int8] = _label_faces(
+        np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces)
+    )[0]
+    return label
+
+
+_COUNT = np.array([int(m).bit_count() for m in range(1 << LABELS)], dtype=np.int64)
+
+
+def _sides(mask: NDArray[np.uint16]) -> NDArray[np.int8]:
+    """Return the label of each split vertex, vertex by vertex, ascending."""
+    bits = np.unpackbits(mask.astype("<u2").view(np.uint8).reshape(-1, 2), axis=1, bitorder="little")
+    return np.nonzero(bits[:, :LABELS])[1].astype(np.int8)
+
+
+def _unfold(
+    points: NDArray[np.float64],
+    top: NDArray[np.float64],
+    side: NDArray[np.int8],
+    bounds: NDArray[np.float64],
+    span: float,
+) -> NDArray[np.float64]:
+    """Return (n, 2) coordinates on the unfolded cube, in units of the texture.
+
+    Down a side the coordinate goes on with the depth: below the upper rim for a skirt, below the
+    highest point for a steep slope.
+    """
+    (west, south, _), (east, north, highest) = bounds
+    uv: NDArray[np.float64] = (points[:, :2] - (west, south)) / span
+    depth = np.where(side >= FLAT, top, highest)
+    depth -= points[:, 2]
+    depth /= span
+    direction = side % FLAT
+    for where, axis, edge, sign in (
+        (EAST, 0, (east - west) / span, 1),
+        (WEST, 0, 0.0, -1),
+        (NORTH, 1, (north - south) / span, 1),
+        (SOUTH, 1, 0.0, -1),
+    ):
+        chosen = direction == where
+        uv[chosen, axis] = edge + sign * depth[chosen]
+    below = direction == DOWN
+    uv[below, 0] = (east - west) / span - uv[below, 0]
+    return uv
+
+
+@njit(cache=True)
+def _normal(vertices: NDArray[np.float64], a: int, b: int, c: int) -> tuple[float, float, float]:
+    """Return the normal of a triangle, twice its area long."""
+    x, y, z = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+    ux, uy, uz = vertices[b, 0] - x, vertices[b, 1] - y, vertices[b, 2] - z
+    vx, vy, vz = vertices[c, 0] - x, vertices[c, 1] - y, vertices[c, 2] - z
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+
+
+@njit(cache=True)
+def _label_faces(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32]
+) -> tuple[NDArray[np.int8], NDArray[np.uint16], NDArray[np.float64]]:
+    """Return the label of each face, the labels around each vertex as bits, and the rim above it (z)."""
+    label = np.empty(len(faces), np.int8)
+    mask = np.zeros(len(vertices), np.uint16)
+    top = vertices[:, 2].copy()
+    for i in range(len(faces)):
+        a, b, c = faces[i]
+        nx, ny, nz = _normal(vertices, a, b, c)
+        ax, ay, az = abs(nx), abs(ny), abs(nz)
+        if az >= ax and az >= ay:
+            side = UP if nz >= 0 else DOWN
+        elif ax >= ay:
+            side = EAST if nx > 0 else WEST
+        else:
+            side = NORTH if ny > 0 else SOUTH
+        if nz <= 1e-9 * (ax + ay + az):
+            side += FLAT
+            for k in range(3):
+                p, q = faces[i, k], faces[i, (k + 1) % 3]
+                if vertices[p, 0] == vertices[q, 0] and vertices[p, 1] == vertices[q, 1]:
+                    rim = max(top[p], top[q])
+                    top[p] = rim
+                    top[q] = rim
+        label[i] = side
+        for k in range(3):
+            mask[faces[i, k]] |= np.uint16(1 << side)
+    return label, mask, top
+
+
+@njit(cache=True)
+def _split_faces(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    label: NDArray[np.int8],
+    mask: NDArray[np.uint16],
+    first: NDArray[np.int64],
+    n: int,
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Return the faces on split vertices and unit normals weighted by area.
+
+    The ground shares its normals across sides of the cube; each flat side has its own.
+    """
+    out = np.empty_like(faces)
+    normals = np.zeros((n, 3))
+    for i in range(len(faces)):
+        nx, ny, nz = _normal(vertices, faces[i, 0], faces[i, 1], faces[i, 2])
+        for k in range(3):
+            v = faces[i, k]
+            j = first[v]
+            for other in range(LABELS):
+                if not mask[v] >> other & 1:
+                    continue
+                if other == label[i]:
+                    out[i, k] = j
+                if other == label[i] or (other < FLAT and label[i] < FLAT):
+                    normals[j, 0] += nx
+                    normals[j, 1] += ny
+                    normals[j, 2] += nz
+                j += 1
+    for j in range(n):
+        length = np.sqrt(normals[j, 0] ** 2 + normals[j, 1] ** 2 + normals[j, 2] ** 2)
+        if length > 0:
+            normals[j] /= length
+        else:
+            normals[j, 2] = 1.0
+    return out, normals

@@ -1,0 +1,184 @@
+"""A laser map as one closed solid: walls and floor on a slab, holes through it.
+
+The plan is cut into rectangles of wall, floor and hole. Every corner of any rectangle is made a vertex of
+all rectangles that it touches, so that no edge ends in the middle of another. Where two walls touch only
+at a corner, each has its own upper vertex there, and two parts of the floor their own lower one: an edge
+never joins more than two triangles.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.sources.laser_map import merged_rectangles
+
+SLAB = 0.1
+"""Thickness of the floor, metres."""
+VOID, GROUND, WALL = 0, 1, 2
+"""What a cell is."""
+BOTTOM, TWIN_BOTTOM, FLOOR, TOP, TWIN_TOP, LEVELS = 0, 1, 2, 3, 4, 5
+"""Heights that a corner of the plan can have; the twin is the vertex of a second body."""
+
+
+def wall_mesh(walls: WallGrid, slab: float = SLAB) -> TriangleMesh:
+    """Return walls, floor and slab as one watertight solid in the world frame.
+
+    Args:
+        walls: cells that stand from z = 0 to their height, holes go through the slab.
+        slab: thickness of the floor below z = 0, metres.
+    """
+    boxes = [merged_rectangles(walls.solid), merged_rectangles(walls.floor)]
+    # One layout: the kernel would else be compiled once more for Fortran order.
+    rectangles = np.ascontiguousarray(np.concatenate(boxes))
+    is_wall = np.repeat((True, False), [len(b) for b in boxes])
+    holes = np.empty((0, 4), np.int64) if walls.hole is None else merged_rectangles(walls.hole)
+    kind = np.where(walls.solid, WALL, GROUND).astype(np.int8)
+    if walls.hole is not None:
+        kind[walls.hole] = VOID
+    marked = _corners(np.concatenate((rectangles, holes)), walls.shape)
+    codes = _triangles(rectangles, is_wall, np.pad(kind, 1), marked, len(holes) > 0)
+    used, faces = np.unique(codes, return_inverse=True)
+    vertices = _placed(used, rectangles, is_wall, walls, slab)
+    return TriangleMesh(vertices, faces.reshape(-1, 3).astype(np.int32))
+
+
+def _corners(rectangles: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Mark the lattice points (rows + 1, cols + 1) that are a corner of some rectangle."""
+    marked = np.zeros((shape[0] + 1, shape[1] + 1), np.bool_)
+    for row, col in ((0, 1), (0, 3), (2, 1), (2, 3)):
+        marked[rectangles[:, row], rectangles[:, col]] = True
+    return marked
+
+
+def _placed(
+    used: NDArray[np.int64],
+    rectangles: NDArray[np.int64],
+    is_wall: NDArray[np.bool_],
+    walls: WallGrid,
+    slab: float,
+) -> NDArray[np.float64]:
+    """Return (n, 3) what codes stand for: lattice points at a level, then middles of rectangles."""
+    rows, cols = walls.shape
+    lattice = (rows + 1) * (cols + 1) * LEVELS
+    heights = np.array((-slab, -slab, 0.0, walls.height, walls.height))
+    corner, middle = used[used < lattice], used[used >= lattice] - lattice
+    point, level = np.divmod(corner, LEVELS)
+    row, col = np.divmod(point, cols + 1)
+    # Middles of the upper sides, of the whole underside, of each underside.
+    boxes = np.concatenate((rectangles, [[0, 0, rows, cols]], rectangles))[middle]
+    upper, lower = np.where(is_wall, walls.height, 0.0), np.full(len(rectangles) + 1, -slab)
+    plan = np.concatenate((np.stack((col, row), axis=-1), (boxes[:, [1, 0]] + boxes[:, [3, 2]]) / 2))
+    xy = walls.origin.apply(plan * walls.resolution)
+    return np.column_stack((xy, np.concatenate((heights[level], np.concatenate((upper, lower))[middle]))))
+
+
+@njit(cache=True)
+def _triangles(rectangles, is_wall, kind, marked, holed):  # type: ignore[no-untyped-def]
+    """Return (m, 3) vertex codes; `kind` are the cells with a rim of void around them."""
+    rows, cols = marked.shape[0] - 1, marked.shape[1] - 1
+    base = (rows + 1) * (cols + 1) * LEVELS + len(rectangles)
+    room = 0
+    for r0, c0, r1, c1 in rectangles:
+        room += marked[r0, c0:c1].sum() + marked[r1, c0:c1].sum()
+        room += marked[r0:r1, c0].sum() + marked[r0:r1, c1].sum() + 4
+    faces = np.empty((6 * room + 2 * (rows + cols) + 8, 3), np.int64)
+    n = 0
+    for k in range(len(rectangles)):
+        r0, c0, r1, c1 = rectangles[k]
+        ring = _ring(r0, c0, r1, c1, marked)
+        m = len(ring)
+        low, floor, top = np.empty(m, np.int64), np.empty(m, np.int64), np.empty(m, np.int64)
+        for i in range(m):
+            # At a corner the row of the rectangle's own cell; elsewhere there is no twin to choose.
+            row = ring[i, 0] if ring[i, 0] == r0 else ring[i, 0] - 1
+            low[i] = _code(ring[i], TWIN_BOTTOM if _twin(ring[i], row, kind, GROUND) else BOTTOM, cols)
+            floor[i] = _code(ring[i], FLOOR, cols)
+            top[i] = floor[i]
+            if is_wall[k]:
+                top[i] = _code(ring[i], TWIN_TOP if _twin(ring[i], row, kind, WALL) else TOP, cols)
+        n = _cap(faces, n, top, base - len(rectangles) + k)
+        if holed:
+            n = _cap(faces, n, low[::-1], base + 1 + k)
+        for i in range(m):
+            j = (i + 1) % m
+            beside = _beside(ring[i], ring[j], kind)
+            if is_wall[k] and beside != WALL:
+                n = _quad(faces, n, floor[i], floor[j], top[j], top[i])
+            if beside == VOID:
+                n = _quad(faces, n, low[i], low[j], floor[j], floor[i])
+                if not holed:
+                    faces[n, 0], faces[n, 1], faces[n, 2] = low[j], low[i], base
+                    n += 1
+    return faces[:n].copy()
+
+
+@njit(cache=True)
+def _ring(r0, c0, r1, c1, marked):  # type: ignore[no-untyped-def]
+    """Return (m, 2) the marked points (row, col) around a rectangle, counter-clockwise with row = north."""
+    ring = np.empty((2 * (r1 - r0 + c1 - c0), 2), np.int64)
+    m = 0
+    for c in range(c0, c1):
+        if marked[r0, c]:
+            ring[m, 0], ring[m, 1] = r0, c
+            m += 1
+    for r in range(r0, r1):
+        if marked[r, c1]:
+            ring[m, 0], ring[m, 1] = r, c1
+            m += 1
+    for c in range(c1, c0, -1):
+        if marked[r1, c]:
+            ring[m, 0], ring[m, 1] = r1, c
+            m += 1
+    for r in range(r1, r0, -1):
+        if marked[r, c0]:
+            ring[m, 0], ring[m, 1] = r, c0
+            m += 1
+    return ring[:m]
+
+
+@njit(cache=True)
+def _code(point, level, cols):  # type: ignore[no-untyped-def]
+    return (point[0] * (cols + 1) + point[1]) * LEVELS + level
+
+
+@njit(cache=True)
+def _beside(p, q, kind):  # type: ignore[no-untyped-def]
+    """Return what lies on the outer (right) side of p -> q; `kind` begins one cell before the grid."""
+    if q[1] != p[1]:
+        return kind[p[0], p[1] + 1] if q[1] > p[1] else kind[p[0] + 1, p[1]]
+    return kind[p[0] + 1, p[1] + 1] if q[0] > p[0] else kind[p[0], p[1]]
+
+
+@njit(cache=True)
+def _twin(point, row, kind, least):  # type: ignore[no-untyped-def]
+    """Whether a body has the twin at a corner: of two that only touch there the northern one has it."""
+    r, c = point[0] + 1, point[1] + 1
+    south_west, north_east = kind[r - 1, c - 1] >= least, kind[r, c] >= least
+    south_east, north_west = kind[r - 1, c] >= least, kind[r, c - 1] >= least
+    touching = south_west == north_east and south_east == north_west and south_west != south_east
+    return touching and row == point[0]
+
+
+@njit(cache=True)
+def _cap(faces, n, ring, middle):  # type: ignore[no-untyped-def]
+    """Fill a ring with triangles: two, or a fan around its middle."""
+    m = len(ring)
+    for i in range(m):
+        if m > 4:
+            faces[n, 0], faces[n, 1], faces[n, 2] = ring[i], ring[(i + 1) % m], middle
+            n += 1
+        elif i % 2 == 0:
+            faces[n, 0], faces[n, 1], faces[n, 2] = ring[i], ring[i + 1], ring[(i + 2) % m]
+            n += 1
+    return n
+
+
+@njit(cache=True)
+def _quad(faces, n, a, b, c, d):  # type: ignore[no-untyped-def]
+    faces[n, 0], faces[n, 1], faces[n, 2] = a, b, c
+    faces[n + 1, 0], faces[n + 1, 1], faces[n + 1, 2] = a, c, d
+    return n + 2

@@ -1,0 +1,1 @@
+"""Where a robot can be: traversability and spawn poses."""

@@ -1,0 +1,178 @@
+"""Where a robot's centre may be: the true ground, seen with the robot's limits."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
+
+BASELINE = 0.3
+"""Metres over which a slope counts: about a wheel. Shorter steps are roughness, not slope."""
+
+_STRIP = 512
+"""Rows of nodes looked at together: a large surface would else stand four times in the memory."""
+
+Mask = NDArray[np.bool_]
+
+
+def traversable(
+    surface: HeightField,
+    walls: WallGrid | None = None,
+    truth: OccupancyGrid | None = None,
+    bare: Mask | None = None,
+    *,
+    clearance: float,
+    max_slope: float,
+    resolution: float = 0.1,
+) -> OccupancyGrid:
+    """Return a grid whose free cells are where a robot's centre may be; all others are occupied.
+
+    Args:
+        surface: the ground.
+        walls: what stands on it.
+        truth: the input laser map; where given, only its free cells can be driven.
+        bare: (rows, cols) nodes of the surface under which there is no ground.
+        clearance: distance that the centre keeps from steep ground, walls and the border, metres.
+        max_slope: steepest ground that the robot drives, radians, over a baseline of 0.3 m.
+        resolution: metres a cell.
+    """
+    west, south, east, north = surface.bounds
+    shape = (max(1, math.ceil((north - south) / resolution)), max(1, math.ceil((east - west) / resolution)))
+    grid = OccupancyGrid(np.zeros(shape, np.float32), resolution, Pose2(west, south))
+    blocked = _steep_cells(surface, max_slope, grid)
+    if bare is not None:
+        blocked |= _nodes_cells(surface, bare, grid)
+        blocked |= _bare_cells(surface, bare, grid)
+    if walls is not None:
+        blocked |= _wall_cells(walls, grid)
+    if truth is not None:
+        blocked |= ~_lookup(truth.free, truth.resolution, truth.origin, grid)
+    distance = distance_to(blocked, resolution)
+    return OccupancyGrid.from_probability(np.where(distance > clearance, 0.0, 1.0), resolution, grid.origin)
+
+
+def largest_area(mask: Mask) -> Mask:
+    """Return the largest 4-connected area of a mask (all False where there is none)."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    sizes = stats[1:, cv2.CC_STAT_AREA]
+    if len(sizes) == 0:
+        return np.zeros_like(mask)
+    area: Mask = labels == 1 + int(np.argmax(sizes))
+    return area
+
+
+def _steep_cells(surface: HeightField, max_slope: float, grid: OccupancyGrid) -> Mask:
+    """Mark cells of the grid that hold ground whose relief over the baseline exceeds the slope."""
+    if surface.relief == 0:
+        return np.zeros(grid.shape, np.bool_)
+    fine = surface if max(surface.cell) <= grid.resolution else _sampled(surface, grid.resolution)
+    reach = [max(1, round(BASELINE / 2 / c)) for c in fine.cell]
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach[0] + 1, 2 * reach[1] + 1))
+    baseline = 2 * max(r * c for r, c in zip(reach, fine.cell, strict=True))
+    steep = np.empty(fine.shape, np.bool_)
+    for start in range(0, len(steep), _STRIP):
+        # A strip needs what lies within reach of it.
+        above = min(start, reach[1])
+        z = fine.z[start - above : start + _STRIP + reach[1]]
+        relief = cv2.dilate(z, kernel) - cv2.erode(z, kernel)
+        strip = steep[start : start + _STRIP]
+        strip[:] = relief[above : above + len(strip)] > baseline * math.tan(max_slope)
+    return _nodes_cells(fine, steep, grid)
+
+
+def _nodes_cells(surface: HeightField, chosen: Mask, grid: OccupancyGrid) -> Mask:
+    """Mark the cells of an upright grid that hold chosen nodes: a row of nodes is in one row of cells."""
+    (west, south), (n_rows, n_cols) = surface.origin, surface.shape
+    x = west + np.arange(n_cols) * surface.cell[0]
+    y = south + np.arange(n_rows)[::-1] * surface.cell[1]
+    cols = _clipped_cells(np.stack((x, np.full(n_cols, south)), axis=-1), grid)[:, 1]
+    rows = _clipped_cells(np.stack((np.full(n_rows, west), y), axis=-1), grid)[:, 0]
+    marked = np.zeros(grid.shape, np.bool_)
+    for row, nodes in zip(rows, chosen, strict=True):
+        marked[row, cols[nodes]] = True
+    return marked
+
+
+def _bare_cells(surface: HeightField, bare: Mask, grid: OccupancyGrid) -> Mask:
+    """Mark cells of the grid whose nearest node is bare: nodes may be farther apart than cells."""
+    at = _centres(grid)
+    col = np.rint((at[..., 0] - surface.origin[0]) / surface.cell[0]).astype(np.int64)
+    row = (
+        surface.z.shape[0] - 1 - np.rint((at[..., 1] - surface.origin[1]) / surface.cell[1]).astype(np.int64)
+    )
+    found: Mask = bare[np.clip(row, 0, bare.shape[0] - 1), np.clip(col, 0, bare.shape[1] - 1)]
+    return found
+
+
+def _sampled(surface: HeightField, spacing: float) -> HeightField:
+    """Return the same surface with nodes at most `spacing` apart."""
+    west, south, east, north = surface.bounds
+    cols, rows = math.ceil((east - west) / spacing) + 1, math.ceil((north - south) / spacing) + 1
+    x, y = np.linspace(west, east, cols), np.linspace(north, south, rows)
+    z = surface.height_at(np.clip(x, west, east)[None, :], np.clip(y, south, north)[:, None])
+    cell = ((east - west) / (cols - 1), (north - south) / (rows - 1))
+    return HeightField(z.astype(np.float32), cell, surface.origin)
+
+
+def _wall_cells(walls: WallGrid, grid: OccupancyGrid) -> Mask:
+    """Mark cells of the grid that touch a wall or hole: both grids' centres are looked up in the other."""
+    barred = ~walls.floor
+    local = (np.argwhere(barred)[:, ::-1] + 0.5) * walls.resolution
+    inside = _lookup(barred, walls.resolution, walls.origin, grid)
+    return inside | _scatter(walls.origin.apply(local), grid)
+
+
+def _centres(grid: OccupancyGrid) -> NDArray[np.float64]:
+    rows, cols = grid.shape
+    return grid.centres(np.moveaxis(np.indices((rows, cols)), 0, -1))
+
+
+def _lookup(mask: Mask, resolution: float, origin: Pose2, grid: OccupancyGrid) -> Mask:
+    """Return the mask's value at the centres of a grid's cells; False outside."""
+    T_mask_grid = origin.inverse() @ grid.origin
+    found: Mask = _values_at(mask, resolution, T_mask_grid.as_array(), grid.resolution, *grid.shape)
+    return found
+
+
+@njit(cache=True)
+def _values_at(mask, resolution, T_mask_grid, step, rows, cols):  # type: ignore[no-untyped-def]
+    """Return (rows, cols) values of a mask at cell centres `step` metres apart; False outside."""
+    x0, y0, yaw = T_mask_grid
+    c, s = math.cos(yaw), math.sin(yaw)
+    found = np.zeros((rows, cols), np.bool_)
+    for row in range(rows):
+        for col in range(cols):
+            x, y = (col + 0.5) * step, (row + 0.5) * step
+            at_col = math.floor((x0 + c * x - s * y) / resolution)
+            at_row = math.floor((y0 + s * x + c * y) / resolution)
+            if 0 <= at_row < mask.shape[0] and 0 <= at_col < mask.shape[1]:
+                found[row, col] = mask[at_row, at_col]
+    return found
+
+
+def _scatter(points: NDArray[np.float64], grid: OccupancyGrid) -> Mask:
+    marked = np.zeros(grid.shape, np.bool_)
+    cells = _clipped_cells(points, grid)
+    marked[cells[..., 0], cells[..., 1]] = True
+    return marked
+
+
+def _clipped_cells(points: NDArray[np.float64], grid: OccupancyGrid) -> NDArray[np.int64]:
+    cells: NDArray[np.int64] = np.clip(grid.cells(points), 0, np.array(grid.shape) - 1)
+    return cells
+
+
+def distance_to(blocked: Mask, resolution: float) -> NDArray[np.float64]:
+    """Return metres from each cell to the nearest blocked one; beyond the border all is blocked."""
+    padded = np.pad(~blocked, 1).astype(np.uint8)
+    distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    metres: NDArray[np.float64] = distance[1:-1, 1:-1].astype(np.float64) * resolution
+    return metres

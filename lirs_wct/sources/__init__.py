@@ -1,0 +1,1 @@
+"""What a source is, and how each kind is read: picture, laser map, mesh, bundled world."""

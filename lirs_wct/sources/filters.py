@@ -1,0 +1,77 @@
+"""What a user may do to a picture before it becomes a terrain; values are float32, any unit."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.sources.options import BuildOptions
+
+Values = NDArray[np.float32]
+
+MEDIAN_WINDOW = 5
+"""Pixels a side."""
+BILATERAL_REACH, BILATERAL_CONTRAST = 3.0, 0.05
+"""Standard deviations: pixels, and share of the picture's range."""
+
+
+def apply_filters(values: Values, options: BuildOptions) -> Values:
+    """Return the values after denoising, smoothing, sharpening and resizing, in this order."""
+    if options.denoise is not None:
+        values = denoised(values, options.denoise)
+    if options.smoothing is not None:
+        values = smoothed(values, options.smoothing)
+    if options.sharpness is not None:
+        values = sharpened(values, options.sharpness, max(options.smoothing or 0.0, 1.0))
+    if options.resize is not None:
+        values = resized(values, *options.resize)
+    return values
+
+
+def denoised(values: Values, method: Literal["median", "bilateral"]) -> Values:
+    """Return values without single wrong pixels (median) or with noise smoothed but edges kept."""
+    if method == "median":
+        return np.asarray(cv2.medianBlur(values, MEDIAN_WINDOW), dtype=np.float32)
+    contrast = max(float(np.ptp(values)) * BILATERAL_CONTRAST, 1e-12)
+    return np.asarray(cv2.bilateralFilter(values, -1, contrast, BILATERAL_REACH), dtype=np.float32)
+
+
+def smoothed(values: Values, sigma: float) -> Values:
+    """Return values after a Gaussian blur of `sigma` pixels; the border is continued level."""
+    blurred = cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(blurred, dtype=np.float32)
+
+
+def sharpened(values: Values, amount: float, sigma: float) -> Values:
+    """Return values after an unsharp mask: `amount` times what a blur of `sigma` pixels takes away."""
+    sharp: Values = values + np.float32(amount) * (values - smoothed(values, sigma))
+    return sharp
+
+
+def resized(values: Values, width: int, height: int) -> Values:
+    """Return values sampled on another grid over the same ground: corners stay corners.
+
+    Shrinking blurs first, so that nothing finer than the new grid is folded into it.
+    """
+    rows, cols = values.shape
+    shrink_x, shrink_y = (cols - 1) / (width - 1), (rows - 1) / (height - 1)
+    if max(shrink_x, shrink_y) > 1:
+        sigma_x, sigma_y = (max(0.5 * (s - 1), 1e-3) for s in (shrink_x, shrink_y))
+        values = np.asarray(
+            cv2.GaussianBlur(values, (0, 0), sigma_x, sigmaY=sigma_y, borderType=cv2.BORDER_REPLICATE),
+            dtype=np.float32,
+        )
+    # One axis after the other: the maps stay small whatever the size.
+    return _sampled(_sampled(values, width).T, height).T.copy()
+
+
+def _sampled(values: Values, n: int) -> Values:
+    """Return (rows, n) values at n columns from the first to the last, linearly between pixels."""
+    at = np.linspace(0, values.shape[1] - 1, n)
+    left = np.minimum(at.astype(np.int64), values.shape[1] - 2)
+    share = (at - left).astype(np.float32)
+    out: Values = values[:, left] * (1 - share) + values[:, left + 1] * share
+    return out

@@ -1,0 +1,151 @@
+"""A mesh file as a source: its heights from above, and the true mesh where it is closed."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.formats.meshes.mesh_file import read_upright
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.rasterize import drape, layers
+from lirs_wct.sources.window import Window
+
+NODES = 1025
+"""Nodes along the longer side unless a resolution is given."""
+FINEST = 0.02
+"""Metres between the nodes of a small mesh: what a wheel feels."""
+
+
+@dataclass(frozen=True)
+class MeshSource:
+    """What a mesh file gives.
+
+    Attributes:
+        surface: its highest points, from above.
+        solid: the mesh itself where it is closed, else None.
+        overhangs: whether a vertical line somewhere meets more than a top and a bottom.
+        bare: (rows, cols) nodes of the surface where a closed mesh has no ground; None = it has everywhere.
+    """
+
+    surface: HeightField
+    solid: TriangleMesh | None
+    overhangs: bool
+    bare: NDArray[np.bool_] | None
+
+
+def read_mesh_source(path: Path, options: BuildOptions) -> MeshSource:
+    """Read a mesh as a world; it keeps its own frame, metres and z up.
+
+    Raises:
+        SourceError: the file cannot be used, has no extent in the plane, or is open and has overhangs.
+        ConfigError: an option does not fit a mesh.
+    """
+    mesh = _scaled(path, _outward(read_upright(path)), options)
+    low, high = mesh.bounds
+    if not (high[:2] - low[:2] > 0).all():
+        raise SourceError(f"{path}: a terrain needs an extent along x and y, this is {_size(low, high)} m")
+    surface, overhangs, bare = _surface(path, mesh, options)
+    closed = mesh.is_watertight
+    if not closed:
+        # Neither which side is ground nor what a consumer would touch can be told.
+        if overhangs:
+            raise SourceError(f"{path}: has overhangs and is not closed, a solid is needed; mend its holes")
+        warnings.warn(
+            f"{path}: is not closed, its world is made from its heights seen from above", stacklevel=3
+        )
+    if options.window is not None and overhangs:
+        raise ConfigError(f"{path}: has overhangs, --window cannot cut it")
+    solid = mesh if closed and options.window is None else None
+    return MeshSource(surface, solid, overhangs, bare if closed and bare.any() else None)
+
+
+def _surface(
+    path: Path, mesh: TriangleMesh, options: BuildOptions
+) -> tuple[HeightField, bool, NDArray[np.bool_]]:
+    """Return the heights from above, whether there are overhangs, and the nodes without ground."""
+    (west, south), (east, north) = _extent(mesh, options.window)
+    spacing = options.resolution or max(max(east - west, north - south) / (NODES - 1), FINEST)
+    cols, rows = (max(2, round(side / spacing) + 1) for side in (east - west, north - south))
+    if rows * cols > options.max_pixels:
+        raise ConfigError(
+            f"{path}: {cols}x{rows} nodes at {spacing:g} m, at most {options.max_pixels} are legal; "
+            "give a coarser --resolution or a larger --max-pixels"
+        )
+    grid = (west, south, (east - west) / (cols - 1), (north - south) / (rows - 1))
+    top = drape(mesh, grid, (rows, cols))
+    bare = np.isnan(top)
+    if bare.all():
+        raise SourceError(f"{path}: has no face that is seen from above")
+    if bare.any():
+        warnings.warn(
+            f"{path}: {int(bare.sum())} of {bare.size} nodes have no ground, set to the lowest height",
+            stacklevel=4,
+        )
+        top[bare] = mesh.bounds[0, 2]
+    if options.window is not None:
+        top -= top.min()
+    z = np.ascontiguousarray(top[::-1].astype(np.float32))
+    overhangs = bool((layers(mesh, grid, (rows, cols)) > (2 if mesh.is_watertight else 1)).any())
+    return HeightField(z, grid[2:], grid[:2]), overhangs and not _stacked(mesh), bare[::-1]
+
+
+def _stacked(mesh: TriangleMesh) -> bool:
+    """Whether an open mesh is nothing but tops and bottoms: bodies side by side that share faces."""
+    f = mesh.faces
+    edges = np.sort(np.concatenate((f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]])), axis=1)
+    _, count = np.unique(edges[:, 0].astype(np.int64) * len(mesh.vertices) + edges[:, 1], return_counts=True)
+    up = mesh.face_normals[:, 2]
+    return not mesh.is_watertight and bool((count % 2 == 0).all()) and _tops_and_bottoms(mesh, up)
+
+
+def _tops_and_bottoms(mesh: TriangleMesh, up: NDArray[np.float64]) -> bool:
+    top, bottom = mesh.faces[up > 1e-9], mesh.faces[up < -1e-9]
+    if len(top) == 0 or len(bottom) == 0:
+        return False
+    return float(mesh.vertices[bottom][..., 2].max()) <= float(mesh.vertices[top][..., 2].min())
+
+
+def _extent(mesh: TriangleMesh, window: Window | None) -> tuple[tuple[float, float], tuple[float, float]]:
+    low, high = mesh.bounds[0, :2], mesh.bounds[1, :2]
+    if window is not None:
+        x, y, side = window
+        centre = np.array((x, y))
+        low, high = np.maximum(low, centre - side / 2), np.minimum(high, centre + side / 2)
+        if not (high - low > 0).all():
+            raise ConfigError(f"window {x:g},{y:g},{side:g} lies outside the mesh: {_size(*mesh.bounds)} m")
+    return (float(low[0]), float(low[1])), (float(high[0]), float(high[1]))
+
+
+def _scaled(path: Path, mesh: TriangleMesh, options: BuildOptions) -> TriangleMesh:
+    """Give the mesh the metres that the options ask for; its own origin stays where it is."""
+    if options.pixel_size is not None:
+        raise ConfigError(f"{path}: a mesh has no pixels; give --size or --scale instead of --pixel-size")
+    extent = np.ptp(mesh.bounds, axis=0)
+    factor = np.ones(3)
+    if isinstance(options.size, tuple):
+        factor[:2] = np.array(options.size) / np.where(extent[:2] > 0, extent[:2], 1.0)
+    elif options.size is not None:
+        factor[:2] = options.size / max(float(extent[:2].max()), 1e-12)
+    if options.height is not None and extent[2] > 0:
+        factor[2] = options.height / extent[2]
+    factor *= options.scale or (1.0, 1.0, 1.0)
+    factor[2] *= options.z_scale or 1.0
+    return TriangleMesh(mesh.vertices * factor, mesh.faces)
+
+
+def _outward(mesh: TriangleMesh) -> TriangleMesh:
+    """Return the mesh with its faces outward: some programs write solids inside out."""
+    if mesh.volume >= 0:
+        return mesh
+    return TriangleMesh(mesh.vertices, np.ascontiguousarray(mesh.faces[:, ::-1]))
+
+
+def _size(low: NDArray[np.float64], high: NDArray[np.float64]) -> str:
+    return " x ".join(f"{side:g}" for side in high - low)

@@ -1,0 +1,65 @@
+"""A mesh seen from straight above: the height of its uppermost triangle at the nodes of a grid."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lirs_wct.geometry.mesh import TriangleMesh
+
+Grid = tuple[float, float, float, float]
+"""x and y of the south-west node, spacing eastward and northward, metres."""
+_SLACK = 1e-9
+"""Share of a triangle by which it reaches over its edges, so that no node falls between two."""
+
+
+def drape(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Return (rows, cols) heights of the highest point above or below each node, row 0 = south.
+
+    Exact: each triangle is evaluated at the nodes that it covers; NaN where there is none.
+    """
+    top, count = np.full(shape, -np.inf), np.zeros(shape, np.int32)
+    _drape(np.ascontiguousarray(mesh.vertices), mesh.faces, grid, _SLACK, top, count)
+    top[count == 0] = np.nan
+    return top
+
+
+def layers(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> NDArray[np.int32]:
+    """Return (rows, cols) how many triangles a vertical line meets in each cell of a grid of nodes.
+
+    The lines stand a little beside the cells' middles, at fractions that no edge is likely to lie on.
+    """
+    count = np.zeros((shape[0] - 1, shape[1] - 1), np.int32)
+    beside = (grid[0] + 0.4871203 * grid[2], grid[1] + 0.5132079 * grid[3], grid[2], grid[3])
+    _drape(np.ascontiguousarray(mesh.vertices), mesh.faces, beside, 0.0, np.full(count.shape, -np.inf), count)
+    return count
+
+
+@njit(cache=True)
+def _drape(vertices, faces, grid, slack, top, count):  # type: ignore[no-untyped-def]
+    """Raise `top` to each triangle's height at the nodes inside it, and count the triangles there."""
+    rows, cols = top.shape
+    x0, y0, cell_x, cell_y = grid
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        # In nodes, relative to the first corner: small numbers keep their digits.
+        ax, ay = (vertices[a, 0] - x0) / cell_x, (vertices[a, 1] - y0) / cell_y
+        bx, by = (vertices[b, 0] - x0) / cell_x - ax, (vertices[b, 1] - y0) / cell_y - ay
+        cx, cy = (vertices[c, 0] - x0) / cell_x - ax, (vertices[c, 1] - y0) / cell_y - ay
+        area = bx * cy - by * cx
+        if abs(area) <= 1e-12 * (abs(bx * cy) + abs(by * cx)) or area == 0.0:
+            continue
+        west, east = ax + min(0.0, bx, cx), ax + max(0.0, bx, cx)
+        south, north = ay + min(0.0, by, cy), ay + max(0.0, by, cy)
+        i0, i1 = max(0, int(np.ceil(west - 1e-9))), min(cols - 1, int(np.floor(east + 1e-9)))
+        j0, j1 = max(0, int(np.ceil(south - 1e-9))), min(rows - 1, int(np.floor(north + 1e-9)))
+        za, zb, zc = vertices[a, 2], vertices[b, 2], vertices[c, 2]
+        for j in range(j0, j1 + 1):
+            for i in range(i0, i1 + 1):
+                wb = ((i - ax) * cy - (j - ay) * cx) / area
+                wc = (bx * (j - ay) - by * (i - ax)) / area
+                if wb >= -slack and wc >= -slack and wb + wc <= 1.0 + slack:
+                    z = za + wb * (zb - za) + wc * (zc - za)
+                    top[j, i] = max(top[j, i], z)
+                    count[j, i] += 1

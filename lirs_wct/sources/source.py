@@ -1,0 +1,119 @@
+"""What a user may call a source: a bundled name, a built folder, a picture, a map's YAML, a mesh or a log."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from dataclasses import dataclass, fields
+from enum import Enum
+from pathlib import Path
+
+from lirs_wct.errors import SourceError
+from lirs_wct.sources.bundled import RECIPES
+from lirs_wct.sources.options import BuildOptions
+
+
+class SourceKind(Enum):
+    """How a source is read."""
+
+    BUNDLED = "bundled world"
+    FOLDER = "built folder"
+    PICTURE = "picture of a terrain"
+    MAP = "laser map"
+    MAP_PICTURE = "picture of a laser map"
+    MESH = "mesh"
+    LOG = "log of a laser"
+
+
+LOGS = (".clf", ".log")
+"""Suffixes of CARMEN logs, which may end in .gz as well."""
+MESHES = (".stl", ".dae", ".obj", ".ply", ".glb")
+"""Suffixes of mesh files."""
+_ANY = {"name", "kind", "max_pixels", "rotate_x", "max_error", "max_triangles", "texture", "texture_size"}
+_PICTURE = {
+    *("size", "pixel_size", "height", "grayscale", "invert", "window", "crop", "resize", "deterrace"),
+    *("denoise", "smoothing", "sharpness", "z_scale", "scale"),
+}
+_MAP = {"window", "wall_height", "unknown", "speckle"}
+_USED = {
+    SourceKind.BUNDLED: _PICTURE,
+    SourceKind.FOLDER: {"window"},
+    SourceKind.PICTURE: _PICTURE,
+    SourceKind.MAP: _MAP,
+    SourceKind.MAP_PICTURE: {*_MAP, "resolution", "origin"},
+    SourceKind.LOG: {*_MAP, "resolution", "log_mapper"},
+    SourceKind.MESH: {"size", "pixel_size", "height", "window", "z_scale", "scale", "resolution"},
+}
+"""Which options a kind of source has a use for, beside those that any has."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A source that was found: its kind, its path (or bundled name) and the world's name."""
+
+    kind: SourceKind
+    path: Path
+    name: str
+
+
+def find_source(given: str | Path, options: BuildOptions) -> Source:
+    """Tell what a source is.
+
+    Raises:
+        SourceError: there is no such bundled world, file or built folder.
+    """
+    path = Path(given)
+    if str(given) in RECIPES:
+        return Source(SourceKind.BUNDLED, path, _name(str(given), options))
+    if not path.exists():
+        raise SourceError(
+            f"{given}: no such file or folder, nor a bundled world (bundled: {', '.join(RECIPES)})"
+        )
+    return Source(_kind(path, options), path, _name(_stem(path), options))
+
+
+def is_log(path: Path) -> bool:
+    """Tell whether a file's name is that of a CARMEN log."""
+    return _unzipped(path).suffix.lower() in LOGS
+
+
+def warn_of_useless(source: Source, options: BuildOptions) -> None:
+    """Warn of options that were given but say nothing about a source of this kind."""
+    used, default = _USED[source.kind] | _ANY, BuildOptions()
+    useless = [
+        f"--{field.name.replace('_', '-')}"
+        for field in fields(options)
+        if field.name not in used and getattr(options, field.name) != getattr(default, field.name)
+    ]
+    if useless:
+        verb = "has" if len(useless) == 1 else "have"
+        warnings.warn(
+            f"{source.path}: {', '.join(useless)} {verb} no effect on a {source.kind.value}", stacklevel=3
+        )
+
+
+def _kind(path: Path, options: BuildOptions) -> SourceKind:
+    if path.is_dir():
+        if not (path / "world.json").is_file():
+            raise SourceError(f"{path}: a folder that was built holds world.json, this one does not")
+        return SourceKind.FOLDER
+    if path.suffix.lower() in {".yaml", ".yml"}:
+        return SourceKind.MAP
+    if path.suffix.lower() in MESHES:
+        return SourceKind.MESH
+    if is_log(path):
+        return SourceKind.LOG
+    return SourceKind.MAP_PICTURE if options.kind == "map" else SourceKind.PICTURE
+
+
+def _unzipped(path: Path) -> Path:
+    return path.with_suffix("") if path.suffix.lower() == ".gz" else path
+
+
+def _stem(path: Path) -> str:
+    return _unzipped(path).stem if path.is_file() else path.name
+
+
+def _name(stem: str, options: BuildOptions) -> str:
+    """Return a name that every consumer accepts: Gazebo's URIs take no spaces."""
+    return re.sub(r"[^A-Za-z0-9_.-]+", "_", options.name or stem).strip("_.-") or "world"

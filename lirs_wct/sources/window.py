@@ -1,0 +1,100 @@
+"""Cutting a square out of a surface or a map, in the world's frame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
+
+Window = tuple[float, float, float]
+"""Centre x, y and side, metres."""
+
+
+FEW_CELLS = 16
+"""A window of fewer cells along its side is sampled anew ..."""
+SAMPLES = 65
+"""... with so many nodes along each side."""
+
+
+def cut_surface(surface: HeightField, window: Window) -> HeightField:
+    """Keep the nodes of a square (rounded outward), its lowest point at z = 0, coordinates unchanged.
+
+    A square of few nodes is sampled anew: rounded outward it could be kilometres larger.
+
+    Raises:
+        ConfigError: the window does not overlap the surface.
+    """
+    rows, cols = surface.shape
+    west, south, east, north = surface.bounds
+    (x, y, side), half = window, window[2] / 2
+    if x + half <= west or x - half >= east or y + half <= south or y - half >= north:
+        raise ConfigError(
+            f"window {x:g},{y:g},{side:g} lies outside the terrain: "
+            f"x {west:g} to {east:g}, y {south:g} to {north:g} m"
+        )
+    if side < FEW_CELLS * max(surface.cell):
+        return _sampled(
+            surface, (max(x - half, west), max(y - half, south), min(x + half, east), min(y + half, north))
+        )
+    c0, c1 = _span(x - half - west, x + half - west, surface.cell[0], cols)
+    r0, r1 = _span(y - half - south, y + half - south, surface.cell[1], rows)
+    z = surface.z[rows - 1 - r1 : rows - r0, c0 : c1 + 1]
+    return HeightField(
+        np.ascontiguousarray(z - z.min()),
+        surface.cell,
+        (west + c0 * surface.cell[0], south + r0 * surface.cell[1]),
+    )
+
+
+def cut_nodes(
+    mask: NDArray[np.bool_] | None, whole: HeightField, part: HeightField
+) -> NDArray[np.bool_] | None:
+    """Keep of a mask over the nodes of a surface those of the part that was cut out of it."""
+    if mask is None:
+        return None
+    rows, cols = part.shape
+    west = round((part.origin[0] - whole.origin[0]) / whole.cell[0])
+    south = round((part.origin[1] - whole.origin[1]) / whole.cell[1])
+    north = whole.shape[0] - south - rows
+    return mask[north : north + rows, west : west + cols]
+
+
+def cut_map(grid: OccupancyGrid, window: Window) -> OccupancyGrid:
+    """Keep the cells around a square (its bounding box in the grid's own axes).
+
+    Raises:
+        ConfigError: the window does not overlap the map.
+    """
+    x, y, side = window
+    corners = [(x + sx * side / 2, y + sy * side / 2) for sx in (-1, 1) for sy in (-1, 1)]
+    cells = grid.cells(corners)
+    low = np.maximum(cells.min(axis=0), 0)
+    high = np.minimum(cells.max(axis=0) + 1, grid.shape)
+    if np.any(high <= low):
+        raise ConfigError(f"window {x:g},{y:g},{side:g} lies outside the map")
+    part = np.ascontiguousarray(grid.log_odds[low[0] : high[0], low[1] : high[1]])
+    shift = Pose2(float(low[1]) * grid.resolution, float(low[0]) * grid.resolution)
+    return replace(grid, log_odds=part, origin=grid.origin @ shift)
+
+
+def _sampled(surface: HeightField, bounds: tuple[float, float, float, float]) -> HeightField:
+    """Return the surface within exact bounds on 65 x 65 nodes, its lowest point at z = 0."""
+    west, south, east, north = bounds
+    x, y = np.linspace(west, east, SAMPLES), np.linspace(north, south, SAMPLES)
+    z = surface.height_at(np.clip(x, west, east)[None, :], np.clip(y, south, north)[:, None])
+    cell = ((east - west) / (SAMPLES - 1), (north - south) / (SAMPLES - 1))
+    return HeightField((z - z.min()).astype(np.float32), cell, (west, south))
+
+
+def _span(low: float, high: float, cell: float, count: int) -> tuple[int, int]:
+    """Return first and last node that cover [low, high], at least two of them."""
+    first = min(max(math.floor(low / cell + 1e-9), 0), count - 2)
+    last = min(max(math.ceil(high / cell - 1e-9), first + 1), count - 1)
+    return first, last

@@ -1,0 +1,1 @@
+"""Cartographer: local SLAM on submaps, loop closure, pose graph (Hess et al. 2016)."""

@@ -1,0 +1,132 @@
+"""Parameters of global SLAM."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from lirs_wct.errors import ConfigError
+from slam_baselines.cartographer.constraints.builder import ConstraintConfig
+from slam_baselines.cartographer.constraints.candidates import QueueConfig
+from slam_baselines.cartographer.constraints.verification import ConfirmationConfig
+from slam_baselines.cartographer.optimization import OptimizationConfig
+from slam_baselines.cartographer.submap import SubmapConfig
+from slam_baselines.cartographer.trimmer import TrimmingConfig
+from slam_baselines.mapping.ground_filter import ReliefConfig
+from slam_baselines.matching.local_matching import LocalMatchingConfig
+from slam_baselines.motion.dead_reckoning import MotionConfig
+from slam_baselines.motion.motion_filter import MotionFilterConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class GlobalConfig:
+    """Parameters of global SLAM; names as in Cartographer's pose_graph.
+
+    Attributes:
+        queue: which searches are made.
+        constraints: how they are made.
+        confirmation: which loops need a second one.
+        optimization: of the graph.
+        trimming: which submaps are forgotten.
+        optimize_every_n_nodes: the graph is solved after so many new nodes, if there are new loops.
+        searches_per_update: at most so many searches in one update.
+        matcher_translation_error: standard deviation of a node's place in a submap that it entered, metres.
+        matcher_rotation_error: likewise of its yaw, radians.
+
+    Raises:
+        ConfigError: a value that is not above 0.
+    """
+
+    queue: QueueConfig = field(default_factory=QueueConfig)
+    constraints: ConstraintConfig = field(default_factory=ConstraintConfig)
+    confirmation: ConfirmationConfig = field(default_factory=ConfirmationConfig)
+    optimization: OptimizationConfig = field(default_factory=OptimizationConfig)
+    trimming: TrimmingConfig = field(default_factory=TrimmingConfig)
+    optimize_every_n_nodes: int = 40
+    searches_per_update: int = 1
+    matcher_translation_error: float = 0.03
+    matcher_rotation_error: float = 0.01
+
+    def __post_init__(self) -> None:
+        if min(self.optimize_every_n_nodes, self.searches_per_update) < 1:
+            raise ConfigError("optimize_every_n_nodes and searches_per_update must be at least 1")
+        if not (self.matcher_translation_error > 0 and self.matcher_rotation_error > 0):
+            raise ConfigError("matcher_translation_error and matcher_rotation_error must be above 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalConfig:
+    """Parameters of local SLAM.
+
+    Attributes:
+        submaps: how submaps are drawn.
+        motion_filter: which scans enter them.
+        motion: confidence in the odometry.
+        matching: how a scan is fitted into a submap.
+        relief: how ground is told from walls.
+        slip_speed: on uneven ground, a match is not believed that lies farther from where odometry puts the
+            robot than this allows in the time since the last scan, m/s and rad/s ...
+        slip_deviations: ... and so many standard deviations of that prediction.
+        lost_score: mean occupancy at the ends of the beams below which a scan enters no submap ...
+        lost_after: ... and after so many of them in a row the mapper is lost.
+
+    Raises:
+        ConfigError: lost_score above the matching's poor_score.
+    """
+
+    submaps: SubmapConfig = field(default_factory=SubmapConfig)
+    motion_filter: MotionFilterConfig = field(default_factory=MotionFilterConfig)
+    motion: MotionConfig = field(default_factory=MotionConfig)
+    matching: LocalMatchingConfig = field(default_factory=LocalMatchingConfig)
+    relief: ReliefConfig = field(default_factory=ReliefConfig)
+    slip_speed: float = 1.0
+    slip_deviations: float = 4.0
+    lost_score: float = 0.2
+    lost_after: int = 10
+
+    def __post_init__(self) -> None:
+        if not 0 < self.lost_score <= self.matching.poor_score:
+            raise ConfigError(
+                f"lost_score must be above 0 and at most poor_score = {self.matching.poor_score}, "
+                f"got {self.lost_score}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalisationConfig:
+    """When a place is believed.
+
+    Attributes:
+        min_score: mean occupancy at the ends of the beams that a place found in the whole map needs.
+        rival: it is not believed if another place has this share of its score ...
+        apart: ... at least so far from it, metres.
+        every: while the place is unknown it is searched for after so much way, metres ...
+        seconds: ... or so much time.
+        beams: at most so many beams are used to search, evenly spread in space ...
+        least_beams: ... and fewer than this say nothing.
+        bounded: a search is given up after so many nodes of its tree.
+        lost_score: mean occupancy at the ends of the beams below which a scan does not fit ...
+        lost_after: ... and after so many of them in a row the place is unknown.
+        start: standard deviation of a pose that is given, metres and radians.
+
+    Raises:
+        ConfigError: a value that is not above 0, or a share above 1.
+    """
+
+    min_score: float = 0.55
+    rival: float = 0.9
+    apart: float = 1.0
+    every: float = 1.0
+    seconds: float = 5.0
+    beams: int = 150
+    least_beams: int = 30
+    bounded: int = 1 << 20
+    lost_score: float = 0.2
+    lost_after: int = 10
+    start: tuple[float, float] = (0.3, 0.1)
+
+    def __post_init__(self) -> None:
+        for name in set(self.__dataclass_fields__) - {"start"}:
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name} of the localisation must be above 0, got {getattr(self, name)}")
+        if max(self.min_score, self.rival, self.lost_score) > 1:
+            raise ConfigError("min_score, rival and lost_score of the localisation must be at most 1")

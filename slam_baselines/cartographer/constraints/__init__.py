@@ -1,0 +1,1 @@
+"""Loop-closure constraints: candidates, search, verification."""

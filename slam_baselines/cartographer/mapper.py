@@ -1,0 +1,180 @@
+"""Cartographer's way: local SLAM on submaps, loops by branch and bound, a sparse pose graph.
+
+Hess, Kohler, Rapp, Andor 2016, "Real-time loop closure in 2D LIDAR SLAM", written from the paper.
+Beyond it: the odometry is a prior of the matching, and ground is told from walls.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.cartographer.config import GlobalConfig, LocalConfig, LocalisationConfig
+from slam_baselines.cartographer.constraints.loop_event import LoopEvent
+from slam_baselines.cartographer.global_slam import GlobalSlam
+from slam_baselines.cartographer.known_map import KnownMap
+from slam_baselines.cartographer.local_slam import LocalSlam
+from slam_baselines.cartographer.localization import Localiser
+from slam_baselines.cartographer.node_map import NodeMap
+from slam_baselines.cartographer.node_trajectory import NodeTrajectory
+from slam_baselines.mapper import Mapper, MapperStats, Stopwatch
+from slam_baselines.mapping.occupancy_map import UpdateConfig
+from slam_baselines.scan.leveling import ScanLeveller
+
+
+@dataclass(frozen=True, kw_only=True)
+class CartographerConfig:
+    """Parameters, in the parts' configurations under the original's names where they exist.
+
+    Attributes:
+        local: submaps, matching, motion filter.
+        graph: loops and optimisation.
+        map_resolution: edge of a cell of the final map, metres.
+        update: how a scan changes the final map.
+        first_look: on uneven ground, submaps are drawn again after so much way, metres, and when it has
+            doubled, until the first one is finished.
+        max_range: hits farther away are not used, metres.
+        clear_range: a beam without return is believed to be free up to here, metres.
+        map: a known map, a grid or the path of its YAML: the robot is only localised in it.
+        start: `T_map_base` at the first scan in that map; None: it is searched for in all of it.
+        localisation: when a place in the known map is believed.
+
+    Raises:
+        ConfigError: a resolution or range that is not above 0, or a start without a map.
+    """
+
+    local: LocalConfig = field(default_factory=LocalConfig)
+    graph: GlobalConfig = field(default_factory=GlobalConfig)
+    map_resolution: float = 0.05
+    update: UpdateConfig = field(default_factory=UpdateConfig)
+    first_look: float = 2.0
+    max_range: float = math.inf
+    clear_range: float = 0.0
+    map: OccupancyGrid | str | Path | None = None
+    start: Pose2 | None = None
+    localisation: LocalisationConfig = field(default_factory=LocalisationConfig)
+
+    def __post_init__(self) -> None:
+        if not (self.map_resolution > 0 and self.max_range > 0):
+            raise ConfigError("map_resolution and max_range must be above 0 m")
+        if self.start is not None and self.map is None:
+            raise ConfigError("start is a pose in a known map: map is needed with it")
+
+
+def make_cartographer(config: CartographerConfig) -> Mapper:
+    """Return a mapper, or where a map is given, what finds the robot in it.
+
+    Raises:
+        SourceError: the map's file cannot be used.
+        ConfigError: there is no wall in the map.
+    """
+    c = config
+    if c.map is None:
+        return CartographerMapper(c)
+    leveller = ScanLeveller(c.clear_range, c.max_range)
+    return Localiser(KnownMap.of(c.map), c.start, c.localisation, c.local.matching, c.local.motion, leveller)
+
+
+class CartographerMapper:
+    """Submaps that are matched against, and a graph that puts them right when a loop closes."""
+
+    def __init__(self, config: CartographerConfig | None = None) -> None:
+        self.config = c = config or CartographerConfig()
+        self._local = LocalSlam(c.local, c.clear_range, c.max_range)
+        self._graph = GlobalSlam(c.graph, self._local)
+        self._map = NodeMap(c.map_resolution, c.update, c.local.relief)
+        self._scans = NodeTrajectory()
+        self._look_again_at = c.first_look
+        self._looks = 0
+        self._stopwatch = Stopwatch()
+
+    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        """Match the scan to its submap, do a share of the work on the graph, return `T_map_base`.
+
+        Raises:
+            ConfigError: there is no odometry.
+        """
+        if odometry is None:
+            raise ConfigError(
+                f"cartographer needs odometry, the scan at {scan.stamp} s has none; hector maps without"
+            )
+        started = self._stopwatch.start()
+        node = self._local.update(scan, odometry, imu)
+        if node is not None:
+            self._graph.add(node)
+            if self._look_again_at <= node.way:
+                self._look_again()
+        nodes = self._graph.nodes
+        self._scans.add(scan.stamp, self._local.estimate.pose, len(nodes), nodes[-1].pose if nodes else None)
+        self._graph.work()
+        self._stopwatch.stop(started)
+        return self._graph.T_map_local @ self._local.estimate.pose
+
+    def _look_again(self) -> None:
+        """Begin again with what is known by now about the ground, as long as no submap is finished."""
+        self._look_again_at *= 2
+        local = self._local
+        if local.relief.match_bound == 0 or local.submaps.all[0].finished:
+            self._look_again_at = math.inf
+            return
+        self._looks += 1
+        nodes = local.look_again(self._graph.nodes)
+        self._graph = GlobalSlam(self.config.graph, local)
+        for node in nodes:
+            self._graph.add(node)
+
+    def map(self) -> OccupancyGrid:
+        """Return the map, drawn from all nodes where they are believed to be now."""
+        poses, _ = self._graph.settled()
+        return self._map.draw(self._graph.nodes, poses)
+
+    def trajectory(self) -> Trajectory:
+        """Return the pose of every scan, by stamp."""
+        poses, T_map_local = self._graph.settled()
+        return self._scans.trajectory([node.pose for node in self._graph.nodes], poses, T_map_local)
+
+    @property
+    def loops(self) -> list[LoopEvent]:
+        """The loops closed so far, in the order in which they were believed."""
+        return list(self._graph.events)
+
+    @property
+    def lost(self) -> bool:
+        """Whether so many scans in a row fit nowhere that the pose is not to be believed."""
+        return self._local.lost
+
+    @property
+    def stats(self) -> MapperStats:
+        """What was done so far."""
+        local, graph = self._local, self._graph
+        counts = graph.builder.counts
+        return MapperStats(
+            received=local.received,
+            used=local.matched,
+            lost=local.lost_scans,
+            memory=sum(submap.nbytes for submap in local.submaps.all)
+            + sum(node.nbytes for node in graph.nodes)
+            + local.relief.grid.nbytes,
+            counts={
+                "nodes": len(graph.nodes),
+                "submaps": len(local.submaps.all),
+                "submaps_trimmed": graph.trimmed,
+                "loops": len(graph.loops),
+                "loop_searches": counts.searched,
+                "loop_searches_ambiguous": counts.ambiguous,
+                "loop_searches_given_up": counts.given_up,
+                "loop_searches_waiting": len(graph.queue),
+                "loop_searches_dropped": graph.queue.dropped,
+                "optimizations": graph.optimizations,
+                "second_looks": self._looks,
+                "searches": local.matcher.searches,
+                "matches_implausible": local.implausible,
+            },
+            **self._stopwatch.summary(),
+        )

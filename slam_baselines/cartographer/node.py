@@ -1,0 +1,73 @@
+"""Nodes: the scans that the pose graph holds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.geometry.pose import Pose2
+from slam_baselines.motion.dead_reckoning import Estimate
+from slam_baselines.scan.leveling import LevelledScan
+
+Array = NDArray[np.float64]
+
+NOWHERE = Estimate(Pose2(), np.zeros((3, 3)))
+"""Dead reckoning that has just begun."""
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A scan that entered submaps.
+
+    Attributes:
+        scan: levelled.
+        pose: `T_local_base`.
+        covariance: (3, 3) of x, y, yaw in the local frame, given the submap in front.
+        height: of the base in the local frame, metres.
+        steep: (n,) rise over run of its hits as proven when it entered, STEEP_STEP.
+        submaps: indices of the submaps that it entered.
+        odometry: its pose in the frame of the node before, by dead reckoning.
+        travelled: way driven until then, as the relief counts it, metres.
+        way: the same, with and without attitude.
+        tilt: the most that the robot had leaned until then, radians.
+    """
+
+    scan: LevelledScan
+    pose: Pose2
+    covariance: Array
+    height: float
+    steep: NDArray[np.uint8]
+    submaps: range
+    odometry: Estimate
+    travelled: float
+    tilt: float
+    way: float
+
+    @property
+    def bare(self) -> bool:
+        """Whether its scan was forgotten."""
+        return len(self.scan.hits) == 0
+
+    def trimmed(self) -> Node:
+        """Return the node without its scan's points."""
+        nothing = np.empty((0, 3))
+        scan = replace(self.scan, hits=nothing, free=nothing)
+        return replace(self, scan=scan, steep=np.empty(0, np.uint8))
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the scan."""
+        return self.scan.hits.nbytes + self.scan.free.nbytes + self.steep.nbytes
+
+
+def compounded(first: Estimate, then: Estimate) -> Estimate:
+    """Return `first @ then`; the errors of the two are independent."""
+    pose = first.pose @ then.pose
+    c, s = math.cos(first.pose.yaw), math.sin(first.pose.yaw)
+    R = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
+    G = np.eye(3)
+    G[0, 2], G[1, 2] = first.pose.y - pose.y, pose.x - first.pose.x
+    return Estimate(pose, G @ first.covariance @ G.T + R @ then.covariance @ R.T)

@@ -1,0 +1,46 @@
+"""The map drawn from all nodes at their poses: after a loop has closed, drawn again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+from slam_baselines.cartographer.node import Node
+from slam_baselines.cartographer.submap import bounding_box
+from slam_baselines.mapping.ground_filter import Relief, ReliefConfig
+from slam_baselines.mapping.occupancy_map import OccupancyMap, UpdateConfig
+
+
+class NodeMap:
+    """Draws nodes; keeps what it has drawn as long as the nodes stay where they were."""
+
+    def __init__(self, resolution: float, update: UpdateConfig, relief: ReliefConfig) -> None:
+        self._resolution = resolution
+        self._update = update
+        self._relief_config = relief
+        self._drawn: list[tuple[Pose2, bool]] = []
+        self._restart()
+
+    def draw(self, nodes: Sequence[Node], poses: Sequence[Pose2]) -> OccupancyGrid:
+        """Return the map of nodes at their poses `T_map_base`."""
+        state = [(pose, node.bare) for node, pose in zip(nodes, poses, strict=True)]
+        if state[: len(self._drawn)] != self._drawn:
+            self._restart()
+        for node, (pose, bare) in zip(nodes[len(self._drawn) :], state[len(self._drawn) :], strict=True):
+            if not bare:
+                self._enter(node, pose)
+            self._drawn.append((pose, bare))
+        return self._map.occupancy_grid(self._relief.bound)
+
+    def _restart(self) -> None:
+        self._map = OccupancyMap(self._resolution, self._update)
+        self._relief = Relief(self._relief_config)
+        self._drawn.clear()
+
+    def _enter(self, node: Node, pose: Pose2) -> None:
+        relief = self._relief
+        relief.height, relief.travelled, relief.tilt = node.height, node.travelled, node.tilt
+        origin, hits, free = node.scan.placed(pose, node.height)
+        steep = relief.observe(origin, hits, free, pose) if node.scan.levelled else relief.unproven(len(hits))
+        self._map.update(origin, hits, free, steep, relief.match_bound, bounding_box(origin, hits, free))

@@ -1,0 +1,174 @@
+"""Submaps: pieces of map, each drawn from a stretch of scans and rigid from then on.
+
+Hess et al. 2016, "Real-time loop closure in 2D LIDAR SLAM", section IV: a scan enters two submaps, the
+older of which is matched against; it has seen enough to match well, and when it is finished the
+younger has, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.pose import Pose2
+from slam_baselines.mapping.occupancy_map import UNKNOWN, OccupancyMap, UpdateConfig
+from slam_baselines.matching.branch_and_bound import BoundGrids
+from slam_baselines.matching.gauss_newton import MapPyramid
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SubmapConfig:
+    """How submaps are drawn.
+
+    Attributes:
+        num_range_data: scans after which the next submap begins; each gets twice as many.
+        resolution: edge of a cell of the finest level, metres.
+        levels: number of levels, each twice as coarse as the one before.
+        search_level: level on which loops are searched for.
+        branch_and_bound_depth: how often four cells become one in the search for loops.
+        update: how a scan changes the map. Milder than for a map to look at: the mean of many scans
+            shows where within a cell a wall is.
+
+    Raises:
+        ConfigError: a number that is not above 0, or a search_level that is no level.
+    """
+
+    num_range_data: int = 60
+    resolution: float = 0.05
+    levels: int = 3
+    search_level: int = 1
+    branch_and_bound_depth: int = 6
+    update: UpdateConfig = field(default_factory=UpdateConfig)
+
+    def __post_init__(self) -> None:
+        if min(self.num_range_data, self.levels, self.branch_and_bound_depth) < 1 or not self.resolution > 0:
+            raise ConfigError(
+                "num_range_data, levels, branch_and_bound_depth and resolution of submaps must be above 0"
+            )
+        if not 0 <= self.search_level < self.levels:
+            raise ConfigError(f"search_level must be within 0 ... {self.levels - 1}, got {self.search_level}")
+
+
+class Submap:
+    """A small map in the local frame.
+
+    Attributes:
+        pose: `T_local_submap`, the pose of its first scan.
+        nodes: indices of the scans in it.
+        finished: whether no more scans will enter it.
+        pyramid: occupancy, finest level first, in the local frame.
+    """
+
+    def __init__(self, config: SubmapConfig, pose: Pose2) -> None:
+        self.pose = pose
+        self.nodes: list[int] = []
+        self.finished = False
+        self._config = config
+        self._bound = 0
+        self._bounds: BoundGrids | None = None
+        sizes = [config.resolution * 2**level for level in range(config.levels)]
+        self.pyramid = MapPyramid(tuple(OccupancyMap(size, config.update) for size in sizes))
+
+    def trim(self) -> None:
+        """Forget what was drawn; pose and nodes stay."""
+        empty = (OccupancyMap(level.resolution) for level in self.pyramid.maps)
+        self.pyramid, self._bounds = MapPyramid(tuple(empty)), None
+
+    @property
+    def known_points(self) -> Array:
+        """(n, 2) centres of the cells of the coarsest level that beams came to, in the local frame."""
+        grid = self.pyramid.maps[-1].grid
+        cells = np.argwhere(grid.layers["log_odds"] != UNKNOWN)[:, ::-1] + (grid.col0, grid.row0)
+        return np.asarray((cells + 0.5) * grid.resolution, dtype=np.float64)
+
+    def insert(
+        self, node: int, origin: Array, hits: Array, free: Array, steep: NDArray[np.uint8], bound: int
+    ) -> None:
+        """Draw a scan, given in the local frame (see OccupancyMap.update)."""
+        self.revalue(bound)
+        self.nodes.append(node)
+        box = bounding_box(origin, hits, free)
+        grew = [level.update(origin, hits, free, steep, bound, box) for level in self.pyramid.maps]
+        if any(grew):
+            self.pyramid.refresh()
+
+    def revalue(self, bound: int) -> None:
+        """Let matchers see as walls only what is proven to be steeper than `bound`."""
+        if bound == self._bound:
+            return
+        self._bound, self._bounds = bound, None
+        for level in self.pyramid.maps:
+            level.revalue(bound)
+
+    def steepness(self, points: Array) -> NDArray[np.uint8]:
+        """Return (n,) what is proven of the cells under points (n, 2 or more) of the local frame."""
+        return self.pyramid.maps[-1].steepness(points)
+
+    @property
+    def bounds(self) -> BoundGrids:
+        """Upper bounds for the search for loops; computed when first needed after the submap finished."""
+        if self._bounds is None:
+            level = self.pyramid.maps[self._config.search_level]
+            self._bounds = BoundGrids.of(level.grid, self._config.branch_and_bound_depth)
+        return self._bounds
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Middle of the submap in the local frame, metres."""
+        grid = self.pyramid.maps[0].grid
+        rows, cols = grid.shape
+        return (grid.col0 + cols / 2) * grid.resolution, (grid.row0 + rows / 2) * grid.resolution
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of its grids."""
+        grids = sum(level.grid.nbytes for level in self.pyramid.maps)
+        return grids + (0 if self._bounds is None else self._bounds.nbytes)
+
+
+class Submaps:
+    """All submaps; the last two are being drawn."""
+
+    def __init__(self, config: SubmapConfig) -> None:
+        self._config = config
+        self.all: list[Submap] = []
+
+    @property
+    def front(self) -> Submap:
+        """The submap that scans are matched against."""
+        return self.all[self.active[0]]
+
+    @property
+    def active(self) -> range:
+        """Indices of the submaps that are being drawn, the older first."""
+        first = len(self.all)
+        while first > 0 and not self.all[first - 1].finished:
+            first -= 1
+        return range(first, len(self.all))
+
+    def insert(
+        self, node: int, pose: Pose2, origin: Array, hits: Array, free: Array,
+        steep: NDArray[np.uint8], bound: int,
+    ) -> range:  # fmt: skip
+        """Draw a scan taken at `pose`; return the submaps it entered."""
+        if not self.all or len(self.all[-1].nodes) >= self._config.num_range_data:
+            self.all.append(Submap(self._config, pose))
+        entered = self.active
+        for i in entered:
+            self.all[i].insert(node, origin, hits, free, steep, bound)
+        front = self.all[entered[0]]
+        front.finished = len(front.nodes) >= 2 * self._config.num_range_data
+        return entered
+
+
+def bounding_box(origin: Array, *ends: Array) -> Array:
+    """Return (4,) west, south, east, north of the laser and all ends of beams, metres."""
+    points = [origin[None, :2], *(e[:, :2] for e in ends if len(e))]
+    low = np.min([p.min(axis=0) for p in points], axis=0)
+    high = np.max([p.max(axis=0) for p in points], axis=0)
+    return np.concatenate((low, high))

@@ -1,0 +1,1 @@
+"""Planar poses and small matrices by the array."""

@@ -1,0 +1,80 @@
+"""Kernels for symmetric 3x3 matrices: NumPy's calls cost more than their arithmetic at this size."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import sparse
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True)
+def solve3(A: Any, b: Any) -> Any:
+    """Solve a symmetric positive definite 3x3 system by Cramer's rule; zero where it is singular."""
+    inverse = invert3(A)
+    x = np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            x[i] += inverse[i, j] * b[j]
+    return x
+
+
+@njit(cache=True)
+def invert3(A: Any) -> Any:
+    """Return the inverse of a symmetric positive definite matrix; zeros where it is singular."""
+    c00 = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
+    c01 = A[1, 2] * A[2, 0] - A[1, 0] * A[2, 2]
+    c02 = A[1, 0] * A[2, 1] - A[1, 1] * A[2, 0]
+    det = A[0, 0] * c00 + A[0, 1] * c01 + A[0, 2] * c02
+    B = np.zeros((3, 3))
+    if not det > 0:
+        return B
+    B[0, 0], B[1, 1] = c00 / det, (A[0, 0] * A[2, 2] - A[0, 2] * A[2, 0]) / det
+    B[2, 2] = (A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]) / det
+    B[0, 1] = B[1, 0] = c01 / det
+    B[0, 2] = B[2, 0] = c02 / det
+    B[1, 2] = B[2, 1] = (A[0, 1] * A[2, 0] - A[0, 0] * A[2, 1]) / det
+    return B
+
+
+@njit(cache=True)
+def moved_covariance(P: Any, dx: float, dy: float, shift: float, turn: float) -> Any:
+    """Return the covariance of x, y, yaw after a step of (dx, dy) in the map frame with its own variances.
+
+    That is G P G' + Q with G = [[1, 0, -dy], [0, 1, dx], [0, 0, 1]] and Q = diag(shift, shift, turn).
+    """
+    a, b, c = P[0, 2], P[1, 2], P[2, 2]
+    R = np.empty((3, 3))
+    R[0, 0] = P[0, 0] - 2 * dy * a + dy * dy * c + shift
+    R[1, 1] = P[1, 1] + 2 * dx * b + dx * dx * c + shift
+    R[0, 1] = R[1, 0] = P[0, 1] + dx * a - dy * b - dx * dy * c
+    R[0, 2] = R[2, 0] = a - dy * c
+    R[1, 2] = R[2, 1] = b + dx * c
+    R[2, 2] = c + turn
+    return R
+
+
+Indices = NDArray[np.int64]
+
+
+def sum_blocks(blocks: Array, index: Indices, n: int) -> Array:
+    """Return (n, 3, 3) the sums of the (k, 3, 3) blocks of each index."""
+    return sum_vectors(blocks.reshape(-1, 9), index, n).reshape(n, 3, 3)
+
+
+def sum_vectors(vectors: Array, index: Indices, n: int) -> Array:
+    """Return (n, k) the sums of the vectors of each index."""
+    columns = [np.bincount(index, weights=column, minlength=n) for column in vectors.T]
+    return np.stack(columns, axis=-1)
+
+
+def block_matrix(blocks: Array, rows: Indices, cols: Indices, n: int, m: int) -> sparse.csr_matrix:
+    """Return the sparse matrix of (k, 3, 3) blocks at block rows and columns; equal places add up."""
+    three = np.arange(3)
+    r = np.broadcast_to((3 * rows)[:, None, None] + three[:, None], blocks.shape)
+    c = np.broadcast_to((3 * cols)[:, None, None] + three, blocks.shape)
+    return sparse.coo_matrix((blocks.ravel(), (r.ravel(), c.ravel())), shape=(3 * n, 3 * m)).tocsr()

@@ -1,0 +1,1 @@
+"""GMapping: a Rao-Blackwellized particle filter (Grisetti et al. 2007)."""

@@ -1,0 +1,163 @@
+"""The first metres on uneven ground, gone over again once walls can be told from ground.
+
+At first nothing is known to be a wall, so the filter follows the odometry and the first scans enter at
+poses that are a little wrong; every map would keep that. So the first processed scans are kept, and after
+some metres one new map is built from them with what is proven by now: from the last to the first, so that
+it grows from where walls are known. What the walls and the gyro disagree about in the long run is the
+gyro's bias, and the next round is made without it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.geometry.pose import Pose2, wrap_angle
+from slam_baselines.common.se2 import in_axes_of
+from slam_baselines.gmapping.copy_on_write_map import PatchMaps
+from slam_baselines.gmapping.proposal import Proposer
+from slam_baselines.mapping.ground_filter import Relief
+from slam_baselines.motion.increment import unbiased
+from slam_baselines.scan.leveling import LevelledScan
+
+Array = NDArray[np.float64]
+
+FIRST = 2.0
+"""Metres after which to go over the way for the first time; then whenever the way has doubled ..."""
+LAST = 40.0
+"""... up to this many metres."""
+ROUNDS = 2
+"""How often the bias is estimated each time: a round sees only the part that the prior did not pull along."""
+BIAS = math.radians(0.05)
+"""Standard deviation of a gyro's bias before anything is known, rad/s."""
+HEADING = math.radians(0.3)
+"""Standard deviation of the heading at which a scan is laid into the map, radians."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A processed scan.
+
+    Attributes:
+        scan: levelled.
+        step: `T_before_now` by odometry and gyro as they are.
+        covariance: (3, 3) of the step.
+        seconds: of the step, spent moving.
+        height: of the base in the map frame, metres.
+        steep: (n,) what was proven of its hits.
+    """
+
+    scan: LevelledScan
+    step: Pose2
+    covariance: Array
+    seconds: float
+    height: float
+    steep: NDArray[np.uint8]
+
+
+class Retrace:
+    """Keeps the first processed scans, and lays them into a new map when it is due.
+
+    Attributes:
+        times: how often that was done.
+        bias: of the gyro, rad/s.
+    """
+
+    def __init__(self) -> None:
+        self.times = 0
+        self.bias = 0.0
+        self._next = FIRST
+        self._closed = False
+        self._frames: list[Frame] = []
+
+    @property
+    def open(self) -> bool:
+        """Whether frames are still kept."""
+        return not self._closed
+
+    def note(self, frame: Frame, travelled: float) -> bool:
+        """Keep a frame while it may be needed; return whether it is time to go over the way."""
+        if max(self._next, travelled) > LAST:
+            self._closed = True
+            self._frames.clear()
+            return False
+        self._frames.append(frame)
+        return travelled >= self._next
+
+    def trace(self, maps: PatchMaps, proposer: Proposer, relief: Relief) -> list[Pose2]:
+        """Draw the frames into an empty map of one particle; return their poses."""
+        self.times += 1
+        self._next *= 2
+        bound = relief.match_bound
+        for _ in range(ROUNDS):
+            poses = self._backwards(PatchMaps(1, maps.resolution), proposer, relief)
+            self._learn(poses)
+        for i, (frame, pose) in enumerate(zip(self._frames, poses, strict=True)):
+            steep = _steepness(frame, pose, relief)
+            _draw(maps, frame, pose, steep, bound)
+            self._frames[i] = replace(frame, steep=steep)
+        return poses
+
+    def _backwards(self, maps: PatchMaps, proposer: Proposer, relief: Relief) -> list[Pose2]:
+        """Match the frames from the last to the first; return where they are, the first at the origin."""
+        frames, bound = self._frames, relief.match_bound
+        way = self._reckoned()
+        pose, found = way[-1], [way[-1]]
+        _draw(maps, frames[-1], pose, _steepness(frames[-1], pose, relief), bound)
+        for i in range(len(frames) - 2, -1, -1):
+            step = way[i + 1].inverse() @ way[i]
+            pose = pose @ step
+            covariance = in_axes_of(pose.inverse(), frames[i + 1].covariance)
+            steep = _steepness(frames[i], pose, relief)
+            pose = _matched(frames[i], pose, covariance, steep, maps, proposer, bound)
+            _draw(maps, frames[i], pose, _steepness(frames[i], pose, relief), bound)
+            found.append(pose)
+        T_new_old = found[-1].inverse()
+        return [T_new_old @ pose for pose in reversed(found)]
+
+    def _reckoned(self) -> list[Pose2]:
+        """Return the way by odometry and gyro, less the bias."""
+        way = [Pose2()]
+        for frame in self._frames[1:]:
+            way.append(way[-1] @ unbiased(frame.step, self.bias, frame.seconds))
+        return way
+
+    def _learn(self, poses: list[Pose2]) -> None:
+        """Correct the bias by the trend of what the matched headings differ from the reckoned ones."""
+        t = np.cumsum([0.0, *(frame.seconds for frame in self._frames[1:])])
+        off = np.array([wrap_angle(p.yaw - r.yaw) for p, r in zip(poses, self._reckoned(), strict=True)])
+        t, off = t - t.mean(), off - off.mean()
+        # Maximum a posteriori; the trend is of the bias that is left.
+        pull = self.bias / BIAS**2
+        self.bias -= float((t @ off / HEADING**2 + pull) / (t @ t / HEADING**2 + 1 / BIAS**2))
+
+
+def _steepness(frame: Frame, pose: Pose2, relief: Relief) -> NDArray[np.uint8]:
+    """Return (n,) what is proven by now of the frame's hits."""
+    origin, hits, _ = frame.scan.placed(pose, frame.height)
+    return np.maximum(frame.steep, relief.steepness(origin, hits, pose))
+
+
+def _draw(maps: PatchMaps, frame: Frame, pose: Pose2, steep: NDArray[np.uint8], bound: int) -> None:
+    lift, scan = np.array((0.0, 0.0, frame.height)), frame.scan
+    maps.enter(pose.as_array()[None], scan.origin + lift, scan.hits + lift, scan.free + lift, steep, bound)
+
+
+def _matched(
+    frame: Frame,
+    expected: Pose2,
+    covariance: Array,
+    steep: NDArray[np.uint8],
+    maps: PatchMaps,
+    proposer: Proposer,
+    bound: int,
+) -> Pose2:
+    """Return where the frame fits into the map so far; the expected pose if nowhere."""
+    _, hits, _ = frame.scan.placed(expected, frame.height)
+    weights = (np.maximum(steep, maps.steepness(0, hits)) >= bound).astype(np.float64)
+    view, points = maps.view(0, bound), frame.scan.hits
+    found = proposer.track(view, points, weights, expected.as_array(), covariance)
+    return expected if found is None else Pose2(*found.tolist())

@@ -1,0 +1,78 @@
+"""The parameters of gmapping."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from lirs_wct.errors import ConfigError
+from slam_baselines.gmapping.proposal import ProposalConfig
+from slam_baselines.mapping.ground_filter import ReliefConfig
+from slam_baselines.motion.dead_reckoning import MotionConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class GmappingConfig(ProposalConfig):
+    """Parameters of gmapping where they exist.
+
+    Attributes:
+        particles: how many paths are followed.
+        seed: of the random numbers.
+        linearUpdate: metres to drive before the next scan is processed.
+        angularUpdate: radians to turn before the next scan is processed.
+        resampleThreshold: particles are drawn anew when N_eff falls below this share of them.
+        srr: error of the odometry in translation after one metre, metres.
+        srt: ... in translation after one radian, metres.
+        str: ... in rotation after one metre, radians.
+        stt: ... in rotation after one radian, radians.
+        ogain: likelihoods are taken to the power 1 / (ogain * particles), so that single scans with
+            their correlated beams do not decide alone.
+        delta: edge of a map's cell, metres.
+        maxUrange: hits farther away are not used, but free up to here, metres. Without it, beams without
+            return say nothing.
+        lost_score: share of the beams on known cells that must end at a wall, else a scan does not enter
+            the maps ...
+        lost_after: ... and after so many processed scans in a row the mapper is lost ...
+        known_share: ... where at least so many of its beams end on known cells.
+        relief: how ground is told from walls.
+
+    Raises:
+        ConfigError: a value that is not legal.
+    """
+
+    particles: int = 30
+    seed: int = 0
+    linearUpdate: float = 1.0  # noqa: N815  the original's names
+    angularUpdate: float = 0.5  # noqa: N815
+    resampleThreshold: float = 0.5  # noqa: N815
+    srr: float = 0.05
+    srt: float = 0.05
+    str: float = 0.05
+    stt: float = 0.1
+    ogain: float = 0.5
+    delta: float = 0.05
+    maxUrange: float = math.inf  # noqa: N815
+    lost_score: float = 0.3
+    lost_after: int = 3
+    known_share: float = 0.3
+    relief: ReliefConfig = field(default_factory=ReliefConfig)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("particles", "srr", "srt", "str", "stt", "ogain", "delta", "maxUrange", "lost_after"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name} must be above 0, got {getattr(self, name)}")
+        if min(self.linearUpdate, self.angularUpdate) < 0:
+            raise ConfigError("linearUpdate and angularUpdate must not be negative")
+        if not 0 <= self.resampleThreshold <= 1:
+            raise ConfigError(f"resampleThreshold must be within [0, 1], got {self.resampleThreshold}")
+
+    @property
+    def motion(self) -> MotionConfig:
+        """The odometry's errors for dead reckoning."""
+        return MotionConfig(
+            translation_per_metre=self.srr,
+            translation_per_radian=self.srt,
+            rotation_per_metre=self.str,
+            rotation_per_radian=self.stt,
+        )

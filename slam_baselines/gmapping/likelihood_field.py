@@ -1,0 +1,275 @@
+"""How well a scan fits into one particle's map, and in which direction it would fit better.
+
+The ends of beams are compared with the means of the hits in the cells around them, as in likelihood
+fields: close to a mean is likely, whatever the beam has passed on its way.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from slam_baselines.gmapping.copy_on_write_map import ABSENT, BITS, MASK, MEAN_STEPS
+from slam_baselines.mapping.occupancy_map import UNKNOWN
+from slam_baselines.matching.gauss_newton import solve3
+
+Array = NDArray[np.float64]
+
+NOTHING = 0.5
+"""Loss of log-likelihood of a beam that ends where nothing is."""
+EPS = 0.09
+"""Variance of a wall across itself, square cells."""
+
+
+class Beams(NamedTuple):
+    """A scan for the kernels.
+
+    Attributes:
+        points: (n, 2 or more) ends of beams in the levelled base frame, metres.
+        weights: (n,) how much each counts.
+    """
+
+    points: Array
+    weights: Array
+
+
+# Inlined with plain arrays: handing tuples of arrays on for every cell would cost more than the work.
+@njit(cache=True, inline="always")
+def _cell(table, row0, col0, row, col):  # type: ignore[no-untyped-def]
+    """Return the patch (or ABSENT) and the cell in it at a cell of the lattice; corner at row0, col0."""
+    r, c = (row >> BITS) - row0, (col >> BITS) - col0
+    inside = 0 <= r < table.shape[0] and 0 <= c < table.shape[1]
+    return (table[r, c] if inside else ABSENT), ((row & MASK) << BITS) | (col & MASK)
+
+
+@njit(cache=True, inline="always")
+def _attraction(table, top, left, log_odds, mean, steep, bound, u, v, reach, narrow):  # type: ignore[no-untyped-def]
+    """Return how strongly walls attract a beam's end (u, v in cells), whereto, and by which matrix.
+
+    The walls' cells within `reach` weigh exp(narrow d^2). The end is drawn to their weighted mean m, across
+    the wall but not along it: by A = eps (S + eps I)^-1, S their weighted covariance, eps = (0.3 cells)^2.
+    """
+    row0, col0 = int(np.floor(v)), int(np.floor(u))
+    w = su = sv = suu = suv = svv = 0.0
+    for row in range(row0 - reach, row0 + reach + 1):
+        for col in range(col0 - reach, col0 + reach + 1):
+            p, cell = _cell(table, top, left, row, col)
+            if p != ABSENT and log_odds[p, cell] > 0 and steep[p, cell] >= bound:
+                du = col + mean[p, cell, 0] / MEAN_STEPS - u
+                dv = row + mean[p, cell, 1] / MEAN_STEPS - v
+                a = np.exp(narrow * (du * du + dv * dv))
+                w += a
+                su += a * du
+                sv += a * dv
+                suu += a * du * du
+                suv += a * du * dv
+                svv += a * dv * dv
+    total = max(w, 1e-30)
+    du, dv = su / total, sv / total
+    cuu, cuv, cvv = suu / total - du * du + EPS, suv / total - du * dv, svv / total - dv * dv + EPS
+    k = EPS / (cuu * cvv - cuv * cuv)
+    return w, du, dv, k * cvv, -k * cuv, k * cuu
+
+
+@njit(cache=True)
+def log_likelihood(view, beams, pose, reach, lsigma, width):  # type: ignore[no-untyped-def]
+    """Return the log-likelihood of a scan, and the weights of beams that met a wall and known cells.
+
+    Each beam gives -d^2 / lsigma, d metres from its end to the wall within `reach` cells, and -NOTHING
+    without one. The distance is taken across the wall: taken to the nearest cell's mean, a likelihood this
+    sharp would prefer poses that fall in step with the lattice.
+
+    Args:
+        view: the map.
+        beams: of the scan.
+        pose: (3,) x, y, yaw.
+        reach: cells looked at to each side of a beam's end.
+        lsigma: square metres.
+        width: standard deviation of the attraction, cells.
+    """
+    points, weights, res, bound = beams.points, beams.weights, view.resolution, view.bound
+    table, top, left = view.table, view.corner[0], view.corner[1]
+    log_odds, mean, steep = view.patches.log_odds, view.patches.mean, view.patches.steep
+    c, s = np.cos(pose[2]) / res, np.sin(pose[2]) / res
+    x, y = pose[0] / res, pose[1] / res
+    narrow, sharp = -0.5 / width**2, res * res / lsigma
+    total = met = known = 0.0
+    for i in range(len(points)):
+        if weights[i] == 0:
+            continue
+        u, v = x + c * points[i, 0] - s * points[i, 1], y + s * points[i, 0] + c * points[i, 1]
+        w, du, dv, auu, auv, avv = _attraction(
+            table, top, left, log_odds, mean, steep, bound, u, v, reach, narrow
+        )
+        if w > 0:
+            d2 = auu * du * du + 2 * auv * du * dv + avv * dv * dv
+            total -= weights[i] * min(NOTHING, d2 * sharp)
+            met += weights[i]
+            known += weights[i]
+            continue
+        total -= weights[i] * NOTHING
+        p, cell = _cell(table, top, left, int(np.floor(v)), int(np.floor(u)))
+        if p != ABSENT and log_odds[p, cell] != UNKNOWN:
+            known += weights[i]
+    return total, met, known
+
+
+@njit(cache=True)
+def linearise(view, beams, stride, pose, reach, width, H, g):  # type: ignore[no-untyped-def]
+    """Fill H (3, 3) and g (3,) of a Gauss-Newton step that moves the beams' ends onto the walls.
+
+    In units of one over the variance of a beam.
+
+    Args:
+        view: the map.
+        beams: of the scan.
+        stride: only every so manyth beam is used.
+        pose: (3,) x, y, yaw.
+        reach: cells looked at to each side of a beam's end.
+        width: standard deviation of the attraction, cells.
+        H: filled.
+        g: filled.
+    """
+    points, weights, res, bound = beams.points, beams.weights, view.resolution, view.bound
+    table, top, left = view.table, view.corner[0], view.corner[1]
+    log_odds, mean, steep = view.patches.log_odds, view.patches.mean, view.patches.steep
+    c, s = np.cos(pose[2]) / res, np.sin(pose[2]) / res
+    x, y = pose[0] / res, pose[1] / res
+    H[:] = 0
+    g[:] = 0
+    narrow = -0.5 / width**2
+    for i in range(0, len(points), stride):
+        if weights[i] == 0:
+            continue
+        pu, pv = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
+        w, du, dv, auu, auv, avv = _attraction(
+            table, top, left, log_odds, mean, steep, bound, x + pu, y + pv, reach, narrow
+        )
+        if w < 1e-6:
+            continue
+        k = weights[i] * stride * min(1.0, w)
+        auu, auv, avv = k * auu, k * auv, k * avv
+        # du/dyaw = -pv, dv/dyaw = pu; lengths in metres from here on.
+        pu, pv, du, dv = pu * res, pv * res, du * res, dv * res
+        fu, fv = auu * du + auv * dv, auv * du + avv * dv
+        yu, yv = auv * pu - auu * pv, avv * pu - auv * pv
+        H[0, 0] += auu
+        H[0, 1] += auv
+        H[1, 1] += avv
+        H[0, 2] += yu
+        H[1, 2] += yv
+        H[2, 2] += yv * pu - yu * pv
+        g[0] += fu
+        g[1] += fv
+        g[2] += fv * pu - fu * pv
+    H[1, 0], H[2, 0], H[2, 1] = H[0, 1], H[0, 2], H[1, 2]
+
+
+class Prior(NamedTuple):
+    """The pose by odometry.
+
+    Attributes:
+        pose: (3,) x, y, yaw of `T_map_base`.
+        information: (3, 3) inverse of its covariance.
+    """
+
+    pose: Array
+    information: Array
+
+
+class Tuning(NamedTuple):
+    """The numbers of ProposalConfig that the kernels need, under the same names."""
+
+    sigma: float
+    kernelSize: int  # noqa: N815
+    iterations: int
+    lsigma: float
+    lstep: float
+    astep: float
+    llsamplerange: float
+    lasamplerange: float
+    poor_score: float
+    minimumScore: float  # noqa: N815
+    least_beams: int
+
+
+@njit(cache=True)
+def score(view, beams, pose, tuning):  # type: ignore[no-untyped-def]
+    """Return the log-likelihood of a scan at a pose."""
+    spread = tuning.sigma / view.resolution
+    return log_likelihood(view, beams, pose, tuning.kernelSize, tuning.lsigma, spread)[0]
+
+
+@njit(cache=True)
+def log_prior(pose, prior):  # type: ignore[no-untyped-def]
+    """Return the logarithm of the odometry's density at a pose, up to a constant."""
+    d = _difference(pose, prior.pose)
+    return -0.5 * (d @ (prior.information @ d))
+
+
+@njit(cache=True)
+def match(view, beams, prior, start, tuning, H):  # type: ignore[no-untyped-def]
+    """Return the (3,) pose at which the scan fits best near the start; fill H with its information.
+
+    Gauss-Newton in two stages: few beams and a wide view, then all beams and a narrow one. The odometry
+    is a prior, so that a direction in which the map says nothing follows it.
+    """
+    pose, g = start.copy(), np.empty(3)
+    few = max(1, len(beams.points) // 90)
+    reach, width = tuning.kernelSize, tuning.sigma / view.resolution
+    for stage in range(2):
+        wider, stride, done = (3, few, 0.01) if stage == 0 else (1, 1, 0.001)
+        for _ in range(tuning.iterations):
+            linearise(view, beams, stride, pose, wider * reach, wider * width, H, g)
+            H /= tuning.sigma**2
+            pull = prior.information @ _difference(pose, prior.pose)
+            step = solve3(H + prior.information, g / tuning.sigma**2 - pull)
+            pose += step * (0.2 / max(0.2, np.hypot(step[0], step[1]), 2 * abs(step[2])))
+            if np.hypot(step[0], step[1]) < done and abs(step[2]) < done / 5:
+                break
+    return pose
+
+
+@njit(cache=True)
+def search(view, beams, prior, tuning):  # type: ignore[no-untyped-def]
+    """Return the (3,) pose of the best score in a window around the prior, by trying all."""
+    stride = max(1, len(beams.points) // 60)
+    some = Beams(np.ascontiguousarray(beams.points[::stride]), beams.weights[::stride] * stride)
+    n, turns = int(tuning.llsamplerange / tuning.lstep), int(tuning.lasamplerange / tuning.astep)
+    best, highest = prior.pose.copy(), -np.inf
+    pose = np.empty(3)
+    for k in range(-turns, turns + 1):
+        for i in range(-n, n + 1):
+            for j in range(-n, n + 1):
+                pose[0], pose[1] = prior.pose[0] + i * tuning.lstep, prior.pose[1] + j * tuning.lstep
+                pose[2] = prior.pose[2] + k * tuning.astep
+                value = score(view, some, pose, tuning) + log_prior(pose, prior)
+                if value > highest:
+                    highest = value
+                    best[:] = pose
+    return best
+
+
+@njit(cache=True)
+def moved(pose, by):  # type: ignore[no-untyped-def]
+    """Return pose @ by, all (3,)."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return np.array((pose[0] + c * by[0] - s * by[1], pose[1] + s * by[0] + c * by[1], pose[2] + by[2]))
+
+
+@njit(cache=True)
+def between(a, b):  # type: ignore[no-untyped-def]
+    """Return a^-1 @ b, all (3,)."""
+    c, s = np.cos(a[2]), np.sin(a[2])
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    return np.array((c * dx + s * dy, c * dy - s * dx, b[2] - a[2]))
+
+
+@njit(cache=True)
+def _difference(pose, other):  # type: ignore[no-untyped-def]
+    d = pose - other
+    d[2] = (d[2] + np.pi) % (2 * np.pi) - np.pi
+    return d

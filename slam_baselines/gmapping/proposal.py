@@ -1,0 +1,309 @@
+"""The improved proposal: where a particle may be, by its own map and the newest scan.
+
+Grisetti, Stachniss, Burgard 2007, "Improved Techniques for Grid Mapping with Rao-Blackwellized Particle
+Filters", section III: the scan is matched to the particle's map from where the odometry puts it; around
+the maximum, points x_j are evaluated, and a Gaussian is fitted to them (eqs. 15-17):
+
+    mu = sum_j x_j p_j / eta,   Sigma = sum_j p_j (x_j - mu)(x_j - mu)' / eta,   eta = sum_j p_j,
+    p_j = p(z | m, x_j) p(x_j | x_before, u).
+
+The particle's new pose is drawn from N(mu, Sigma), and its weight is multiplied by eta.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.pose import Pose2
+from slam_baselines.gmapping.copy_on_write_map import MapView, PatchMaps
+from slam_baselines.gmapping.likelihood_field import (
+    Beams,
+    Prior,
+    Tuning,
+    between,
+    log_likelihood,
+    log_prior,
+    match,
+    moved,
+    score,
+    search,
+)
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProposalConfig:
+    """How a scan is matched and the Gaussian fitted; names as in gmapping where they exist.
+
+    Attributes:
+        sigma: standard deviation of a beam's end while matching, metres.
+        kernelSize: cells looked at to each side of a beam's end.
+        iterations: most Gauss-Newton steps, of the coarse and of the fine stage.
+        lsigma: of the likelihood exp(-d^2 / lsigma) of one beam, square metres. Far above a laser's
+            variance, since neighbouring beams err together.
+        lstep: step of the wider search in x and y, metres.
+        astep: step of the wider search in yaw, radians.
+        llsamplerange: half the wider search's window, metres.
+        lasamplerange: half the wider search's window, radians.
+        samples: points evaluated around the maximum.
+        spread: they lie within so many standard deviations of the maximum.
+        poor_score: share of the beams on known cells that must end at a wall, else the wider search begins.
+        minimumScore: share below which the match has failed and the odometry alone is believed.
+
+        least_beams: fewer beams at walls than this say nothing.
+
+    Raises:
+        ConfigError: a value that is not above 0, or minimumScore above poor_score.
+    """
+
+    sigma: float = 0.05
+    kernelSize: int = 1  # noqa: N815  the original's name
+    iterations: int = 8
+    lsigma: float = 0.005
+    lstep: float = 0.05
+    astep: float = 0.05
+    llsamplerange: float = 0.5
+    lasamplerange: float = 0.35
+    samples: int = 16
+    spread: float = 2.0
+    poor_score: float = 0.5
+    minimumScore: float = 0.15  # noqa: N815
+    least_beams: int = 15
+
+    def __post_init__(self) -> None:
+        for name in ProposalConfig.__dataclass_fields__:
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name} of the proposal must be above 0, got {getattr(self, name)}")
+        if self.minimumScore > self.poor_score:
+            raise ConfigError(
+                f"minimumScore must be at most poor_score = {self.poor_score}, got {self.minimumScore}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """One draw for each particle.
+
+    Attributes:
+        poses: (particles, 3) x, y, yaw, drawn.
+        means: (particles, 3) mu.
+        covariances: (particles, 3, 3) Sigma.
+        log_eta: (particles,) logarithm of the weights' factors.
+        met: (particles,) share of the beams on known cells that end at a wall.
+        known: (particles,) share of the beams that end on known cells.
+    """
+
+    poses: Array
+    means: Array
+    covariances: Array
+    log_eta: Array
+    met: Array
+    known: Array
+
+
+class Proposer:
+    """Matches a scan to every particle's map and draws their new poses.
+
+    Attributes:
+        searches: how often the wider search was needed.
+    """
+
+    def __init__(self, config: ProposalConfig) -> None:
+        self.config = config
+        self.searches = 0
+        self._cube = _points(config.samples) * config.spread
+        self._tuning = Tuning(*(getattr(config, name) for name in Tuning._fields))
+
+    def propose(
+        self,
+        maps: PatchMaps,
+        points: Array,
+        weights: Array,
+        bound: int,
+        expected: Array,
+        covariances: Array,
+        best: int,
+        rng: np.random.Generator,
+    ) -> Proposal:
+        """Return new poses for all particles.
+
+        The odometry's error is common to all particles: `best` is matched first, and the others try its
+        correction beside their own expectation.
+
+        Args:
+            maps: of the particles.
+            points: (n, 2 or more) ends of beams in the levelled base frame, metres.
+            weights: (n,) how much each counts.
+            bound: proven rise over run from which on a hit is a wall, STEEP_STEP.
+            expected: (particles, 3) poses by odometry.
+            covariances: (particles, 3, 3) of these.
+            best: the particle to match first.
+            rng: source of the draws.
+        """
+        n = len(expected)
+        poses, means, sigmas, told = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3))
+        self.searches += propose(
+            maps.tables,
+            maps.corner,
+            maps.patches,
+            maps.resolution,
+            bound,
+            Beams(points, weights),
+            expected,
+            covariances,
+            best,
+            self._cube,
+            rng.standard_normal((n, 3)),
+            self._tuning,
+            poses,
+            means,
+            sigmas,
+            told,
+        )
+        return Proposal(poses, means, sigmas, told[:, 0], told[:, 1], told[:, 2])
+
+    def track(
+        self, view: MapView, points: Array, weights: Array, expected: Array, covariance: Array
+    ) -> Array | None:
+        """Return the (3,) pose at which a scan fits into one map; None where it fits nowhere near.
+
+        Args:
+            view: the map.
+            points: (n, 2 or more) ends of beams in the levelled base frame, metres.
+            weights: (n,) how much each counts.
+            expected: (3,) pose by odometry.
+            covariance: (3, 3) of it.
+        """
+        if weights.sum() < self.config.least_beams:
+            return None
+        pose, met, known = track(view, Beams(points, weights), expected, covariance, self._tuning)
+        return pose if met >= max(self.config.poor_score * known, self.config.least_beams) else None
+
+
+def carried(poses: Array, step: Pose2, covariance: Array) -> tuple[Array, Array]:
+    """Return (n, 3) poses after a step `T_before_now`, and (n, 3, 3) its covariance in the map frame.
+
+    Args:
+        poses: (n, 3) x, y, yaw before.
+        step: common to all.
+        covariance: (3, 3) of the step, in the frame before it.
+    """
+    c, s, o = np.cos(poses[:, 2]), np.sin(poses[:, 2]), np.zeros(len(poses))
+    R = np.stack((c, -s, o, s, c, o, o, o, o + 1), axis=-1).reshape(-1, 3, 3)
+    return poses + R @ step.as_array(), R @ covariance @ R.transpose(0, 2, 1)
+
+
+def _points(n: int) -> Array:
+    """Return (n, 3) points that fill the cube [-1, 1]^3 evenly, the first in its centre."""
+    # Additive recurrence with the plastic number's relatives: no two points come close.
+    g = 1.2207440846057596
+    steps = np.array((1 / g, 1 / g**2, 1 / g**3))
+    return (np.outer(np.arange(n), steps) + 0.5) % 1.0 * 2 - 1
+
+
+@njit(cache=True)
+def propose(  # type: ignore[no-untyped-def]
+    tables,
+    corner,
+    patches,
+    res,
+    bound,
+    beams,
+    expected,
+    covariances,
+    best,
+    cube,
+    normals,
+    tuning,
+    poses,
+    means,
+    sigmas,
+    told,
+):
+    """Fill poses, means, sigmas, and told (log eta, met, known); return how many wider searches were made."""
+    n = len(expected)
+    correction = np.zeros(3)
+    searches = 0
+    total, width = max(beams.weights.sum(), 1e-9), tuning.sigma / res
+    for step in range(n):
+        k = best if step == 0 else step - 1 if step <= best else step
+        view = MapView(tables[k], corner, patches, res, bound)
+        prior = Prior(expected[k], np.linalg.inv(covariances[k]))
+        start = prior.pose
+        if step > 0:
+            other = moved(start, correction)
+            if score(view, beams, other, tuning) > score(view, beams, start, tuning):
+                start = other
+        H = np.empty((3, 3))
+        peak = match(view, beams, prior, start, tuning, H)
+        value, met, known = log_likelihood(
+            view, beams, peak, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution
+        )
+        if tuning.least_beams <= known and met < tuning.poor_score * known:
+            searches += 1
+            curvature = H.copy()
+            other = match(view, beams, prior, search(view, beams, prior, tuning), tuning, H)
+            better, there, seen = log_likelihood(view, beams, other, tuning.kernelSize, tuning.lsigma, width)
+            if there >= tuning.poor_score * seen and better + log_prior(other, prior) > value + log_prior(
+                peak, prior
+            ):
+                peak, met, known = other, there, seen
+            else:
+                H = curvature
+        if step == 0:
+            correction = between(prior.pose, peak)
+        if met < max(tuning.minimumScore * known, tuning.least_beams):
+            means[k], sigmas[k], told[k, 0] = (
+                prior.pose,
+                covariances[k],
+                score(view, beams, prior.pose, tuning),
+            )
+        else:
+            around = np.linalg.inv(H * (2 * tuning.sigma**2 / tuning.lsigma) + prior.information)
+            told[k, 0] = _fit(view, beams, prior, peak, around, cube, tuning, means[k], sigmas[k])
+        poses[k] = means[k] + np.linalg.cholesky(sigmas[k]) @ normals[k]
+        told[k, 1], told[k, 2] = met / max(known, 1e-9), known / total
+    return searches
+
+
+@njit(cache=True)
+def track(view, beams, expected, covariance, tuning):  # type: ignore[no-untyped-def]
+    """Return the pose that fits best, and the weights of beams that met a wall and known cells."""
+    prior = Prior(expected, np.linalg.inv(covariance))
+    pose = match(view, beams, prior, expected, tuning, np.empty((3, 3)))
+    _, met, known = log_likelihood(
+        view, beams, pose, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution
+    )
+    return pose, met, known
+
+
+@njit(cache=True)
+def _fit(view, beams, prior, peak, around, cube, tuning, mu, Sigma):  # type: ignore[no-untyped-def]
+    """Fill mu and Sigma by eqs. 15-17 from points around the peak; return log eta."""
+    L = np.linalg.cholesky(around)
+    n = len(cube)
+    at, logs = np.empty((n, 3)), np.empty(n)
+    for j in range(n):
+        at[j] = peak + L @ cube[j]
+        logs[j] = score(view, beams, at[j], tuning) + log_prior(at[j], prior)
+    top = logs.max()
+    p = np.exp(logs - top)
+    eta = p.sum()
+    mu[:] = 0.0
+    for j in range(n):
+        mu += p[j] / eta * at[j]
+    # Few points leave Sigma flat in some direction: a share of the curvature's covariance keeps it regular.
+    Sigma[:] = 0.01 * around
+    for j in range(n):
+        d = at[j] - mu
+        for a in range(3):
+            for b in range(3):
+                Sigma[a, b] += p[j] / eta * d[a] * d[b]
+    # Each point stands for its share of the volume, which differs from particle to particle.
+    return top + np.log(eta / n * L[0, 0] * L[1, 1] * L[2, 2])

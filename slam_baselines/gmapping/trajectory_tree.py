@@ -1,0 +1,94 @@
+"""The paths of particles: a tree that is pruned where lines die out, and every scan's place on it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+LEVER = 0.5
+"""How many metres of way a radian of turn counts as where an error is spread along the way."""
+
+
+class Lineage:
+    """Poses of all particles at each processed scan, as far back as their lines differ."""
+
+    def __init__(self) -> None:
+        self._poses: list[Array] = []
+        self._parents: list[NDArray[np.int32]] = []
+        self._scans: dict[float, tuple[int, Pose2, float]] = {}
+        self._steps: list[tuple[Pose2, float]] = []
+
+    @property
+    def generations(self) -> int:
+        """Processed scans so far."""
+        return len(self._poses)
+
+    def add_generation(self, poses: Array, parents: NDArray[np.int64], step: Pose2) -> None:
+        """Note (n, 3) poses of the particles at a processed scan.
+
+        Args:
+            poses: x, y, yaw.
+            parents: (n,) whose descendants they are in the generation before.
+            step: `T_before_now` by odometry.
+        """
+        self._poses.append(poses.copy())
+        self._parents.append(parents.astype(np.int32))
+        self._steps.append((step, _way(step)))
+        self._prune()
+
+    def add_scan(self, stamp: float, since: Pose2) -> None:
+        """Note a scan, odometry's `T_processed_now` after the last generation.
+
+        A later scan of the same stamp takes the place of the earlier.
+        """
+        self._scans[stamp] = self.generations - 1, since, _way(since)
+
+    def rewrite(self, path: Array) -> None:
+        """Replace the paths of all particles by one, (generations, 3); all are children of its end."""
+        self._poses = list(path[:, None].copy())
+        self._parents = [np.zeros(1, np.int32) for _ in path]
+
+    def path(self, particle: int) -> Array:
+        """Return (generations, 3) the poses of a particle and its ancestors."""
+        path = np.empty((self.generations, 3))
+        for i in range(self.generations - 1, -1, -1):
+            path[i] = self._poses[i][particle]
+            particle = int(self._parents[i][particle])
+        return path
+
+    def trajectory(self, particle: int) -> Trajectory:
+        """Return every scan's pose on the path of a particle.
+
+        Between two processed scans the odometry has gone astray by some error: it is spread along the way.
+        """
+        nodes = [Pose2(*p) for p in self.path(particle).tolist()]
+        stamps = sorted(self._scans)
+        return Trajectory.from_poses(stamps, [self._pose(nodes, *self._scans[t]) for t in stamps])
+
+    def _pose(self, nodes: list[Pose2], last: int, since: Pose2, way: float) -> Pose2:
+        here = nodes[last]
+        if last + 1 == len(nodes):
+            return here @ since
+        step, whole = self._steps[last + 1]
+        error = here.inverse() @ nodes[last + 1] @ step.inverse()
+        share = min(1.0, way / whole) if whole > 0 else 0.0
+        return here @ Pose2(share * error.x, share * error.y, share * error.yaw) @ since
+
+    def _prune(self) -> None:
+        """Forget particles without living descendants."""
+        for i in range(self.generations - 2, -1, -1):
+            alive, renamed = np.unique(self._parents[i + 1], return_inverse=True)
+            if len(alive) == len(self._poses[i]):
+                return
+            self._parents[i + 1] = renamed.astype(np.int32)
+            self._poses[i] = self._poses[i][alive]
+            self._parents[i] = self._parents[i][alive]
+
+
+def _way(step: Pose2) -> float:
+    return float(np.hypot(step.x, step.y)) + LEVER * abs(step.yaw)

@@ -1,0 +1,1 @@
+"""Occupancy maps: growing grids, ray update, ground filter."""

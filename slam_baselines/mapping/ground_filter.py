@@ -1,0 +1,232 @@
+"""What is ground and what is wall, on uneven ground, from a laser that sees one plane at a time.
+
+One scan cannot tell a hill from a wall; time can. Ground is a single height over each place, and it
+is nowhere steeper than a slope that a robot drives. So the map keeps for each place the lowest height
+at which a beam was seen there - passing over, ending, or the robot standing on it: the ground cannot
+be higher (the *ceiling* of the ground). A beam that ends at P at height z proves the rise
+
+    s = max over Q near P of (z - ceiling(Q)) / (|PQ| + margin)
+
+between Q and P. If s exceeds every slope that the robot has met, P is a wall. All bounds hold with the
+stated confidence: a beam's height is known to h0 + sigma r, and the drift of the robot's own height,
+integrated from attitude and motion, loosens old ceilings by the way driven since.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.pose import Pose2
+from slam_baselines.mapping.growing_grid import GrowingGrid
+from slam_baselines.mapping.occupancy_map import STEEP_STEP
+from slam_baselines.scan.leveling import LevelledScan
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReliefConfig:
+    """What is believed of attitude, height and ground.
+
+    Attributes:
+        resolution: edge of a cell of the ceiling, metres.
+        attitude_error: of roll and pitch, radians.
+        height_error: of a beam's height close to the robot, metres.
+        confidence: how many of these errors a proof must exceed.
+        drift: of the robot's height, per metre driven.
+        base_height: of base_link above the ground, metres.
+        footprint: radius of the ground that the robot stands on, metres.
+        flat_tilt: ground on which the robot never leaned more is a floor: every hit is a wall. Radians.
+        slope_factor: ground is at most so many times as steep as the robot has leaned ...
+        slope_margin: ... plus this, radians ...
+        match_margin: for matching, steeper than the robot has leaned plus this is a wall, radians.
+        sheer: a wall at least so steep says fully where it is; where it is less steep, a height that is a
+            little wrong shifts it more, and it counts by the square of that. Rise over run.
+        first_margin: at the start, when little ground has been met, ground may be steeper by this, radians.
+        first_metres: way over which this falls to 1/e, metres.
+        slope_limit: ... and never steeper than this, radians.
+
+    Raises:
+        ConfigError: a value that is not above 0.
+    """
+
+    resolution: float = 0.1
+    attitude_error: float = math.radians(0.15)
+    height_error: float = 0.01
+    confidence: float = 3.0
+    drift: float = 0.0015
+    base_height: float = 0.13
+    footprint: float = 0.3
+    flat_tilt: float = math.radians(0.6)
+    slope_factor: float = 2.0
+    slope_margin: float = math.radians(3.0)
+    match_margin: float = math.radians(3.0)
+    sheer: float = 2.0
+    first_margin: float = math.radians(15.0)
+    first_metres: float = 5.0
+    slope_limit: float = math.radians(40.0)
+
+    def __post_init__(self) -> None:
+        for name in (
+            "resolution",
+            "attitude_error",
+            "height_error",
+            "confidence",
+            "slope_factor",
+            "sheer",
+            "slope_limit",
+        ):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name} of the relief must be above 0, got {getattr(self, name)}")
+
+
+class Relief:
+    """The ceiling of the ground, the robot's height, and the steepest slope that is still ground.
+
+    Attributes:
+        height: of base_link in the map frame, 0 at the start, metres.
+        travelled: way driven, metres.
+        tilt: the most that the robot has leaned, radians.
+    """
+
+    def __init__(self, config: ReliefConfig | None = None) -> None:
+        self.config = config or ReliefConfig()
+        self.grid = GrowingGrid(self.config.resolution, {"ceiling": (np.float32, np.inf)})
+        self.height = 0.0
+        self.travelled = 0.0
+        self.tilt = 0.0
+        self._lean: tuple[float, float] | None = None
+        self._offsets = _neighbours(self.config.resolution)
+
+    def move(self, delta: Pose2, scan: LevelledScan) -> None:
+        """Follow the ground over a step `T_before_now` of the base, as steep as the robot leans."""
+        self.height += scan.ground_slope[0] * delta.x + scan.ground_slope[1] * delta.y
+        self.travelled += math.hypot(delta.x, delta.y)
+        x, y = scan.ground_slope if self._lean is None else self._lean
+        # Noise of single readings is no slope.
+        self._lean = 0.8 * x + 0.2 * scan.ground_slope[0], 0.8 * y + 0.2 * scan.ground_slope[1]
+        self.tilt = max(self.tilt, math.atan(math.hypot(*self._lean)))
+
+    @property
+    def bound(self) -> int:
+        """Rise over run, in STEEP_STEP, from which on a hit is a wall; 0 on a floor."""
+        return self._steps(self.config.slope_factor, self.config.slope_margin)
+
+    @property
+    def match_bound(self) -> int:
+        """The same, for matching: ground is hardly steeper than where the robot has been."""
+        return self._steps(1.0, self.config.match_margin)
+
+    def _steps(self, factor: float, margin: float) -> int:
+        c = self.config
+        if self.tilt <= c.flat_tilt:
+            return 0
+        unknown = c.first_margin * math.exp(-self.travelled / c.first_metres)
+        angle = math.degrees(min(factor * self.tilt + margin + unknown, c.slope_limit))
+        return round(math.tan(math.radians(math.ceil(angle))) / STEEP_STEP)
+
+    def observe(self, origin: Array, hits: Array, free: Array, base: Pose2) -> NDArray[np.uint8]:
+        """Lower the ceiling by what a scan has seen; return the proven steepness of its hits.
+
+        Args:
+            origin: (3,) the laser in the map frame, metres.
+            hits: (n, 3) where beams ended.
+            free: (m, 3) ends of beams that met nothing.
+            base: `T_map_base`.
+        """
+        c, g = self.config, self.grid
+        ends = np.concatenate((hits, free, origin[None]))
+        low, high = ends.min(axis=0) - 2.0, ends.max(axis=0) + 2.0
+        g.ensure(low[0], low[1], high[0], high[1])
+        ceiling = g.layers["ceiling"]
+        old = c.drift * self.travelled
+        near, far = c.confidence * c.height_error, c.confidence * c.attitude_error
+        frame = np.array((g.row0, g.col0, g.resolution))
+        lower(ceiling, frame, origin, hits, True, near - old, far)
+        lower(ceiling, frame, origin, free, False, near - old, far)
+        stand(ceiling, frame, self._ground(base), c.footprint, old)
+        return self.steepness(origin, hits, base)
+
+    def steepness(self, origin: Array, hits: Array, base: Pose2) -> NDArray[np.uint8]:
+        """Return the proven steepness of hits, in STEEP_STEP, from what was observed so far."""
+        c, g = self.config, self.grid
+        steep = np.zeros(len(hits), np.uint8)
+        near, far = c.confidence * c.height_error, c.confidence * c.attitude_error
+        frame = np.array((g.row0, g.col0, g.resolution))
+        ground, old = self._ground(base), c.drift * self.travelled
+        bounds = old, near, far
+        steepness(g.layers["ceiling"], frame, origin, hits, ground, bounds, self._offsets, STEEP_STEP, steep)
+        return steep
+
+    def _ground(self, base: Pose2) -> Array:
+        """Return (3,) the highest that the ground under the robot may be."""
+        c = self.config
+        return np.array((base.x, base.y, self.height - c.base_height + c.confidence * c.height_error))
+
+    @staticmethod
+    def unproven(n: int) -> NDArray[np.uint8]:
+        """Return the steepness of n hits about whose height nothing is known."""
+        return np.zeros(n, np.uint8)
+
+
+def _neighbours(resolution: float) -> Array:
+    """Return (k, 3) row and column offsets and distances: all cells close by, fewer farther off."""
+    reach = round(0.35 / resolution)
+    close = [(r, c) for r in range(-reach, reach + 1) for c in range(-reach, reach + 1)]
+    rays = [(math.sin(a), math.cos(a)) for a in np.arange(12) * math.tau / 12]
+    rings = [(round(d * s / resolution), round(d * c / resolution)) for d in (0.5, 0.8, 1.2) for s, c in rays]
+    return np.array([(r, c, math.hypot(r, c) * resolution) for r, c in close + rings])
+
+
+@njit(cache=True)
+def lower(ceiling, frame, origin, ends, with_end, near, far):  # type: ignore[no-untyped-def]
+    """Lower the ceiling along beams to their height plus near + far * range."""
+    res = frame[2]
+    x, y = origin[0] / res - frame[1], origin[1] / res - frame[0]
+    for i in range(len(ends)):
+        dx, dy, dz = ends[i, 0] / res - frame[1] - x, ends[i, 1] / res - frame[0] - y, ends[i, 2] - origin[2]
+        length = np.sqrt((dx * res) ** 2 + (dy * res) ** 2 + dz * dz)
+        steps = int(max(abs(dx), abs(dy))) + 1
+        dx, dy, rise, loose = dx / steps, dy / steps, dz / steps, far * length / steps
+        for k in range(steps + 1 if with_end else steps):
+            z = np.float32(origin[2] + k * rise + near + k * loose)
+            row, col = int(y + k * dy), int(x + k * dx)
+            if z < ceiling[row, col]:
+                ceiling[row, col] = z
+
+
+@njit(cache=True)
+def stand(ceiling, frame, ground, footprint, old):  # type: ignore[no-untyped-def]
+    """The robot stands here: the ground is where its wheels are."""
+    reach = int(footprint / frame[2])
+    row0, col0 = int(ground[1] / frame[2] - frame[0]), int(ground[0] / frame[2] - frame[1])
+    for row in range(row0 - reach, row0 + reach + 1):
+        for col in range(col0 - reach, col0 + reach + 1):
+            ceiling[row, col] = min(ceiling[row, col], np.float32(ground[2] - old))
+
+
+@njit(cache=True)
+def steepness(ceiling, frame, origin, hits, ground, bounds, offsets, step, steep):  # type: ignore[no-untyped-def]
+    """Fill `steep` with the largest proven rise over run towards each hit."""
+    old, near, far = bounds
+    res = frame[2]
+    rows, cols = ceiling.shape
+    for i in range(len(hits)):
+        x, y, z = hits[i]
+        reach = np.sqrt((x - origin[0]) ** 2 + (y - origin[1]) ** 2 + (z - origin[2]) ** 2)
+        z -= near + far * reach
+        best = (z - ground[2]) / (np.hypot(x - ground[0], y - ground[1]) + res)
+        z -= old
+        row, col = int(np.floor(y / res - frame[0])), int(np.floor(x / res - frame[1]))
+        for k in range(len(offsets)):
+            r, c = row + int(offsets[k, 0]), col + int(offsets[k, 1])
+            if r < 0 or c < 0 or r >= rows or c >= cols:
+                continue
+            best = max(best, (z - ceiling[r, c]) / (offsets[k, 2] + res))
+        steep[i] = np.uint8(min(max(best / step, 0.0), 255.0))

@@ -1,0 +1,29 @@
+"""Mapping with known poses: what the same update makes of the same scans when nobody errs."""
+
+from __future__ import annotations
+
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.scan import Imu, LaserScan
+from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
+from slam_baselines.scan.leveling import ScanLeveller
+
+
+class KnownPoseMapper:
+    """Builds a map from scans and the poses at which they were taken, in the frame of the poses."""
+
+    def __init__(self, resolution: float = 0.05, config: BuilderConfig | None = None) -> None:
+        """Use `config`, or the default one at `resolution`."""
+        self._builder = MapBuilder(config or BuilderConfig(map_resolution=resolution, map_multi_res_levels=1))
+        self._leveller = ScanLeveller()
+
+    def update(self, scan: LaserScan, T_map_base: Pose2, imu: Imu | None) -> None:
+        """Take in a scan; it changes the map where the robot has moved enough."""
+        level = self._leveller.level(scan, imu)
+        self._builder.follow(level, T_map_base)
+        if self._builder.due(level, T_map_base):
+            self._builder.enter(level, T_map_base)
+
+    def map(self) -> OccupancyGrid:
+        """Return the map so far."""
+        return self._builder.map()

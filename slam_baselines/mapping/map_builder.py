@@ -1,0 +1,159 @@
+"""The map of levelled scans at known poses: the part that every mapper and the true-pose map share."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2, wrap_angle
+from slam_baselines.mapping.ground_filter import Relief, ReliefConfig
+from slam_baselines.mapping.occupancy_map import STEEP_STEP, OccupancyMap, UpdateConfig, bounding_box
+from slam_baselines.matching.gauss_newton import MapPyramid
+from slam_baselines.scan.leveling import LevelledScan
+
+Array = NDArray[np.float64]
+Steps = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BuilderConfig:
+    """When the map is updated and how fine it is; names as in hector_mapping.
+
+    Attributes:
+        map_resolution: edge of a cell of the finest level, metres.
+        map_multi_res_levels: number of levels, each twice as coarse as the one before.
+        map_update_distance_thresh: metres to drive before the next update.
+        map_update_angle_thresh: radians to turn before the next update.
+        map_update_tilt_thresh: radians to lean, since leaning shows other heights of the same things.
+        update: how a scan changes the map.
+        relief: how ground is told from walls.
+
+    Raises:
+        ConfigError: a resolution, threshold or number of levels that is not above 0.
+    """
+
+    map_resolution: float = 0.05
+    map_multi_res_levels: int = 3
+    map_update_distance_thresh: float = 0.4
+    map_update_angle_thresh: float = 0.9
+    map_update_tilt_thresh: float = math.radians(3.0)
+    update: UpdateConfig = field(default_factory=UpdateConfig)
+    relief: ReliefConfig = field(default_factory=ReliefConfig)
+
+    def __post_init__(self) -> None:
+        if not self.map_resolution > 0:
+            raise ConfigError(f"map_resolution must be above 0 m, got {self.map_resolution}")
+        if self.map_multi_res_levels < 1:
+            raise ConfigError(f"map_multi_res_levels must be at least 1, got {self.map_multi_res_levels}")
+        if (
+            min(self.map_update_distance_thresh, self.map_update_angle_thresh, self.map_update_tilt_thresh)
+            < 0
+        ):
+            raise ConfigError("thresholds of the map update must not be negative")
+
+
+class MapBuilder:
+    """Grows a pyramid of occupancy maps, and the relief of the ground where attitude is known."""
+
+    def __init__(self, config: BuilderConfig) -> None:
+        self._config = config
+        self.relief = Relief(config.relief)
+        self.updates = 0
+        self._last: Pose2 | None = None
+        self._entered: tuple[Pose2, tuple[float, float]] | None = None
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the occupancy, but not the relief."""
+        c = self._config
+        resolutions = [c.map_resolution * 2**level for level in range(c.map_multi_res_levels)]
+        self.pyramid = MapPyramid(tuple(OccupancyMap(r, c.update) for r in resolutions))
+        self._bound = self.relief.match_bound
+
+    def follow(self, scan: LevelledScan, pose: Pose2) -> None:
+        """Take note that the base has come to `pose`; keeps the height up to date."""
+        if scan.levelled:
+            self.relief.move(Pose2() if self._last is None else self._last.inverse() @ pose, scan)
+        self._last = pose
+
+    def steepness(self, scan: LevelledScan, pose: Pose2, height: float | None = None) -> Steps:
+        """Return (n,) what is proven of the hits by now, of the base at `height` (None: the present one)."""
+        if self.flat:
+            return self.relief.unproven(len(scan.hits))
+        origin, hits, _ = scan.placed(pose, self.relief.height if height is None else height)
+        now = self.relief.steepness(origin, hits, pose)
+        return np.maximum(now, self.pyramid.maps[-1].steepness(hits))
+
+    def weights(self, steep: Steps) -> Array | None:
+        """Return (n,) how much hits say: 1 on a sheer wall, less on a slope, 0 on what may be ground.
+
+        None on a floor, where every hit is a wall.
+        """
+        if self.flat:
+            return None
+        sheer = self.relief.config.sheer / STEEP_STEP
+        weights: Array = np.minimum(1.0, (steep / sheer) ** 2) * (steep >= self._bound)
+        return weights
+
+    def due(self, scan: LevelledScan, pose: Pose2) -> bool:
+        """Whether the robot has moved or leaned enough since the last update."""
+        if self._entered is None:
+            return True
+        c = self._config
+        before, slope = self._entered
+        if pose.distance(before) > c.map_update_distance_thresh:
+            return True
+        lean = math.hypot(scan.ground_slope[0] - slope[0], scan.ground_slope[1] - slope[1])
+        turn = abs(wrap_angle(pose.yaw - before.yaw))
+        return turn > c.map_update_angle_thresh or lean > c.map_update_tilt_thresh
+
+    def enter(self, scan: LevelledScan, pose: Pose2) -> Steps:
+        """Update the map with a scan taken at `pose`; return the proven steepness of its hits."""
+        origin, hits, free = scan.placed(pose, self.relief.height)
+        if scan.levelled:
+            steep = self.relief.observe(origin, hits, free, pose)
+        else:
+            steep = self.relief.unproven(len(hits))
+        if self.relief.match_bound != self._bound:
+            self._bound = self.relief.match_bound
+            for level in self.pyramid.maps:
+                level.revalue(self._bound)
+        self._draw(origin, hits, free, steep)
+        self.updates += 1
+        self._entered = pose, scan.ground_slope
+        return steep
+
+    def enter_again(self, scan: LevelledScan, pose: Pose2, height: float, steep: Steps) -> None:
+        """Update a restarted map with a scan that has entered the relief before."""
+        self._draw(*scan.placed(pose, height), steep)
+
+    def _draw(self, origin: Array, hits: Array, free: Array, steep: Steps) -> None:
+        box = bounding_box(origin, hits, free)
+        grew = [level.update(origin, hits, free, steep, self._bound, box) for level in self.pyramid.maps]
+        if any(grew):
+            self.pyramid.refresh()
+
+    def moved(self, pose: Pose2) -> None:
+        """Take note that the last keyframe's pose was corrected; the base has not moved."""
+        self._last = pose
+        if self._entered is not None:
+            self._entered = pose, self._entered[1]
+
+    @property
+    def flat(self) -> bool:
+        """Whether the ground has always been a floor, so that every hit is a wall."""
+        return self._bound == 0
+
+    def map(self) -> OccupancyGrid:
+        """Return the finest level."""
+        return self.pyramid.maps[0].occupancy_grid(self.relief.bound)
+
+    @property
+    def memory(self) -> int:
+        """Bytes of all maps."""
+        return sum(level.grid.nbytes for level in self.pyramid.maps) + self.relief.grid.nbytes

@@ -1,0 +1,304 @@
+"""The occupancy map and its update: log-odds by ray tracing, every cell at most once a scan.
+
+Log-odds are kept in steps of 0.1 as int8, and beside them, as one byte, the probability that scan
+matching reads: small maps stay in the cache.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+from slam_baselines.mapping.growing_grid import GrowingGrid
+
+Array = NDArray[np.float64]
+Steps = NDArray[np.uint8]
+
+__all__ = ["FULL", "STEEP_STEP", "STEP", "TOP_STEP", "UNKNOWN", "UNSEEN", "OccupancyMap", "UpdateConfig"]
+
+STEEP_STEP = 0.01
+"""Rise over run of one step of the layer `steep`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class UpdateConfig:
+    """How one scan changes the map; names and defaults of the first two as in hector_mapping.
+
+    Attributes:
+        update_factor_free: probability that a cell is occupied, given that a beam passed it.
+        update_factor_occupied: probability that a cell is occupied, given that a beam ended there.
+        limit: log-odds are kept within +-limit, so that the map can change its mind.
+
+    Raises:
+        ConfigError: a probability on the wrong side of 0.5, or a limit beyond what the map can hold.
+    """
+
+    update_factor_free: float = 0.4
+    update_factor_occupied: float = 0.9
+    limit: float = 4.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.update_factor_free < 0.5:
+            raise ConfigError(f"update_factor_free must be within (0, 0.5), got {self.update_factor_free}")
+        if not 0.5 < self.update_factor_occupied < 1:
+            raise ConfigError(
+                f"update_factor_occupied must be within (0.5, 1), got {self.update_factor_occupied}"
+            )
+        if not 0 < self.limit <= 12:
+            raise ConfigError(f"limit must be within (0, 12], got {self.limit}")
+
+    @property
+    def steps(self) -> tuple[int, int, int]:
+        """Miss, hit and limit in steps of log-odds."""
+        miss, hit = (
+            max(1, round(abs(math.log(p / (1 - p))) / STEP))
+            for p in (self.update_factor_free, self.update_factor_occupied)
+        )
+        return -miss, hit, round(self.limit / STEP)
+
+
+class OccupancyMap:
+    """An occupancy map of one resolution that grows.
+
+    Layers: `log_odds` (steps), `value` (what the matcher sees: nothing where a hit may have been ground),
+    `steep` (largest proven rise over run of what was hit there), `top` (largest height at which it was hit).
+
+    Attributes:
+        grid: the layers.
+        frame: (3,) lattice row and column of the arrays' cell (0, 0), resolution in metres.
+        layers: the grid's arrays.
+    """
+
+    def __init__(self, resolution: float, config: UpdateConfig | None = None) -> None:
+        layers = {"log_odds": (np.int8, UNKNOWN), "value": (np.uint8, UNSEEN), "steep": (np.uint8, 0)}
+        self.grid = GrowingGrid(resolution, layers | {"top": (np.int16, -32768)})
+        self._steps = (config or UpdateConfig()).steps
+        self._touched: NDArray[np.uint8] = np.zeros(0, np.uint8)
+        self._mark = 0
+        self._take_over()
+
+    @property
+    def resolution(self) -> float:
+        """Edge of a cell, metres."""
+        return self.grid.resolution
+
+    def update(self, origin: Array, hits: Array, free: Array, steep: Steps, bound: int, box: Array) -> bool:
+        """Enter a scan; return whether the arrays were replaced because the map grew.
+
+        Args:
+            origin: (3,) x, y, height of the laser in the map frame, metres.
+            hits: (n, 3) where beams ended.
+            free: (m, 3) ends of beams that met nothing up to there.
+            steep: (n,) proven rise over run of each hit, in STEEP_STEP.
+            bound: from which step of `steep` on a cell is a wall for sure.
+            box: (4,) west, south, east, north of all of them, metres.
+        """
+        bounds = box.tolist()
+        grew = self.grid.ensure(*bounds)
+        if grew:
+            self._take_over()
+        west, south, east, north = (math.floor(v / self.resolution) for v in bounds)
+        corner = south - 1 - self.grid.row0, west - 1 - self.grid.col0
+        touched = self._scratch(north - south + 3, east - west + 3)
+        enter_scan(
+            self.layers,
+            self.frame,
+            touched,
+            self._mark,
+            corner,
+            origin,
+            hits,
+            free,
+            steep,
+            bound,
+            self._steps,
+        )
+        return grew
+
+    def _scratch(self, rows: int, cols: int) -> NDArray[np.uint8]:
+        """Return a scratch that nowhere holds the new mark; it is wiped only when the marks run out."""
+        if len(self._touched) < rows * cols:
+            self._touched, self._mark = np.zeros(rows * cols * 3 // 2, np.uint8), 0
+        elif self._mark == 255:
+            self._touched.fill(0)
+            self._mark = 0
+        self._mark += 1
+        return self._touched[: rows * cols].reshape(rows, cols)
+
+    def _take_over(self) -> None:
+        g = self.grid
+        self.layers = Layers(**g.layers)
+        self.frame: Array = np.array((g.row0, g.col0, g.resolution), dtype=np.float64)
+
+    def revalue(self, bound: int) -> None:
+        """Let the matcher see as walls only those hits that are proven to be steeper than `bound`."""
+        steps, value = self.layers.log_odds, self.layers.value
+        np.take(VALUE, steps.astype(np.int16) + 128, out=value)
+        value[(steps > 0) & (self.layers.steep < bound)] = UNSEEN
+
+    def steepness(self, points: Array) -> Steps:
+        """Return (n,) what is proven of the cells under points (n, 2 or more), in STEEP_STEP."""
+        out = np.zeros(len(points), np.uint8)
+        look_up(self.layers.steep, self.frame, points, out)
+        return out
+
+    def occupancy_grid(self, bound: int) -> OccupancyGrid:
+        """Return what is known; hits not proven to be steeper than `bound` are unknown, not occupied."""
+        steps, steep = self.layers.log_odds, self.layers.steep
+        known = (steps != UNKNOWN) & ~((steps > 0) & (steep < bound))
+        rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+        if len(rows) == 0:
+            return OccupancyGrid(np.full((1, 1), np.nan, np.float32), self.resolution)
+        box = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
+        values = np.where(known[box], steps[box] * np.float32(STEP), np.float32(np.nan)).astype(np.float32)
+        corner = Pose2(
+            (self.grid.col0 + cols[0]) * self.resolution, (self.grid.row0 + rows[0]) * self.resolution
+        )
+        return OccupancyGrid(values, self.resolution, corner)
+
+
+UNKNOWN = -128
+"""Log-odds of a cell that no beam has touched."""
+STEP = 0.1
+"""Log-odds of one step of the layer `log_odds`."""
+TOP_STEP = 0.01
+"""Metres of one step of the layer `top`."""
+ABOVE = 10
+"""A beam so many steps of `top` above a wall's highest hit passes over the wall."""
+FULL = 255
+"""A `value` of this is a wall for sure."""
+UNSEEN = 0
+"""A `value` of this says nothing; any other that the cell is known."""
+
+_odds = np.exp(STEP * np.arange(-128, 128))
+VALUE = np.maximum(1, np.round(FULL * (_odds - 1) / (_odds + 1))).astype(np.uint8)
+"""(256,) value of log-odds + 128: 2 p - 1 where that is above 0: free and unknown ground pull alike."""
+VALUE[0] = UNSEEN
+
+BITS = 32
+ONE = float(1 << BITS)
+"""A cell in fixed point."""
+
+
+class Layers(NamedTuple):
+    """The arrays of a map, (rows, cols) each."""
+
+    log_odds: NDArray[np.int8]
+    value: NDArray[np.uint8]
+    steep: NDArray[np.uint8]
+    top: NDArray[np.int16]
+
+
+@njit(cache=True)
+def enter_scan(  # type: ignore[no-untyped-def]
+    layers, frame, touched, mark, corner, origin, hits, free, steep, bound, steps
+):
+    """Raise the cells where beams end, then lower those that beams pass; no cell twice, a hit wins.
+
+    Args:
+        layers: of the map.
+        frame: (3,) lattice row and column of the arrays' cell (0, 0), resolution in metres.
+        touched: (rows, cols) uint8, nowhere `mark`; scratch that holds all beams.
+        mark: of the cells that this scan has touched.
+        corner: row and column in the layers of the scratch's cell (0, 0).
+        origin: (3,) the laser, metres.
+        hits: (n, 3) where beams ended.
+        free: (m, 3) ends of beams that met nothing.
+        steep: (n,) proven steepness of each hit.
+        bound: steepness from which on a cell is a wall.
+        steps: miss, hit and limit of the log-odds.
+    """
+    scale = 1 / frame[2]
+    east, north = frame[1] + corner[1], frame[0] + corner[0]
+    cells = np.empty((len(hits), 2), np.int64)
+    for i in range(len(hits)):
+        row, col = int(hits[i, 1] * scale - north), int(hits[i, 0] * scale - east)
+        r, c = row + corner[0], col + corner[1]
+        cells[i, 0], cells[i, 1] = row, col
+        layers.steep[r, c] = max(layers.steep[r, c], steep[i])
+        layers.top[r, c] = max(layers.top[r, c], np.int16(min(max(hits[i, 2], -300.0), 300.0) / TOP_STEP))
+    for row, col in cells:
+        if touched[row, col] != mark:
+            touched[row, col] = mark
+            _change(layers, row + corner[0], col + corner[1], steps[1], bound, steps[2])
+    start = origin[1] * scale - north, origin[0] * scale - east, origin[2]
+    for i in range(len(hits)):
+        end = hits[i, 1] * scale - north, hits[i, 0] * scale - east, hits[i, 2]
+        _pass(layers, touched, mark, corner, start, end, -1, bound, steps)
+    for i in range(len(free)):
+        end = free[i, 1] * scale - north, free[i, 0] * scale - east, free[i, 2]
+        _pass(layers, touched, mark, corner, start, end, 1, bound, steps)
+
+
+@njit(cache=True)
+def _pass(layers, touched, mark, corner, start, end, more, bound, steps):  # type: ignore[no-untyped-def]
+    """Lower the cells between laser and end of a beam, given in cells of the scratch.
+
+    The last cell before a hit (`more` = -1) is spared: noise would wear the wall's near face away and
+    so push it back. A beam that passes above where a proven wall was hit says nothing about the wall.
+    """
+    y, x, z = start
+    dy, dx, dz = end[0] - y, end[1] - x, end[2] - z
+    n = int(max(abs(dx), abs(dy))) + 1
+    dz /= n
+    # Rows and columns in fixed point, and unsigned: an index that may be negative costs more than the rest.
+    v, u = np.int64(y * ONE), np.int64(x * ONE)
+    dv, du = np.int64(dy / n * ONE), np.int64(dx / n * ONE)
+    down, right = np.uintp(corner[0]), np.uintp(corner[1])
+    for k in range(n + more):
+        row, col = np.uintp(v >> BITS), np.uintp(u >> BITS)
+        v += dv
+        u += du
+        if touched[row, col] == mark:
+            continue
+        touched[row, col] = mark
+        r, c = row + down, col + right
+        if (
+            bound > 0
+            and layers.log_odds[r, c] > 0
+            and layers.steep[r, c] >= bound
+            and (z + k * dz) / TOP_STEP > layers.top[r, c] + ABOVE
+        ):
+            continue
+        _change(layers, r, c, steps[0], bound, steps[2])
+
+
+@njit(cache=True, inline="always")
+def _change(layers, r, c, step, bound, limit):  # type: ignore[no-untyped-def]
+    """Add to the log-odds of a cell and renew what the matcher sees of it."""
+    before = np.int64(layers.log_odds[r, c])
+    after = (0 if before == UNKNOWN else before) + step
+    after = min(limit, max(-limit, after))
+    layers.log_odds[r, c] = after
+    layers.value[r, c] = UNSEEN if after > 0 and layers.steep[r, c] < bound else VALUE[np.uintp(after + 128)]
+
+
+@njit(cache=True)
+def bounding_box(origin, hits, free):  # type: ignore[no-untyped-def]
+    """Return (4,) west, south, east, north of the laser and all ends of beams, metres."""
+    west = east = origin[0]
+    south = north = origin[1]
+    for ends in (hits, free):
+        for i in range(len(ends)):
+            west, east = min(west, ends[i, 0]), max(east, ends[i, 0])
+            south, north = min(south, ends[i, 1]), max(north, ends[i, 1])
+    return np.array((west, south, east, north))
+
+
+@njit(cache=True)
+def look_up(layer, frame, points, out):  # type: ignore[no-untyped-def]
+    """Read a layer under points (n, 2 or more) into `out`; what lies outside keeps its value there."""
+    rows, cols = layer.shape
+    for i in range(len(points)):
+        row = int(np.floor(points[i, 1] / frame[2] - frame[0]))
+        col = int(np.floor(points[i, 0] / frame[2] - frame[1]))
+        if 0 <= row < rows and 0 <= col < cols:
+            out[i] = layer[row, col]

@@ -1,0 +1,1 @@
+"""A scan fitted into a map: Gauss-Newton, correlative search, branch and bound."""

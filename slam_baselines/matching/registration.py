@@ -1,0 +1,153 @@
+"""A scan laid into the map: from the estimate to expect to the estimate that fits.
+
+Gauss-Newton from the expected pose first; a wider, correlative search where that fits poorly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.pose import Pose2, wrap_angle
+from slam_baselines.common.linalg import invert3
+from slam_baselines.matching.correlative import SearchConfig, search
+from slam_baselines.matching.gauss_newton import MapPyramid, Match, MatchConfig, ScanMatcher
+from slam_baselines.motion.dead_reckoning import Estimate
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegistrationConfig:
+    """When a fit is believed, and when it is searched for.
+
+    Attributes:
+        match: Gauss-Newton.
+        search: the wider search.
+        poor_score: mean occupancy at the ends of the beams below which the wider search begins.
+        sure_score: the same from which on a fit among hills says how good dead reckoning was.
+        known_share: share of beams on known cells that a score needs to be believed.
+        least_beams: fewer beams on known cells than this say nothing.
+        least_walls: among hills, where what passes for a wall may be ground, fewer walls say nothing.
+        believable: among hills, a found pose farther than so many standard deviations from dead reckoning is
+            not believed, however well it fits.
+        gain: the wider search must raise the score by this to be believed against the odometry.
+        fresh_distance: scans closer together than this see the same cells with the same errors, so that
+            each adds only its share of information, metres.
+        least_share: ... but never less than this.
+
+    Raises:
+        ConfigError: a share or score outside (0, 1), or a distance that is not above 0.
+    """
+
+    match: MatchConfig = field(default_factory=MatchConfig)
+    search: SearchConfig = field(default_factory=SearchConfig)
+    poor_score: float = 0.4
+    sure_score: float = 0.6
+    known_share: float = 0.3
+    least_beams: int = 15
+    least_walls: int = 40
+    believable: float = 4.0
+    gain: float = 0.05
+    fresh_distance: float = 0.4
+    least_share: float = 0.02
+
+    def __post_init__(self) -> None:
+        for name in ("poor_score", "sure_score", "known_share", "least_share"):
+            if not 0 < getattr(self, name) < 1:
+                raise ConfigError(f"{name} must be within (0, 1), got {getattr(self, name)}")
+        if not self.fresh_distance > 0:
+            raise ConfigError(f"fresh_distance must be above 0 m, got {self.fresh_distance}")
+
+
+class Registration:
+    """Fits scans into a map.
+
+    Attributes:
+        searches: how often the wider search was needed.
+    """
+
+    def __init__(self, config: RegistrationConfig) -> None:
+        self.config = config
+        self.searches = 0
+        self._matcher = ScanMatcher(config.match)
+
+    def fit(
+        self,
+        pyramid: MapPyramid,
+        hits: Array,
+        weights: Array | None,
+        expected: Estimate,
+        before: Pose2,
+        earlier: Pose2 | None = None,
+    ) -> tuple[Estimate, Match | None]:
+        """Return the estimate that fits, and the match; `expected` and None where nothing can be said.
+
+        Args:
+            pyramid: the map.
+            hits: (n, 2 or more) ends of beams in the levelled base frame, metres.
+            weights: (n,) 1 for walls, less for what is less steep, 0 for what may be ground; None on a
+                floor, where every hit is a wall.
+            expected: the estimate by dead reckoning.
+            before: pose of the last fit.
+            earlier: pose of the fit before that one; a robot of which the odometry says nothing sensible may
+                simply have gone on as it went from there.
+        """
+        c, start = self.config, expected.pose
+        moved = start.distance(before) + 0.5 * abs(wrap_angle(start.yaw - before.yaw))
+        share = min(1.0, max(c.least_share, moved / c.fresh_distance))
+        hills, walls = weights is not None, len(hits) if weights is None else np.count_nonzero(weights)
+        if walls < (c.least_walls if hills else c.least_beams):
+            return expected, None
+        prior = start.as_array()
+        match, covariance = self._matcher.fit(pyramid, hits, weights, share, prior, expected.covariance)
+        if walls * match.known < c.least_beams:
+            return expected, None
+        if match.known >= c.known_share and match.score < c.poor_score:
+            wider, loose = self._search(pyramid, hits, weights, share, prior, _coasting(before, earlier))
+            if hills and max(match.score, wider.score) < c.poor_score:
+                # Nothing fits, near or far: dead reckoning errs less than a forced fit.
+                return expected, match
+            if hills and not self._believable(wider, expected):
+                return expected, match
+            if wider.score > match.score + c.gain:
+                match, covariance = wider, loose
+        x, y, yaw = match.pose.tolist()
+        return Estimate(Pose2(x, y, wrap_angle(yaw)), covariance), match
+
+    def _search(
+        self,
+        pyramid: MapPyramid,
+        hits: Array,
+        weights: Array | None,
+        share: float,
+        prior: Array,
+        coasting: Array,
+    ) -> tuple[Match, Array]:
+        """Fit from the best place in the wider window, and from where the robot would have coasted to."""
+        self.searches += 1
+        c = self.config.search
+        linear, angular = c.linear_search_window**2, c.angular_search_window**2
+        loose = np.diag((linear, linear, angular))
+        found = search(
+            pyramid.maps[-1].grid, hits, np.ones(len(hits)) if weights is None else weights, prior, c
+        )
+        fits = [
+            self._matcher.fit(pyramid, hits, weights, share, prior, loose, start)
+            for start in (found, coasting)
+        ]
+        return max(fits, key=lambda fit: fit[0].score)
+
+    def _believable(self, found: Match, expected: Estimate) -> bool:
+        """Whether a pose lies where dead reckoning may have led."""
+        off = found.pose - expected.pose.as_array()
+        off[2] = wrap_angle(off[2])
+        return bool(off @ invert3(expected.covariance) @ off <= self.config.believable**2)
+
+
+def _coasting(before: Pose2, earlier: Pose2 | None) -> Array:
+    """Return the (3,) pose that another step like the one from `earlier` to `before` leads to."""
+    return (before if earlier is None else before @ (earlier.inverse() @ before)).as_array()

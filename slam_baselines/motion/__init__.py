@@ -1,0 +1,1 @@
+"""How the base moves between scans: dead reckoning, calibration, motion filter."""

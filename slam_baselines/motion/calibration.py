@@ -1,0 +1,108 @@
+"""What an odometry always gets wrong, learnt while driving.
+
+Wheels of unequal size, a wrong track, a laser that is not where the log says: such errors are the same
+in every step, so a prior that is right on average needs them taken out. The correction of a step is
+linear in the way driven and the angle turned; recursive least squares with forgetting finds it from the
+poses that scan matching confirms (Haykin 2002, "Adaptive filter theory", table 9.1).
+
+Wheels that skid in a turn have spent their friction, so on a slope the robot slides downhill as well: by
+so much per radian turned and unit of slope. That is one more gain, learnt in the same way.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.pose import Pose2, wrap_angle
+
+Slope = tuple[float, float]
+"""How far the ground falls per metre ahead and per metre to the left."""
+LEVEL: Slope = (0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationConfig:
+    """How fast the correction is learnt.
+
+    Attributes:
+        per_metre: standard deviation of the correction per metre before anything is known (m/m, rad/m).
+        per_radian: the same per radian turned (m/rad, rad/rad).
+        noise: of the correction seen in one step, metres and radians.
+        memory: steps after which what was learnt counts 1/e.
+        slide: standard deviation of the slide before anything is known, metres per radian and unit of slope.
+        slide_noise: of the slide seen in one step, metres.
+
+    Raises:
+        ConfigError: a value is not above 0.
+    """
+
+    per_metre: float = 0.05
+    per_radian: float = 0.05
+    noise: float = 0.02
+    memory: float = 500.0
+    slide: float = 2.0
+    slide_noise: float = 0.007
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name} of the calibration must be above 0, got {getattr(self, name)}")
+
+
+class Calibration:
+    """Corrects odometry's steps, and learns from where they truly led.
+
+    Attributes:
+        gain: correction of x, y, yaw per metre ahead and per radian: xx, xt, yx, yt, tx, tt.
+        slide: metres downhill per radian turned, either way, and unit of slope.
+    """
+
+    def __init__(self, config: CalibrationConfig) -> None:
+        self.gain = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        self.slide = 0.0
+        self._start = config.per_metre**2, config.per_radian**2
+        self._P = self._start[0], 0.0, self._start[1]
+        self._noise = config.noise**2
+        self._keep = math.exp(-1 / config.memory)
+        self._slide_start = self._slide_variance = config.slide**2
+        self._slide_noise = config.slide_noise**2
+
+    def corrected(self, step: Pose2, down: Slope = LEVEL) -> Pose2:
+        """Return the step `T_before_now` to expect when odometry says `step`, on ground that falls `down`."""
+        xx, xt, yx, yt, tx, tt = self.gain
+        d, a = step.x, step.yaw
+        slide = self.slide * abs(a)
+        return Pose2(
+            d + xx * d + xt * a + slide * down[0],
+            step.y + yx * d + yt * a + slide * down[1],
+            wrap_angle(a + tx * d + tt * a),
+        )
+
+    def learn(self, step: Pose2, true: Pose2, down: Slope = LEVEL) -> None:
+        """Take note that what odometry called `step` was `true`, on ground that falls `down`."""
+        p, q, r = self._P
+        d, a = step.x, step.yaw
+        u, v = p * d + q * a, q * d + r * a
+        scale = 1 / (self._noise + u * d + v * a)
+        c = self.corrected(step, down)
+        error = true.x - c.x, true.y - c.y, wrap_angle(true.yaw - c.yaw)
+        u, v = u * scale, v * scale
+        xx, xt, yx, yt, tx, tt = self.gain
+        x, y, t = error
+        self.gain = xx + x * u, xt + x * v, yx + y * u, yt + y * v, tx + t * u, tt + t * v
+        k = self._keep
+        self._P = (
+            min((p - u * u / scale) / k, self._start[0]),
+            (q - u * v / scale) / k,
+            min((r - v * v / scale) / k, self._start[1]),
+        )
+        self._learn_slide(abs(a) * down[0], abs(a) * down[1], error)
+
+    def _learn_slide(self, u: float, v: float, error: tuple[float, float, float]) -> None:
+        """Take note that a slide of (u, v) for a gain of 1 left an error."""
+        p, total = self._slide_variance, u * u + v * v
+        scale = p / (self._slide_noise + p * total)
+        self.slide += scale * (u * error[0] + v * error[1])
+        self._slide_variance = min((p - scale * total * p) / self._keep, self._slide_start)

@@ -1,0 +1,196 @@
+"""Odometry as a prior: the pose to expect and how much to believe it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.geometry.scan import Imu
+from slam_baselines.common.linalg import moved_covariance
+from slam_baselines.motion.calibration import LEVEL, Calibration, CalibrationConfig, Slope
+
+Array = NDArray[np.float64]
+
+STANDS = 1e-3
+"""A step shorter than this (metres and radians together) is none."""
+
+
+def yaw_rate(imu: Imu) -> float:
+    """Return how fast yaw changes, rad/s: the body's rates turned into that of R = Rz Ry Rx."""
+    _, y, z = imu.angular_velocity
+    return (y * math.sin(imu.roll) + z * math.cos(imu.roll)) / max(math.cos(imu.pitch), 0.1)
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A pose and how much it is to be believed.
+
+    Attributes:
+        pose: `T_map_base`.
+        covariance: (3, 3) of x, y, yaw in the map frame.
+    """
+
+    pose: Pose2
+    covariance: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionConfig:
+    """Errors of the odometry, each as a random walk: the variance grows with way, turn and time.
+
+    So a step in ten parts is as uncertain as the step in one, whatever the rate of the scans.
+
+    Attributes:
+        translation_per_metre: standard deviation after one metre, metres.
+        translation_per_radian: after turning one radian, metres.
+        slide_per_radian: the same again for each radian that the robot leans, metres.
+        translation_per_second: after one second, metres.
+        rotation_per_metre: after one metre, radians.
+        rotation_per_radian: after turning one radian, radians.
+        rotation_per_second: after one second, radians.
+        gyro_per_second: of a gyro's yaw after one second, radians.
+        blind_translation: after one second without odometry, metres.
+        blind_rotation: after one second without odometry, radians.
+
+    Raises:
+        ConfigError: a value is not above 0.
+    """
+
+    translation_per_metre: float = 0.04
+    translation_per_radian: float = 0.1
+    slide_per_radian: float = 2.0
+    translation_per_second: float = 0.005
+    rotation_per_metre: float = 0.03
+    rotation_per_radian: float = 0.05
+    rotation_per_second: float = 0.005
+    gyro_per_second: float = 0.001
+    blind_translation: float = 0.5
+    blind_rotation: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name} of the motion must be above 0, got {getattr(self, name)}")
+
+    def predict(
+        self,
+        before: Estimate,
+        delta: Pose2 | None,
+        seconds: float,
+        turned: float | None = None,
+        tilt: float = 0.0,
+    ) -> Estimate:
+        """Return the estimate to expect after a step.
+
+        Args:
+            before: the estimate before the step.
+            delta: `T_before_now` by odometry; without it the robot is expected to stay, with little
+                confidence.
+            seconds: duration of the step.
+            turned: change of yaw by the gyro, if there is one, radians. Two witnesses that agree are
+                believed as a gyro deserves; the more they disagree, the less the odometry's yaw is.
+            tilt: how much the robot leans, radians: wheels that skid in a turn slide downhill.
+        """
+        seconds = max(seconds, 1e-3)
+        if delta is None:
+            delta = Pose2(yaw=turned or 0.0)
+            shift, turn = self.blind_translation**2 * seconds, self.blind_rotation**2 * seconds
+        else:
+            metres, radians = math.hypot(delta.x, delta.y), abs(delta.yaw)
+            shift = (
+                self.translation_per_metre**2 * metres
+                + (self.translation_per_radian**2 + (self.slide_per_radian * tilt) ** 2) * radians
+                + self.translation_per_second**2 * seconds
+            )
+            turn = (
+                self.rotation_per_metre**2 * metres
+                + self.rotation_per_radian**2 * radians
+                + self.rotation_per_second**2 * seconds
+            )
+        if turned is not None:
+            turn = min(turn, self.gyro_per_second**2 * seconds + wrap_angle(turned - delta.yaw) ** 2)
+        after = before.pose @ delta
+        dx, dy = after.x - before.pose.x, after.y - before.pose.y
+        return Estimate(after, moved_covariance(before.covariance, dx, dy, shift, turn))
+
+
+class Move(NamedTuple):
+    """A step by odometry and the ground it was done on.
+
+    Attributes:
+        step: `T_before_now` as the odometry says.
+        down: how far the ground falls per metre ahead and to the left.
+        tilt: how much the robot leaned, radians.
+    """
+
+    step: Pose2
+    down: Slope
+    tilt: float
+
+    def corrected(self, calibration: Calibration) -> Pose2:
+        """Return the step to expect, by what is known of the odometry."""
+        return calibration.corrected(self.step, self.down)
+
+
+class DeadReckoning:
+    """Turns absolute odometry and rates into the estimate to expect at the next scan.
+
+    Attributes:
+        calibration: what the odometry always gets wrong.
+        moved: the last step; None without odometry.
+    """
+
+    def __init__(self, config: MotionConfig, calibration: CalibrationConfig | None = None) -> None:
+        self.config = config
+        self.calibration = Calibration(calibration or CalibrationConfig())
+        self.moved: Move | None = None
+        self._odometry: Pose2 | None = None
+        self._rate: float | None = None
+        self._stamp: float | None = None
+
+    def predict(self, last: Estimate, odometry: Pose2 | None, imu: Imu | None, stamp: float) -> Estimate:
+        """Return what to expect at `stamp`; the first call only takes note and returns `last`.
+
+        Args:
+            last: the estimate at the last call.
+            odometry: `T_odom_base` at `stamp`.
+            imu: reading at `stamp`.
+            stamp: seconds.
+        """
+        before, self._odometry = self._odometry, odometry
+        rate, self._rate = self._rate, None if imu is None else yaw_rate(imu)
+        then, self._stamp = self._stamp, stamp
+        if before is None or odometry is None:
+            self.moved = None
+        else:
+            self.moved = Move(_between(before, odometry), *_downhill(imu))
+        if then is None:
+            return last
+        delta = None if self.moved is None else self.moved.corrected(self.calibration)
+        turned = None if rate is None or self._rate is None else (rate + self._rate) / 2 * (stamp - then)
+        return self.config.predict(last, delta, stamp - then, turned, self.moved.tilt if self.moved else 0.0)
+
+    def learn(self, before: Pose2, now: Pose2) -> None:
+        """Take note of where the last step truly led: from `before` to `now` in the map."""
+        # A robot that stands teaches nothing, and what was learnt is not forgotten over it.
+        if self.moved is not None and abs(self.moved.step.x) + abs(self.moved.step.yaw) > STANDS:
+            self.calibration.learn(self.moved.step, _between(before, now), self.moved.down)
+
+
+def _between(a: Pose2, b: Pose2) -> Pose2:
+    """Return `T_ab` of two poses in one frame."""
+    c, s, x, y = math.cos(a.yaw), math.sin(a.yaw), b.x - a.x, b.y - a.y
+    return Pose2(c * x + s * y, c * y - s * x, wrap_angle(b.yaw - a.yaw))
+
+
+def _downhill(imu: Imu | None) -> tuple[Slope, float]:
+    """Return how far the ground falls ahead and to the left, and how much the robot leans, radians."""
+    if imu is None:
+        return LEVEL, 0.0
+    return (math.sin(imu.pitch), -math.sin(imu.roll)), math.hypot(imu.roll, imu.pitch)

@@ -1,0 +1,86 @@
+"""The step since the last processed scan, by odometry and, where it can be had, corrected on the way."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.scan import Imu
+from slam_baselines.motion.dead_reckoning import DeadReckoning, Estimate, MotionConfig, yaw_rate
+
+Array = NDArray[np.float64]
+
+GYRO = 5e-4
+"""Random walk of a gyro's yaw once its bias is taken out: standard deviation after one second, radians."""
+
+STILL = 1e-9
+"""Metres and radians up to which a step is none."""
+
+
+class Step:
+    """How the base has moved since `begin`.
+
+    Attributes:
+        pose: `T_begin_now`, corrected.
+        newest: (3, 3) covariance of what was added to it last.
+        reckoned: the same step by odometry and gyro as they are; its covariance is the sum over the way.
+        bias: what the gyro says too much, rad/s; taken out of `pose`.
+        seconds: spent moving.
+        way: metres driven.
+        turn: radians turned, either way.
+    """
+
+    def __init__(self, motion: MotionConfig) -> None:
+        self._reckoning = DeadReckoning(motion)
+        self._reading: tuple[float, float] | None = None
+        self.bias = 0.0
+        self.begin()
+
+    def begin(self) -> None:
+        """Start a new step here."""
+        self.pose = Pose2()
+        self.newest: Array = np.zeros((3, 3))
+        self.reckoned = Estimate(Pose2(), self.newest)
+        self.way = self.turn = self.seconds = self._disagreement = 0.0
+
+    def follow(self, odometry: Pose2, imu: Imu | None, stamp: float) -> Pose2:
+        """Go on by odometry and gyro; return what was added, `T_before_now`."""
+        exact = Estimate(self.pose, np.zeros((3, 3)))
+        now = self._reckoning.predict(exact, odometry, imu, stamp)
+        delta = self.pose.inverse() @ now.pose
+        before, self._reading = self._reading, None if imu is None else (stamp, yaw_rate(imu))
+        self.newest, seconds = now.covariance, 0.0
+        self.reckoned = Estimate(self.reckoned.pose @ delta, self.reckoned.covariance + now.covariance)
+        # While it stands the wheels hold the heading, whatever the gyro says.
+        if before is not None and self._reading is not None and _moved(delta):
+            seconds = stamp - before[0]
+            self._compare(delta.yaw, (before[1] + self._reading[1]) / 2, seconds)
+        delta = unbiased(delta, self.bias, seconds)
+        self.pose = self.pose @ delta
+        self.way += math.hypot(delta.x, delta.y)
+        self.turn += abs(delta.yaw)
+        return delta
+
+    def _compare(self, turn: float, rate: float, seconds: float) -> None:
+        """Believe the heading as a gyro deserves, less what gyro and odometry disagree about since `begin`.
+
+        The noise of single readings cancels over the way.
+        """
+        self.seconds += seconds
+        self._disagreement += turn - rate * seconds
+        variance = GYRO**2 * self.seconds + self._disagreement**2
+        whole, newest = self.reckoned.covariance, self.newest
+        newest[2, 2], whole[2, 2] = variance * seconds / self.seconds, variance
+
+
+def _moved(step: Pose2) -> bool:
+    return max(abs(step.x), abs(step.y), abs(step.yaw)) > STILL
+
+
+def unbiased(step: Pose2, bias: float, seconds: float) -> Pose2:
+    """Return a step less what a gyro's bias (rad/s) has turned it in its course."""
+    half = Pose2(yaw=-bias * seconds / 2)
+    return half @ step @ half

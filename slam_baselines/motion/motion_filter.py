@@ -1,0 +1,68 @@
+"""Which scans become nodes: those that may show something new."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.pose import Pose2, wrap_angle
+from slam_baselines.scan.leveling import LevelledScan
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionFilterConfig:
+    """Which scans become nodes; names as in Cartographer's motion_filter.
+
+    Attributes:
+        max_time_seconds: a node at least so often ...
+        max_distance_meters: ... and after so much way ...
+        max_angle_radians: ... or turning ...
+        max_tilt_radians: ... or leaning, since leaning shows other heights of the same things.
+
+    Raises:
+        ConfigError: a negative value.
+    """
+
+    max_time_seconds: float = math.inf
+    max_distance_meters: float = 0.2
+    max_angle_radians: float = math.radians(10.0)
+    max_tilt_radians: float = math.radians(1.0)
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            if getattr(self, name) < 0:
+                raise ConfigError(
+                    f"{name} of the motion filter must not be negative, got {getattr(self, name)}"
+                )
+
+
+class MotionFilter:
+    """Remembers the last node."""
+
+    def __init__(self, config: MotionFilterConfig) -> None:
+        self._config = config
+        self._pose: Pose2 | None = None
+        self._slope = (0.0, 0.0)
+        self._stamp = -math.inf
+
+    def note(self, scan: LevelledScan, pose: Pose2) -> None:
+        """Take note of a node."""
+        self._pose, self._slope, self._stamp = pose, scan.ground_slope, scan.stamp
+
+    def moved(self, pose: Pose2) -> None:
+        """Take note that the last node's pose was corrected."""
+        self._pose = pose
+
+    def due(self, scan: LevelledScan, pose: Pose2) -> bool:
+        """Whether the robot has moved enough since the last node."""
+        if self._pose is None:
+            return True
+        c = self._config
+        lean = math.hypot(scan.ground_slope[0] - self._slope[0], scan.ground_slope[1] - self._slope[1])
+        return (
+            pose.distance(self._pose) > c.max_distance_meters
+            or abs(wrap_angle(pose.yaw - self._pose.yaw)) > c.max_angle_radians
+            or lean > c.max_tilt_radians
+            or scan.stamp - self._stamp > c.max_time_seconds
+        )

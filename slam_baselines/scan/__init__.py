@@ -1,0 +1,1 @@
+"""A scan in the leveled base frame."""

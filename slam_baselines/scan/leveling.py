@@ -1,0 +1,128 @@
+"""A scan made level: ends of beams in the gravity-aligned base frame, with their heights.
+
+The levelled frame has its origin in base_link, z against gravity and x along the robot's heading, so
+`p_level = Ry(pitch) Rx(roll) T_base_laser p_laser`; the planar pose `T_map_base` does the rest.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import Imu, LaserScan
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class LevelledScan:
+    """A scan in the levelled base frame, metres.
+
+    Attributes:
+        origin: (3,) the laser.
+        hits: (n, 3) where beams ended.
+        free: (m, 3) where beams that met nothing were still free: the farthest that is believed of them.
+        ground_slope: (2,) rise of the ground under the robot per metre forward and to the left.
+        tilt: angle between the robot's z and gravity, radians; NaN where no attitude was given.
+        stamp: seconds.
+    """
+
+    origin: Array
+    hits: Array
+    free: Array
+    ground_slope: tuple[float, float]
+    tilt: float
+    stamp: float
+
+    @property
+    def levelled(self) -> bool:
+        """Whether an attitude was known."""
+        return not math.isnan(self.tilt)
+
+    def placed(self, T_map_base: Pose2, height: float) -> tuple[Array, Array, Array]:
+        """Return origin, hits and free ends in the map frame, the base being at `height`."""
+        T = T_map_base
+        origin, hits, free = np.empty(3), np.empty_like(self.hits), np.empty_like(self.free)
+        _place(self.origin, self.hits, self.free, T.x, T.y, T.yaw, height, origin, hits, free)
+        return origin, hits, free
+
+
+class ScanLeveller:
+    """Levels the scans of one sensor; keeps the directions of its beams and its mount."""
+
+    def __init__(self, clear_range: float = 0.0, max_range: float = math.inf) -> None:
+        """Believe beams without return up to `clear_range`, and no hit from `max_range` on, metres."""
+        self._clear_range = clear_range
+        self._max_range = max_range
+        self._geometry: tuple[int, float, float] = (-1, 0.0, 0.0)
+        self._directions: Array = np.empty((0, 2))
+        self._mount = Pose3()
+        self._R, self._t = self._mount.rotation, self._mount.position
+
+    def level(self, scan: LaserScan, imu: Imu | None) -> LevelledScan:
+        """Return the scan in the levelled base frame; without IMU the base counts as level."""
+        geometry = len(scan.ranges), scan.angle_min, scan.angle_increment
+        if geometry != self._geometry:
+            self._geometry = geometry
+            self._directions = np.stack((np.cos(scan.angles), np.sin(scan.angles)), axis=-1)
+        if scan.T_base_laser is not self._mount and scan.T_base_laser != self._mount:
+            self._mount = scan.T_base_laser
+            self._R, self._t = self._mount.rotation, self._mount.position
+        farthest = min(scan.range_max, self._max_range)
+        clear = min(farthest, self._clear_range)
+        roll, pitch = (0.0, 0.0) if imu is None else (imu.roll, imu.pitch)
+        ends, origin = np.empty((len(scan.ranges), 3)), np.empty(3)
+        hits, free = _level(
+            scan.ranges, self._directions, self._R, self._t, roll, pitch,
+            scan.range_min, farthest, clear, ends, origin,
+        )  # fmt: skip
+        # z of the base in the levelled frame is (sin p cos r, -sin r, cos p cos r).
+        slope = (-math.tan(pitch), math.tan(roll) / math.cos(pitch))
+        tilt = math.nan if imu is None else math.acos(min(1.0, math.cos(roll) * math.cos(pitch)))
+        return LevelledScan(origin, ends[:hits], ends[len(ends) - free :], slope, tilt, scan.stamp)
+
+
+@njit(cache=True)
+def _place(origin, hits, free, x, y, yaw, z, new_origin, new_hits, new_free):  # type: ignore[no-untyped-def]
+    """Fill the new arrays with the old ones turned by yaw and shifted."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    for old, new in ((origin.reshape(1, 3), new_origin.reshape(1, 3)), (hits, new_hits), (free, new_free)):
+        for i in range(len(old)):
+            u, v = old[i, 0], old[i, 1]
+            new[i, 0], new[i, 1], new[i, 2] = x + c * u - s * v, y + s * u + c * v, z + old[i, 2]
+
+
+@njit(cache=True)
+def _level(  # type: ignore[no-untyped-def]
+    ranges, directions, mount, shift, roll, pitch, nearest, farthest, clear, ends, origin
+):
+    """Fill `ends` with hits from its top and with free ends from its bottom; return how many of each."""
+    sr, cr, sp, cp = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
+    A = np.array(((cp, sp * sr, sp * cr), (0.0, cr, -sr), (-sp, cp * sr, cp * cr)))
+    R = np.zeros((3, 2))
+    for i in range(3):
+        origin[i] = A[i, 0] * shift[0] + A[i, 1] * shift[1] + A[i, 2] * shift[2]
+        for j in range(2):
+            R[i, j] = A[i, 0] * mount[0, j] + A[i, 1] * mount[1, j] + A[i, 2] * mount[2, j]
+    hits = free = 0
+    n = len(ranges)
+    for i in range(n):
+        r = float(ranges[i])
+        if nearest <= r <= farthest:
+            row = hits
+            hits += 1
+        elif r > nearest and clear > nearest:  # +inf, or beyond what is believed: free up to `clear`
+            r = clear
+            free += 1
+            row = n - free
+        else:
+            continue
+        x, y = r * directions[i, 0], r * directions[i, 1]
+        for k in range(3):
+            ends[row, k] = R[k, 0] * x + R[k, 1] * y + origin[k]
+    return hits, free

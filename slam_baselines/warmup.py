@@ -1,0 +1,78 @@
+"""A mapper's rehearsal: a short made-up drive that compiles its kernels before the clock starts.
+
+A room is driven around until a known place comes again, leaning a little; then the robot is moved by
+hand, so that the rarely used parts (wider search, loop closure) come on stage too.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import Imu, LaserScan
+from slam_baselines.mapper import make_mapper
+
+Array = NDArray[np.float64]
+
+BEAMS, FOV, RANGE = 541, math.radians(270), 20.0
+CORNERS = np.array(
+    ((-6, -4), (6, -4), (6, 4), (1, 4), (1, 2.5), (0, 2.5), (0, 4), (-6, 4), (-6, -4)), dtype=np.float64
+)
+"""The room's outline, with a pillar in its northern wall, metres."""
+MOUNT = Pose3(0.2, 0.0, 0.3)
+RADIUS, STEP = 2.2, 0.12
+"""Of the circle that is driven, and between scans, metres."""
+
+
+def rehearse(name: str, **config: Any) -> None:
+    """Run a mapper through the rehearsal, on a floor and on uneven ground, and forget what it mapped.
+
+    Args:
+        name: one of MAPPERS.
+        **config: fields of the method's configuration, to make the rehearsal shorter.
+
+    Raises:
+        ConfigError: no mapper has that name, or its configuration no such field.
+    """
+    for uneven in (False, True):
+        mapper = make_mapper(name, **config)
+        start = _on_circle(0.0)
+        laps = np.arange(0.0, 2.6 * math.pi, STEP / RADIUS)
+        for k, angle in enumerate(laps):
+            pose = _on_circle(angle)
+            jump = Pose2(0.4, 0.3, 0.5) if k == len(laps) - 3 else Pose2()
+            lean = 0.03 * math.sin(3 * angle) if uneven else 0.0
+            stamp = 0.2 * k
+            imu = Imu(pitch=lean, stamp=stamp) if uneven else None
+            mapper.update(_scan(pose @ jump, stamp), start.inverse() @ pose, imu)
+        mapper.map()
+        mapper.trajectory()
+
+
+def _on_circle(angle: float) -> Pose2:
+    return Pose2(RADIUS * math.cos(angle) - 1, RADIUS * math.sin(angle) - 1, angle + math.pi / 2)
+
+
+def _scan(T_room_base: Pose2, stamp: float) -> LaserScan:
+    """Return what a scanner on the base sees of the room's outline."""
+    T_room_laser = T_room_base @ Pose2(MOUNT.x, MOUNT.y)
+    angles = -FOV / 2 + FOV / (BEAMS - 1) * np.arange(BEAMS)
+    heading = T_room_laser.yaw + angles
+    direction = np.stack((np.cos(heading), np.sin(heading)), axis=-1)[:, None]
+    a, b = CORNERS[:-1] - (T_room_laser.x, T_room_laser.y), CORNERS[1:] - (T_room_laser.x, T_room_laser.y)
+    edge = b - a
+    across = _cross(direction, edge)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance, along = _cross(a, edge) / across, _cross(a, direction) / across
+    met = (distance > 0) & (along >= 0) & (along <= 1)
+    ranges = np.where(met, distance, np.inf).min(axis=1).astype(np.float32)
+    return LaserScan(ranges, -FOV / 2, FOV / (BEAMS - 1), 0.1, RANGE, stamp, MOUNT)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    z: Array = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return z
