@@ -8,9 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lirs_wct.arrays import BoolArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.export.export_settings import Finish, checked_texture, finish_of
 from lirs_wct.formats.map_server import read_map, read_map_picture
@@ -67,7 +65,7 @@ class World:
     finish: Finish = field(default_factory=Finish)
     solid: TriangleMesh | None = None
     overhangs: bool = False
-    bare: NDArray[np.bool_] | None = None
+    bare: BoolArray | None = None
 
     @cached_property
     def mesh(self) -> TriangleMesh:

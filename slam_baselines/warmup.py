@@ -10,13 +10,11 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 from slam_baselines.mapper import make_mapper
-
-Array = NDArray[np.float64]
 
 BEAMS, FOV, RANGE = 541, math.radians(270), 20.0
 CORNERS = np.array(
@@ -73,6 +71,6 @@ def _scan(T_room_base: Pose2, stamp: float) -> LaserScan:
     return LaserScan(ranges, -FOV / 2, FOV / (BEAMS - 1), 0.1, RANGE, stamp, MOUNT)
 
 
-def _cross(a: Array, b: Array) -> Array:
-    z: Array = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    z: FloatArray = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
     return z

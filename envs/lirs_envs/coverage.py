@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import LaserScan
@@ -26,7 +26,7 @@ class SeenArea:
         self.resolution = resolution
         self._corner = (west, south)
         shape = math.ceil((north - south) / resolution), math.ceil((east - west) / resolution)
-        self.seen: NDArray[np.bool_] = np.zeros(shape, np.bool_)
+        self.seen: BoolArray = np.zeros(shape, np.bool_)
 
     @property
     def area(self) -> float:
@@ -50,9 +50,9 @@ class SeenArea:
 
 @njit(cache=True)
 def _mark(
-    seen: NDArray[np.bool_],
-    beams: NDArray[np.float64],
-    ranges: NDArray[np.float64],
+    seen: BoolArray,
+    beams: FloatArray,
+    ranges: FloatArray,
     start: tuple[float, float],
     resolution: float,
 ) -> int:

@@ -10,7 +10,6 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from lirs_envs.coverage import SeenArea
 from lirs_envs.lidar.casters import Rays
@@ -20,6 +19,7 @@ from lirs_envs.robots.drive import Twist
 from lirs_envs.sensing.odometry import Method, OdometryConfig
 from lirs_envs.sensing.sensors import Noise
 from lirs_envs.simulation import Observation, Simulation
+from lirs_wct.arrays import ByteArray, Float32Array
 from lirs_wct.contact.contact_parts import Terrain
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.world import World, build_world
@@ -29,7 +29,7 @@ PICTURE = (480, 640)
 """Height and width of a rendered picture, pixels."""
 
 
-class MappingEnv(gym.Env[Observed, NDArray[np.float32]]):
+class MappingEnv(gym.Env[Observed, Float32Array]):
     """One robot that maps one world; a step is one period of its laser range finder (LRF).
 
     Observation:
@@ -109,7 +109,7 @@ class MappingEnv(gym.Env[Observed, NDArray[np.float32]]):
         self._last = observation
         return _arrays(observation), self._info()
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Float32Array) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
         """Drive for one LRF period."""
         robot = self.simulation.robot
         ahead, turn = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0).tolist()
@@ -124,7 +124,7 @@ class MappingEnv(gym.Env[Observed, NDArray[np.float32]]):
         self._last = observation
         return _arrays(observation), reward, bool(reason), False, self._info(reason)
 
-    def render(self) -> NDArray[np.uint8] | None:
+    def render(self) -> ByteArray | None:
         """Return a picture (480, 640, 3) from the chase camera; needs OpenGL (EGL without a screen)."""
         if self.render_mode is None:
             return None
@@ -135,7 +135,7 @@ class MappingEnv(gym.Env[Observed, NDArray[np.float32]]):
         view.geomgroup[:] = (1, 1, 1, 1, 0, 1)
         mujoco.mj_forward(body.model, body.data)
         self._renderer.update_scene(body.data, camera="chase", scene_option=view)
-        picture: NDArray[np.uint8] = self._renderer.render()
+        picture: ByteArray = self._renderer.render()
         return picture
 
     def close(self) -> None:

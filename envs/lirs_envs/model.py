@@ -8,11 +8,11 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from lirs_envs.props import Parked, Prop, add_props
 from lirs_envs.robots.catalog import Robot
 from lirs_envs.sensing.imu import Vector
+from lirs_wct.arrays import FloatArray
 from lirs_wct.contact.contact_grid import ContactGrid, contact_grid
 from lirs_wct.contact.contact_parts import Terrain
 from lirs_wct.export.mjcf import world_spec
@@ -145,15 +145,13 @@ class RobotModel:
             self.step((0.0, 0.0), math.ceil(seconds / self.timestep))
         self.data.time = 0.0
 
-    def state(self) -> NDArray[np.float64]:
+    def state(self) -> FloatArray:
         """Return the whole state."""
         state = np.empty(mujoco.mj_stateSize(self.model, FULL))
         mujoco.mj_getState(self.model, self.data, state, FULL)
         return state
 
-    def replay(
-        self, initial: NDArray[np.float64], controls: Sequence[tuple[float, ...]]
-    ) -> tuple[float, Pose3]:
+    def replay(self, initial: FloatArray, controls: Sequence[tuple[float, ...]]) -> tuple[float, Pose3]:
         """Step from a state with given controls, one each control update; put the present state back.
 
         Returns:

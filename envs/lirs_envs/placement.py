@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lirs_envs.robots.catalog import Robot
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
 
-Array = NDArray[np.float64]
 SLACK = math.radians(2)
 """By so much more than its steepest a start may slope: plans measure slopes over a shorter way."""
 CLEARANCE = 0.01
@@ -75,7 +74,7 @@ def standing_pose(world: World, robot: Robot, start: Pose2) -> Pose3:
     return Pose3.from_rpy(start.x, start.y, height + lift, roll, pitch, start.yaw)
 
 
-def _disc(centre: Pose2, radius: float) -> tuple[Array, Array]:
+def _disc(centre: Pose2, radius: float) -> tuple[FloatArray, FloatArray]:
     """Return x and y of points about 5 cm apart in a disc."""
     n = max(9, 2 * math.ceil(radius / 0.05) + 1)
     x, y = np.meshgrid(*2 * (np.linspace(-radius, radius, n),))

@@ -7,7 +7,6 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lirs_envs.checks import check_arguments, check_command, check_seed, check_start
 from lirs_envs.collisions import Collisions, ContactWatch, check_sane
@@ -21,6 +20,7 @@ from lirs_envs.robots.drive import Drive, Twist, Waypoint
 from lirs_envs.robots.flight import Pilot
 from lirs_envs.sensing.sensors import Noise, Observation, Sensors
 from lirs_envs.timing import Replay, Timing
+from lirs_wct.arrays import FloatArray
 from lirs_wct.contact.contact_grid import ContactGrid
 from lirs_wct.contact.contact_parts import Terrain
 from lirs_wct.errors import SimulationError
@@ -98,7 +98,7 @@ class Simulation:
         self._drive = Pilot(robot, body, self.world.surface) if robot.flies else Drive(robot)
         self._watch = ContactWatch(self.body.wheel_geoms, self.body.own_geoms)
         self._controls: list[tuple[float, ...]] = []
-        self._initial: NDArray[np.float64] | None = None
+        self._initial: FloatArray | None = None
         self.timing = Timing()
 
     def reset(self, start: Pose2 | None = None, *, seed: int | None = None) -> Observation:
@@ -192,7 +192,7 @@ class Simulation:
         return self._watch.summary()
 
     @property
-    def controls(self) -> NDArray[np.float64]:
+    def controls(self) -> FloatArray:
         """(n, 2) speeds of left and right wheels, rad/s, or (n, rotors) thrusts, newtons; a row an update."""
         width = len(self.robot.rotors) or 2
         return np.array(self._controls, dtype=np.float64).reshape(-1, width)

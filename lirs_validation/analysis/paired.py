@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from lirs_validation.analysis.repeats import CONFIDENCE, repeats
+from lirs_wct.arrays import FloatArray
 
 RANKED = 10
 """From so many pairs on, differences that are plainly not normal are ranked instead."""
@@ -18,7 +18,7 @@ PLAINLY = 0.01
 Test = Literal["t", "Wilcoxon", "sign", "none"]
 
 
-def paired_test(d: NDArray[np.float64]) -> tuple[Test, float | None, float | None, float | None]:
+def paired_test(d: FloatArray) -> tuple[Test, float | None, float | None, float | None]:
     """Return the test that suits paired differences (n,), its p value, and the mean's 95 % interval."""
     found = repeats(d.tolist())
     if found is None or found.half_width is None:
@@ -35,7 +35,7 @@ def paired_test(d: NDArray[np.float64]) -> tuple[Test, float | None, float | Non
     return "t", float(stats.ttest_1samp(d, 0.0).pvalue), low, high
 
 
-def holm(p: NDArray[np.float64]) -> NDArray[np.float64]:
+def holm(p: FloatArray) -> FloatArray:
     """Return p values (n,) corrected for being n: the k-th smallest times n - k + 1, never decreasing."""
     order = np.argsort(p, kind="stable")
     raised = p[order] * np.arange(len(p), 0, -1)

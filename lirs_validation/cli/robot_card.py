@@ -8,17 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.files import atomic_write
 
 if TYPE_CHECKING:
     from lirs_envs.robots.catalog import Robot
 
-Picture = NDArray[np.uint8]
 FORMATS = ("urdf",)
 
 
@@ -105,7 +104,7 @@ def draw(robot: Robot, path: Path) -> None:
     path.write_bytes(data.tobytes())
 
 
-def _rendered(robot: Robot) -> Picture:
+def _rendered(robot: Robot) -> ByteArray:
     import mujoco
 
     spec = mujoco.MjSpec.from_file(str(robot.mjcf))
@@ -123,7 +122,7 @@ def _rendered(robot: Robot) -> Picture:
     renderer = mujoco.Renderer(model, 480, 640)
     try:
         renderer.update_scene(data, camera=camera, scene_option=view)
-        picture: Picture = renderer.render()
+        picture: ByteArray = renderer.render()
         return picture
     finally:
         renderer.close()

@@ -6,11 +6,10 @@ from dataclasses import dataclass, fields
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from lirs_envs.model import RobotModel
+from lirs_wct.arrays import FloatArray
 
-Array = NDArray[np.float64]
 DEEP = 0.010
 """Penetration that a contact may have whatever happens, metres."""
 
@@ -21,8 +20,8 @@ class DeepContact:
 
     step: int
     depth: float
-    point: Array
-    normal: Array
+    point: FloatArray
+    normal: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,17 +44,17 @@ class ContactLog:
         timestep: seconds.
     """
 
-    position: Array
-    upright: Array
-    velocity: Array
-    spin: Array
-    bodies: Array
-    depth: Array
-    peak_force: Array
-    force: Array
-    energy: Array
-    kinetic: Array
-    work: Array
+    position: FloatArray
+    upright: FloatArray
+    velocity: FloatArray
+    spin: FloatArray
+    bodies: FloatArray
+    depth: FloatArray
+    peak_force: FloatArray
+    force: FloatArray
+    energy: FloatArray
+    kinetic: FloatArray
+    work: FloatArray
     deep: tuple[DeepContact, ...]
     timestep: float
 
@@ -75,7 +74,7 @@ class ContactRecorder:
         self._damping = model.actuator_biasprm[:, 2].copy()
         self._most = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], np.inf)
         self._moment = np.zeros((model.nu, model.nv))
-        self._rows: list[tuple[Array | float, ...]] = []
+        self._rows: list[tuple[FloatArray | float, ...]] = []
         self._deep: list[DeepContact] = []
 
     def step(self, control: tuple[float, ...]) -> None:

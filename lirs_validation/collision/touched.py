@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from lirs_envs.model import RobotModel
 from lirs_validation.cli.info import mesh_error
+from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.contact.contact_parts import PRISM_ERROR, Terrain
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 class Touched:
@@ -22,7 +19,7 @@ class Touched:
 
     def __init__(self, world: World, body: RobotModel, terrain: Terrain) -> None:
         self._walls = world.walls
-        self._hulls: list[Array] = []
+        self._hulls: list[FloatArray] = []
         self._slack = 0.0
         self._heights = world.surface
         if terrain in ("hfield", "mesh"):
@@ -33,7 +30,7 @@ class Touched:
         else:
             self._hulls = _hulls(body.model)
 
-    def holds(self, points: Array) -> Mask:
+    def holds(self, points: FloatArray) -> BoolArray:
         """Return (n,) whether points (n, 3) lie inside."""
         if self._hulls:
             inside = np.zeros(len(points), np.bool_)
@@ -44,11 +41,11 @@ class Touched:
         if self._walls is not None:
             return _in_walls(self._walls, points)
         # Beyond the border the height is NaN, and nothing is below it.
-        below: Mask = z < self._heights.height_at(x, y) - self._slack
+        below: BoolArray = z < self._heights.height_at(x, y) - self._slack
         return below
 
 
-def _in_walls(walls: WallGrid, points: Array) -> Mask:
+def _in_walls(walls: WallGrid, points: FloatArray) -> BoolArray:
     """Return whether points are in a wall, or under a floor that is there."""
     cells = np.floor(walls.origin.inverse().apply(points[:, :2]) / walls.resolution).astype(int)
     col, row = cells.T
@@ -56,11 +53,13 @@ def _in_walls(walls: WallGrid, points: Array) -> Mask:
     on = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
     row, col = np.where(on, row, 0), np.where(on, col, 0)
     z = points[:, 2]
-    inside: Mask = on & ((walls.solid[row, col] & (z < walls.height)) | (walls.floor[row, col] & (z < 0)))
+    inside: BoolArray = on & (
+        (walls.solid[row, col] & (z < walls.height)) | (walls.floor[row, col] & (z < 0))
+    )
     return inside
 
 
-def _hulls(model: mujoco.MjModel) -> list[Array]:
+def _hulls(model: mujoco.MjModel) -> list[FloatArray]:
     """Return (n, 4) the outward planes of each convex part."""
     hulls = []
     for g in np.flatnonzero((model.geom_bodyid == 0) & (model.geom_contype > 0)).tolist():

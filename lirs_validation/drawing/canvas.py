@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
-
-Rgb = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 FREE_SHADE, UNKNOWN_SHADE = 1.0, 0.80
 """Gray of what is known to be free, and of what nobody knows."""
@@ -51,48 +48,48 @@ class Canvas:
         return west, east, south, north
 
     @property
-    def centres(self) -> NDArray[np.float64]:
+    def centres(self) -> FloatArray:
         """(rows, cols, 2) x and y of the pixels' centres, metres."""
         west, _, _, north = self.bounds
         x = west + (np.arange(self.shape[1]) + 0.5) * self.pixel
         y = north - (np.arange(self.shape[0]) + 0.5) * self.pixel
         return np.stack(np.meshgrid(x, y), axis=-1)
 
-    def heights(self, surface: HeightField) -> NDArray[np.float64]:
+    def heights(self, surface: HeightField) -> FloatArray:
         """Return (rows, cols) metres; NaN off the surface."""
         xy = self.centres
         return surface.height_at(xy[..., 0], xy[..., 1])
 
-    def marked(self, mask: Mask, resolution: float, origin: Pose2) -> Mask:
+    def marked(self, mask: BoolArray, resolution: float, origin: Pose2) -> BoolArray:
         """Return the pixels that hold a marked cell of a grid, however thin: row 0 of `mask` is south."""
         local = np.floor(origin.inverse().apply(self.centres) / resolution).astype(np.int64)
         col, row = local[..., 0], local[..., 1]
         inside = (row >= 0) & (row < mask.shape[0]) & (col >= 0) & (col < mask.shape[1])
-        seen: Mask = inside & mask[np.where(inside, row, 0), np.where(inside, col, 0)]
+        seen: BoolArray = inside & mask[np.where(inside, row, 0), np.where(inside, col, 0)]
         if resolution < self.pixel:
             points = origin.apply((np.argwhere(mask)[:, ::-1] + 0.5) * resolution)
             self._touch(seen, points)
         return seen
 
-    def _touch(self, pixels: Mask, points: NDArray[np.float64]) -> None:
+    def _touch(self, pixels: BoolArray, points: FloatArray) -> None:
         col = np.floor((points[:, 0] - self.bounds[0]) / self.pixel).astype(np.int64)
         row = np.floor((self.bounds[3] - points[:, 1]) / self.pixel).astype(np.int64)
         inside = (row >= 0) & (row < self.shape[0]) & (col >= 0) & (col < self.shape[1])
         pixels[row[inside], col[inside]] = True
 
-    def walls(self, walls: WallGrid) -> Mask:
+    def walls(self, walls: WallGrid) -> BoolArray:
         """Return the pixels that hold a wall cell."""
         return self.marked(walls.solid, walls.resolution, walls.origin)
 
-    def known(self, grid: OccupancyGrid) -> Mask:
+    def known(self, grid: OccupancyGrid) -> BoolArray:
         """Return the pixels that hold a known cell of a map."""
         return self.marked(grid.known, grid.resolution, grid.origin)
 
-    def occupied(self, grid: OccupancyGrid) -> Mask:
+    def occupied(self, grid: OccupancyGrid) -> BoolArray:
         """Return the pixels that hold an occupied cell of a map."""
         return self.marked(grid.occupied, grid.resolution, grid.origin)
 
-    def grid_picture(self, grid: OccupancyGrid) -> Rgb:
+    def grid_picture(self, grid: OccupancyGrid) -> FloatArray:
         """Return (rows, cols, 3) a map as ROS shows it: black occupied, white free, gray unknown."""
         shade = np.full(self.shape, UNKNOWN_SHADE)
         shade[self.known(grid)] = FREE_SHADE

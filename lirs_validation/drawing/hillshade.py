@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 from matplotlib.colors import Colormap, LinearSegmentedColormap
-from numpy.typing import NDArray
 
-from lirs_validation.drawing.canvas import Canvas, Rgb
+from lirs_validation.drawing.canvas import Canvas
+from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
@@ -19,15 +19,15 @@ WALL = (0.16, 0.16, 0.20)
 FLOOR, BEYOND = (0.97, 0.97, 0.96), (0.84, 0.84, 0.85)
 """A laser map's free floor, and what it does not know."""
 
-Array = NDArray[np.float64]
-
 
 def height_colours() -> Colormap:
     """Return a light scale from low (slate) to high (sand); brightness rises with it, for every eye."""
     return LinearSegmentedColormap.from_list("relief", ["#7d97a5", "#a9b5ac", "#d3cfb4", "#f6e8c6"])
 
 
-def hillshade(surface: HeightField, walls: WallGrid | None = None, canvas: Canvas | None = None) -> Rgb:
+def hillshade(
+    surface: HeightField, walls: WallGrid | None = None, canvas: Canvas | None = None
+) -> FloatArray:
     """Return (rows, cols, 3) a gray relief in [0, 1], row 0 = north; walls dark.
 
     Lambertian shading (Horn, "Hill shading and the reflectance map", Proc. IEEE 1981); heights are
@@ -44,7 +44,7 @@ def hillshade(surface: HeightField, walls: WallGrid | None = None, canvas: Canva
     return _with_walls(rgb, walls, canvas)
 
 
-def coloured_relief(world: World, canvas: Canvas) -> Rgb:
+def coloured_relief(world: World, canvas: Canvas) -> FloatArray:
     """Return (rows, cols, 3) a hillshade tinted by height; of a laser map, its floor and what is unknown."""
     surface = world.surface
     z = canvas.heights(surface)
@@ -57,7 +57,7 @@ def coloured_relief(world: World, canvas: Canvas) -> Rgb:
     return _with_walls(rgb, world.walls, canvas)
 
 
-def shading(z: Array, pixel: float) -> Array:
+def shading(z: FloatArray, pixel: float) -> FloatArray:
     """Return (rows, cols) brightness in [0, 1] of heights in metres, row 0 = north; level: 0.7."""
     height = np.where(np.isnan(z), np.nanmin(z) if np.isfinite(z).any() else 0.0, z)
     if min(height.shape) < 2:
@@ -72,11 +72,11 @@ def shading(z: Array, pixel: float) -> Array:
         math.sin(ALTITUDE),
     )
     lambert = (light[2] - east * light[0] - north * light[1]) / np.sqrt(1 + east**2 + north**2)
-    brightness: Array = np.clip(lambert, 0.0, 1.0)
+    brightness: FloatArray = np.clip(lambert, 0.0, 1.0)
     return brightness
 
 
-def _with_walls(rgb: Rgb, walls: WallGrid | None, canvas: Canvas) -> Rgb:
+def _with_walls(rgb: FloatArray, walls: WallGrid | None, canvas: Canvas) -> FloatArray:
     if walls is not None:
         rgb[canvas.walls(walls)] = WALL
     return rgb

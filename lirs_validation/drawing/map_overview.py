@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 from lirs_validation.drawing.canvas import Canvas, bounds_of
 from lirs_validation.drawing.map_figures import map_lines
@@ -28,6 +27,7 @@ from lirs_validation.drawing.style import (
 )
 from lirs_validation.logs.accuracy import Accuracy
 from lirs_validation.record.map_record import MapRecord
+from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory
 
@@ -37,8 +37,6 @@ WIDTH = 6.4
 """Of the map, inches."""
 LEAST_PLOTS = 2
 """Plots for which room is left under the figures."""
-
-Array = NDArray[np.float64]
 
 
 def map_overview(
@@ -89,7 +87,7 @@ def _shown(grid: OccupancyGrid, estimate: Trajectory) -> tuple[float, float, flo
     return west, south, east, north
 
 
-def _plots(record: MapRecord, accuracy: Accuracy) -> list[tuple[str, str, Array, Array]]:
+def _plots(record: MapRecord, accuracy: Accuracy) -> list[tuple[str, str, FloatArray, FloatArray]]:
     """Return name, unit, stamps and errors of each plot that there is something for."""
     plots = []
     relations, reference = accuracy.relations, accuracy.reference
@@ -154,7 +152,7 @@ def _figures(axes: Axes, record: MapRecord) -> None:
     title(axes, "Figures")
 
 
-def _errors(axes: Axes, name: str, unit: str, seconds: Array, errors: Array) -> None:
+def _errors(axes: Axes, name: str, unit: str, seconds: FloatArray, errors: FloatArray) -> None:
     """Draw errors over time, each a dot, with their mean."""
     axes.plot(seconds, errors, ".", color=BLACK, markersize=1.6, rasterized=True)
     axes.axhline(float(errors.mean()), color=GREEN, linewidth=1.2)

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from lirs_validation.drawing.canvas import Canvas, Rgb
+from lirs_validation.drawing.canvas import Canvas
+from lirs_wct.arrays import FloatArray
 
 TURN = math.radians(-28)
 """The viewer stands to the south and a little to the west."""
@@ -17,15 +17,15 @@ CUT = (0.62, 0.60, 0.57)
 
 
 def oblique_view(
-    z: NDArray[np.float64],
-    tops: Rgb,
-    sides: Rgb,
+    z: FloatArray,
+    tops: FloatArray,
+    sides: FloatArray,
     canvas: Canvas,
     *,
     exaggeration: float = 1.0,
     tilt: float = math.radians(35),
     width: int = 1100,
-) -> Rgb:
+) -> FloatArray:
     """Return (rows, width, 4) an orthographic view of a block of ground; transparent around it.
 
     Args:
@@ -53,7 +53,7 @@ def oblique_view(
     return picture[::-1]
 
 
-def _turned(xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _turned(xy: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return rightward and depthward coordinates of points (n, 2) about the middle."""
     c, s = math.cos(TURN), math.sin(TURN)
     return c * xy[:, 0] + s * xy[:, 1], -s * xy[:, 0] + c * xy[:, 1]

@@ -8,7 +8,8 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from lirs_validation.drawing.canvas import Canvas, Rgb
+from lirs_validation.drawing.canvas import Canvas
+from lirs_wct.arrays import FloatArray
 
 DPI = 150
 TITLE, TEXT, SMALL = 10.5, 9.0, 8.0
@@ -33,7 +34,7 @@ def plain_axes(axes: Axes, x: str, y: str) -> None:
         spine.set_visible(side in ("left", "bottom"))
 
 
-def map_axes(axes: Axes, canvas: Canvas, picture: Rgb) -> None:
+def map_axes(axes: Axes, canvas: Canvas, picture: FloatArray) -> None:
     """Show a picture in metres, both axes alike."""
     axes.imshow(picture, extent=canvas.extent, interpolation="antialiased", zorder=0)
     plain_axes(axes, "x [m]", "y [m]")

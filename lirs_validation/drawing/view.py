@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
-from lirs_validation.drawing.canvas import Canvas, Rgb
+from lirs_validation.drawing.canvas import Canvas
 from lirs_validation.drawing.hillshade import WALL, coloured_relief, height_colours
 from lirs_validation.drawing.oblique import oblique_view
 from lirs_validation.drawing.style import (
@@ -28,6 +28,7 @@ from lirs_validation.drawing.style import (
     plain_axes,
     title,
 )
+from lirs_wct.arrays import FloatArray
 from lirs_wct.world import World
 
 WALL_TOP, WALL_SIDE = (0.47, 0.50, 0.56), (0.30, 0.32, 0.38)
@@ -61,7 +62,7 @@ def view_figure(world: World) -> Figure:
     return figure
 
 
-def block_picture(world: World, canvas: Canvas) -> Rgb:
+def block_picture(world: World, canvas: Canvas) -> FloatArray:
     """Return (rows, cols, 4) the world as a block seen at an angle; transparent around it."""
     tilt = math.radians(35 if world.walls is None else 50)
     tops, sides = _block_colours(world, canvas, coloured_relief(world, canvas))
@@ -70,7 +71,7 @@ def block_picture(world: World, canvas: Canvas) -> Rgb:
     )
 
 
-def _block_colours(world: World, canvas: Canvas, relief: Rgb) -> tuple[Rgb, Rgb]:
+def _block_colours(world: World, canvas: Canvas, relief: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (rows, cols, 3) colours of what lies level and of faces that rise, for the oblique view."""
     tops = relief.copy()
     if world.walls is not None:

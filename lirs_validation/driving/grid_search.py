@@ -9,14 +9,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
-
-Cells = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -28,10 +25,10 @@ class Reach:
         parent: (rows, cols) flat index of the cell before; -1 at a source.
     """
 
-    cost: NDArray[np.float64]
-    parent: NDArray[np.int64]
+    cost: FloatArray
+    parent: IntArray
 
-    def path(self, cell: tuple[int, int]) -> Cells:
+    def path(self, cell: tuple[int, int]) -> IntArray:
         """Return (n, 2) rows and columns from a source to a reached cell, both included."""
         cols = self.parent.shape[1]
         flat = cell[0] * cols + cell[1]
@@ -44,11 +41,11 @@ class Reach:
 
 
 def search(
-    weight: NDArray[np.float64],
-    sources: Cells,
+    weight: FloatArray,
+    sources: IntArray,
     resolution: float,
     *,
-    goals: Mask | None = None,
+    goals: BoolArray | None = None,
     slack: float = 0.0,
     limit: float = math.inf,
 ) -> Reach:
@@ -69,7 +66,7 @@ def search(
     return Reach(cost, parent)
 
 
-def area_round(grid: OccupancyGrid, start: Pose2) -> Mask:
+def area_round(grid: OccupancyGrid, start: Pose2) -> BoolArray:
     """Return (rows, cols) the connected free area nearest to a pose.
 
     Raises:
@@ -79,18 +76,18 @@ def area_round(grid: OccupancyGrid, start: Pose2) -> Mask:
     if not labels.any():
         raise ConfigError("a tour needs at least one free cell, got a grid without any")
     row, col = nearest(labels > 0, grid.cells((start.x, start.y)))
-    area: Mask = labels == labels[row, col]
+    area: BoolArray = labels == labels[row, col]
     return area
 
 
-def nearest(mask: Mask, cell: NDArray[np.int64]) -> NDArray[np.int64]:
+def nearest(mask: BoolArray, cell: IntArray) -> IntArray:
     """Return (2,) row and column of the marked cell nearest to a cell, which may lie outside."""
     cells = np.argwhere(mask).astype(np.int64)
-    found: NDArray[np.int64] = cells[int(np.argmin(np.sum((cells - cell) ** 2, axis=1)))]
+    found: IntArray = cells[int(np.argmin(np.sum((cells - cell) ** 2, axis=1)))]
     return found
 
 
-def cells_ahead(grid: OccupancyGrid, free: Mask, start: Pose2, distance: float) -> Cells:
+def cells_ahead(grid: OccupancyGrid, free: BoolArray, start: Pose2, distance: float) -> IntArray:
     """Return (n, 2) rows and columns on a straight line: the free cell nearest to a pose, then on.
 
     Args:
@@ -110,9 +107,7 @@ def cells_ahead(grid: OccupancyGrid, free: Mask, start: Pose2, distance: float) 
     return cells[: blocked[0]] if len(blocked) else cells
 
 
-def dear_behind(
-    weight: NDArray[np.float64], cell: NDArray[np.int64], heading: float, radius: float
-) -> NDArray[np.float64]:
+def dear_behind(weight: FloatArray, cell: IntArray, heading: float, radius: float) -> FloatArray:
     """Return weights with the ground just behind a robot made dear: a path then turns round in an arc.
 
     Args:

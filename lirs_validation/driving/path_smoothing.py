@@ -6,25 +6,23 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.grid import OccupancyGrid
-
-Points = NDArray[np.float64]
 
 SPACING = 0.1
 """Metres between the points of a path."""
 
 
 def smoothed(
-    points: Points,
+    points: FloatArray,
     grid: OccupancyGrid,
-    room: NDArray[np.float64],
+    room: FloatArray,
     *,
     keep: float,
     hold: int = 0,
     sweeps: int = 250,
-) -> Points:
+) -> FloatArray:
     """Pull a path tight like a rubber band that keeps its distance from what is blocked.
 
     Each sweep moves each point towards the middle of its neighbours (Laplacian smoothing) unless the
@@ -47,7 +45,7 @@ def smoothed(
     return resampled(grid.origin.apply(tight * grid.resolution), SPACING)
 
 
-def resampled(points: Points, spacing: float) -> Points:
+def resampled(points: FloatArray, spacing: float) -> FloatArray:
     """Return points about `spacing` apart along a polyline (n, 2), both ends kept."""
     arc = arc_length(points)
     if len(points) < 2 or arc[-1] < 1e-9:
@@ -58,12 +56,12 @@ def resampled(points: Points, spacing: float) -> Points:
     return np.column_stack([np.interp(at, arc[kept], points[kept, k]) for k in range(2)])
 
 
-def arc_length(points: Points) -> NDArray[np.float64]:
+def arc_length(points: FloatArray) -> FloatArray:
     """Return (n,) metres along a polyline (n, 2)."""
     return np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
 
 
-def curvature(points: Points, baseline: int = 3) -> NDArray[np.float64]:
+def curvature(points: FloatArray, baseline: int = 3) -> FloatArray:
     """Return (n,) 1/m: change of direction over `baseline` steps on both sides, by the distance."""
     n = len(points)
     i = np.arange(n)
@@ -72,7 +70,7 @@ def curvature(points: Points, baseline: int = 3) -> NDArray[np.float64]:
     turn = np.abs(np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.sum(a * b, axis=1)))
     length = (np.linalg.norm(a, axis=1) + np.linalg.norm(b, axis=1)) / 2
     ends = (i == 0) | (i == n - 1) | (length < 1e-9)
-    bend: NDArray[np.float64] = np.where(ends, 0.0, turn / np.where(ends, 1.0, length))
+    bend: FloatArray = np.where(ends, 0.0, turn / np.where(ends, 1.0, length))
     return bend
 
 

@@ -11,16 +11,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from lirs_validation.driving.grid_search import Reach, area_round, cells_ahead, dear_behind, search
 from lirs_validation.driving.path_smoothing import arc_length, smoothed
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
-
-Points = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,12 +78,12 @@ class CoveragePlanner:
         self.radius = min(self.config.radius, max(0.8, 0.2 * side))
         padded = np.pad(self._free, 1).astype(np.uint8)
         distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-        self.room: NDArray[np.float64] = np.where(self._free, distance * free.resolution, 0.0)
+        self.room: FloatArray = np.where(self._free, distance * free.resolution, 0.0)
         lack = 1 - np.minimum(self.room / self.config.room, 1.0)
         self._weight = np.where(self._free, 1 + (self.config.narrow - 1) * lack**2, np.inf)
         self._plain = np.where(self._free, 1.0, np.inf)
         self._covered_at = np.full(free.shape, -np.inf)
-        self._driven: Points = np.array([[start.x, start.y]])
+        self._driven: FloatArray = np.array([[start.x, start.y]])
         self._length = 0.0
         self._next_loop = self.config.loop
 
@@ -95,7 +92,7 @@ class CoveragePlanner:
         """Share of the reachable cells that the tours so far pass."""
         return float((self._covered_at[self._free] > -np.inf).mean())
 
-    def tour(self, start: Pose2, length: float, *, straight: float = 0.0) -> Points:
+    def tour(self, start: Pose2, length: float, *, straight: float = 0.0) -> FloatArray:
         """Return (n, 2) points 0.1 m apart: a free path from a pose, about `length` metres long.
 
         The first point is the middle of the free cell nearest to the pose.
@@ -126,7 +123,7 @@ class CoveragePlanner:
         points = np.concatenate(legs)
         return smoothed(points, self._grid, self.room, keep=self.config.room / 2, hold=len(ahead) - 1)
 
-    def room_at(self, points: Points) -> NDArray[np.float64]:
+    def room_at(self, points: FloatArray) -> FloatArray:
         """Return (n,) metres from points (n, 2) to the nearest blocked cell; 0 in one."""
         cells = np.clip(self._grid.cells(points), 0, np.array(self._free.shape) - 1)
         return self.room[cells[:, 0], cells[:, 1]]
@@ -144,7 +141,7 @@ class CoveragePlanner:
         near = cells[np.linalg.norm(self._grid.centres(cells) - np.array(point), axis=1) < radius]
         self._weight[near[:, 0], near[:, 1]] += 50.0
 
-    def _leg(self, cell: NDArray[np.int64], heading: float) -> NDArray[np.int64]:
+    def _leg(self, cell: IntArray, heading: float) -> IntArray:
         """Return cells (n, 2) from here to the next goal."""
         goals = self._goals(cell)
         if not goals.any():
@@ -156,7 +153,7 @@ class CoveragePlanner:
         reach = search(weight, cell[None], self._grid.resolution, goals=goals, slack=slack)
         return reach.path(self._choice(reach, goals, cell, heading))
 
-    def _goals(self, cell: NDArray[np.int64]) -> Mask:
+    def _goals(self, cell: IntArray) -> BoolArray:
         """Mark where to go next: an old place when a loop is due, else what no tour has covered yet.
 
         When all is covered, the fifth that was covered longest ago.
@@ -165,25 +162,25 @@ class CoveragePlanner:
         other[cell[0], cell[1]] = False
         if self._length >= self._next_loop:
             self._next_loop = self._length + self.config.loop * self._rng.uniform(0.7, 1.3)
-            old: Mask = self._old_places() & other
+            old: BoolArray = self._old_places() & other
             if old.any():
                 return old
         # Where there is room to turn round first: a dead end is mostly covered from its mouth.
-        roomy: Mask = other & (self.room >= self.config.room)
+        roomy: BoolArray = other & (self.room >= self.config.room)
         for candidates in (roomy, other):
-            never: Mask = candidates & (self._covered_at == -np.inf)
+            never: BoolArray = candidates & (self._covered_at == -np.inf)
             if never.any():
                 return never
         return self._long_ago(roomy if roomy.any() else other)
 
-    def _long_ago(self, candidates: Mask) -> Mask:
+    def _long_ago(self, candidates: BoolArray) -> BoolArray:
         """Mark the fifth of the candidates that was covered longest ago."""
         if not candidates.any():
             return candidates
-        oldest: Mask = candidates & (self._covered_at <= np.quantile(self._covered_at[candidates], 0.2))
+        oldest: BoolArray = candidates & (self._covered_at <= np.quantile(self._covered_at[candidates], 0.2))
         return oldest
 
-    def _old_places(self) -> Mask:
+    def _old_places(self) -> BoolArray:
         """Mark the cells of a few points, picked by chance, of the first half of the tour."""
         early = self._driven[: max(1, len(self._driven) // 2)]
         cells = self._grid.cells(early[self._rng.integers(len(early), size=8)])
@@ -192,7 +189,7 @@ class CoveragePlanner:
         mask[cells[:, 0], cells[:, 1]] = True
         return mask & self._free
 
-    def _choice(self, reach: Reach, goals: Mask, cell: NDArray[np.int64], heading: float) -> tuple[int, int]:
+    def _choice(self, reach: Reach, goals: BoolArray, cell: IntArray, heading: float) -> tuple[int, int]:
         """Choose among reached goals: near, ahead, and a little by chance."""
         reached = np.argwhere(goals & np.isfinite(reach.cost))
         if len(reached) > 300:
@@ -206,15 +203,15 @@ class CoveragePlanner:
         best = int(np.argmin(cost - self._gain(reached) + self._rng.uniform(0, 0.5, len(reached))))
         return int(reached[best, 0]), int(reached[best, 1])
 
-    def _gain(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
+    def _gain(self, cells: IntArray) -> FloatArray:
         """Return (n,) metres that going there is worth: 0 to 2 radii by the share of new ground around."""
         reach = max(1, round(self.radius / self._grid.resolution))
         new = (self._free & (self._covered_at == -np.inf)).astype(np.float32)
         share = cv2.boxFilter(new, -1, (2 * reach + 1, 2 * reach + 1), borderType=cv2.BORDER_CONSTANT)
-        worth: NDArray[np.float64] = 2 * self.radius * share[cells[:, 0], cells[:, 1]].astype(np.float64)
+        worth: FloatArray = 2 * self.radius * share[cells[:, 0], cells[:, 1]].astype(np.float64)
         return worth
 
-    def _cover(self, path: NDArray[np.int64]) -> None:
+    def _cover(self, path: IntArray) -> None:
         """Mark what lies within the radius of a path, measured on free ground and not through walls."""
         near = search(self._plain, path, self._grid.resolution, limit=self.radius)
         self._covered_at[np.isfinite(near.cost)] = self._length

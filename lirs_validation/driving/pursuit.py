@@ -6,16 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lirs_envs.robots.drive import Twist
 from lirs_validation.driving.path_smoothing import SPACING, arc_length, curvature
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, wrap_angle
-
-Points = NDArray[np.float64]
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +51,8 @@ class PursuitConfig:
 
 
 def speed_profile(
-    points: Points, room: Array, config: PursuitConfig, surface: HeightField | None = None
-) -> Array:
+    points: FloatArray, room: FloatArray, config: PursuitConfig, surface: HeightField | None = None
+) -> FloatArray:
     """Return (n,) m/s for the points of a path: slow in bends, narrow places and on steep ground.
 
     Args:
@@ -76,7 +73,7 @@ def speed_profile(
     return _accelerated(speed, config.acceleration)
 
 
-def _accelerated(speed: Array, acceleration: float) -> Array:
+def _accelerated(speed: FloatArray, acceleration: float) -> FloatArray:
     """Lower speeds until no step speeds up or brakes harder than the limit; the path ends at rest."""
     squared = np.square(speed).tolist()
     gain = 2 * acceleration * SPACING
@@ -85,7 +82,7 @@ def _accelerated(speed: Array, acceleration: float) -> Array:
         squared[k] = min(squared[k], squared[k - 1] + gain)
     for k in range(len(squared) - 2, -1, -1):
         squared[k] = min(squared[k], squared[k + 1] + gain)
-    profile: Array = np.sqrt(squared)
+    profile: FloatArray = np.sqrt(squared)
     return profile
 
 
@@ -101,7 +98,7 @@ class Pursuit:
     WINDOW = 1.5
     """Metres ahead in which the nearest point of the path is looked for: it never jumps a loop."""
 
-    def __init__(self, points: Points, speed: Array, config: PursuitConfig) -> None:
+    def __init__(self, points: FloatArray, speed: FloatArray, config: PursuitConfig) -> None:
         self.config = config
         self._x: list[float] = points[:, 0].tolist()
         self._y: list[float] = points[:, 1].tolist()

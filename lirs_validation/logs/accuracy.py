@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lirs_validation.metrics.association import associated
 from lirs_validation.metrics.planar import moved, planar, rigid_alignment, rms, wrapped
 from lirs_validation.metrics.relations import Relation, RelationErrors, relation_errors
+from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
 
@@ -20,8 +20,6 @@ WITHIN = 0.5
 """A reference pose is compared with the nearest scan, at most so many seconds away."""
 FEWEST = 2
 """Poses that an alignment needs."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -36,9 +34,9 @@ class ReferenceErrors:
         T_map_reference: where the reference's frame lies in the map, so that the two can be drawn together.
     """
 
-    stamps: Array
-    position: Array
-    yaw: Array
+    stamps: FloatArray
+    position: FloatArray
+    yaw: FloatArray
     outside: int
     T_map_reference: Pose2
 

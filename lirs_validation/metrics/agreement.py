@@ -8,17 +8,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.geometry.grid import OccupancyGrid
 
 TOLERANCE = 0.10
 """Two occupied cells agree where their centres are at most this far apart, metres."""
 ROUNDING = 1e-9
 """Cell centres that are 0.10 m apart but for rounding agree, metres."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,9 +72,7 @@ def cell_distance(asked: OccupancyGrid, other: OccupancyGrid) -> CellDistance | 
     return CellDistance(mean=float(distance.mean()), p95=float(np.percentile(distance, 95)))
 
 
-def contradicted(
-    asked: OccupancyGrid, other: OccupancyGrid, tolerance: float = TOLERANCE
-) -> NDArray[np.bool_]:
+def contradicted(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float = TOLERANCE) -> BoolArray:
     """Return (rows, cols) the occupied cells of a map, where the other knows, that it does not confirm."""
     cells, distance = nearest_occupied(asked, other)
     wrong = np.zeros(asked.shape, np.bool_)
@@ -84,7 +80,7 @@ def contradicted(
     return wrong
 
 
-def nearest_occupied(asked: OccupancyGrid, other: OccupancyGrid) -> tuple[NDArray[np.int64], Array]:
+def nearest_occupied(asked: OccupancyGrid, other: OccupancyGrid) -> tuple[IntArray, FloatArray]:
     """Return (n, 2) occupied cells where the other map knows, and (n,) metres to its nearest occupied cell.
 
     The distance is infinite where the other map has no occupied cell at all.
@@ -108,21 +104,19 @@ def decided(grid: OccupancyGrid) -> OccupancyGrid:
     return replace(grid, log_odds=log_odds)
 
 
-def sampled(grid: OccupancyGrid, like: OccupancyGrid) -> NDArray[np.float32]:
+def sampled(grid: OccupancyGrid, like: OccupancyGrid) -> Float32Array:
     """Return the log-odds of `grid` at the cell centres of another grid; NaN where unknown or outside."""
     rows, cols = like.shape
     cells = np.stack(np.meshgrid(np.arange(rows), np.arange(cols), indexing="ij"), axis=-1)
     return log_odds_at(grid, like.centres(cells))
 
 
-def log_odds_at(grid: OccupancyGrid, points: Array) -> NDArray[np.float32]:
+def log_odds_at(grid: OccupancyGrid, points: FloatArray) -> Float32Array:
     """Return the log-odds of the cells that hold points (..., 2); NaN outside."""
     cells = grid.cells(points)
     inside = np.all((cells >= 0) & (cells < np.array(grid.shape)), axis=-1)
     held = np.where(inside[..., None], cells, 0)
-    values: NDArray[np.float32] = np.where(
-        inside, grid.log_odds[held[..., 0], held[..., 1]], np.float32(np.nan)
-    )
+    values: Float32Array = np.where(inside, grid.log_odds[held[..., 0], held[..., 1]], np.float32(np.nan))
     return values
 
 

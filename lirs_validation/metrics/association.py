@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Indices = NDArray[np.int64]
+from lirs_wct.arrays import FloatArray, IntArray
 
 MAX_GAP = 0.02
 """Poses whose stamps differ by more than this (seconds) are not the same moment."""
 
 
 def associated(
-    first: NDArray[np.float64], second: NDArray[np.float64], *, max_gap: float = MAX_GAP
-) -> tuple[Indices, Indices]:
+    first: FloatArray, second: FloatArray, *, max_gap: float = MAX_GAP
+) -> tuple[IntArray, IntArray]:
     """Pair each stamp of the shorter list with the nearest of the longer, at most `max_gap` apart.
 
     Args:

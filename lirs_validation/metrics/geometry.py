@@ -6,21 +6,18 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
 
 STEEP = math.radians(45)
 """Faces steeper than this are obstacles, radians."""
 
-Points = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
 
 def near_obstacle(
-    points: Points, surface: HeightField, walls: WallGrid | None, distance: float, steep: float = STEEP
-) -> Mask:
+    points: FloatArray, surface: HeightField, walls: WallGrid | None, distance: float, steep: float = STEEP
+) -> BoolArray:
     """Return (n,) whether points (n, 2) lie within a distance of a steep face's footprint or a wall cell.
 
     Args:
@@ -31,7 +28,9 @@ def near_obstacle(
         steep: a face counts above this angle, radians.
     """
     xy = np.ascontiguousarray(points, dtype=np.float64)
-    near: Mask = _near_steep(xy, surface.south_up, surface.cell, surface.origin, distance, math.tan(steep))
+    near: BoolArray = _near_steep(
+        xy, surface.south_up, surface.cell, surface.origin, distance, math.tan(steep)
+    )
     if walls is not None:
         local = walls.origin.inverse().apply(xy)
         near |= _near_wall(local, walls.solid, walls.resolution, distance)

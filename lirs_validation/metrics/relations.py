@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_validation.metrics.planar import motion, planar, wrapped
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 CARRIED = 0.1
 """A pose farther than this from a relation's stamp is carried there by odometry, seconds."""
@@ -47,10 +46,10 @@ class RelationErrors:
         stamps: (n,) seconds, the earlier stamp of each relation.
     """
 
-    translation: Array
-    rotation: Array
+    translation: FloatArray
+    rotation: FloatArray
     outside: int
-    stamps: Array
+    stamps: FloatArray
 
 
 def read_relations(path: Path) -> tuple[Relation, ...]:
@@ -104,7 +103,7 @@ def relation_errors(
     )
 
 
-def poses_at(estimate: Trajectory, stamps: Array, odometry: Trajectory) -> Array:
+def poses_at(estimate: Trajectory, stamps: FloatArray, odometry: Trajectory) -> FloatArray:
     """Return (n, 3) the estimated poses nearest in time, carried to the stamps by odometry where far.
 
     Args:
@@ -122,7 +121,7 @@ def poses_at(estimate: Trajectory, stamps: Array, odometry: Trajectory) -> Array
     )
 
 
-def _nearest(stamps: Array, wanted: Array) -> NDArray[np.intp]:
+def _nearest(stamps: FloatArray, wanted: FloatArray) -> NDArray[np.intp]:
     """Return (n,) which of the stamps, increasing, is nearest; of two that are, the earlier."""
     after = np.clip(np.searchsorted(stamps, wanted), 0, len(stamps) - 1)
     before = np.maximum(after - 1, 0)

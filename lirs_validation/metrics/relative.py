@@ -9,13 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from lirs_validation.metrics.association import Indices, associated
+from lirs_validation.metrics.association import associated
 from lirs_validation.metrics.planar import motion, rms, wrapped
-
-Array = NDArray[np.float64]
+from lirs_wct.arrays import FloatArray, IntArray
 
 CLOSE = 2.0
 """Poses this near each other are related, metres: what one scan shows, the other shows too."""
@@ -57,7 +55,9 @@ class RelationError:
     relations: int
 
 
-def relative_error(true: Array, estimate: Array, pairs: tuple[Indices, Indices]) -> RelativeError | None:
+def relative_error(
+    true: FloatArray, estimate: FloatArray, pairs: tuple[IntArray, IntArray]
+) -> RelativeError | None:
     """Compare the motions of pairs of planar poses (n, 3); None where there is no pair.
 
     Sturm et al. 2012, Eq. 1: E = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j).
@@ -68,7 +68,7 @@ def relative_error(true: Array, estimate: Array, pairs: tuple[Indices, Indices])
     return RelativeError(translation_rmse=rms(shift), rotation_rmse=rms(turn), pairs=len(shift))
 
 
-def relation_error(true: Array, estimate: Array) -> RelationError | None:
+def relation_error(true: FloatArray, estimate: FloatArray) -> RelationError | None:
     """Compare the relations between close poses of planar trajectories (n, 3); None where there are none.
 
     Kuemmerle et al. 2009, Eqs. 2-3 with absolute instead of squared errors, as in their tables. The
@@ -89,7 +89,7 @@ def relation_error(true: Array, estimate: Array) -> RelationError | None:
     )
 
 
-def pairs_by_path(poses: Array, delta: float) -> tuple[Indices, Indices]:
+def pairs_by_path(poses: FloatArray, delta: float) -> tuple[IntArray, IntArray]:
     """Return consecutive pairs of planar poses (n, 3), each `delta` metres of path apart or just above."""
     steps = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1)
     marks, driven = [0], 0.0
@@ -102,7 +102,7 @@ def pairs_by_path(poses: Array, delta: float) -> tuple[Indices, Indices]:
     return ids[:-1], ids[1:]
 
 
-def pairs_by_time(stamps: Array, delta: float) -> tuple[Indices, Indices]:
+def pairs_by_time(stamps: FloatArray, delta: float) -> tuple[IntArray, IntArray]:
     """Return every pair of stamps (n,) that are `delta` seconds apart, to the nearest stamp."""
     gap = float(np.median(np.diff(stamps))) if len(stamps) > 1 else delta
     late = np.flatnonzero(stamps <= stamps[-1] - delta + gap / 2)
@@ -110,7 +110,7 @@ def pairs_by_time(stamps: Array, delta: float) -> tuple[Indices, Indices]:
     return late[ahead].astype(np.int64), back
 
 
-def related_pairs(poses: Array) -> tuple[Indices, Indices]:
+def related_pairs(poses: FloatArray) -> tuple[IntArray, IntArray]:
     """Return pairs of planar poses (n, 3) that lie close together, of those a metre of path apart."""
     first, second = pairs_by_path(poses, APART)
     marks = np.append(first, second[-1:])
@@ -119,7 +119,9 @@ def related_pairs(poses: Array) -> tuple[Indices, Indices]:
     return marks[ordered[:, 0]], marks[ordered[:, 1]]
 
 
-def _differences(true: Array, estimate: Array, pairs: tuple[Indices, Indices]) -> tuple[Array, Array]:
+def _differences(
+    true: FloatArray, estimate: FloatArray, pairs: tuple[IntArray, IntArray]
+) -> tuple[FloatArray, FloatArray]:
     """Return (n,) lengths and (n,) signed turns of what the motion between each pair's poses is off."""
     i, j = pairs
     q, p = motion(true[i], true[j]), motion(estimate[i], estimate[j])

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from lirs_validation.metrics.agreement import sampled
+from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
 
 WINDOW, SIGMA = 11, 1.5
 """Side and standard deviation of the Gaussian window, cells (Wang et al., Sec. III-C)."""
 K1, K2 = 0.01, 0.03
 """Constants that keep the quotients finite, as in the paper, for pictures in [0, 1]."""
-
-Picture = NDArray[np.float64]
 
 
 def map_ssim(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
@@ -30,13 +28,13 @@ def map_ssim(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
     return float(similarity(as_picture(moved), as_picture(reference))[both].mean())
 
 
-def as_picture(grid: OccupancyGrid) -> Picture:
+def as_picture(grid: OccupancyGrid) -> FloatArray:
     """Return (rows, cols) 0 for occupied, 1 for free, 0.5 for all else; row 0 = south."""
     p = grid.probability
     return np.where(p > OCCUPIED, 0.0, np.where(p < FREE, 1.0, 0.5))
 
 
-def similarity(x: Picture, y: Picture) -> Picture:
+def similarity(x: FloatArray, y: FloatArray) -> FloatArray:
     """Return the structural similarity about each pixel of two pictures (rows, cols) in [0, 1].
 
     Wang et al., "Image Quality Assessment: From Error Visibility to Structural Similarity" (IEEE TIP
@@ -45,11 +43,11 @@ def similarity(x: Picture, y: Picture) -> Picture:
     c1, c2 = K1**2, K2**2
     mx, my = _mean(x), _mean(y)
     vx, vy, cov = _mean(x * x) - mx * mx, _mean(y * y) - my * my, _mean(x * y) - mx * my
-    above: Picture = (2 * mx * my + c1) * (2 * cov + c2)
+    above: FloatArray = (2 * mx * my + c1) * (2 * cov + c2)
     return above / ((mx * mx + my * my + c1) * (vx + vy + c2))
 
 
-def _mean(picture: Picture) -> Picture:
+def _mean(picture: FloatArray) -> FloatArray:
     """Return the mean under the Gaussian window about each pixel."""
     blurred = cv2.GaussianBlur(picture, (WINDOW, WINDOW), SIGMA, borderType=cv2.BORDER_REFLECT)
     return np.asarray(blurred, dtype=np.float64)

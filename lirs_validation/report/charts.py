@@ -12,12 +12,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from lirs_validation.analysis.groups import Cell, by_cell, telling
 from lirs_validation.record.metric_catalogue import Figure, rtf_counts
 from lirs_validation.report.sheets import sound
 from lirs_validation.report.svg import INK, SMALL, as_svg, colour_of, plain
+from lirs_wct.arrays import FloatArray
 
 Entry = Mapping[str, Any]
 
@@ -60,7 +60,7 @@ def rtf_chart(entries: Sequence[Entry]) -> tuple[str, int] | None:
     return as_svg(drawing, label, "rtf"), len(panels) - len(shown)
 
 
-def series_band(runs: Sequence[Entry]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def series_band(runs: Sequence[Entry]) -> tuple[FloatArray, FloatArray]:
     """Return (n,) mean and (n,) standard deviation of the RTF at each simulated second.
 
     Over the runs that drove so long; of one run, over the seconds up to `AROUND` before and after.

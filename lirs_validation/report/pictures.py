@@ -8,16 +8,16 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from lirs_validation.analysis.recorded import recorded_config
 from lirs_validation.analysis.result_folders import RunFolder
-from lirs_validation.drawing.canvas import Canvas, Mask, Rgb
+from lirs_validation.drawing.canvas import Canvas
 from lirs_validation.drawing.hillshade import coloured_relief
 from lirs_validation.drawing.overview import bounds_shown, shown_bounds
 from lirs_validation.drawing.style import BLUE, VERMILLION
 from lirs_validation.experiment.scenario import StageCache
 from lirs_validation.metrics.agreement import contradicted
+from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
 from lirs_wct.errors import WctError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
@@ -74,9 +74,9 @@ class Painter:
         run: RunFolder,
         tracks: tuple[Trajectory, Trajectory],
         maps: tuple[OccupancyGrid, OccupancyGrid],
-        wrong: Mask,
+        wrong: BoolArray,
         tile: int,
-    ) -> tuple[Rgb, str]:
+    ) -> tuple[FloatArray, str]:
         """Return the three panels side by side, and what is not in them; the truth comes first."""
         (truth, estimate), (true_pose, built) = tracks, maps
         note = ""
@@ -94,7 +94,7 @@ class Painter:
         return _beside((paths, reference, made)), note
 
 
-def _with_paths(picture: Rgb, canvas: Canvas, truth: Trajectory, estimate: Trajectory) -> Rgb:
+def _with_paths(picture: FloatArray, canvas: Canvas, truth: Trajectory, estimate: Trajectory) -> FloatArray:
     painted = np.ascontiguousarray(picture * 255, dtype=np.uint8)
     for track, colour, width in ((truth, BLUE, 7), (estimate, VERMILLION, 2)):
         xy = (track.xy - (canvas.bounds[0], canvas.bounds[3])) / (canvas.pixel, -canvas.pixel) - 0.5
@@ -104,14 +104,14 @@ def _with_paths(picture: Rgb, canvas: Canvas, truth: Trajectory, estimate: Traje
     return painted / 255.0
 
 
-def _beside(panels: Sequence[Rgb]) -> Rgb:
+def _beside(panels: Sequence[FloatArray]) -> FloatArray:
     rows = panels[0].shape[0]
     gap = np.ones((rows, GAP, 3))
     return np.concatenate([part for panel in panels for part in (panel, gap)][:-1], axis=1)
 
 
-def _webp(picture: Rgb) -> str:
-    pixels: NDArray[np.uint8] = np.round(picture[..., ::-1] * 255).astype(np.uint8)
+def _webp(picture: FloatArray) -> str:
+    pixels: ByteArray = np.round(picture[..., ::-1] * 255).astype(np.uint8)
     _, data = cv2.imencode(".webp", pixels, (cv2.IMWRITE_WEBP_QUALITY, QUALITY))
     return "data:image/webp;base64," + base64.b64encode(data.tobytes()).decode()
 

@@ -12,13 +12,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import BoolArray, Float32Array
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
-
-Floats = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +95,7 @@ def contact_grid(surface: HeightField, budget: ContactBudget | None = None) -> C
     return _figures(surface, 1, budget, 0.0, 0.0)
 
 
-def steep_nodes(z: Floats, cell: tuple[float, float], steep: float) -> Mask:
+def steep_nodes(z: Float32Array, cell: tuple[float, float], steep: float) -> BoolArray:
     """Return (rows, cols) the nodes (row 0 = south) of triangles that are at least as steep as an angle."""
     sw, se, nw, ne = z[:-1, :-1], z[:-1, 1:], z[1:, :-1], z[1:, 1:]
     limit = math.tan(steep)
@@ -128,7 +125,9 @@ def _figures(
     )
 
 
-def _measured(z: Floats, steep: Mask, stride: int, budget: ContactBudget) -> tuple[float, float] | None:
+def _measured(
+    z: Float32Array, steep: BoolArray, stride: int, budget: ContactBudget
+) -> tuple[float, float] | None:
     """Return the deviation, vertical in metres and horizontal in cells; None where it breaks the budget."""
     contact = np.empty_like(z)
     vertical = float(_resampled(_coarse(z, stride), stride, z, steep, budget.vertical, contact))
@@ -146,7 +145,7 @@ def _measured(z: Floats, steep: Mask, stride: int, budget: ContactBudget) -> tup
     return None
 
 
-def _coarse(z: Floats, stride: int) -> Floats:
+def _coarse(z: Float32Array, stride: int) -> Float32Array:
     """Return every stride-th node from the south-west; a last one beyond the border where it takes one."""
     for axis in (0, 1):
         z = np.moveaxis(z, axis, 0)
@@ -160,7 +159,9 @@ def _coarse(z: Floats, stride: int) -> Floats:
 
 
 @njit(cache=True)
-def _resampled(coarse: Floats, stride: int, z: Floats, steep: Mask, limit: float, contact: Floats) -> float:
+def _resampled(
+    coarse: Float32Array, stride: int, z: Float32Array, steep: BoolArray, limit: float, contact: Float32Array
+) -> float:
     """Fill `contact` with the coarse grid at every node; return the largest deviation at gentle ones.
 
     Stops at the first gentle node that deviates by more than `limit`.

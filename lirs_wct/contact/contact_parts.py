@@ -7,10 +7,10 @@ from importlib import import_module
 from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.export.export_settings import Finish
 from lirs_wct.geometry.heightfield import HeightField
@@ -30,9 +30,6 @@ DEPTH = 1.0
 """Metres that a prism reaches below the lowest ground; contacts push out the shorter way: up."""
 CONCAVITY = 0.01
 """How far a part's hull may be from the part, as CoACD measures it (Wei et al. 2022)."""
-
-Part = NDArray[np.float64]
-"""(n, 3) corners of a convex part, world frame, metres."""
 
 
 class Ground(Protocol):
@@ -85,7 +82,7 @@ def check_terrain(terrain: str, world: Ground) -> None:
         raise ConfigError(f"{world.name}: terrain convex is for closed meshes; take hfield, mesh or prisms")
 
 
-def contact_parts(world: Ground, terrain: Terrain) -> Iterator[Part]:
+def contact_parts(world: Ground, terrain: Terrain) -> Iterator[FloatArray]:
     """Yield the convex parts of a world.
 
     Raises:
@@ -94,7 +91,7 @@ def contact_parts(world: Ground, terrain: Terrain) -> Iterator[Part]:
     return prisms(world) if terrain == "prisms" else convex_parts(world.mesh)
 
 
-def prisms(world: Ground) -> Iterator[Part]:
+def prisms(world: Ground) -> Iterator[FloatArray]:
     """Yield one prism for each triangle of the simplified mesh that is seen from above.
 
     Raises:
@@ -116,7 +113,7 @@ def prisms(world: Ground) -> Iterator[Part]:
     yield from np.concatenate((corners, base), axis=1)
 
 
-def convex_parts(mesh: TriangleMesh) -> Iterator[Part]:
+def convex_parts(mesh: TriangleMesh) -> Iterator[FloatArray]:
     """Yield the parts of an approximate convex decomposition.
 
     Wei et al. 2022, "Approximate convex decomposition for 3D meshes with collision-aware concavity and

@@ -11,8 +11,8 @@ import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.contact.contact_grid import ContactGrid
 from lirs_wct.contact.contact_parts import Ground, Terrain, check_terrain, contact_parts
 from lirs_wct.geometry.heightfield import HeightField
@@ -78,12 +78,12 @@ def world_spec(
     return spec
 
 
-def box_geoms(walls: WallGrid) -> NDArray[np.float64]:
+def box_geoms(walls: WallGrid) -> FloatArray:
     """Return (n, 4) the walls' boxes: centre x, y in the world, half extents along the grid's axes."""
     return _boxes(walls, merged_boxes(walls))
 
 
-def _boxes(walls: WallGrid, rectangles: NDArray[np.int64]) -> NDArray[np.float64]:
+def _boxes(walls: WallGrid, rectangles: IntArray) -> FloatArray:
     boxes = np.asarray(rectangles, dtype=np.float64).reshape(-1, 4) * walls.resolution
     centre = walls.origin.apply((boxes[:, [1, 0]] + boxes[:, [3, 2]]) / 2)
     half = (boxes[:, [3, 2]] - boxes[:, [1, 0]]) / 2
@@ -122,7 +122,7 @@ def _add_ground(
 def _add_boxes(
     spec: mujoco.MjSpec,
     walls: WallGrid,
-    cells: NDArray[np.bool_],
+    cells: BoolArray,
     span: tuple[float, float],
     group: int,
     colour: tuple[float, ...],

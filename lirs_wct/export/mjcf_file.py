@@ -10,8 +10,8 @@ from zlib import crc32
 import cv2
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import ByteArray
 from lirs_wct.contact.contact_parts import Ground, Terrain
 from lirs_wct.export.mjcf import world_spec
 from lirs_wct.files import atomic_write
@@ -110,7 +110,7 @@ def _dress(spec: mujoco.MjSpec, surface: HeightField, folder: Path, texture: Pat
     ground.material, ground.rgba = "ground", (1.0, 1.0, 1.0, 1.0)
 
 
-def spread(picture: NDArray[np.uint8], size: tuple[float, float], span: float) -> NDArray[np.uint8]:
+def spread(picture: ByteArray, size: tuple[float, float], span: float) -> ByteArray:
     """Return a picture that covers width x depth metres with tiles of `span` metres from its lower left."""
     width, depth = size
     tiles = max(size) / span
@@ -118,7 +118,7 @@ def spread(picture: NDArray[np.uint8], size: tuple[float, float], span: float) -
     x, y = ((np.arange(max(1, round(pixels * side / max(size)))) + 0.5) for side in size)
     u, v = x / len(x) * width / span % 1, y[::-1] / len(y) * depth / span % 1
     rows, cols = picture.shape[:2]
-    laid: NDArray[np.uint8] = picture[np.ix_(rows - 1 - (v * rows).astype(int), (u * cols).astype(int))]
+    laid: ByteArray = picture[np.ix_(rows - 1 - (v * rows).astype(int), (u * cols).astype(int))]
     return laid
 
 

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
 from lirs_wct.formats import flat_yaml
@@ -26,8 +27,6 @@ WRITTEN_FREE = 0.196
 """`free_thresh` that keeps a pixel of 205 (p = 0.19608) unknown."""
 LEVELS = np.arange(256, dtype=np.uint8)[None, :]
 """Every pixel that 8 bits can hold: a map of millions is graded by looking them up."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,13 +124,13 @@ def _grid(metadata: MapMetadata, max_pixels: int | None) -> OccupancyGrid:
     return OccupancyGrid.from_probability(p[::-1], metadata.resolution, metadata.origin)
 
 
-def _probability(pixels: NDArray[Any], metadata: MapMetadata) -> Array:
+def _probability(pixels: NDArray[Any], metadata: MapMetadata) -> FloatArray:
     """Return (rows, cols) probabilities, row 0 = north, NaN = unknown.
 
     Trinary and raw maps average alpha with the colours; scaled ones take any transparency as unknown.
     """
     if pixels.ndim == 2 and pixels.dtype == np.uint8 and pixels.size > LEVELS.size:
-        graded: Array = _probability(LEVELS, metadata)[0][pixels]
+        graded: FloatArray = _probability(LEVELS, metadata)[0][pixels]
         return graded
     full = float(np.iinfo(pixels.dtype).max) if np.issubdtype(pixels.dtype, np.integer) else 1.0
     shade = pixels.astype(np.float64) / full

@@ -7,8 +7,8 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.files import atomic_write
 from lirs_wct.geometry.trajectory import Trajectory
@@ -51,7 +51,7 @@ def read_tum(path: Path) -> Trajectory:
     return _trajectory(path, np.array(rows))
 
 
-def _trajectory(path: Path, rows: NDArray[np.float64]) -> Trajectory:
+def _trajectory(path: Path, rows: FloatArray) -> Trajectory:
     """Return the poses of rows (n, 8) as the file orders them."""
     quaternions = np.roll(rows[:, 4:], 1, axis=1)
     length = np.linalg.norm(quaternions, axis=1, keepdims=True)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 
@@ -29,7 +30,7 @@ class OccupancyGrid:
         ConfigError: resolution is not positive or the array has the wrong shape or type.
     """
 
-    log_odds: NDArray[np.float32]
+    log_odds: Float32Array
     resolution: float
     origin: Pose2 = field(default_factory=Pose2)
 
@@ -54,36 +55,36 @@ class OccupancyGrid:
         return self.log_odds.shape[0], self.log_odds.shape[1]
 
     @property
-    def probability(self) -> NDArray[np.float32]:
+    def probability(self) -> Float32Array:
         """(rows, cols) probability of being occupied, NaN = unknown."""
         return (1 / (1 + np.exp(-self.log_odds))).astype(np.float32)
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def known(self) -> BoolArray:
         """(rows, cols) cells about which something is known."""
         return ~np.isnan(self.log_odds)
 
     @property
-    def occupied(self) -> NDArray[np.bool_]:
+    def occupied(self) -> BoolArray:
         """(rows, cols) known cells with p > 0.65."""
         return self.probability > OCCUPIED
 
     @property
-    def free(self) -> NDArray[np.bool_]:
+    def free(self) -> BoolArray:
         """(rows, cols) known cells with p < 0.25."""
         return self.probability < FREE
 
-    def cells(self, points: ArrayLike) -> NDArray[np.int64]:
+    def cells(self, points: ArrayLike) -> IntArray:
         """Return (..., 2) row and column of points (..., 2) in the grid's frame; may lie outside."""
         local = self.origin.inverse().apply(points)
         return np.floor(local[..., ::-1] / self.resolution).astype(np.int64)
 
-    def centres(self, cells: ArrayLike) -> NDArray[np.float64]:
+    def centres(self, cells: ArrayLike) -> FloatArray:
         """Return (..., 2) the centres of cells (..., 2) given as row, column, in the grid's frame."""
         rc = np.asarray(cells, dtype=np.float64)
         return self.origin.apply((rc[..., ::-1] + 0.5) * self.resolution)
 
-    def occupied_points(self) -> NDArray[np.float64]:
+    def occupied_points(self) -> FloatArray:
         """Return (n, 2) centres of the occupied cells."""
         return self.centres(np.argwhere(self.occupied))
 

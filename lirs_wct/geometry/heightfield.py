@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.errors import ConfigError
 
 
@@ -25,7 +26,7 @@ class HeightField:
         ConfigError: fewer than 2x2 nodes, a height that is not finite, or a spacing not above 0.
     """
 
-    z: NDArray[np.float32]
+    z: Float32Array
     cell: tuple[float, float]
     origin: tuple[float, float]
 
@@ -40,7 +41,7 @@ class HeightField:
             raise ConfigError("heights of a height field must be finite")
 
     @staticmethod
-    def centred(z: NDArray[np.float32], cell: tuple[float, float]) -> HeightField:
+    def centred(z: Float32Array, cell: tuple[float, float]) -> HeightField:
         """Build with the picture's centre at the world's origin."""
         rows, cols = z.shape
         return HeightField(z, cell, (-(cols - 1) * cell[0] / 2, -(rows - 1) * cell[1] / 2))
@@ -68,18 +69,18 @@ class HeightField:
         return float(self.z.max() - self.z.min())
 
     @property
-    def south_up(self) -> NDArray[np.float32]:
+    def south_up(self) -> Float32Array:
         """(rows, cols) heights with row 0 = south: the one place where the y axis is flipped."""
         return np.ascontiguousarray(self.z[::-1])
 
-    def contains(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
+    def contains(self, x: ArrayLike, y: ArrayLike) -> BoolArray:
         """Whether points lie on the field, border included."""
         w, s, e, n = self.bounds
         px, py = np.asarray(x), np.asarray(y)
-        inside: NDArray[np.bool_] = (px >= w) & (px <= e) & (py >= s) & (py <= n)
+        inside: BoolArray = (px >= w) & (px <= e) & (py >= s) & (py <= n)
         return inside
 
-    def height_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+    def height_at(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
         """Return the surface height at points (broadcast), metres; NaN off the field.
 
         Linear on each triangle, so equal to the mesh of the full grid.
@@ -99,8 +100,8 @@ class HeightField:
         above = sw + u * (ne - nw) + v * (nw - sw)
         return np.where(inside, np.where(u >= v, below, above), np.nan)
 
-    def slope(self) -> NDArray[np.float64]:
+    def slope(self) -> FloatArray:
         """Return (rows, cols) the steepest angle at each node, radians (central differences)."""
         dz_dy, dz_dx = np.gradient(self.z.astype(np.float64), self.cell[1], self.cell[0])
-        angle: NDArray[np.float64] = np.arctan(np.hypot(dz_dx, dz_dy))
+        angle: FloatArray = np.arctan(np.hypot(dz_dx, dz_dy))
         return angle

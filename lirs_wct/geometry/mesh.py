@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray, Int32Array
 from lirs_wct.errors import ConfigError
 
 
@@ -25,10 +25,10 @@ class TriangleMesh:
         ConfigError: an array has the wrong shape.
     """
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    uv: NDArray[np.float64] | None = None
-    normals: NDArray[np.float64] | None = None
+    vertices: FloatArray
+    faces: Int32Array
+    uv: FloatArray | None = None
+    normals: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.vertices)
@@ -40,17 +40,17 @@ class TriangleMesh:
             raise ConfigError(f"mesh of {n} vertices has arrays of the wrong shape: {', '.join(wrong)}")
 
     @property
-    def bounds(self) -> NDArray[np.float64]:
+    def bounds(self) -> FloatArray:
         """(2, 3) lowest and highest corner, metres."""
         return np.stack((self.vertices.min(axis=0), self.vertices.max(axis=0)))
 
     @property
-    def face_normals(self) -> NDArray[np.float64]:
+    def face_normals(self) -> FloatArray:
         """(m, 3) unit normals; zero for a triangle without area."""
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         n = np.cross(b - a, c - a)
         length = np.linalg.norm(n, axis=1, keepdims=True)
-        unit: NDArray[np.float64] = np.divide(n, length, out=np.zeros_like(n), where=length > 0)
+        unit: FloatArray = np.divide(n, length, out=np.zeros_like(n), where=length > 0)
         return unit
 
     @property

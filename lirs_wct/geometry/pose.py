@@ -10,9 +10,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from lirs_wct.arrays import FloatArray
 
 
 def wrap_angle(angle: float) -> float:
@@ -42,7 +42,7 @@ class Pose2:
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         return Pose2(-c * self.x - s * self.y, s * self.x - c * self.y, wrap_angle(-self.yaw))
 
-    def apply(self, points: ArrayLike) -> Array:
+    def apply(self, points: ArrayLike) -> FloatArray:
         """Map points (..., 2) from frame b to frame a."""
         p = np.asarray(points, dtype=np.float64)
         c, s = math.cos(self.yaw), math.sin(self.yaw)
@@ -54,7 +54,7 @@ class Pose2:
         """Return the Euclidean distance between the two origins, in metres."""
         return math.hypot(self.x - other.x, self.y - other.y)
 
-    def as_array(self) -> Array:
+    def as_array(self) -> FloatArray:
         """Return (3,): x, y, yaw."""
         return np.array((self.x, self.y, self.yaw))
 
@@ -119,24 +119,24 @@ class Pose3:
         px, py, pz = (-np.array((self.x, self.y, self.z)) @ self.rotation).tolist()
         return Pose3(px, py, pz, self.qw, -self.qx, -self.qy, -self.qz)
 
-    def apply(self, points: ArrayLike) -> Array:
+    def apply(self, points: ArrayLike) -> FloatArray:
         """Map points (..., 3) from frame b to frame a."""
         p = np.asarray(points, dtype=np.float64)
-        mapped: Array = p @ self.rotation.T + np.array((self.x, self.y, self.z))
+        mapped: FloatArray = p @ self.rotation.T + np.array((self.x, self.y, self.z))
         return mapped
 
     @property
-    def position(self) -> Array:
+    def position(self) -> FloatArray:
         """(3,) translation in metres."""
         return np.array((self.x, self.y, self.z))
 
     @property
-    def quaternion(self) -> Array:
+    def quaternion(self) -> FloatArray:
         """(4,) unit quaternion, wxyz."""
         return np.array((self.qw, self.qx, self.qy, self.qz))
 
     @property
-    def rotation(self) -> Array:
+    def rotation(self) -> FloatArray:
         """(3, 3) rotation matrix."""
         w, x, y, z = self.qw, self.qx, self.qy, self.qz
         return np.array(

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose3
 
@@ -29,7 +29,7 @@ class LaserScan:
         ConfigError: ranges are not a vector of float32.
     """
 
-    ranges: NDArray[np.float32]
+    ranges: Float32Array
     angle_min: float
     angle_increment: float
     range_min: float
@@ -45,12 +45,12 @@ class LaserScan:
             )
 
     @property
-    def angles(self) -> NDArray[np.float64]:
+    def angles(self) -> FloatArray:
         """(n,) beam angles in the sensor frame, radians."""
         return self.angle_min + self.angle_increment * np.arange(len(self.ranges), dtype=np.float64)
 
     @property
-    def hits(self) -> NDArray[np.bool_]:
+    def hits(self) -> BoolArray:
         """(n,) which beams met something within the sensor's range."""
         return np.isfinite(self.ranges) & (self.ranges >= self.range_min) & (self.ranges <= self.range_max)
 

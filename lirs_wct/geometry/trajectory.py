@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Pose3
 
@@ -25,9 +25,9 @@ class Trajectory:
         ConfigError: lengths differ or stamps do not increase.
     """
 
-    stamps: NDArray[np.float64]
-    positions: NDArray[np.float64]
-    quaternions: NDArray[np.float64]
+    stamps: FloatArray
+    positions: FloatArray
+    quaternions: FloatArray
 
     def __post_init__(self) -> None:
         n = len(self.stamps)
@@ -53,15 +53,15 @@ class Trajectory:
         return len(self.stamps)
 
     @property
-    def xy(self) -> NDArray[np.float64]:
+    def xy(self) -> FloatArray:
         """(n, 2) metres."""
         return self.positions[:, :2]
 
     @property
-    def yaw(self) -> NDArray[np.float64]:
+    def yaw(self) -> FloatArray:
         """(n,) radians."""
         w, x, y, z = self.quaternions.T
-        yaw: NDArray[np.float64] = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        yaw: FloatArray = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         return yaw
 
     @property
@@ -73,7 +73,7 @@ class Trajectory:
         """Return pose i projected on the plane."""
         return Pose2(float(self.positions[i, 0]), float(self.positions[i, 1]), float(self.yaw[i]))
 
-    def planar_at(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+    def planar_at(self, stamps: FloatArray) -> FloatArray:
         """Return (m, 3) x, y, yaw at stamps (m,): linear between neighbours, the end pose beyond the ends.
 
         Metres and radians; the yaw turns the short way round and may leave (-pi, pi].

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 
@@ -27,11 +27,11 @@ class WallGrid:
             wall is left, or resolution or height is not above 0.
     """
 
-    solid: NDArray[np.bool_]
+    solid: BoolArray
     resolution: float
     origin: Pose2 = field(default_factory=Pose2)
     height: float = 1.0
-    hole: NDArray[np.bool_] | None = None
+    hole: BoolArray | None = None
 
     def __post_init__(self) -> None:
         if self.solid.ndim != 2 or self.solid.dtype != np.bool_:
@@ -57,12 +57,12 @@ class WallGrid:
         return self.solid.shape[0], self.solid.shape[1]
 
     @property
-    def floor(self) -> NDArray[np.bool_]:
+    def floor(self) -> BoolArray:
         """(rows, cols) bool, the cells that are neither wall nor hole."""
         return ~self.solid if self.hole is None else ~(self.solid | self.hole)
 
     @property
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> FloatArray:
         """(4, 2) outer corners in the world frame, counter-clockwise from cell (0, 0)."""
         h, w = self.solid.shape[0] * self.resolution, self.solid.shape[1] * self.resolution
         return self.origin.apply(((0.0, 0.0), (w, 0.0), (w, h), (0.0, h)))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
 
@@ -16,7 +16,7 @@ SUN = np.array((-0.5, 0.5, 0.7071))
 """Unit vector towards the light: north-west, 45 deg up."""
 
 
-def ground_texture(surface: HeightField, walls: WallGrid | None = None) -> NDArray[np.uint8]:
+def ground_texture(surface: HeightField, walls: WallGrid | None = None) -> ByteArray:
     """Return (1024, 1024, 3) BGR: what cube projection lays on the upper side, row 0 = north.
 
     The square's lower-left corner is the surface's south-west corner and its edge the longer of
@@ -34,9 +34,7 @@ def ground_texture(surface: HeightField, walls: WallGrid | None = None) -> NDArr
     return np.ascontiguousarray(rgb[..., ::-1])
 
 
-def _earth(
-    surface: HeightField, x: NDArray[np.float64], y: NDArray[np.float64], pixel: float
-) -> NDArray[np.uint8]:
+def _earth(surface: HeightField, x: FloatArray, y: FloatArray, pixel: float) -> ByteArray:
     # Strip by strip and colour by colour: the whole would take a hundred megabytes for a moment.
     z = np.concatenate([surface.height_at(x, strip) for strip in np.array_split(y, 16)])
     np.nan_to_num(z, copy=False, nan=float(surface.z.min()))
@@ -50,15 +48,15 @@ def _earth(
     return rgb
 
 
-def _light(z: NDArray[np.float64], pixel: float) -> NDArray[np.float64]:
+def _light(z: FloatArray, pixel: float) -> FloatArray:
     """Return how bright each node is: Lambert's cosine under `SUN`, from 0.55 in the shade."""
     dz_dy, dz_dx = np.gradient(z, pixel)
     cosine = (-dz_dx * SUN[0] + dz_dy * SUN[1] + SUN[2]) / np.sqrt(dz_dx**2 + dz_dy**2 + 1)
-    light: NDArray[np.float64] = 0.55 + 0.6 * np.clip(cosine, 0, 1)
+    light: FloatArray = 0.55 + 0.6 * np.clip(cosine, 0, 1)
     return light
 
 
-def _on_wall(walls: WallGrid, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _on_wall(walls: WallGrid, x: FloatArray, y: FloatArray) -> BoolArray:
     local = walls.origin.inverse().apply(np.stack((x, y), axis=-1)) / walls.resolution
     col, row = np.floor(local[..., 0]).astype(int), np.floor(local[..., 1]).astype(int)
     inside = (row >= 0) & (row < walls.shape[0]) & (col >= 0) & (col < walls.shape[1])

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import Float32Array
 from lirs_wct.meshing.tin import BORDER, POINTS, STRIDE, TOP, TRIANGLES, WORST, Tin, insert_point, kernel
 
 DONE, FULL = 0, 1
@@ -18,7 +18,7 @@ DONE, FULL = 0, 1
 
 
 @kernel
-def refine(tin: Tin, z: NDArray[np.float32], cols: int, max_error: float, max_faces: int) -> int:
+def refine(tin: Tin, z: Float32Array, cols: int, max_error: float, max_faces: int) -> int:
     """Insert pixels until no error exceeds the budget or the closed solid would exceed the faces.
 
     Args:
@@ -50,7 +50,7 @@ def refine(tin: Tin, z: NDArray[np.float32], cols: int, max_error: float, max_fa
 
 
 @kernel
-def _search(tin: Tin, z: NDArray[np.float32], cols: int, t: int, budget: int) -> None:
+def _search(tin: Tin, z: Float32Array, cols: int, t: int, budget: int) -> None:
     """Find the worst pixel of a new triangle and put it into the queue if it is beyond the budget."""
     point, link, e = tin.point, tin.link, STRIDE * t
     a, b, c = link[e], link[e + 1], link[e + 2]
@@ -66,7 +66,7 @@ def _search(tin: Tin, z: NDArray[np.float32], cols: int, t: int, budget: int) ->
 
 @kernel
 def worst_pixel(
-    z: NDArray[np.float32], cols: int, ar: int, ac: int, br: int, bc: int, cr: int, cc: int, budget: int
+    z: Float32Array, cols: int, ar: int, ac: int, br: int, bc: int, cr: int, cc: int, budget: int
 ) -> tuple[int, int]:
     """Return the largest vertical error of the plane through three nodes, and the pixel where it is.
 
@@ -106,7 +106,7 @@ def worst_pixel(
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", _nrt=False)
-def _largest(z: NDArray[np.float32], first: int, count: int, start: float, step: float) -> int:
+def _largest(z: Float32Array, first: int, count: int, start: float, step: float) -> int:
     """Return the largest difference of pixels of a row from a line that rises by `step` a pixel."""
     largest = 0
     for k in range(count):
@@ -116,7 +116,7 @@ def _largest(z: NDArray[np.float32], first: int, count: int, start: float, step:
 
 
 @kernel
-def _place(z: NDArray[np.float32], first: int, count: int, start: float, step: float) -> int:
+def _place(z: Float32Array, first: int, count: int, start: float, step: float) -> int:
     """Return which of the pixels differs most from the line, -1 where there are none."""
     place, largest = -1, -1.0
     for k in range(count):

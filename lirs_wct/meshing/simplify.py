@@ -6,14 +6,14 @@ Unlike a grid thinned out, the result is as fine as the ground asks for, place b
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import Int32Array
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.refinement import FULL, count_bins, refine
 from lirs_wct.meshing.solid import base_height, close_solid, node_axes
-from lirs_wct.meshing.tin import BORDER, POINTS, STRIDE, TRIANGLES, WORST, Ints, Tin
+from lirs_wct.meshing.tin import BORDER, POINTS, STRIDE, TRIANGLES, WORST, Tin
 
 LEAST_FACES = 14
 """Two triangles, four skirts of two, a base of four."""
@@ -52,7 +52,7 @@ def simplified_solid(
 
 def triangulate(
     surface: HeightField, *, max_error: float | None = None, max_triangles: int | None = None
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+) -> tuple[Int32Array, Int32Array]:
     """Choose pixels and triangulate them (Garland and Heckbert 1995; kernels in `tin_search`).
 
     Returns:
@@ -116,12 +116,12 @@ def _grown(tin: Tin) -> Tin:
     """Return the same triangulation with room for twice as much."""
     larger = _empty(2 * len(tin.fan))._replace(bins=tin.bins, used=tin.used)
     for name in ("point", "link", "queue"):
-        part: Ints = getattr(tin, name)
+        part: Int32Array = getattr(tin, name)
         getattr(larger, name)[: len(part)] = part
     return larger
 
 
-def _border(points: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.int32]:
+def _border(points: Int32Array, shape: tuple[int, int]) -> Int32Array:
     """Return the points along the outline, counter-clockwise from above, from the north-west corner."""
     row, col = points.T
     south, east = shape[0] - 1, shape[1] - 1

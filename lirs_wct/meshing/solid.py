@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray, Int32Array
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 
@@ -40,7 +40,7 @@ def solid_mesh(surface: HeightField, *, thickness: float | None = None) -> Trian
 
 def solid_triangles(
     surface: HeightField, *, thickness: float | None = None
-) -> tuple[int, Iterator[NDArray[np.float64]]]:
+) -> tuple[int, Iterator[FloatArray]]:
     """Return how many triangles `solid_mesh` has, and their corners (n, 3, 3) a few rows at a time.
 
     For surfaces whose mesh would fill the memory.
@@ -50,7 +50,7 @@ def solid_triangles(
     return count, _rows_and_rim(surface, base_height(surface, thickness))
 
 
-def _rows_and_rim(surface: HeightField, z_base: float) -> Iterator[NDArray[np.float64]]:
+def _rows_and_rim(surface: HeightField, z_base: float) -> Iterator[FloatArray]:
     rows, cols = surface.shape
     x, y = node_axes(surface)
     step = max(1, _BLOCK // cols)
@@ -73,7 +73,7 @@ def base_height(surface: HeightField, thickness: float | None = None) -> float:
     return float(surface.z.min()) - thickness
 
 
-def node_axes(surface: HeightField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def node_axes(surface: HeightField) -> tuple[FloatArray, FloatArray]:
     """Return x (cols,) from west to east and y (rows,) from north to south of the nodes, metres."""
     rows, cols = surface.shape
     west, south, east, north = surface.bounds
@@ -81,9 +81,7 @@ def node_axes(surface: HeightField) -> tuple[NDArray[np.float64], NDArray[np.flo
     return np.linspace(west, east, cols), np.linspace(north, south, rows)
 
 
-def close_solid(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], border: NDArray[np.int32], z_base: float
-) -> TriangleMesh:
+def close_solid(vertices: FloatArray, faces: Int32Array, border: Int32Array, z_base: float) -> TriangleMesh:
     """Add a skirt and a base to an open surface over a rectangle.
 
     The base is a fan around its centre, which the convex outline allows.
@@ -109,7 +107,7 @@ def close_solid(
     return TriangleMesh(np.concatenate((vertices, base, centre)), np.concatenate((faces, skirt, bottom)))
 
 
-def _grid_faces(rows: int, cols: int) -> NDArray[np.int32]:
+def _grid_faces(rows: int, cols: int) -> Int32Array:
     """Return (2 * cells, 3) faces; both triangles of a cell stand next to each other."""
     nw = (np.arange(rows - 1, dtype=np.int32)[:, None] * cols + np.arange(cols - 1, dtype=np.int32)).ravel()
     faces = np.empty((len(nw), 2, 3), dtype=np.int32)
@@ -121,7 +119,7 @@ def _grid_faces(rows: int, cols: int) -> NDArray[np.int32]:
     return faces.reshape(-1, 3)
 
 
-def _border(rows: int, cols: int) -> NDArray[np.int32]:
+def _border(rows: int, cols: int) -> Int32Array:
     """Return the outline's nodes, counter-clockwise from above, from the north-west corner."""
     west = np.arange(0, (rows - 1) * cols, cols, dtype=np.int32)
     south = (rows - 1) * cols + np.arange(cols - 1, dtype=np.int32)

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lirs_wct.arrays import Int32Array
 from lirs_wct.geometry.mesh import TriangleMesh
 
 MUJOCO_FACES = 200_000
@@ -51,7 +52,7 @@ def split_tiles(
                 )
 
 
-def _squares(mesh: TriangleMesh, chosen: NDArray[np.int32], aim: int) -> tuple[NDArray[np.int32], int]:
+def _squares(mesh: TriangleMesh, chosen: Int32Array, aim: int) -> tuple[Int32Array, int]:
     """Return the square in which each chosen face begins, and how many squares there are."""
     side = max(1, round((len(chosen) / aim) ** 0.5))
     if side == 1:
@@ -67,9 +68,7 @@ def _squares(mesh: TriangleMesh, chosen: NDArray[np.int32], aim: int) -> tuple[N
 
 
 @njit(cache=True)
-def _renumber(
-    faces: NDArray[np.int32], chosen: NDArray[np.int32], seen: NDArray[np.int32]
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _renumber(faces: Int32Array, chosen: Int32Array, seen: Int32Array) -> tuple[Int32Array, Int32Array]:
     """Number the vertices of the chosen faces as they come; `seen` is all -1 before and after."""
     out = np.empty((len(chosen), 3), np.int32)
     used = np.empty(3 * len(chosen), np.int32)

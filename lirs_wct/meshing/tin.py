@@ -16,10 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Ints = NDArray[np.int32]
-Counts = NDArray[np.int64]
+from lirs_wct.arrays import Int32Array, IntArray
 
 STRIDE, TWIN, WORST = 8, 3, 6
 """Numbers of a triangle, and where its twins and its worst pixel begin."""
@@ -44,14 +42,14 @@ class Tin(NamedTuple):
         used: (4,) points, triangles, border edges, and the highest bin that may hold something.
     """
 
-    point: Ints
-    link: Ints
-    queue: Ints
-    bins: Ints
-    fan: Ints
-    rim: Ints
-    stack: Ints
-    used: Counts
+    point: Int32Array
+    link: Int32Array
+    queue: Int32Array
+    bins: Int32Array
+    fan: Int32Array
+    rim: Int32Array
+    stack: Int32Array
+    used: IntArray
 
 
 @kernel
@@ -147,7 +145,7 @@ def _after(e: int) -> int:
 
 
 @kernel
-def _in_circle(point: Ints, a: int, b: int, c: int, row: int, col: int) -> bool:
+def _in_circle(point: Int32Array, a: int, b: int, c: int, row: int, col: int) -> bool:
     """Whether a pixel lies inside the circle through a, b, c: exact for sides below 29,000 px."""
     dx, dy = point[a, 1] - col, point[a, 0] - row
     ex, ey = point[b, 1] - col, point[b, 0] - row

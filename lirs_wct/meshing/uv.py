@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray, Int32Array, IntArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.mesh import TriangleMesh
 
@@ -67,19 +68,19 @@ def _sides(mask: NDArray[np.uint16]) -> NDArray[np.int8]:
 
 
 def _unfold(
-    points: NDArray[np.float64],
-    top: NDArray[np.float64],
+    points: FloatArray,
+    top: FloatArray,
     side: NDArray[np.int8],
-    bounds: NDArray[np.float64],
+    bounds: FloatArray,
     span: float,
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Return (n, 2) coordinates on the unfolded cube, in units of the texture.
 
     Down a side the coordinate goes on with the depth: below the upper rim for a skirt, below the
     highest point for a steep slope.
     """
     (west, south, _), (east, north, highest) = bounds
-    uv: NDArray[np.float64] = (points[:, :2] - (west, south)) / span
+    uv: FloatArray = (points[:, :2] - (west, south)) / span
     depth = np.where(side >= FLAT, top, highest)
     depth -= points[:, 2]
     depth /= span
@@ -98,7 +99,7 @@ def _unfold(
 
 
 @njit(cache=True)
-def _normal(vertices: NDArray[np.float64], a: int, b: int, c: int) -> tuple[float, float, float]:
+def _normal(vertices: FloatArray, a: int, b: int, c: int) -> tuple[float, float, float]:
     """Return the normal of a triangle, twice its area long."""
     x, y, z = vertices[a, 0], vertices[a, 1], vertices[a, 2]
     ux, uy, uz = vertices[b, 0] - x, vertices[b, 1] - y, vertices[b, 2] - z
@@ -108,8 +109,8 @@ def _normal(vertices: NDArray[np.float64], a: int, b: int, c: int) -> tuple[floa
 
 @njit(cache=True)
 def _label_faces(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32]
-) -> tuple[NDArray[np.int8], NDArray[np.uint16], NDArray[np.float64]]:
+    vertices: FloatArray, faces: Int32Array
+) -> tuple[NDArray[np.int8], NDArray[np.uint16], FloatArray]:
     """Return the label of each face, the labels around each vertex as bits, and the rim above it (z)."""
     label = np.empty(len(faces), np.int8)
     mask = np.zeros(len(vertices), np.uint16)
@@ -140,13 +141,13 @@ def _label_faces(
 
 @njit(cache=True)
 def _split_faces(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
+    vertices: FloatArray,
+    faces: Int32Array,
     label: NDArray[np.int8],
     mask: NDArray[np.uint16],
-    first: NDArray[np.int64],
+    first: IntArray,
     n: int,
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+) -> tuple[Int32Array, FloatArray]:
     """Return the faces on split vertices and unit normals weighted by area.
 
     The ground shares its normals across sides of the cube; each flat side has its own.

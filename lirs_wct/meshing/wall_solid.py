@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.sources.laser_map import merged_rectangles
@@ -46,7 +46,7 @@ def wall_mesh(walls: WallGrid, slab: float = SLAB) -> TriangleMesh:
     return TriangleMesh(vertices, faces.reshape(-1, 3).astype(np.int32))
 
 
-def _corners(rectangles: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.bool_]:
+def _corners(rectangles: IntArray, shape: tuple[int, int]) -> BoolArray:
     """Mark the lattice points (rows + 1, cols + 1) that are a corner of some rectangle."""
     marked = np.zeros((shape[0] + 1, shape[1] + 1), np.bool_)
     for row, col in ((0, 1), (0, 3), (2, 1), (2, 3)):
@@ -55,12 +55,12 @@ def _corners(rectangles: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[n
 
 
 def _placed(
-    used: NDArray[np.int64],
-    rectangles: NDArray[np.int64],
-    is_wall: NDArray[np.bool_],
+    used: IntArray,
+    rectangles: IntArray,
+    is_wall: BoolArray,
     walls: WallGrid,
     slab: float,
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Return (n, 3) what codes stand for: lattice points at a level, then middles of rectangles."""
     rows, cols = walls.shape
     lattice = (rows + 1) * (cols + 1) * LEVELS

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.navigation.traversability import Mask, distance_to, largest_area
+from lirs_wct.navigation.traversability import distance_to, largest_area
 
 EDGE = 0.15
 """Share of the free area's extent, on each side, where no robot starts."""
@@ -33,7 +33,7 @@ def start_poses(free: OccupancyGrid, count: int = 8) -> tuple[Pose2, ...]:
     return tuple(_facing(points[i], middle) for i in chosen)
 
 
-def _inner(area: Mask) -> Mask:
+def _inner(area: BoolArray) -> BoolArray:
     """Return the part of an area that keeps off the ends of its extent, or all of it where none does."""
     inner = area.copy()
     for axis in (0, 1):
@@ -65,6 +65,6 @@ def _farthest(points, bonus, first, count):  # type: ignore[no-untyped-def]
     return chosen
 
 
-def _facing(point: NDArray[np.float64], target: NDArray[np.float64]) -> Pose2:
+def _facing(point: FloatArray, target: FloatArray) -> Pose2:
     dx, dy = (target - point).tolist()
     return Pose2(float(point[0]), float(point[1]), math.atan2(dy, dx) if math.hypot(dx, dy) > 1e-9 else 0.0)

@@ -7,8 +7,8 @@ import math
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
@@ -20,14 +20,12 @@ BASELINE = 0.3
 _STRIP = 512
 """Rows of nodes looked at together: a large surface would else stand four times in the memory."""
 
-Mask = NDArray[np.bool_]
-
 
 def traversable(
     surface: HeightField,
     walls: WallGrid | None = None,
     truth: OccupancyGrid | None = None,
-    bare: Mask | None = None,
+    bare: BoolArray | None = None,
     *,
     clearance: float,
     max_slope: float,
@@ -59,17 +57,17 @@ def traversable(
     return OccupancyGrid.from_probability(np.where(distance > clearance, 0.0, 1.0), resolution, grid.origin)
 
 
-def largest_area(mask: Mask) -> Mask:
+def largest_area(mask: BoolArray) -> BoolArray:
     """Return the largest 4-connected area of a mask (all False where there is none)."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     sizes = stats[1:, cv2.CC_STAT_AREA]
     if len(sizes) == 0:
         return np.zeros_like(mask)
-    area: Mask = labels == 1 + int(np.argmax(sizes))
+    area: BoolArray = labels == 1 + int(np.argmax(sizes))
     return area
 
 
-def _steep_cells(surface: HeightField, max_slope: float, grid: OccupancyGrid) -> Mask:
+def _steep_cells(surface: HeightField, max_slope: float, grid: OccupancyGrid) -> BoolArray:
     """Mark cells of the grid that hold ground whose relief over the baseline exceeds the slope."""
     if surface.relief == 0:
         return np.zeros(grid.shape, np.bool_)
@@ -88,7 +86,7 @@ def _steep_cells(surface: HeightField, max_slope: float, grid: OccupancyGrid) ->
     return _nodes_cells(fine, steep, grid)
 
 
-def _nodes_cells(surface: HeightField, chosen: Mask, grid: OccupancyGrid) -> Mask:
+def _nodes_cells(surface: HeightField, chosen: BoolArray, grid: OccupancyGrid) -> BoolArray:
     """Mark the cells of an upright grid that hold chosen nodes: a row of nodes is in one row of cells."""
     (west, south), (n_rows, n_cols) = surface.origin, surface.shape
     x = west + np.arange(n_cols) * surface.cell[0]
@@ -101,14 +99,14 @@ def _nodes_cells(surface: HeightField, chosen: Mask, grid: OccupancyGrid) -> Mas
     return marked
 
 
-def _bare_cells(surface: HeightField, bare: Mask, grid: OccupancyGrid) -> Mask:
+def _bare_cells(surface: HeightField, bare: BoolArray, grid: OccupancyGrid) -> BoolArray:
     """Mark cells of the grid whose nearest node is bare: nodes may be farther apart than cells."""
     at = _centres(grid)
     col = np.rint((at[..., 0] - surface.origin[0]) / surface.cell[0]).astype(np.int64)
     row = (
         surface.z.shape[0] - 1 - np.rint((at[..., 1] - surface.origin[1]) / surface.cell[1]).astype(np.int64)
     )
-    found: Mask = bare[np.clip(row, 0, bare.shape[0] - 1), np.clip(col, 0, bare.shape[1] - 1)]
+    found: BoolArray = bare[np.clip(row, 0, bare.shape[0] - 1), np.clip(col, 0, bare.shape[1] - 1)]
     return found
 
 
@@ -122,7 +120,7 @@ def _sampled(surface: HeightField, spacing: float) -> HeightField:
     return HeightField(z.astype(np.float32), cell, surface.origin)
 
 
-def _wall_cells(walls: WallGrid, grid: OccupancyGrid) -> Mask:
+def _wall_cells(walls: WallGrid, grid: OccupancyGrid) -> BoolArray:
     """Mark cells of the grid that touch a wall or hole: both grids' centres are looked up in the other."""
     barred = ~walls.floor
     local = (np.argwhere(barred)[:, ::-1] + 0.5) * walls.resolution
@@ -130,15 +128,15 @@ def _wall_cells(walls: WallGrid, grid: OccupancyGrid) -> Mask:
     return inside | _scatter(walls.origin.apply(local), grid)
 
 
-def _centres(grid: OccupancyGrid) -> NDArray[np.float64]:
+def _centres(grid: OccupancyGrid) -> FloatArray:
     rows, cols = grid.shape
     return grid.centres(np.moveaxis(np.indices((rows, cols)), 0, -1))
 
 
-def _lookup(mask: Mask, resolution: float, origin: Pose2, grid: OccupancyGrid) -> Mask:
+def _lookup(mask: BoolArray, resolution: float, origin: Pose2, grid: OccupancyGrid) -> BoolArray:
     """Return the mask's value at the centres of a grid's cells; False outside."""
     T_mask_grid = origin.inverse() @ grid.origin
-    found: Mask = _values_at(mask, resolution, T_mask_grid.as_array(), grid.resolution, *grid.shape)
+    found: BoolArray = _values_at(mask, resolution, T_mask_grid.as_array(), grid.resolution, *grid.shape)
     return found
 
 
@@ -158,21 +156,21 @@ def _values_at(mask, resolution, T_mask_grid, step, rows, cols):  # type: ignore
     return found
 
 
-def _scatter(points: NDArray[np.float64], grid: OccupancyGrid) -> Mask:
+def _scatter(points: FloatArray, grid: OccupancyGrid) -> BoolArray:
     marked = np.zeros(grid.shape, np.bool_)
     cells = _clipped_cells(points, grid)
     marked[cells[..., 0], cells[..., 1]] = True
     return marked
 
 
-def _clipped_cells(points: NDArray[np.float64], grid: OccupancyGrid) -> NDArray[np.int64]:
-    cells: NDArray[np.int64] = np.clip(grid.cells(points), 0, np.array(grid.shape) - 1)
+def _clipped_cells(points: FloatArray, grid: OccupancyGrid) -> IntArray:
+    cells: IntArray = np.clip(grid.cells(points), 0, np.array(grid.shape) - 1)
     return cells
 
 
-def distance_to(blocked: Mask, resolution: float) -> NDArray[np.float64]:
+def distance_to(blocked: BoolArray, resolution: float) -> FloatArray:
     """Return metres from each cell to the nearest blocked one; beyond the border all is blocked."""
     padded = np.pad(~blocked, 1).astype(np.uint8)
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    metres: NDArray[np.float64] = distance[1:-1, 1:-1].astype(np.float64) * resolution
+    metres: FloatArray = distance[1:-1, 1:-1].astype(np.float64) * resolution
     return metres

@@ -14,14 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, optimize
 
+from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.errors import unknown_name
 
 PIXELS = 1025
 SIZE = 50.0
 MARGIN = 1.0
 """Obstacles keep this far from the border and twice that from the centre, where robots start, metres."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +61,7 @@ class BundledPicture:
 
     pixels: NDArray[np.uint16]
     height: float
-    hills: Array
+    hills: FloatArray
 
 
 def bundled_picture(name: str) -> BundledPicture:
@@ -81,7 +80,7 @@ def bundled_picture(name: str) -> BundledPicture:
     return BundledPicture(np.round(z / z.max() * 65535).astype(np.uint16), float(z.max()), hills)
 
 
-def slope_over(z: Array, metres: float, cell: float) -> Array:
+def slope_over(z: FloatArray, metres: float, cell: float) -> FloatArray:
     """Return slopes in degrees of heights (rows, cols) over a baseline in metres."""
     step = max(1, round(metres / cell / 2))
     dx = (z[step:-step, 2 * step :] - z[step:-step, : -2 * step]) / (2 * step * cell)
@@ -89,13 +88,13 @@ def slope_over(z: Array, metres: float, cell: float) -> Array:
     return np.degrees(np.arctan(np.hypot(dx, dy)))
 
 
-def _hills(recipe: Recipe, rng: np.random.Generator) -> Array:
+def _hills(recipe: Recipe, rng: np.random.Generator) -> FloatArray:
     """Choose the wavelength at which the recipe's relief has the recipe's slope."""
     coarse = 8
     spacing = coarse * SIZE / (PIXELS - 1)
     noise = rng.standard_normal((2, PIXELS // coarse + 1, PIXELS // coarse + 1))
 
-    def terrain(sigma: float) -> Array:
+    def terrain(sigma: float) -> FloatArray:
         long, short = (
             _unit(ndimage.gaussian_filter(n, s / spacing))
             for n, s in zip(noise, (sigma, sigma / 3), strict=True)
@@ -107,18 +106,18 @@ def _hills(recipe: Recipe, rng: np.random.Generator) -> Array:
 
     sigma = float(optimize.brentq(excess, 1.0, 15.0, xtol=1e-3))
     at = np.linspace(0, PIXELS // coarse, PIXELS)
-    z: Array = ndimage.map_coordinates(
+    z: FloatArray = ndimage.map_coordinates(
         terrain(sigma), np.meshgrid(at, at, indexing="ij"), order=3, mode="nearest"
     )
     return recipe.relief * _unit(z)
 
 
-def _unit(z: Array) -> Array:
-    unit: Array = (z - z.min()) / (z.max() - z.min())
+def _unit(z: FloatArray) -> FloatArray:
+    unit: FloatArray = (z - z.min()) / (z.max() - z.min())
     return unit
 
 
-def _with_obstacles(hills: Array, recipe: Recipe, rng: np.random.Generator) -> Array:
+def _with_obstacles(hills: FloatArray, recipe: Recipe, rng: np.random.Generator) -> FloatArray:
     """Set flat-topped solids on the hills, each at least 1 m above the highest ground that it covers."""
     z = hills.copy()
     keep_out = np.zeros((PIXELS, PIXELS), np.uint8)
@@ -143,7 +142,7 @@ def _with_obstacles(hills: Array, recipe: Recipe, rng: np.random.Generator) -> A
     return z
 
 
-def _dilated(mask: NDArray[np.uint8], kernel: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _dilated(mask: ByteArray, kernel: ByteArray) -> ByteArray:
     """Dilate within the mask's neighbourhood only: the picture is large, an obstacle small."""
     rows, cols = np.nonzero(mask)
     r = kernel.shape[0]
@@ -156,7 +155,7 @@ def _dilated(mask: NDArray[np.uint8], kernel: NDArray[np.uint8]) -> NDArray[np.u
     return grown
 
 
-def _outline(rng: np.random.Generator) -> Array:
+def _outline(rng: np.random.Generator) -> FloatArray:
     """Return (n, 2) metres: a box, a wall or a pillar about its own centre, turned at random."""
     kind = rng.choice(("box", "wall", "pillar"), p=(0.45, 0.35, 0.2))
     if kind == "pillar":
@@ -166,5 +165,5 @@ def _outline(rng: np.random.Generator) -> Array:
     corners = np.array(((-w, -h), (w, -h), (w, h), (-w, h))) / 2
     turn = rng.uniform(0, math.pi)
     c, s = math.cos(turn), math.sin(turn)
-    turned: Array = corners @ np.array(((c, s), (-s, c)))
+    turned: FloatArray = corners @ np.array(((c, s), (-s, c)))
     return turned

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+
+from lirs_wct.arrays import Float32Array
 
 ITERATIONS = 40
 """Steps on each level of the pyramid: beyond, the number of triangles hardly falls."""
@@ -13,7 +14,7 @@ _STEP = 1 / 64
 """One over the largest eigenvalue of the squared five-point Laplacian."""
 
 
-def deterrace(levels: NDArray[np.float32], step: float = 1.0) -> NDArray[np.float32]:
+def deterrace(levels: Float32Array, step: float = 1.0) -> Float32Array:
     """Return the smoothest surface within half a gray level of every pixel.
 
     Minimises the thin-plate energy, the sum of squared Laplacians, under |z - levels| <= step / 2 by
@@ -39,9 +40,7 @@ def deterrace(levels: NDArray[np.float32], step: float = 1.0) -> NDArray[np.floa
     return z
 
 
-def _smoothest(
-    z: NDArray[np.float32], low: NDArray[np.float32], high: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def _smoothest(z: Float32Array, low: Float32Array, high: Float32Array) -> Float32Array:
     """Descend from a surface to smoother ones between two bounds."""
     ahead, momentum = z, 1.0
     for _ in range(ITERATIONS):
@@ -60,7 +59,7 @@ def _smoothest(
     return z
 
 
-def _laplacian(z: NDArray[np.float32]) -> NDArray[np.float32]:
+def _laplacian(z: Float32Array) -> Float32Array:
     """Return the five-point Laplacian; the border is continued level."""
-    out: NDArray[np.float32] = cv2.Laplacian(z, cv2.CV_32F, ksize=1, borderType=cv2.BORDER_REPLICATE)
+    out: Float32Array = cv2.Laplacian(z, cv2.CV_32F, ksize=1, borderType=cv2.BORDER_REPLICATE)
     return out

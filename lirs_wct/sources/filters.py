@@ -6,11 +6,9 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import Float32Array
 from lirs_wct.sources.options import BuildOptions
-
-Values = NDArray[np.float32]
 
 MEDIAN_WINDOW = 5
 """Pixels a side."""
@@ -18,7 +16,7 @@ BILATERAL_REACH, BILATERAL_CONTRAST = 3.0, 0.05
 """Standard deviations: pixels, and share of the picture's range."""
 
 
-def apply_filters(values: Values, options: BuildOptions) -> Values:
+def apply_filters(values: Float32Array, options: BuildOptions) -> Float32Array:
     """Return the values after denoising, smoothing, sharpening and resizing, in this order."""
     if options.denoise is not None:
         values = denoised(values, options.denoise)
@@ -31,7 +29,7 @@ def apply_filters(values: Values, options: BuildOptions) -> Values:
     return values
 
 
-def denoised(values: Values, method: Literal["median", "bilateral"]) -> Values:
+def denoised(values: Float32Array, method: Literal["median", "bilateral"]) -> Float32Array:
     """Return values without single wrong pixels (median) or with noise smoothed but edges kept."""
     if method == "median":
         return np.asarray(cv2.medianBlur(values, MEDIAN_WINDOW), dtype=np.float32)
@@ -39,19 +37,19 @@ def denoised(values: Values, method: Literal["median", "bilateral"]) -> Values:
     return np.asarray(cv2.bilateralFilter(values, -1, contrast, BILATERAL_REACH), dtype=np.float32)
 
 
-def smoothed(values: Values, sigma: float) -> Values:
+def smoothed(values: Float32Array, sigma: float) -> Float32Array:
     """Return values after a Gaussian blur of `sigma` pixels; the border is continued level."""
     blurred = cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
     return np.asarray(blurred, dtype=np.float32)
 
 
-def sharpened(values: Values, amount: float, sigma: float) -> Values:
+def sharpened(values: Float32Array, amount: float, sigma: float) -> Float32Array:
     """Return values after an unsharp mask: `amount` times what a blur of `sigma` pixels takes away."""
-    sharp: Values = values + np.float32(amount) * (values - smoothed(values, sigma))
+    sharp: Float32Array = values + np.float32(amount) * (values - smoothed(values, sigma))
     return sharp
 
 
-def resized(values: Values, width: int, height: int) -> Values:
+def resized(values: Float32Array, width: int, height: int) -> Float32Array:
     """Return values sampled on another grid over the same ground: corners stay corners.
 
     Shrinking blurs first, so that nothing finer than the new grid is folded into it.
@@ -68,10 +66,10 @@ def resized(values: Values, width: int, height: int) -> Values:
     return _sampled(_sampled(values, width).T, height).T.copy()
 
 
-def _sampled(values: Values, n: int) -> Values:
+def _sampled(values: Float32Array, n: int) -> Float32Array:
     """Return (rows, n) values at n columns from the first to the last, linearly between pixels."""
     at = np.linspace(0, values.shape[1] - 1, n)
     left = np.minimum(at.astype(np.int64), values.shape[1] - 2)
     share = (at - left).astype(np.float32)
-    out: Values = values[:, left] * (1 - share) + values[:, left + 1] * share
+    out: Float32Array = values[:, left] * (1 - share) + values[:, left + 1] * share
     return out

@@ -5,15 +5,13 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import BoolArray, IntArray
 from lirs_wct.errors import unknown_name
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.sources.options import UNKNOWN, Unknown
-
-Boxes = NDArray[np.int64]
 
 
 def walls_of(grid: OccupancyGrid, height: float, unknown: Unknown = "floor") -> WallGrid:
@@ -56,12 +54,12 @@ def level_floor(walls: WallGrid) -> HeightField:
     return HeightField(np.zeros((2, 2), np.float32), (width, depth), (float(low[0]), float(low[1])))
 
 
-def merged_boxes(walls: WallGrid) -> Boxes:
+def merged_boxes(walls: WallGrid) -> IntArray:
     """Return (n, 4) rectangles row0, col0, row1, col1 (ends exclusive) that cover every wall cell once."""
     return merged_rectangles(walls.solid)
 
 
-def merged_rectangles(mask: NDArray[np.bool_]) -> Boxes:
+def merged_rectangles(mask: BoolArray) -> IntArray:
     """Return (n, 4) rectangles row0, col0, row1, col1 (ends exclusive) that cover a mask once.
 
     Greedy: at the first cell that is left, the larger of two rectangles, one grown along the row
@@ -72,8 +70,8 @@ def merged_rectangles(mask: NDArray[np.bool_]) -> Boxes:
     return straight if len(straight) <= len(turned) else turned
 
 
-def _cover(solid: NDArray[np.bool_]) -> Boxes:
-    boxes: Boxes = _rectangles(solid.copy())
+def _cover(solid: BoolArray) -> IntArray:
+    boxes: IntArray = _rectangles(solid.copy())
     return boxes
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.meshes.mesh_file import read_upright
 from lirs_wct.geometry.heightfield import HeightField
@@ -37,7 +37,7 @@ class MeshSource:
     surface: HeightField
     solid: TriangleMesh | None
     overhangs: bool
-    bare: NDArray[np.bool_] | None
+    bare: BoolArray | None
 
 
 def read_mesh_source(path: Path, options: BuildOptions) -> MeshSource:
@@ -66,9 +66,7 @@ def read_mesh_source(path: Path, options: BuildOptions) -> MeshSource:
     return MeshSource(surface, solid, overhangs, bare if closed and bare.any() else None)
 
 
-def _surface(
-    path: Path, mesh: TriangleMesh, options: BuildOptions
-) -> tuple[HeightField, bool, NDArray[np.bool_]]:
+def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[HeightField, bool, BoolArray]:
     """Return the heights from above, whether there are overhangs, and the nodes without ground."""
     (west, south), (east, north) = _extent(mesh, options.window)
     spacing = options.resolution or max(max(east - west, north - south) / (NODES - 1), FINEST)
@@ -105,7 +103,7 @@ def _stacked(mesh: TriangleMesh) -> bool:
     return not mesh.is_watertight and bool((count % 2 == 0).all()) and _tops_and_bottoms(mesh, up)
 
 
-def _tops_and_bottoms(mesh: TriangleMesh, up: NDArray[np.float64]) -> bool:
+def _tops_and_bottoms(mesh: TriangleMesh, up: FloatArray) -> bool:
     top, bottom = mesh.faces[up > 1e-9], mesh.faces[up < -1e-9]
     if len(top) == 0 or len(bottom) == 0:
         return False
@@ -147,5 +145,5 @@ def _outward(mesh: TriangleMesh) -> TriangleMesh:
     return TriangleMesh(mesh.vertices, np.ascontiguousarray(mesh.faces[:, ::-1]))
 
 
-def _size(low: NDArray[np.float64], high: NDArray[np.float64]) -> str:
+def _size(low: FloatArray, high: FloatArray) -> str:
     return " x ".join(f"{side:g}" for side in high - low)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.images import tiff
 from lirs_wct.formats.images.picture import read_picture
@@ -96,7 +97,7 @@ def _level_step(path: Path, pixels: NDArray[Any]) -> float:
 
 def _above_lowest(
     path: Path, pixels: NDArray[Any], nodata: float | None, options: BuildOptions
-) -> NDArray[np.float32]:
+) -> Float32Array:
     """Return (rows, cols) values above the lowest one, every hole filled; an array of its own."""
     values = _gray(path, pixels, options.grayscale)
     # Unsigned levels hold no heights that mean "none", unless the file says so.
@@ -147,9 +148,7 @@ def _fill(path: Path, values: NDArray[np.floating[Any]], nodata: float | None) -
     return filled
 
 
-def _heights(
-    above: NDArray[np.float32], unit: float | None, height: float | None, factor: float
-) -> NDArray[np.float32]:
+def _heights(above: Float32Array, unit: float | None, height: float | None, factor: float) -> Float32Array:
     """Turn values into metres above the lowest point, in place; a flat picture stays flat."""
     above -= above.min()
     relief = above.max()

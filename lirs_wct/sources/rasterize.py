@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray, Int32Array
 from lirs_wct.geometry.mesh import TriangleMesh
 
 Grid = tuple[float, float, float, float]
@@ -14,7 +14,7 @@ _SLACK = 1e-9
 """Share of a triangle by which it reaches over its edges, so that no node falls between two."""
 
 
-def drape(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> NDArray[np.float64]:
+def drape(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> FloatArray:
     """Return (rows, cols) heights of the highest point above or below each node, row 0 = south.
 
     Exact: each triangle is evaluated at the nodes that it covers; NaN where there is none.
@@ -25,7 +25,7 @@ def drape(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> NDArray[np.
     return top
 
 
-def layers(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> NDArray[np.int32]:
+def layers(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> Int32Array:
     """Return (rows, cols) how many triangles a vertical line meets in each cell of a grid of nodes.
 
     The lines stand a little beside the cells' middles, at fractions that no edge is likely to lie on.

@@ -6,8 +6,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import BoolArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
@@ -53,9 +53,7 @@ def cut_surface(surface: HeightField, window: Window) -> HeightField:
     )
 
 
-def cut_nodes(
-    mask: NDArray[np.bool_] | None, whole: HeightField, part: HeightField
-) -> NDArray[np.bool_] | None:
+def cut_nodes(mask: BoolArray | None, whole: HeightField, part: HeightField) -> BoolArray | None:
     """Keep of a mask over the nodes of a surface those of the part that was cut out of it."""
     if mask is None:
         return None

@@ -8,8 +8,8 @@ searches and at most one step of an optimisation; its result is taken over when 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.cartographer.config import GlobalConfig
 from slam_baselines.cartographer.constraints.builder import Constraint, ConstraintBuilder
@@ -22,8 +22,7 @@ from slam_baselines.cartographer.optimization import Edges, Problem, Solution, b
 from slam_baselines.cartographer.trimmer import Trimmer
 from slam_baselines.common.se2 import in_axes_of, inverted
 
-Array = NDArray[np.float64]
-Row = tuple[int, int, Array, Array, bool]
+Row = tuple[int, int, FloatArray, FloatArray, bool]
 
 
 class GlobalSlam:

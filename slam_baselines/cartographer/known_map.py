@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
+from lirs_wct.arrays import BoolArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.geometry.grid import OccupancyGrid
 from slam_baselines.mapping.occupancy_map import OccupancyMap, UpdateConfig
 from slam_baselines.matching.branch_and_bound import BoundGrids
 from slam_baselines.matching.gauss_newton import MapPyramid
-
-Array = NDArray[np.float64]
 
 DEPTH = 6
 """How often four cells become one in the search."""
@@ -85,7 +84,7 @@ def _level(grid: OccupancyGrid, resolution: float) -> OccupancyMap:
 
 
 def _lay(
-    grid: OccupancyGrid, mask: NDArray[np.bool_], value: int, level: OccupancyMap, steps: NDArray[np.int8]
+    grid: OccupancyGrid, mask: BoolArray, value: int, level: OccupancyMap, steps: NDArray[np.int8]
 ) -> None:
     points = grid.centres(np.argwhere(mask))
     cells = np.floor(points[:, ::-1] / level.resolution).astype(np.int64)

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu, LaserScan
 from slam_baselines.cartographer.config import LocalConfig
@@ -23,8 +23,6 @@ from slam_baselines.matching.local_matching import LocalMatcher
 from slam_baselines.motion.dead_reckoning import DeadReckoning, Estimate
 from slam_baselines.motion.motion_filter import MotionFilter
 from slam_baselines.scan.leveling import LevelledScan, ScanLeveller
-
-Array = NDArray[np.float64]
 
 
 class LocalSlam:
@@ -77,7 +75,7 @@ class LocalSlam:
         due = fits and self._filter.due(level, self.estimate.pose)
         return self._enter(level) if due else None
 
-    def walls(self, scan: LevelledScan, pose: Pose2, height: float, steep: NDArray[np.uint8] | None) -> Array:
+    def walls(self, scan: LevelledScan, pose: Pose2, height: float, steep: ByteArray | None) -> FloatArray:
         """Return (n,) 1 for hits on what is known by now to be a wall, 0 for those that may be ground.
 
         Args:

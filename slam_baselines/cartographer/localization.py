@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
@@ -27,8 +27,6 @@ from slam_baselines.matching.gauss_newton import Match, ScanMatcher
 from slam_baselines.matching.local_matching import LocalMatcher, LocalMatchingConfig
 from slam_baselines.motion.dead_reckoning import DeadReckoning, Estimate, MotionConfig
 from slam_baselines.scan.leveling import LevelledScan, ScanLeveller
-
-Array = NDArray[np.float64]
 
 
 @dataclass
@@ -172,7 +170,7 @@ class Localiser:
             return
         self._locate(Pose2(*best.pose.tolist()))
 
-    def _refined(self, scan: LevelledScan, pose: Array) -> Match:
+    def _refined(self, scan: LevelledScan, pose: FloatArray) -> Match:
         """Return where the scan fits on the finest level near a pose of the search."""
         weights, loose = np.ones(len(scan.hits)), inverted(self._loose)
         return self._refiner.match(self._known.pyramid, scan.hits, weights, pose, loose, 3)

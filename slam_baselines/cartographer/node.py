@@ -6,13 +6,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.motion.dead_reckoning import Estimate
 from slam_baselines.scan.leveling import LevelledScan
-
-Array = NDArray[np.float64]
 
 NOWHERE = Estimate(Pose2(), np.zeros((3, 3)))
 """Dead reckoning that has just begun."""
@@ -37,9 +35,9 @@ class Node:
 
     scan: LevelledScan
     pose: Pose2
-    covariance: Array
+    covariance: FloatArray
     height: float
-    steep: NDArray[np.uint8]
+    steep: ByteArray
     submaps: range
     odometry: Estimate
     travelled: float

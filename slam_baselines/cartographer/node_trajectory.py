@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.common.se2 import composed, relative_poses, wrap
-
-Array = NDArray[np.float64]
 
 
 class NodeTrajectory:

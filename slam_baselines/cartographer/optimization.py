@@ -13,14 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import ConfigError
 from slam_baselines.common.linalg import block_matrix, sum_blocks, sum_vectors
 from slam_baselines.common.se2 import inverted, relative_poses, wrap
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,9 +66,9 @@ class Problem:
     config: OptimizationConfig
     to_nodes: Edges
     to_submaps: Edges
-    origin: Array
+    origin: FloatArray
 
-    def cost(self, submaps: Array, nodes: Array, width: float) -> float:
+    def cost(self, submaps: FloatArray, nodes: FloatArray, width: float) -> float:
         """Return half the sum of the robust squared errors of (s, 3) submaps and (n, 3) nodes.
 
         The kernel is `width` times as wide as configured.
@@ -84,7 +82,7 @@ class Problem:
         tie[2] = wrap(tie[2])
         return 0.5 * (total + self.config.gauge * float(tie @ tie))
 
-    def width(self, submaps: Array, nodes: Array, since: int) -> float:
+    def width(self, submaps: FloatArray, nodes: FloatArray, since: int) -> float:
         """Return how wide the kernel must be for none of the loops from row `since` on to lose its pull."""
         late = slice(since, None)
         robust = self.to_nodes.robust[late]
@@ -95,7 +93,9 @@ class Problem:
         chi2 = np.einsum("mi,mij,mj->m", e, self.to_nodes.information[late][robust], e)
         return max(1.0, math.sqrt(float(chi2.max())) / self.config.huber_scale)
 
-    def step(self, submaps: Array, nodes: Array, damping: float, width: float) -> tuple[Array, Array]:
+    def step(
+        self, submaps: FloatArray, nodes: FloatArray, damping: float, width: float
+    ) -> tuple[FloatArray, FloatArray]:
         """Return submaps and nodes after one Gauss-Newton step with Levenberg's damping."""
         n, s = len(nodes), len(submaps)
         A, B, C, ga, gb = self._linearised(self.to_nodes, submaps, nodes, width)
@@ -121,8 +121,8 @@ class Problem:
         return _moved(submaps, ds.reshape(-1, 3)), _moved(nodes, dn)
 
     def _linearised(
-        self, edges: Edges, submaps: Array, targets: Array, width: float
-    ) -> tuple[Array, Array, Array, Array, Array]:
+        self, edges: Edges, submaps: FloatArray, targets: FloatArray, width: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return the blocks Ja'WJa, Ja'WJb, Jb'WJb (m, 3, 3) and the gradients Ja'We, Jb'We (m, 3)."""
         e = errors(submaps[edges.a], targets[edges.b], edges.z)
         Ja, Jb = jacobians(submaps[edges.a], targets[edges.b])
@@ -141,12 +141,12 @@ class Problem:
             np.einsum("mij,mj->mi", JbT, We),
         )
 
-    def _rho(self, chi2: Array, width: float) -> Array:
+    def _rho(self, chi2: FloatArray, width: float) -> FloatArray:
         """Cauchy's loss: quadratic near 0, logarithmic far out, so that wrong loops lose their pull."""
         c2 = (width * self.config.huber_scale) ** 2
         return c2 * np.log1p(chi2 / c2)
 
-    def _weight(self, chi2: Array, width: float) -> Array:
+    def _weight(self, chi2: FloatArray, width: float) -> FloatArray:
         """Derivative of the loss."""
         return 1 / (1 + chi2 / (width * self.config.huber_scale) ** 2)
 
@@ -168,8 +168,8 @@ class Solution:
         done: whether no further step is worth while.
     """
 
-    submaps: Array
-    nodes: Array
+    submaps: FloatArray
+    nodes: FloatArray
     cost: float
     damping: float
     width: float = 1.0
@@ -177,7 +177,7 @@ class Solution:
     done: bool = False
 
 
-def begin(problem: Problem, submaps: Array, nodes: Array, since: int = 0) -> Solution:
+def begin(problem: Problem, submaps: FloatArray, nodes: FloatArray, since: int = 0) -> Solution:
     """Start from poses; the constraints to nodes from row `since` on are new."""
     width = problem.width(submaps, nodes, since)
     return Solution(submaps, nodes, problem.cost(submaps, nodes, width), problem.config.damping, width)
@@ -203,7 +203,7 @@ def improve(problem: Problem, now: Solution) -> Solution:
     return Solution(submaps, nodes, cost, damping, 1.0, count, done)
 
 
-def solve(problem: Problem, submaps: Array, nodes: Array) -> Solution:
+def solve(problem: Problem, submaps: FloatArray, nodes: FloatArray) -> Solution:
     """Iterate until it is done."""
     solution = begin(problem, submaps, nodes)
     while not solution.done:
@@ -211,13 +211,10 @@ def solve(problem: Problem, submaps: Array, nodes: Array) -> Solution:
     return solution
 
 
-def _moved(poses: Array, step: Array) -> Array:
+def _moved(poses: FloatArray, step: FloatArray) -> FloatArray:
     moved = poses + step
     moved[:, 2] = wrap(moved[:, 2])
     return moved
-
-
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,14 +229,14 @@ class Edges:
         robust: (m,) whether it may be wrong altogether.
     """
 
-    a: Indices
-    b: Indices
-    z: Array
-    information: Array
-    robust: NDArray[np.bool_]
+    a: IntArray
+    b: IntArray
+    z: FloatArray
+    information: FloatArray
+    robust: BoolArray
 
     @staticmethod
-    def of(rows: Sequence[tuple[int, int, Array, Array, bool]]) -> Edges:
+    def of(rows: Sequence[tuple[int, int, FloatArray, FloatArray, bool]]) -> Edges:
         """Stack (a, b, z, information, robust) of each constraint."""
         return Edges(
             np.array([r[0] for r in rows], dtype=np.int64),
@@ -250,14 +247,14 @@ class Edges:
         )
 
 
-def errors(a: Array, b: Array, z: Array) -> Array:
+def errors(a: FloatArray, b: FloatArray, z: FloatArray) -> FloatArray:
     """Return (m, 3) the estimated minus the measured pose of b in the frame of a (eq. 6)."""
     e = relative_poses(a, b) - z
     e[:, 2] = wrap(e[:, 2])
     return e
 
 
-def jacobians(a: Array, b: Array) -> tuple[Array, Array]:
+def jacobians(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (m, 3, 3) the derivatives of the errors with respect to a and to b."""
     c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
     dx, dy = b[:, 0] - a[:, 0], b[:, 1] - a[:, 1]

@@ -10,15 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.occupancy_map import UNKNOWN, OccupancyMap, UpdateConfig
 from slam_baselines.matching.branch_and_bound import BoundGrids
 from slam_baselines.matching.gauss_newton import MapPyramid
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,14 +78,14 @@ class Submap:
         self.pyramid, self._bounds = MapPyramid(tuple(empty)), None
 
     @property
-    def known_points(self) -> Array:
+    def known_points(self) -> FloatArray:
         """(n, 2) centres of the cells of the coarsest level that beams came to, in the local frame."""
         grid = self.pyramid.maps[-1].grid
         cells = np.argwhere(grid.layers["log_odds"] != UNKNOWN)[:, ::-1] + (grid.col0, grid.row0)
         return np.asarray((cells + 0.5) * grid.resolution, dtype=np.float64)
 
     def insert(
-        self, node: int, origin: Array, hits: Array, free: Array, steep: NDArray[np.uint8], bound: int
+        self, node: int, origin: FloatArray, hits: FloatArray, free: FloatArray, steep: ByteArray, bound: int
     ) -> None:
         """Draw a scan, given in the local frame (see OccupancyMap.update)."""
         self.revalue(bound)
@@ -105,7 +103,7 @@ class Submap:
         for level in self.pyramid.maps:
             level.revalue(bound)
 
-    def steepness(self, points: Array) -> NDArray[np.uint8]:
+    def steepness(self, points: FloatArray) -> ByteArray:
         """Return (n,) what is proven of the cells under points (n, 2 or more) of the local frame."""
         return self.pyramid.maps[-1].steepness(points)
 
@@ -152,8 +150,8 @@ class Submaps:
         return range(first, len(self.all))
 
     def insert(
-        self, node: int, pose: Pose2, origin: Array, hits: Array, free: Array,
-        steep: NDArray[np.uint8], bound: int,
+        self, node: int, pose: Pose2, origin: FloatArray, hits: FloatArray, free: FloatArray,
+        steep: ByteArray, bound: int,
     ) -> range:  # fmt: skip
         """Draw a scan taken at `pose`; return the submaps it entered."""
         if not self.all or len(self.all[-1].nodes) >= self._config.num_range_data:
@@ -166,7 +164,7 @@ class Submaps:
         return entered
 
 
-def bounding_box(origin: Array, *ends: Array) -> Array:
+def bounding_box(origin: FloatArray, *ends: FloatArray) -> FloatArray:
     """Return (4,) west, south, east, north of the laser and all ends of beams, metres."""
     points = [origin[None, :2], *(e[:, :2] for e in ends if len(e))]
     low = np.min([p.min(axis=0) for p in points], axis=0)

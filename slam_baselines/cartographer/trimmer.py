@@ -11,13 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray, IntArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.cartographer.submap import Submap
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +48,7 @@ class Trimmer:
 
     def __init__(self, config: TrimmingConfig) -> None:
         self._config = config
-        self._covered: dict[int, Array] = {}
+        self._covered: dict[int, FloatArray] = {}
         self._asked_at = 0
         self._finished = 0
 
@@ -85,7 +83,7 @@ class Trimmer:
                 count[mine] += 1
         return needless
 
-    def _places(self, local: Array, pose: Pose2) -> NDArray[np.int64]:
+    def _places(self, local: FloatArray, pose: Pose2) -> IntArray:
         """Return the keys of the places that points of a submap lie in."""
         cells = np.floor(pose.apply(local) / self._config.cell).astype(np.int64)
         return np.unique(cells[:, 0] * (1 << 32) + cells[:, 1])

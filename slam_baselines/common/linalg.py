@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy import sparse
 
-Array = NDArray[np.float64]
+from lirs_wct.arrays import FloatArray, IntArray
 
 
 @njit(cache=True)
@@ -58,21 +57,18 @@ def moved_covariance(P: Any, dx: float, dy: float, shift: float, turn: float) ->
     return R
 
 
-Indices = NDArray[np.int64]
-
-
-def sum_blocks(blocks: Array, index: Indices, n: int) -> Array:
+def sum_blocks(blocks: FloatArray, index: IntArray, n: int) -> FloatArray:
     """Return (n, 3, 3) the sums of the (k, 3, 3) blocks of each index."""
     return sum_vectors(blocks.reshape(-1, 9), index, n).reshape(n, 3, 3)
 
 
-def sum_vectors(vectors: Array, index: Indices, n: int) -> Array:
+def sum_vectors(vectors: FloatArray, index: IntArray, n: int) -> FloatArray:
     """Return (n, k) the sums of the vectors of each index."""
     columns = [np.bincount(index, weights=column, minlength=n) for column in vectors.T]
     return np.stack(columns, axis=-1)
 
 
-def block_matrix(blocks: Array, rows: Indices, cols: Indices, n: int, m: int) -> sparse.csr_matrix:
+def block_matrix(blocks: FloatArray, rows: IntArray, cols: IntArray, n: int, m: int) -> sparse.csr_matrix:
     """Return the sparse matrix of (k, 3, 3) blocks at block rows and columns; equal places add up."""
     three = np.arange(3)
     r = np.broadcast_to((3 * rows)[:, None, None] + three[:, None], blocks.shape)

@@ -13,8 +13,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from slam_baselines.common.se2 import in_axes_of
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
@@ -22,8 +22,6 @@ from slam_baselines.gmapping.proposal import Proposer
 from slam_baselines.mapping.ground_filter import Relief
 from slam_baselines.motion.increment import unbiased
 from slam_baselines.scan.leveling import LevelledScan
-
-Array = NDArray[np.float64]
 
 FIRST = 2.0
 """Metres after which to go over the way for the first time; then whenever the way has doubled ..."""
@@ -52,10 +50,10 @@ class Frame:
 
     scan: LevelledScan
     step: Pose2
-    covariance: Array
+    covariance: FloatArray
     seconds: float
     height: float
-    steep: NDArray[np.uint8]
+    steep: ByteArray
 
 
 class Retrace:
@@ -135,13 +133,13 @@ class Retrace:
         self.bias -= float((t @ off / HEADING**2 + pull) / (t @ t / HEADING**2 + 1 / BIAS**2))
 
 
-def _steepness(frame: Frame, pose: Pose2, relief: Relief) -> NDArray[np.uint8]:
+def _steepness(frame: Frame, pose: Pose2, relief: Relief) -> ByteArray:
     """Return (n,) what is proven by now of the frame's hits."""
     origin, hits, _ = frame.scan.placed(pose, frame.height)
     return np.maximum(frame.steep, relief.steepness(origin, hits, pose))
 
 
-def _draw(maps: PatchMaps, frame: Frame, pose: Pose2, steep: NDArray[np.uint8], bound: int) -> None:
+def _draw(maps: PatchMaps, frame: Frame, pose: Pose2, steep: ByteArray, bound: int) -> None:
     lift, scan = np.array((0.0, 0.0, frame.height)), frame.scan
     maps.enter(pose.as_array()[None], scan.origin + lift, scan.hits + lift, scan.free + lift, steep, bound)
 
@@ -149,8 +147,8 @@ def _draw(maps: PatchMaps, frame: Frame, pose: Pose2, steep: NDArray[np.uint8], 
 def _matched(
     frame: Frame,
     expected: Pose2,
-    covariance: Array,
-    steep: NDArray[np.uint8],
+    covariance: FloatArray,
+    steep: ByteArray,
     maps: PatchMaps,
     proposer: Proposer,
     bound: int,

@@ -14,11 +14,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lirs_wct.arrays import ByteArray, FloatArray, Int32Array, IntArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.occupancy_map import STEP, TOP_STEP, UNKNOWN, UpdateConfig
-
-Array = NDArray[np.float64]
 
 
 class PatchMaps:
@@ -33,8 +32,8 @@ class PatchMaps:
 
     def __init__(self, particles: int, resolution: float, update: UpdateConfig | None = None) -> None:
         self.resolution = resolution
-        self.tables: NDArray[np.int32] = np.empty((particles, 0, 0), np.int32)
-        self.corner: NDArray[np.int64] = np.zeros(2, np.int64)
+        self.tables: Int32Array = np.empty((particles, 0, 0), np.int32)
+        self.corner: IntArray = np.zeros(2, np.int64)
         self.patches = _resized(None, 256)
         self._steps = (update or UpdateConfig()).steps
 
@@ -48,7 +47,7 @@ class PatchMaps:
         """Patches that at least one map points at."""
         return len(self.patches.owners) - int(self.patches.free[0])
 
-    def descend(self, parents: NDArray[np.int64]) -> None:
+    def descend(self, parents: IntArray) -> None:
         """Let map i become a copy of what map `parents[i]` was; copies share their patches."""
         self.tables = self.tables[parents]
         owners = np.bincount(self.tables[self.tables != ABSENT].ravel(), minlength=len(self.patches.owners))
@@ -56,7 +55,13 @@ class PatchMaps:
         _list_free(self.patches)
 
     def enter(
-        self, poses: Array, origin: Array, hits: Array, free: Array, steep: NDArray[np.uint8], bound: int
+        self,
+        poses: FloatArray,
+        origin: FloatArray,
+        hits: FloatArray,
+        free: FloatArray,
+        steep: ByteArray,
+        bound: int,
     ) -> None:
         """Draw one scan into every map, each from its own pose.
 
@@ -98,7 +103,7 @@ class PatchMaps:
         """Return one map for the kernels; void after the next change."""
         return MapView(self.tables[particle], self.corner, self.patches, self.resolution, bound)
 
-    def steepness(self, particle: int, points: Array) -> NDArray[np.uint8]:
+    def steepness(self, particle: int, points: FloatArray) -> ByteArray:
         """Return (n,) what is proven of the cells under points (n, 2 or more) of the map frame."""
         out = np.zeros(len(points), np.uint8)
         steepness(self.tables[particle], self.corner, self.patches, self.resolution, points, out)
@@ -120,7 +125,7 @@ class PatchMaps:
         corner = Pose2(float(col0 * self.resolution), float(row0 * self.resolution))
         return OccupancyGrid(grid[r[0] : r[-1] + 1, c[0] : c[-1] + 1].copy(), self.resolution, corner)
 
-    def _cover(self, low: Array, high: Array) -> None:
+    def _cover(self, low: FloatArray, high: FloatArray) -> None:
         """Make the box (x, y in metres) part of the tables."""
         edge = PATCH * self.resolution
         first = np.array([math.floor(v / edge) for v in low[::-1]])
@@ -195,12 +200,12 @@ class Patches(NamedTuple):
     """
 
     log_odds: NDArray[np.int8]
-    hits: NDArray[np.uint8]
+    hits: ByteArray
     mean: NDArray[np.uint16]
-    steep: NDArray[np.uint8]
+    steep: ByteArray
     top: NDArray[np.int16]
-    owners: NDArray[np.int32]
-    free: NDArray[np.int32]
+    owners: Int32Array
+    free: Int32Array
 
 
 class MapView(NamedTuple):
@@ -214,8 +219,8 @@ class MapView(NamedTuple):
         bound: proven rise over run, in STEEP_STEP, from which on a hit is a wall.
     """
 
-    table: NDArray[np.int32]
-    corner: NDArray[np.int64]
+    table: Int32Array
+    corner: IntArray
     patches: Patches
     resolution: float
     bound: int

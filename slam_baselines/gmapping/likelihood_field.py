@@ -10,13 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray
 from slam_baselines.gmapping.copy_on_write_map import ABSENT, BITS, MASK, MEAN_STEPS
 from slam_baselines.mapping.occupancy_map import UNKNOWN
 from slam_baselines.matching.gauss_newton import solve3
-
-Array = NDArray[np.float64]
 
 NOTHING = 0.5
 """Loss of log-likelihood of a beam that ends where nothing is."""
@@ -32,8 +30,8 @@ class Beams(NamedTuple):
         weights: (n,) how much each counts.
     """
 
-    points: Array
-    weights: Array
+    points: FloatArray
+    weights: FloatArray
 
 
 # Inlined with plain arrays: handing tuples of arrays on for every cell would cost more than the work.
@@ -176,8 +174,8 @@ class Prior(NamedTuple):
         information: (3, 3) inverse of its covariance.
     """
 
-    pose: Array
-    information: Array
+    pose: FloatArray
+    information: FloatArray
 
 
 class Tuning(NamedTuple):

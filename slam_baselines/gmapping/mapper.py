@@ -11,8 +11,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import ByteArray, FloatArray, IntArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
@@ -29,8 +29,6 @@ from slam_baselines.mapping.ground_filter import Relief
 from slam_baselines.matching.tracking import FitCounter
 from slam_baselines.motion.increment import Step
 from slam_baselines.scan.leveling import LevelledScan, ScanLeveller
-
-Array = NDArray[np.float64]
 
 __all__ = ["GmappingConfig", "GmappingMapper"]
 
@@ -164,7 +162,7 @@ class GmappingMapper:
             self._maps, scan.hits, weights, bound, expected, covariances, self._best, self._rng
         )
 
-    def _weights(self, scan: LevelledScan, bound: int) -> Array:
+    def _weights(self, scan: LevelledScan, bound: int) -> FloatArray:
         """Return (n,) 1 for hits on what is known to be a wall, 0 for those that may be ground."""
         if bound == 0:
             return np.ones(len(scan.hits))
@@ -199,7 +197,7 @@ class GmappingMapper:
         self._maps, self._poses = maps, np.tile(path[-1], (n, 1))
         self._log_weights, self._totals = np.zeros(n), np.zeros(n)
 
-    def _draw(self, scan: LevelledScan) -> NDArray[np.uint8]:
+    def _draw(self, scan: LevelledScan) -> ByteArray:
         """Enter the scan into every particle's map, and into the relief from where the best one is.
 
         Return what is proven of its hits.
@@ -213,7 +211,7 @@ class GmappingMapper:
         self._maps.enter(self._poses, scan.origin + lift, scan.hits + lift, scan.free + lift, steep, bound)
         return steep
 
-    def _descend(self, parents: NDArray[np.int64]) -> None:
+    def _descend(self, parents: IntArray) -> None:
         """Replace the particles by copies of those that live on."""
         self._resamplings += 1
         self._maps.descend(parents)

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.gmapping.copy_on_write_map import MapView, PatchMaps
@@ -33,8 +33,6 @@ from slam_baselines.gmapping.likelihood_field import (
     score,
     search,
 )
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,12 +97,12 @@ class Proposal:
         known: (particles,) share of the beams that end on known cells.
     """
 
-    poses: Array
-    means: Array
-    covariances: Array
-    log_eta: Array
-    met: Array
-    known: Array
+    poses: FloatArray
+    means: FloatArray
+    covariances: FloatArray
+    log_eta: FloatArray
+    met: FloatArray
+    known: FloatArray
 
 
 class Proposer:
@@ -123,11 +121,11 @@ class Proposer:
     def propose(
         self,
         maps: PatchMaps,
-        points: Array,
-        weights: Array,
+        points: FloatArray,
+        weights: FloatArray,
         bound: int,
-        expected: Array,
-        covariances: Array,
+        expected: FloatArray,
+        covariances: FloatArray,
         best: int,
         rng: np.random.Generator,
     ) -> Proposal:
@@ -169,8 +167,13 @@ class Proposer:
         return Proposal(poses, means, sigmas, told[:, 0], told[:, 1], told[:, 2])
 
     def track(
-        self, view: MapView, points: Array, weights: Array, expected: Array, covariance: Array
-    ) -> Array | None:
+        self,
+        view: MapView,
+        points: FloatArray,
+        weights: FloatArray,
+        expected: FloatArray,
+        covariance: FloatArray,
+    ) -> FloatArray | None:
         """Return the (3,) pose at which a scan fits into one map; None where it fits nowhere near.
 
         Args:
@@ -186,7 +189,7 @@ class Proposer:
         return pose if met >= max(self.config.poor_score * known, self.config.least_beams) else None
 
 
-def carried(poses: Array, step: Pose2, covariance: Array) -> tuple[Array, Array]:
+def carried(poses: FloatArray, step: Pose2, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (n, 3) poses after a step `T_before_now`, and (n, 3, 3) its covariance in the map frame.
 
     Args:
@@ -199,7 +202,7 @@ def carried(poses: Array, step: Pose2, covariance: Array) -> tuple[Array, Array]
     return poses + R @ step.as_array(), R @ covariance @ R.transpose(0, 2, 1)
 
 
-def _points(n: int) -> Array:
+def _points(n: int) -> FloatArray:
     """Return (n, 3) points that fill the cube [-1, 1]^3 evenly, the first in its centre."""
     # Additive recurrence with the plastic number's relatives: no two points come close.
     g = 1.2207440846057596

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lirs_wct.arrays import FloatArray, IntArray
 
 
-def normalised(log_weights: Array) -> Array:
+def normalised(log_weights: FloatArray) -> FloatArray:
     """Return (n,) weights that sum to 1, of logarithms up to a constant."""
-    weights: Array = np.exp(log_weights - log_weights.max())
+    weights: FloatArray = np.exp(log_weights - log_weights.max())
     return weights / weights.sum()  # type: ignore[no-any-return]
 
 
-def effective_number(weights: Array) -> float:
+def effective_number(weights: FloatArray) -> float:
     """Return N_eff = 1 / sum w^2 (Grisetti et al. 2007, eq. 20); `weights` (n,) sum to 1."""
     return float(1.0 / np.square(weights).sum())
 
 
-def systematic_resample(weights: Array, rng: np.random.Generator) -> NDArray[np.int64]:
+def systematic_resample(weights: FloatArray, rng: np.random.Generator) -> IntArray:
     """Return (n,) indices of the particles that live on, each n w times, up to one more or less.
 
     One random number moves a comb of n teeth over the cumulative weights (n,).

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray, Int32Array, IntArray
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 LEVER = 0.5
 """How many metres of way a radian of turn counts as where an error is spread along the way."""
@@ -18,8 +16,8 @@ class Lineage:
     """Poses of all particles at each processed scan, as far back as their lines differ."""
 
     def __init__(self) -> None:
-        self._poses: list[Array] = []
-        self._parents: list[NDArray[np.int32]] = []
+        self._poses: list[FloatArray] = []
+        self._parents: list[Int32Array] = []
         self._scans: dict[float, tuple[int, Pose2, float]] = {}
         self._steps: list[tuple[Pose2, float]] = []
 
@@ -28,7 +26,7 @@ class Lineage:
         """Processed scans so far."""
         return len(self._poses)
 
-    def add_generation(self, poses: Array, parents: NDArray[np.int64], step: Pose2) -> None:
+    def add_generation(self, poses: FloatArray, parents: IntArray, step: Pose2) -> None:
         """Note (n, 3) poses of the particles at a processed scan.
 
         Args:
@@ -48,12 +46,12 @@ class Lineage:
         """
         self._scans[stamp] = self.generations - 1, since, _way(since)
 
-    def rewrite(self, path: Array) -> None:
+    def rewrite(self, path: FloatArray) -> None:
         """Replace the paths of all particles by one, (generations, 3); all are children of its end."""
         self._poses = list(path[:, None].copy())
         self._parents = [np.zeros(1, np.int32) for _ in path]
 
-    def path(self, particle: int) -> Array:
+    def path(self, particle: int) -> FloatArray:
         """Return (generations, 3) the poses of a particle and its ancestors."""
         path = np.empty((self.generations, 3))
         for i in range(self.generations - 1, -1, -1):

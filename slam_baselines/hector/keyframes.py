@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lirs_wct.arrays import ByteArray
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.motion.dead_reckoning import Move
@@ -29,7 +27,7 @@ class Keyframe:
     pose: Pose2
     height: float
     moves: tuple[Move | None, ...]
-    steep: NDArray[np.uint8]
+    steep: ByteArray
 
 
 class KeyframeTrajectory:

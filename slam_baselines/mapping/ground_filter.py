@@ -19,15 +19,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.growing_grid import GrowingGrid
 from slam_baselines.mapping.occupancy_map import STEEP_STEP
 from slam_baselines.scan.leveling import LevelledScan
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +129,7 @@ class Relief:
         angle = math.degrees(min(factor * self.tilt + margin + unknown, c.slope_limit))
         return round(math.tan(math.radians(math.ceil(angle))) / STEEP_STEP)
 
-    def observe(self, origin: Array, hits: Array, free: Array, base: Pose2) -> NDArray[np.uint8]:
+    def observe(self, origin: FloatArray, hits: FloatArray, free: FloatArray, base: Pose2) -> ByteArray:
         """Lower the ceiling by what a scan has seen; return the proven steepness of its hits.
 
         Args:
@@ -153,7 +151,7 @@ class Relief:
         stand(ceiling, frame, self._ground(base), c.footprint, old)
         return self.steepness(origin, hits, base)
 
-    def steepness(self, origin: Array, hits: Array, base: Pose2) -> NDArray[np.uint8]:
+    def steepness(self, origin: FloatArray, hits: FloatArray, base: Pose2) -> ByteArray:
         """Return the proven steepness of hits, in STEEP_STEP, from what was observed so far."""
         c, g = self.config, self.grid
         steep = np.zeros(len(hits), np.uint8)
@@ -164,18 +162,18 @@ class Relief:
         steepness(g.layers["ceiling"], frame, origin, hits, ground, bounds, self._offsets, STEEP_STEP, steep)
         return steep
 
-    def _ground(self, base: Pose2) -> Array:
+    def _ground(self, base: Pose2) -> FloatArray:
         """Return (3,) the highest that the ground under the robot may be."""
         c = self.config
         return np.array((base.x, base.y, self.height - c.base_height + c.confidence * c.height_error))
 
     @staticmethod
-    def unproven(n: int) -> NDArray[np.uint8]:
+    def unproven(n: int) -> ByteArray:
         """Return the steepness of n hits about whose height nothing is known."""
         return np.zeros(n, np.uint8)
 
 
-def _neighbours(resolution: float) -> Array:
+def _neighbours(resolution: float) -> FloatArray:
     """Return (k, 3) row and column offsets and distances: all cells close by, fewer farther off."""
     reach = round(0.35 / resolution)
     close = [(r, c) for r in range(-reach, reach + 1) for c in range(-reach, reach + 1)]

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, wrap_angle
@@ -15,9 +15,6 @@ from slam_baselines.mapping.ground_filter import Relief, ReliefConfig
 from slam_baselines.mapping.occupancy_map import STEEP_STEP, OccupancyMap, UpdateConfig, bounding_box
 from slam_baselines.matching.gauss_newton import MapPyramid
 from slam_baselines.scan.leveling import LevelledScan
-
-Array = NDArray[np.float64]
-Steps = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +78,7 @@ class MapBuilder:
             self.relief.move(Pose2() if self._last is None else self._last.inverse() @ pose, scan)
         self._last = pose
 
-    def steepness(self, scan: LevelledScan, pose: Pose2, height: float | None = None) -> Steps:
+    def steepness(self, scan: LevelledScan, pose: Pose2, height: float | None = None) -> ByteArray:
         """Return (n,) what is proven of the hits by now, of the base at `height` (None: the present one)."""
         if self.flat:
             return self.relief.unproven(len(scan.hits))
@@ -89,7 +86,7 @@ class MapBuilder:
         now = self.relief.steepness(origin, hits, pose)
         return np.maximum(now, self.pyramid.maps[-1].steepness(hits))
 
-    def weights(self, steep: Steps) -> Array | None:
+    def weights(self, steep: ByteArray) -> FloatArray | None:
         """Return (n,) how much hits say: 1 on a sheer wall, less on a slope, 0 on what may be ground.
 
         None on a floor, where every hit is a wall.
@@ -97,7 +94,7 @@ class MapBuilder:
         if self.flat:
             return None
         sheer = self.relief.config.sheer / STEEP_STEP
-        weights: Array = np.minimum(1.0, (steep / sheer) ** 2) * (steep >= self._bound)
+        weights: FloatArray = np.minimum(1.0, (steep / sheer) ** 2) * (steep >= self._bound)
         return weights
 
     def due(self, scan: LevelledScan, pose: Pose2) -> bool:
@@ -112,7 +109,7 @@ class MapBuilder:
         turn = abs(wrap_angle(pose.yaw - before.yaw))
         return turn > c.map_update_angle_thresh or lean > c.map_update_tilt_thresh
 
-    def enter(self, scan: LevelledScan, pose: Pose2) -> Steps:
+    def enter(self, scan: LevelledScan, pose: Pose2) -> ByteArray:
         """Update the map with a scan taken at `pose`; return the proven steepness of its hits."""
         origin, hits, free = scan.placed(pose, self.relief.height)
         if scan.levelled:
@@ -128,11 +125,11 @@ class MapBuilder:
         self._entered = pose, scan.ground_slope
         return steep
 
-    def enter_again(self, scan: LevelledScan, pose: Pose2, height: float, steep: Steps) -> None:
+    def enter_again(self, scan: LevelledScan, pose: Pose2, height: float, steep: ByteArray) -> None:
         """Update a restarted map with a scan that has entered the relief before."""
         self._draw(*scan.placed(pose, height), steep)
 
-    def _draw(self, origin: Array, hits: Array, free: Array, steep: Steps) -> None:
+    def _draw(self, origin: FloatArray, hits: FloatArray, free: FloatArray, steep: ByteArray) -> None:
         box = bounding_box(origin, hits, free)
         grew = [level.update(origin, hits, free, steep, self._bound, box) for level in self.pyramid.maps]
         if any(grew):

@@ -14,13 +14,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.growing_grid import GrowingGrid
-
-Array = NDArray[np.float64]
-Steps = NDArray[np.uint8]
 
 __all__ = ["FULL", "STEEP_STEP", "STEP", "TOP_STEP", "UNKNOWN", "UNSEEN", "OccupancyMap", "UpdateConfig"]
 
@@ -81,7 +79,7 @@ class OccupancyMap:
         layers = {"log_odds": (np.int8, UNKNOWN), "value": (np.uint8, UNSEEN), "steep": (np.uint8, 0)}
         self.grid = GrowingGrid(resolution, layers | {"top": (np.int16, -32768)})
         self._steps = (config or UpdateConfig()).steps
-        self._touched: NDArray[np.uint8] = np.zeros(0, np.uint8)
+        self._touched: ByteArray = np.zeros(0, np.uint8)
         self._mark = 0
         self._take_over()
 
@@ -90,7 +88,15 @@ class OccupancyMap:
         """Edge of a cell, metres."""
         return self.grid.resolution
 
-    def update(self, origin: Array, hits: Array, free: Array, steep: Steps, bound: int, box: Array) -> bool:
+    def update(
+        self,
+        origin: FloatArray,
+        hits: FloatArray,
+        free: FloatArray,
+        steep: ByteArray,
+        bound: int,
+        box: FloatArray,
+    ) -> bool:
         """Enter a scan; return whether the arrays were replaced because the map grew.
 
         Args:
@@ -123,7 +129,7 @@ class OccupancyMap:
         )
         return grew
 
-    def _scratch(self, rows: int, cols: int) -> NDArray[np.uint8]:
+    def _scratch(self, rows: int, cols: int) -> ByteArray:
         """Return a scratch that nowhere holds the new mark; it is wiped only when the marks run out."""
         if len(self._touched) < rows * cols:
             self._touched, self._mark = np.zeros(rows * cols * 3 // 2, np.uint8), 0
@@ -136,7 +142,7 @@ class OccupancyMap:
     def _take_over(self) -> None:
         g = self.grid
         self.layers = Layers(**g.layers)
-        self.frame: Array = np.array((g.row0, g.col0, g.resolution), dtype=np.float64)
+        self.frame: FloatArray = np.array((g.row0, g.col0, g.resolution), dtype=np.float64)
 
     def revalue(self, bound: int) -> None:
         """Let the matcher see as walls only those hits that are proven to be steeper than `bound`."""
@@ -144,7 +150,7 @@ class OccupancyMap:
         np.take(VALUE, steps.astype(np.int16) + 128, out=value)
         value[(steps > 0) & (self.layers.steep < bound)] = UNSEEN
 
-    def steepness(self, points: Array) -> Steps:
+    def steepness(self, points: FloatArray) -> ByteArray:
         """Return (n,) what is proven of the cells under points (n, 2 or more), in STEEP_STEP."""
         out = np.zeros(len(points), np.uint8)
         look_up(self.layers.steep, self.frame, points, out)
@@ -192,8 +198,8 @@ class Layers(NamedTuple):
     """The arrays of a map, (rows, cols) each."""
 
     log_odds: NDArray[np.int8]
-    value: NDArray[np.uint8]
-    steep: NDArray[np.uint8]
+    value: ByteArray
+    steep: ByteArray
     top: NDArray[np.int16]
 
 

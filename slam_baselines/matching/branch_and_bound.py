@@ -12,12 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import ByteArray, FloatArray
 from slam_baselines.mapping.growing_grid import GrowingGrid
 from slam_baselines.mapping.occupancy_map import FULL
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +30,7 @@ class BoundGrids:
         resolution: edge of a cell, metres.
     """
 
-    levels: NDArray[np.uint8]
+    levels: ByteArray
     row0: int
     col0: int
     resolution: float
@@ -60,7 +58,7 @@ class BoundGrids:
         return self.levels.nbytes
 
 
-def _pool(level: NDArray[np.uint8], step: int, out: NDArray[np.uint8]) -> None:
+def _pool(level: ByteArray, step: int, out: ByteArray) -> None:
     """Join four squares of `step` cells to one of twice the edge."""
     wide = level.copy()
     np.maximum(wide[:, :-step], level[:, step:], out=wide[:, :-step])
@@ -79,21 +77,21 @@ class Found:
         complete: whether the search came to its end within the limit of nodes.
     """
 
-    pose: Array
+    pose: FloatArray
     score: float
     bounded: int
     complete: bool
 
 
-def angular_step(points: Array, resolution: float) -> float:
+def angular_step(points: FloatArray, resolution: float) -> float:
     """Return the turn that moves the farthest point by a cell (eq. 7), radians."""
     farthest = max(float(np.hypot(points[:, 0], points[:, 1]).max()), 2 * resolution)
     return math.acos(1 - resolution**2 / (2 * farthest**2))
 
 
 def branch_and_bound(
-    grids: BoundGrids, points: Array, start: Array, linear: float, angular: float,
-    min_score: float, limit: int = 1 << 20, apart_from: Array | None = None, apart: float = 0.0,
+    grids: BoundGrids, points: FloatArray, start: FloatArray, linear: float, angular: float,
+    min_score: float, limit: int = 1 << 20, apart_from: FloatArray | None = None, apart: float = 0.0,
 ) -> Found:  # fmt: skip
     """Find the pose of the best score around `start`.
 

@@ -10,13 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from slam_baselines.mapping.growing_grid import GrowingGrid
 from slam_baselines.mapping.occupancy_map import FULL
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +45,9 @@ class SearchConfig:
             raise ConfigError("windows, angular_step and beams of a correlative search must be above 0")
 
 
-def search(grid: GrowingGrid, points: Array, weights: Array, start: Array, config: SearchConfig) -> Array:
+def search(
+    grid: GrowingGrid, points: FloatArray, weights: FloatArray, start: FloatArray, config: SearchConfig
+) -> FloatArray:
     """Return the (3,) pose x, y, yaw in the window around `start` that has the best score.
 
     Args:

@@ -14,14 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from slam_baselines.common.linalg import invert3
 from slam_baselines.common.linalg import solve3 as solve3
 from slam_baselines.mapping.occupancy_map import FULL, UNSEEN, OccupancyMap
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,8 +60,8 @@ class Match:
         known: share of the beams that fall on known cells.
     """
 
-    pose: Array
-    information: Array
+    pose: FloatArray
+    information: FloatArray
     score: float
     beams: float
     known: float
@@ -79,7 +77,7 @@ class MapPyramid:
     def refresh(self) -> None:
         """Take over the maps' arrays; needed whenever one of them grew."""
         self.values = tuple(m.layers.value for m in self.maps)
-        self.frames: Array = np.array([m.frame for m in self.maps])
+        self.frames: FloatArray = np.array([m.frame for m in self.maps])
         self.cells = tuple(m.resolution for m in self.maps)
 
 
@@ -89,13 +87,19 @@ class ScanMatcher:
     def __init__(self, config: MatchConfig) -> None:
         self._iterations = np.array(config.iterations)
         self._config = config
-        self._ones: Array = np.ones(0)
+        self._ones: FloatArray = np.ones(0)
         self._out = np.zeros(15)
 
     def match(
-        self, pyramid: MapPyramid, points: Array, weights: Array, prior: Array, information: Array,
-        levels: int, start: Array | None = None,
-    ) -> Match:  # fmt: skip
+        self,
+        pyramid: MapPyramid,
+        points: FloatArray,
+        weights: FloatArray,
+        prior: FloatArray,
+        information: FloatArray,
+        levels: int,
+        start: FloatArray | None = None,
+    ) -> Match:
         """Fit the scan into the map.
 
         Args:
@@ -117,9 +121,9 @@ class ScanMatcher:
         return Match(out[:3].copy(), out[3:12].reshape(3, 3).copy(), *out[12:].tolist())
 
     def fit(
-        self, pyramid: MapPyramid, points: Array, weights: Array | None, share: float,
-        prior: Array, covariance: Array, start: Array | None = None,
-    ) -> tuple[Match, Array]:  # fmt: skip
+        self, pyramid: MapPyramid, points: FloatArray, weights: FloatArray | None, share: float,
+        prior: FloatArray, covariance: FloatArray, start: FloatArray | None = None,
+    ) -> tuple[Match, FloatArray]:  # fmt: skip
         """Fit the scan into the map; return the match and the (3, 3) covariance with the prior's in it.
 
         Args:
@@ -147,7 +151,7 @@ class ScanMatcher:
         match = Match(out[:3], out[3:12].reshape(3, 3), score, known, total)
         return match, out[15:].reshape(3, 3)
 
-    def levels(self, pyramid: MapPyramid, covariance: Array) -> int:
+    def levels(self, pyramid: MapPyramid, covariance: FloatArray) -> int:
         """Return how many levels it takes to catch an error of two standard deviations.
 
         A level is needed where the error exceeds the cell of the next finer one; coarse levels that are

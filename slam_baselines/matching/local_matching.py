@@ -8,17 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from slam_baselines.common.se2 import inverted
 from slam_baselines.matching.correlative import SearchConfig, search
 from slam_baselines.matching.gauss_newton import MapPyramid, Match, MatchConfig, ScanMatcher
 from slam_baselines.motion.dead_reckoning import Estimate
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +64,7 @@ class LocalMatcher:
         self._matcher = ScanMatcher(config.match)
 
     def fit(
-        self, pyramid: MapPyramid, hits: Array, weights: Array, expected: Estimate, before: Pose2
+        self, pyramid: MapPyramid, hits: FloatArray, weights: FloatArray, expected: Estimate, before: Pose2
     ) -> tuple[Estimate, Match | None]:
         """Return the estimate that fits, and the match; `expected` and None where nothing can be said.
 

@@ -8,16 +8,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from slam_baselines.common.linalg import invert3
 from slam_baselines.matching.correlative import SearchConfig, search
 from slam_baselines.matching.gauss_newton import MapPyramid, Match, MatchConfig, ScanMatcher
 from slam_baselines.motion.dead_reckoning import Estimate
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,8 +76,8 @@ class Registration:
     def fit(
         self,
         pyramid: MapPyramid,
-        hits: Array,
-        weights: Array | None,
+        hits: FloatArray,
+        weights: FloatArray | None,
         expected: Estimate,
         before: Pose2,
         earlier: Pose2 | None = None,
@@ -121,12 +119,12 @@ class Registration:
     def _search(
         self,
         pyramid: MapPyramid,
-        hits: Array,
-        weights: Array | None,
+        hits: FloatArray,
+        weights: FloatArray | None,
         share: float,
-        prior: Array,
-        coasting: Array,
-    ) -> tuple[Match, Array]:
+        prior: FloatArray,
+        coasting: FloatArray,
+    ) -> tuple[Match, FloatArray]:
         """Fit from the best place in the wider window, and from where the robot would have coasted to."""
         self.searches += 1
         c = self.config.search
@@ -148,6 +146,6 @@ class Registration:
         return bool(off @ invert3(expected.covariance) @ off <= self.config.believable**2)
 
 
-def _coasting(before: Pose2, earlier: Pose2 | None) -> Array:
+def _coasting(before: Pose2, earlier: Pose2 | None) -> FloatArray:
     """Return the (3,) pose that another step like the one from `earlier` to `before` leads to."""
     return (before if earlier is None else before @ (earlier.inverse() @ before)).as_array()

@@ -6,16 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu
 from slam_baselines.common.linalg import moved_covariance
 from slam_baselines.motion.calibration import LEVEL, Calibration, CalibrationConfig, Slope
-
-Array = NDArray[np.float64]
 
 STANDS = 1e-3
 """A step shorter than this (metres and radians together) is none."""
@@ -37,7 +33,7 @@ class Estimate:
     """
 
     pose: Pose2
-    covariance: Array
+    covariance: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)

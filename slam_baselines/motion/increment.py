@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
 from slam_baselines.motion.dead_reckoning import DeadReckoning, Estimate, MotionConfig, yaw_rate
-
-Array = NDArray[np.float64]
 
 GYRO = 5e-4
 """Random walk of a gyro's yaw once its bias is taken out: standard deviation after one second, radians."""
@@ -42,7 +40,7 @@ class Step:
     def begin(self) -> None:
         """Start a new step here."""
         self.pose = Pose2()
-        self.newest: Array = np.zeros((3, 3))
+        self.newest: FloatArray = np.zeros((3, 3))
         self.reckoned = Estimate(Pose2(), self.newest)
         self.way = self.turn = self.seconds = self._disagreement = 0.0
 

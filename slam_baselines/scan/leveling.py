@@ -11,12 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +30,9 @@ class LevelledScan:
         stamp: seconds.
     """
 
-    origin: Array
-    hits: Array
-    free: Array
+    origin: FloatArray
+    hits: FloatArray
+    free: FloatArray
     ground_slope: tuple[float, float]
     tilt: float
     stamp: float
@@ -44,7 +42,7 @@ class LevelledScan:
         """Whether an attitude was known."""
         return not math.isnan(self.tilt)
 
-    def placed(self, T_map_base: Pose2, height: float) -> tuple[Array, Array, Array]:
+    def placed(self, T_map_base: Pose2, height: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return origin, hits and free ends in the map frame, the base being at `height`."""
         T = T_map_base
         origin, hits, free = np.empty(3), np.empty_like(self.hits), np.empty_like(self.free)
@@ -60,7 +58,7 @@ class ScanLeveller:
         self._clear_range = clear_range
         self._max_range = max_range
         self._geometry: tuple[int, float, float] = (-1, 0.0, 0.0)
-        self._directions: Array = np.empty((0, 2))
+        self._directions: FloatArray = np.empty((0, 2))
         self._mount = Pose3()
         self._R, self._t = self._mount.rotation, self._mount.position
 

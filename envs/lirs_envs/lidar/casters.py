@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import Literal, get_args
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
 from lirs_envs.lidar.mesh_rays import MeshCaster
 from lirs_envs.lidar.ray_casting import Caster, RayCaster, mujoco_ranges
 from lirs_envs.props import PROP_GROUP
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import unknown_name
 from lirs_wct.export.mjcf import SEEN_GROUP, TERRAIN_GROUP
 from lirs_wct.world import World
 
-Array = NDArray[np.float64]
 Rays = Literal["ours", "mujoco"]
 RAYS: tuple[Rays, ...] = get_args(Rays)
 """Whose rays meet the world: our traversal, or MuJoCo's (for comparison; 20 to 10,000 times slower)."""
@@ -37,7 +35,7 @@ class GeomCaster:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, groups: tuple[int, ...]) -> None:
         self._model, self._data, self._groups = model, data, groups
 
-    def ranges(self, origins: Array, directions: Array, max_range: float) -> Array:
+    def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
         """Return (n,) ranges (see `lirs_envs.lidar.ray_casting.Caster`)."""
         # Places of geoms are those before the last step: brought up to date, the stepping goes on as without.
         mujoco.mj_kinematics(self._model, self._data)

@@ -10,15 +10,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.scan import LaserScan
 
-Array = NDArray[np.float64]
 
-
-def moved_frames(times: ArrayLike, velocity: ArrayLike, rates: ArrayLike) -> tuple[Array, Array]:
+def moved_frames(times: ArrayLike, velocity: ArrayLike, rates: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Return rotations (n, 3, 3) and positions (n, 3) of a moving frame, in the frame that it was at time 0.
 
     Args:
@@ -47,7 +46,7 @@ def moved_frames(times: ArrayLike, velocity: ArrayLike, rates: ArrayLike) -> tup
     return R, (G @ v) / rate
 
 
-def deskewed_points(scan: LaserScan, velocity: ArrayLike, rates: ArrayLike) -> Array:
+def deskewed_points(scan: LaserScan, velocity: ArrayLike, rates: ArrayLike) -> FloatArray:
     """Return (n, 3) ends of the beams in the base frame at the scan's stamp; NaN where a beam met nothing.
 
     Args:
@@ -59,7 +58,7 @@ def deskewed_points(scan: LaserScan, velocity: ArrayLike, rates: ArrayLike) -> A
     ranges = np.where(scan.hits, scan.ranges, np.nan).astype(np.float64)
     beams = ranges[:, None] * np.stack((np.cos(angles), np.sin(angles), np.zeros_like(angles)), axis=1)
     R, p = moved_frames(scan.time_increment * np.arange(len(angles)), velocity, rates)
-    points: Array = np.einsum("nij,nj->ni", R, scan.T_base_laser.apply(beams)) + p
+    points: FloatArray = np.einsum("nij,nj->ni", R, scan.T_base_laser.apply(beams)) + p
     return points
 
 
@@ -83,7 +82,7 @@ def deskewed_scan(scan: LaserScan, velocity: ArrayLike, rates: ArrayLike) -> Las
     return replace(scan, ranges=ranges.astype(np.float32), time_increment=0.0)
 
 
-def _indices(scan: LaserScan, angles: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def _indices(scan: LaserScan, angles: FloatArray) -> tuple[IntArray, BoolArray]:
     """Return the beams nearest to angles, and which angles have one."""
     offset = np.remainder(angles - scan.angle_min + scan.angle_increment / 2, 2 * np.pi)
     index = (offset / scan.angle_increment).astype(np.int64)

@@ -8,20 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from lirs_envs.lidar.deskew import moved_frames
 from lirs_envs.lidar.noise import LidarNoise, draws, lidar_noise, measure
 from lirs_envs.lidar.presets import LIDARS, LidarPreset, make_lidar_preset
 from lirs_envs.lidar.ray_casting import Caster
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import LaserScan
 
 __all__ = ["LIDARS", "Lidar", "LidarPreset", "Motion", "OtherRanges", "make_lidar_preset"]
 
-Array = NDArray[np.float64]
-OtherRanges = Callable[[Array, Array, float], Array]
+OtherRanges = Callable[[FloatArray, FloatArray, float], FloatArray]
 """origin (3,) or origins (n, 3), directions (n, 3), largest range -> (n,) ranges of what the caster does not
 hold."""
 
@@ -115,7 +114,7 @@ class Lidar:
             self.time_increment,
         )
 
-    def _rays(self, T_world_base: Pose3, motion: Motion | None) -> tuple[Array, Array]:
+    def _rays(self, T_world_base: Pose3, motion: Motion | None) -> tuple[FloatArray, FloatArray]:
         """Return origin (3,) or origins (n, 3), and directions (n, 3) of the beams in the world."""
         T = T_world_base
         quaternion, position = (T.qw, T.qx, T.qy, T.qz), (T.x, T.y, T.z)
@@ -134,10 +133,10 @@ class Lidar:
 def _carry(
     quaternion: tuple[float, float, float, float],
     position: tuple[float, float, float],
-    starts: Array,
-    beams: Array,
-    origins: Array,
-    directions: Array,
+    starts: FloatArray,
+    beams: FloatArray,
+    origins: FloatArray,
+    directions: FloatArray,
 ) -> None:
     """Fill origins (m, 3) and directions (n, 3) in the world from those in the base, in place if need be."""
     w, x, y, z = quaternion

@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray, Int32Array
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.mesh import TriangleMesh
 
-Array = NDArray[np.float64]
 SLACK = 1e-4
 """Metres by which Embree looks farther than it is asked to: single precision at a kilometre."""
 
@@ -45,7 +44,7 @@ class MeshCaster:
         self._scene: Any = scenes.EmbreeScene(robust=True)
         self._geometry: Any = meshes.TriangleMesh(self._scene, self._vertices.astype(np.float32), self._faces)
 
-    def ranges(self, origins: Array, directions: Array, max_range: float) -> Array:
+    def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
         """Return (n,) ranges (see `lirs_envs.lidar.ray_casting.Caster`)."""
         origins = origins - self._middle
         starts = np.empty(directions.shape, np.float32)
@@ -60,13 +59,13 @@ class MeshCaster:
 
 @njit(cache=True)
 def _refine(
-    vertices: Array,
-    faces: NDArray[np.int32],
-    met: NDArray[np.int32],
-    origins: Array,
-    directions: Array,
+    vertices: FloatArray,
+    faces: Int32Array,
+    met: Int32Array,
+    origins: FloatArray,
+    directions: FloatArray,
     max_range: float,
-    ranges: Array,
+    ranges: FloatArray,
 ) -> None:
     """Fill `ranges` (n,) with where each ray meets the plane of the triangle `met` (-1 = none)."""
     for k in range(len(met)):
@@ -78,7 +77,7 @@ def _refine(
 
 
 @njit(cache=True, forceinline=True)
-def _plane_range(vertices: Array, face: NDArray[np.int32], o: Array, d: Array) -> float:
+def _plane_range(vertices: FloatArray, face: Int32Array, o: FloatArray, d: FloatArray) -> float:
     """Return where a ray meets a triangle's plane, between the corners' nearest and farthest along the ray.
 
     A ray that grazes the plane meets it anywhere.

@@ -15,11 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import Float32Array, FloatArray, IntArray
 from lirs_wct.geometry.heightfield import HeightField
 
-Floats = NDArray[np.float32]
 LEAF = 3
 """Level of the blocks."""
 EDGE = 2**LEAF
@@ -42,11 +41,11 @@ class Terrain(NamedTuple):
         cells: columns and rows.
     """
 
-    block: Floats
-    bound: Floats
-    start: NDArray[np.int64]
-    width: NDArray[np.int64]
-    frame: NDArray[np.float64]
+    block: Float32Array
+    bound: Float32Array
+    start: IntArray
+    width: IntArray
+    frame: FloatArray
     cells: tuple[int, int]
 
 
@@ -86,7 +85,7 @@ def _level_shapes(rows: int, cols: int) -> list[tuple[int, int]]:
 
 
 @njit(cache=True)
-def _fill_blocks(z: Floats, block: Floats, bound: Floats) -> None:
+def _fill_blocks(z: Float32Array, block: Float32Array, bound: Float32Array) -> None:
     """Fill the blocks (rows, cols, ROW * ROW) and the finest level (2, rows, cols)."""
     last_row, last_col = z.shape[0] - 1, z.shape[1] - 1
     for r in range(block.shape[0]):
@@ -102,7 +101,7 @@ def _fill_blocks(z: Floats, block: Floats, bound: Floats) -> None:
 
 
 @njit(cache=True)
-def _bound_squares(fine: Floats, coarse: Floats) -> None:
+def _bound_squares(fine: Float32Array, coarse: Float32Array) -> None:
     """Fill a level (2, rows, cols) from the one below it."""
     for s in range(2):
         for r in range(coarse.shape[1]):

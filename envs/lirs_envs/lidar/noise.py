@@ -8,12 +8,11 @@ from typing import Literal
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from lirs_envs.lidar.presets import LidarPreset
+from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.errors import ConfigError, unknown_name
 
-Array = NDArray[np.float64]
 NoiseLevel = Literal["none", "simulated", "datasheet"]
 LEVELS = ("none", "simulated", "datasheet")
 
@@ -94,10 +93,10 @@ def lidar_noise(preset: LidarPreset, level: NoiseLevel = "simulated") -> LidarNo
     return simulated if level == "simulated" else DATASHEET.get(preset.name, simulated)
 
 
-NO_DRAWS: Array = np.empty((0, 2))
+NO_DRAWS: FloatArray = np.empty((0, 2))
 
 
-def draws(noise: LidarNoise, beams: int, rng: np.random.Generator) -> tuple[Array, Array]:
+def draws(noise: LidarNoise, beams: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Return (n,) normal and (n, 2) uniform numbers for one scan; without need of the latter, (0, 2)."""
     normal = rng.standard_normal(beams)
     return normal, rng.random((beams, 2)) if noise.draws_uniform else NO_DRAWS
@@ -105,12 +104,12 @@ def draws(noise: LidarNoise, beams: int, rng: np.random.Generator) -> tuple[Arra
 
 @njit(cache=True)
 def measure(
-    exact: Array,
-    normal: Array,
-    uniform: Array,
+    exact: FloatArray,
+    normal: FloatArray,
+    uniform: FloatArray,
     limits: tuple[float, float],
     figures: tuple[float, float, float, float, float, float],
-    ranges: NDArray[np.float32],
+    ranges: Float32Array,
 ) -> None:
     """Fill `ranges` (n,): +inf = nothing in range, -inf = too near, NaN = lost (REP 117), else metres."""
     range_min, range_max = limits

@@ -6,17 +6,16 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lirs_envs.lidar.noise import LidarNoise, draws, measure
 from lirs_envs.lidar.ray_casting import Caster
+from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose3
 
-Array = NDArray[np.float64]
 
-
-def rings(count: int, beams: int, elevation: tuple[float, float]) -> Array:
+def rings(count: int, beams: int, elevation: tuple[float, float]) -> FloatArray:
     """Return (count * beams, 3) unit directions of rings around z, ring by ring from below.
 
     Args:
@@ -54,7 +53,7 @@ class BeamPattern:
         ConfigError: the directions are no unit vectors, or the ranges no interval.
     """
 
-    directions: Array
+    directions: FloatArray
     range_min: float = 0.1
     range_max: float = 100.0
     noise: LidarNoise = field(default_factory=LidarNoise)
@@ -92,7 +91,7 @@ class PatternLidar:
         self.T_base_laser = T_base_laser
         self._rng = rng
 
-    def ranges(self, T_world_base: Pose3) -> NDArray[np.float32]:
+    def ranges(self, T_world_base: Pose3) -> Float32Array:
         """Return (n,) metres: +inf = nothing in range, -inf = too near, NaN = lost (REP 117)."""
         pattern, T = self.pattern, T_world_base @ self.T_base_laser
         rays = (T.position, pattern.directions @ T.rotation.T, pattern.range_max)
@@ -103,7 +102,7 @@ class PatternLidar:
         measure(exact, normal, uniform, limits, pattern.noise.figures, ranges)
         return ranges
 
-    def points(self, ranges: ArrayLike) -> Array:
+    def points(self, ranges: ArrayLike) -> FloatArray:
         """Return (m, 3) ends of the beams that met something, in the base frame, metres."""
         r = np.asarray(ranges, dtype=np.float64)
         met = np.isfinite(r)

@@ -22,22 +22,21 @@ from typing import Protocol
 import mujoco
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lirs_envs.lidar.mipmap import Terrain, terrain_of
 from lirs_envs.lidar.terrain_rays import terrain_ranges
 from lirs_envs.lidar.wall_cells import WallCells, through_holes, wall_cells_of, wall_ranges
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
-
-Array = NDArray[np.float64]
 
 
 class Caster(Protocol):
     """What the laser's beams meet."""
 
-    def ranges(self, origins: Array, directions: Array, max_range: float) -> Array:
+    def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
         """Return (n,) metres along unit directions; inf where nothing is within `max_range`.
 
         Args:
@@ -54,7 +53,7 @@ class RayCaster:
         self.terrain: Terrain = terrain_of(surface)
         self.walls: WallCells = wall_cells_of(walls)
 
-    def cast(self, origin: ArrayLike, directions: ArrayLike, max_range: float = math.inf) -> Array:
+    def cast(self, origin: ArrayLike, directions: ArrayLike, max_range: float = math.inf) -> FloatArray:
         """Return (n,) ranges in metres along unit directions; inf where nothing is within `max_range`.
 
         Args:
@@ -69,7 +68,7 @@ class RayCaster:
             raise ConfigError(f"max_range must be at least 0 m, got {max_range}")
         return self.ranges(*_rays(origin, directions), float(max_range))
 
-    def ranges(self, origins: Array, directions: Array, max_range: float) -> Array:
+    def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
         """Return (n,) ranges of rays that are known to be legal (see `Caster`)."""
         ranges = np.empty(len(directions))
         cast_rays(self.terrain, self.walls, origins.reshape(-1, 3), directions, max_range, ranges)
@@ -78,7 +77,12 @@ class RayCaster:
 
 @njit(cache=True, error_model="numpy")
 def cast_rays(
-    terrain: Terrain, walls: WallCells, origins: Array, directions: Array, max_range: float, ranges: Array
+    terrain: Terrain,
+    walls: WallCells,
+    origins: FloatArray,
+    directions: FloatArray,
+    max_range: float,
+    ranges: FloatArray,
 ) -> None:
     """Fill `ranges` (n,) with the distance to the nearest wall or triangle, inf = none within `max_range`.
 
@@ -93,7 +97,12 @@ def cast_rays(
 
 @njit(cache=True, error_model="numpy")
 def _cast_fan(
-    terrain: Terrain, walls: WallCells, origin: Array, directions: Array, max_range: float, ranges: Array
+    terrain: Terrain,
+    walls: WallCells,
+    origin: FloatArray,
+    directions: FloatArray,
+    max_range: float,
+    ranges: FloatArray,
 ) -> None:
     wall_ranges(walls, origin, directions, max_range, ranges)
     if walls.hole.size == 0:
@@ -113,7 +122,7 @@ def mujoco_ranges(
     *,
     exclude_body: int = -1,
     groups: Collection[int] = (0, 1, 2),
-) -> Array:
+) -> FloatArray:
     """Return (n,) ranges in metres to MuJoCo's geoms: robots and props, which the height field does not hold.
 
     Args:
@@ -146,7 +155,7 @@ def mujoco_ranges(
     return np.where((geoms >= 0) & (distance <= max_range), distance, np.inf)
 
 
-def _rays(origin: ArrayLike, directions: ArrayLike) -> tuple[Array, Array]:
+def _rays(origin: ArrayLike, directions: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Return both as contiguous float64, checked."""
     o = np.ascontiguousarray(origin, dtype=np.float64)
     d = np.ascontiguousarray(directions, dtype=np.float64)

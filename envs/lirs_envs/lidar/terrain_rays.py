@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from lirs_envs.lidar.clipping import FAR, clip, inverse
 from lirs_envs.lidar.mipmap import EDGE, LEAF, ROW, Terrain
+from lirs_wct.arrays import Float32Array, FloatArray, IntArray
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 Ray = tuple[float, float, float, float, float, float]
 """u, v, w: start, in cells from the south-west node and metres up; du, dv, dw: its change per metre."""
 Pace = tuple[float, float, float, float, int, int]
@@ -31,7 +29,7 @@ FUSED = {"contract"}
 
 @njit(cache=True, error_model="numpy", fastmath=FUSED)
 def terrain_ranges(
-    terrain: Terrain, origin: Array, directions: Array, max_range: float, ranges: Array
+    terrain: Terrain, origin: FloatArray, directions: FloatArray, max_range: float, ranges: FloatArray
 ) -> None:
     """Shorten `ranges` (n,) to the first triangle on each ray within `max_range`."""
     block, bound, start, width, frame = (
@@ -64,10 +62,10 @@ def terrain_ranges(
 
 @njit(cache=True, error_model="numpy", forceinline=True, fastmath=FUSED)
 def _follow(
-    block: Floats,
-    bound: Floats,
-    start: NDArray[np.int64],
-    width: NDArray[np.int64],
+    block: Float32Array,
+    bound: Float32Array,
+    start: IntArray,
+    width: IntArray,
     cells: tuple[int, int],
     cell: tuple[int, int],
     ray: Ray,
@@ -122,7 +120,7 @@ def _follow(
 
 
 @njit(cache=True, error_model="numpy", forceinline=True, fastmath=FUSED)
-def _surface(block: Floats, width: NDArray[np.int64], i: int, j: int, a: float, b: float) -> float:
+def _surface(block: Float32Array, width: IntArray, i: int, j: int, a: float, b: float) -> float:
     """Return the height of the surface in cell (j, i), a to the east and b to the north of its corner."""
     number = np.uint64((j >> LEAF) * width[LEAF] + (i >> LEAF))
     node = ROW * (j % EDGE) + i % EDGE
@@ -138,7 +136,7 @@ def _surface(block: Floats, width: NDArray[np.int64], i: int, j: int, a: float, 
 
 @njit(cache=True, error_model="numpy", forceinline=True, fastmath=FUSED)
 def _block_range(
-    block: Floats,
+    block: Float32Array,
     number: int,
     cell: tuple[int, int],
     ray: Ray,

@@ -7,13 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt
 
 from lirs_envs.lidar.clipping import FAR, clip, inverse
+from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
 from lirs_wct.geometry.walls import WallGrid
-
-Array = NDArray[np.float64]
 
 
 class WallCells(NamedTuple):
@@ -27,9 +25,9 @@ class WallCells(NamedTuple):
         hole: (rows, cols) bool, cells without floor; without holes (0, 0).
     """
 
-    distance: NDArray[np.uint8]
-    frame: NDArray[np.float64]
-    hole: NDArray[np.bool_]
+    distance: ByteArray
+    frame: FloatArray
+    hole: BoolArray
 
 
 def wall_cells_of(walls: WallGrid | None) -> WallCells:
@@ -48,7 +46,9 @@ def wall_cells_of(walls: WallGrid | None) -> WallCells:
 
 
 @njit(cache=True, error_model="numpy")
-def wall_ranges(walls: WallCells, origin: Array, directions: Array, max_range: float, ranges: Array) -> None:
+def wall_ranges(
+    walls: WallCells, origin: FloatArray, directions: FloatArray, max_range: float, ranges: FloatArray
+) -> None:
     """Fill `ranges` (n,) with the range of the first wall cell on each ray, inf = none within `max_range`."""
     ranges[:] = np.inf
     distance, frame = walls.distance, walls.frame
@@ -70,7 +70,9 @@ def wall_ranges(walls: WallCells, origin: Array, directions: Array, max_range: f
 
 
 @njit(cache=True, error_model="numpy")
-def through_holes(walls: WallCells, origin: Array, directions: Array, to_wall: Array, ranges: Array) -> None:
+def through_holes(
+    walls: WallCells, origin: FloatArray, directions: FloatArray, to_wall: FloatArray, ranges: FloatArray
+) -> None:
     """Give back the range of the wall behind, or inf, to rays that met the floor where it has a hole."""
     rows, cols = walls.hole.shape
     x0, y0, c, s, resolution = walls.frame[0], walls.frame[1], walls.frame[2], walls.frame[3], walls.frame[4]
@@ -85,7 +87,7 @@ def through_holes(walls: WallCells, origin: Array, directions: Array, to_wall: A
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _first_wall(
-    distance: NDArray[np.uint8], ray: tuple[float, float, float, float, float, float], t: float, t_end: float
+    distance: ByteArray, ray: tuple[float, float, float, float, float, float], t: float, t_end: float
 ) -> float:
     """Return where a ray enters the first wall cell in [t, t_end], else inf.
 

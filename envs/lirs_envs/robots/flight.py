@@ -12,16 +12,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lirs_envs.model import RobotModel
 from lirs_envs.robots.catalog import Robot
 from lirs_envs.robots.twist import Twist, Waypoint
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose3, wrap_angle
 
-Array = NDArray[np.float64]
 GRAVITY = 9.81
 Ground = Callable[[float, float], float]
 """Height of the ground at x, y; NaN beyond the world."""
@@ -72,8 +71,8 @@ class Airframe:
     """
 
     mass: float
-    inertia: Array
-    wrench: Array
+    inertia: FloatArray
+    wrench: FloatArray
     thrust: float
 
 
@@ -118,7 +117,7 @@ class FlightControl:
         self._v = self._omega = 0.0
 
     def update(
-        self, command: Twist | Waypoint, T: Pose3, velocity: Array, rates: Array, dt: float
+        self, command: Twist | Waypoint, T: Pose3, velocity: FloatArray, rates: FloatArray, dt: float
     ) -> tuple[float, ...]:
         """Return the thrust of each rotor, newtons.
 
@@ -142,7 +141,7 @@ class FlightControl:
         each = self._frame.thrust / len(thrusts)
         return tuple(np.clip(thrusts, 0.0, each).tolist())
 
-    def _torque(self, R: Array, force: Array, yaw_rate: float, rates: Array) -> Array:
+    def _torque(self, R: FloatArray, force: FloatArray, yaw_rate: float, rates: FloatArray) -> FloatArray:
         """Turn the body's z towards the force, and about it at the wanted rate."""
         config = self.config
         up = R.T @ (force / np.linalg.norm(force))
@@ -150,12 +149,12 @@ class FlightControl:
         error = np.array((-up[1], up[0], 0.0))
         wanted = np.array((0.0, 0.0, yaw_rate))
         gain = config.rate * (wanted - rates)
-        turn: Array = self._frame.inertia * (config.attitude * error + gain)
+        turn: FloatArray = self._frame.inertia * (config.attitude * error + gain)
         return turn + np.cross(rates, self._frame.inertia * rates)
 
     def _wanted_velocity(
-        self, command: Twist | Waypoint, T: Pose3, velocity: Array, dt: float
-    ) -> tuple[Array, float]:
+        self, command: Twist | Waypoint, T: Pose3, velocity: FloatArray, dt: float
+    ) -> tuple[FloatArray, float]:
         robot, config = self.robot, self.config
         if isinstance(command, Waypoint):
             self._hold, self._v, self._omega = None, 0.0, 0.0
@@ -172,7 +171,7 @@ class FlightControl:
         ahead[2] = _clip(climb, config.climb)
         return ahead, self._omega
 
-    def _towards(self, goal: Waypoint, T: Pose3) -> tuple[Array, float]:
+    def _towards(self, goal: Waypoint, T: Pose3) -> tuple[FloatArray, float]:
         wanted = self.config.position * (np.array((goal.x, goal.y, goal.z)) - T.position)
         across = math.hypot(wanted[0], wanted[1])
         if across > self.robot.max_speed:
@@ -181,7 +180,7 @@ class FlightControl:
         yaw_rate = _clip(self.config.heading * wrap_angle(goal.yaw - T.yaw), self.robot.max_turn_rate)
         return wanted, yaw_rate
 
-    def _height(self, T: Pose3, velocity: Array) -> float:
+    def _height(self, T: Pose3, velocity: FloatArray) -> float:
         """Return the wanted height over the highest ground from here to the foresight ahead."""
         steps = np.linspace(0.0, self.config.foresight, 9)
         found = [self._ground(T.x + velocity[0] * t, T.y + velocity[1] * t) for t in steps.tolist()]

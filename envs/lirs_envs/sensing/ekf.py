@@ -17,15 +17,14 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
-from numpy.typing import NDArray
 
 from lirs_envs.robots.catalog import Robot
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import Odometry, OdometryConfig, Way, integrated
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 
-Array = NDArray[np.float64]
 X, Y, YAW, BIAS, SCALE = range(5)
 BIAS_ROW = np.eye(5)[BIAS : BIAS + 1]
 
@@ -103,12 +102,12 @@ class FusedOdometry(Odometry):
         self._clear()
 
     @property
-    def state(self) -> Array:
+    def state(self) -> FloatArray:
         """(5,) x, y, yaw, bias of the gyro in rad/s, scale error of the wheels."""
         return np.array(self._filter.x)
 
     @property
-    def covariance(self) -> Array:
+    def covariance(self) -> FloatArray:
         """(5, 5) of the state."""
         return np.array(self._filter.P)
 
@@ -172,7 +171,7 @@ class FusedOdometry(Odometry):
         )
         f.P = F @ f.P @ F.T + self._process_noise(c, s, 1 - keep * keep)
 
-    def _process_noise(self, c: float, s: float, renewed: float) -> Array:
+    def _process_noise(self, c: float, s: float, renewed: float) -> FloatArray:
         e, turned = self.expects, self._turned
         pivot = e.slip_turning**2 * abs(turned) + e.drift**2 * self._drifted
         ahead, aside = e.slip_ahead**2 * self._length + pivot, e.slip_aside**2 * self._length + pivot

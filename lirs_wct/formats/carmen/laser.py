@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.lines import Message, Sweep
 from lirs_wct.geometry.pose import Pose2, Pose3
@@ -37,8 +37,6 @@ MOUNT_SPREAD = 0.05
 """Metres and radians within which the laser's pose must follow the base's to tell the mount."""
 MOUNT_REACH = 3.0
 """A laser farther from its base than this is not mounted on it, metres."""
-
-Ranges = NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +92,7 @@ def scans_of(
     return scans
 
 
-def no_return(ranges: Ranges) -> float:
+def no_return(ranges: Float32Array) -> float:
     """Return the smallest code for "nothing came back", metres; 50 where there is none below.
 
     Beside the codes beyond 50 m, known ones, many sensors give their largest range: it comes again and
@@ -122,7 +120,7 @@ def no_return(ranges: Ranges) -> float:
     return limit
 
 
-def _decoded(ranges: Ranges) -> Ranges:
+def _decoded(ranges: Float32Array) -> Float32Array:
     """Return ranges as REP 117 has them, but for what lies beyond the largest."""
     invalid = np.zeros(ranges.shape, np.bool_)
     for code in SICK_INVALID:

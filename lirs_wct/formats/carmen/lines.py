@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import SourceError
 from lirs_wct.geometry.pose import Pose2
 
@@ -48,7 +48,7 @@ class Message:
     stamp: float
     base: Pose2 | None
     laser: Pose2 | None = None
-    ranges: NDArray[np.float32] = field(default_factory=lambda: np.empty(0, np.float32))
+    ranges: Float32Array = field(default_factory=lambda: np.empty(0, np.float32))
     sweep: Sweep | None = None
 
 
@@ -133,7 +133,7 @@ def _robot_laser(words: list[str], line: int) -> Message:
     return Message(line, _stamp(rest, 11), _pose(rest[3:6]), _pose(rest[:3]), ranges, sweep)
 
 
-def _new_laser(words: list[str], tail: int) -> tuple[NDArray[np.float32], Sweep, list[str]]:
+def _new_laser(words: list[str], tail: int) -> tuple[Float32Array, Sweep, list[str]]:
     """Return ranges, sweep and what follows the remissions, which is `tail` words or a few more."""
     start, fov, step, most = map(float, words[2:6])
     n = _count(words[8])
@@ -167,7 +167,7 @@ def _pose(words: list[str]) -> Pose2:
     return Pose2(x, y, yaw)
 
 
-def _ranges(words: list[str]) -> NDArray[np.float32]:
+def _ranges(words: list[str]) -> Float32Array:
     with np.errstate(over="ignore"):  # nothing is that far: it becomes infinite, as it should
         return np.array([*map(float, words)]).astype(np.float32)
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import REAR, LaserFacts, scans_of
 from lirs_wct.formats.carmen.lines import PARSERS, Lines, Message, messages_of, parameters_of, read_lines
@@ -53,7 +53,7 @@ class CarmenLog:
     laser: str = "FLASER"
 
     @property
-    def stamps(self) -> NDArray[np.float64]:
+    def stamps(self) -> FloatArray:
         """(n,) seconds, of the scans."""
         return np.array([scan.stamp for scan in self.scans])
 

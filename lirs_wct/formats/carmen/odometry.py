@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lirs_wct.formats.carmen.lines import Message
 from lirs_wct.geometry.pose import Pose2
@@ -19,8 +18,6 @@ LOOK = 5
 """Poses after a leap among which the track may have come back."""
 AGREEMENT = 1.0
 """Metres within which two sources tell of one frame."""
-
-Array = NDArray[np.float64]
 
 
 def odometry_of(

@@ -14,8 +14,8 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import Float32Array, IntArray
 from lirs_wct.files import atomic_write
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import LaserScan
@@ -81,7 +81,7 @@ def _ranges(scan: LaserScan) -> str:
     return " ".join([words[k] for k in mm.tolist()])
 
 
-def _millimetres(ranges: NDArray[np.float32], most: int) -> NDArray[np.int64]:
+def _millimetres(ranges: Float32Array, most: int) -> IntArray:
     """Return (n,) millimetres; `most` where nothing came back, -1 where the measurement is invalid.
 
     A hit stays below `most`, since that means no return.

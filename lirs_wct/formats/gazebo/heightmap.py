@@ -10,8 +10,8 @@ from xml.sax.saxutils import escape, quoteattr
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.gazebo.sdf import VERSION, model_uri
@@ -28,7 +28,7 @@ def heightmap_side(surface: HeightField) -> int:
     return side
 
 
-def heightmap_pixels(surface: HeightField, side: int | None = None) -> NDArray[np.uint8]:
+def heightmap_pixels(surface: HeightField, side: int | None = None) -> ByteArray:
     """Return (side, side) gray levels: 0 is the lowest point, 255 the highest.
 
     Raises:
@@ -39,7 +39,7 @@ def heightmap_pixels(surface: HeightField, side: int | None = None) -> NDArray[n
         raise ConfigError(f"a heightmap has 2^n + 1 pixels a side, got {side}; legal: {SIDES}")
     above = surface.z - surface.z.min()
     levels = resized(above, side, side) * np.float32(255 / max(surface.relief, 1e-9))
-    pixels: NDArray[np.uint8] = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+    pixels: ByteArray = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
     return pixels
 
 

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.images import tiff
 from lirs_wct.formats.images.header import PictureHeader, check_complete, read_header
@@ -86,7 +87,7 @@ def _check_size(path: Path, header: PictureHeader, max_pixels: int) -> None:
                           "(--max-pixels)")  # fmt: skip
 
 
-def _decode(data: NDArray[np.uint8], flags: int) -> NDArray[Any] | None:
+def _decode(data: ByteArray, flags: int) -> NDArray[Any] | None:
     with _quiet_codecs():
         try:
             pixels: NDArray[Any] | None = cv2.imdecode(data, flags)

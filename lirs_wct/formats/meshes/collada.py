@@ -14,8 +14,8 @@ import collada
 import numpy as np
 from collada import asset, geometry, material, scene, source
 from collada.common import E, tag
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.meshes.collada_stream import CREATED, GROUND, stream_collada
@@ -101,7 +101,7 @@ def _material(document: collada.Collada, texture: str | None) -> material.Materi
 
 
 def _geometry(document: collada.Collada, t: int, tile: TriangleMesh) -> geometry.Geometry:
-    def floats(name: str, values: NDArray[np.float64] | None, axes: tuple[str, ...]) -> source.FloatSource:
+    def floats(name: str, values: FloatArray | None, axes: tuple[str, ...]) -> source.FloatSource:
         return source.FloatSource(f"{name}{t}", np.asarray(values, dtype=np.float32), axes)
 
     parts = [

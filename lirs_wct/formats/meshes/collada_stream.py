@@ -14,8 +14,9 @@ from typing import BinaryIO
 from xml.sax.saxutils import escape
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.meshes.text import fixed_text
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -109,7 +110,7 @@ def _write_tile(file: BinaryIO, t: int, tile: TriangleMesh, decimals: tuple[int,
 
 
 def _write_source(
-    file: BinaryIO, name: str, values: NDArray[np.float64], decimals: tuple[int, ...], axes: str
+    file: BinaryIO, name: str, values: FloatArray, decimals: tuple[int, ...], axes: str
 ) -> None:
     params = "".join(f'<param name="{axis}" type="float"/>' for axis in axes)
     file.write(_SOURCE.format(id=name, size=values.size).encode())

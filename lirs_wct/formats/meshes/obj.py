@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lirs_wct.arrays import Int32Array
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.meshes.text import fixed_text
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -50,7 +48,7 @@ def _lines(word: bytes, rows: bytes) -> bytes:
     return word + b" " + rows[:-1].replace(b"\n", b"\n" + word + b" ") + b"\n"
 
 
-def _faces(corners: NDArray[np.int32], mesh: TriangleMesh) -> bytes:
+def _faces(corners: Int32Array, mesh: TriangleMesh) -> bytes:
     """Return the lines of some faces; position, texture and normal of a corner have one number."""
     text = fixed_text(corners, 0)
     if mesh.uv is None and mesh.normals is None:

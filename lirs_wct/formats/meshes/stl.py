@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from numba import njit
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -31,9 +31,7 @@ def write_stl(path: Path, mesh: TriangleMesh, tick: Tick | None = None) -> None:
     write_triangles(path, len(mesh.faces), chunks, tick)
 
 
-def write_triangles(
-    path: Path, count: int, chunks: Iterable[NDArray[np.float64]], tick: Tick | None = None
-) -> None:
+def write_triangles(path: Path, count: int, chunks: Iterable[FloatArray], tick: Tick | None = None) -> None:
     """Write triangles as they come, so that a surface larger than the memory can be written.
 
     Args:
@@ -55,7 +53,7 @@ def write_triangles(
 
 
 @njit(cache=True)
-def _facets(corners: NDArray[np.float64]) -> NDArray[np.float32]:
+def _facets(corners: FloatArray) -> Float32Array:
     """Return (n, 12) unit normal and corners of each triangle; zero normal without area."""
     out = np.empty((len(corners), 12), np.float32)
     for i in range(len(corners)):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from lirs_wct.arrays import ByteArray, FloatArray, IntArray
 
 _LONGEST = 22
 """Characters of a sign, 19 digits, a point and a separator."""
@@ -26,7 +28,7 @@ def fixed_text(table: ArrayLike, decimals: ArrayLike) -> bytes:
 
 
 @njit(cache=True)
-def _write(values: NDArray[np.float64], decimals: NDArray[np.int64], out: NDArray[np.uint8]) -> int:
+def _write(values: FloatArray, decimals: IntArray, out: ByteArray) -> int:
     """Write the text into `out` and return its length."""
     at = 0
     reverse = np.empty(24, np.uint8)

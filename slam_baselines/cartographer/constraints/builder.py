@@ -10,16 +10,14 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from slam_baselines.cartographer.submap import Submap
 from slam_baselines.common.se2 import inverted
 from slam_baselines.matching.branch_and_bound import branch_and_bound
 from slam_baselines.matching.gauss_newton import Match, MatchConfig, ScanMatcher
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +98,7 @@ class Constraint:
     submap: int
     node: int
     T_submap_node: Pose2
-    information: Array
+    information: FloatArray
     score: float = 1.0
 
 
@@ -130,8 +128,8 @@ class ConstraintBuilder:
         self._floor = np.diag((metres**2, metres**2, radians**2))
 
     def search(
-        self, submap: Submap, points: Array, start: Pose2, way: float
-    ) -> tuple[Pose2, Array, float] | None:
+        self, submap: Submap, points: FloatArray, start: Pose2, way: float
+    ) -> tuple[Pose2, FloatArray, float] | None:
         """Look for a scan in a submap, the wider the longer ago the robot was there.
 
         Args:
@@ -157,7 +155,9 @@ class ConstraintBuilder:
         information = inverted(inverted(match.information + 1e-3 * np.eye(3)) + self._floor)
         return Pose2(x, y, wrap_angle(yaw)), information, match.score * match.known
 
-    def _fit(self, submap: Submap, points: Array, sparse: Array, start: Array, way: float) -> Match | None:
+    def _fit(
+        self, submap: Submap, points: FloatArray, sparse: FloatArray, start: FloatArray, way: float
+    ) -> Match | None:
         """Fit from the expected pose, if that is well known; else from the best pose of a window."""
         c = self.config
         linear = min(c.linear_search_window, c.linear_start + c.linear_drift * way)
@@ -177,8 +177,8 @@ class ConstraintBuilder:
         return match
 
     def _best(
-        self, submap: Submap, points: Array, start: Array, linear: float, angular: float
-    ) -> Array | None:
+        self, submap: Submap, points: FloatArray, start: FloatArray, linear: float, angular: float
+    ) -> FloatArray | None:
         """Search a window; None where nothing fits or, as along a corridor, two places fit equally well."""
         c = self.config
         least = c.min_score + (c.global_min_score - c.min_score) * linear / c.linear_search_window
@@ -204,7 +204,7 @@ class ConstraintBuilder:
         return found.pose
 
 
-def spread(points: Array, size: float, most: int) -> Array:
+def spread(points: FloatArray, size: float, most: int) -> FloatArray:
     """Return at most `most` of the points, at first one for each square of the given size."""
     cells = np.floor(points[:, :2] / size).astype(np.int64)
     _, first = np.unique(cells[:, 0] * (1 << 20) + cells[:, 1], return_index=True)

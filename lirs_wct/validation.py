@@ -1,0 +1,55 @@
+"""Validators of a configuration's fields: one rule, one sentence (name, legal values, what came)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from lirs_wct.errors import ConfigError
+
+
+def require_above(
+    config: Any, low: float, *names: str, of: str = "", unit: str = "", finite: bool = False
+) -> None:
+    """Raise ConfigError unless every named field is above `low` (and finite); NaN never is.
+
+    Args:
+        config: the dataclass.
+        low: largest value that is not legal.
+        *names: its fields.
+        of: what the fields belong to, in words: "the motion filter".
+        unit: of the values.
+        finite: whether infinity is refused.
+    """
+    _require(config, names, of, f"above {low:g}{_space(unit)}", finite, lambda value: value > low)
+
+
+def require_at_least(
+    config: Any, low: float, *names: str, of: str = "", unit: str = "", finite: bool = False
+) -> None:
+    """Raise ConfigError unless every named field is at least `low` (and finite); NaN never is."""
+    _require(config, names, of, f"at least {low:g}{_space(unit)}", finite, lambda value: value >= low)
+
+
+def require_within(config: Any, legal: str, *names: str, of: str = "", unit: str = "") -> None:
+    """Raise ConfigError unless every named field lies in an interval, written as "(0, 1]"; NaN never does."""
+    low, high = (float(bound) for bound in legal[1:-1].split(","))
+
+    def inside(value: float) -> bool:
+        above = value >= low if legal[0] == "[" else value > low
+        return above and (value <= high if legal[-1] == "]" else value < high)
+
+    _require(config, names, of, f"within {legal}{_space(unit)}", False, inside)
+
+
+def _require(config: Any, names: tuple[str, ...], of: str, legal: str, finite: bool, holds: Any) -> None:
+    for name in names:
+        value = getattr(config, name)
+        if not holds(value) or (finite and not math.isfinite(value)):
+            owner = f" of {of}" if of else ""
+            kind = "a finite number " if finite else ""
+            raise ConfigError(f"{name}{owner} must be {kind}{legal}, got {value}")
+
+
+def _space(unit: str) -> str:
+    return f" {unit}" if unit else ""
