@@ -11,7 +11,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats import collada_stream
+from lirs_wct.formats.meshes import collada_stream
 from lirs_wct.formats.meshes.collada import write_collada
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from lirs_wct.errors import OutputError, SourceError
-from lirs_wct.formats import stl
+from lirs_wct.formats.meshes import stl
 from lirs_wct.formats.meshes.stl import read_mesh, write_stl
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
