@@ -38,7 +38,7 @@ from lirs_envs.lidar.mesh_rays import MeshCaster
 from lirs_envs.lidar.pattern import rings
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.drive import Twist
+from lirs_envs.robots.command import Twist
 from lirs_envs.simulation import Simulation
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh

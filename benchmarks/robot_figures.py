@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from lirs_envs.robots.catalog import Robot
-from lirs_envs.robots.drive import Twist, Waypoint
+from lirs_envs.robots.command import Twist, Waypoint
+from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2

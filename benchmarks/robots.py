@@ -22,8 +22,9 @@ from rich.console import Console
 from rich.table import Table
 from robot_figures import LIDAR, Row, figures
 
-from lirs_envs.robots.catalog import ROBOTS, Robot, make_robot
-from lirs_envs.robots.drive import Twist
+from lirs_envs.robots.catalog import ROBOTS, make_robot
+from lirs_envs.robots.command import Twist
+from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
 from lirs_validation.collision.files import verdicts_table
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions

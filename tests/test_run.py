@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_envs.robots.drive import Twist
-from lirs_envs.simulation import Observation
+from lirs_envs.robots.command import Twist
+from lirs_envs.sensing.sensors import Observation
 from lirs_validation import RunConfig, read_record, validate
 from lirs_validation.experiment.loop import LOST_SECONDS, drive, per_second
 from lirs_validation.experiment.run import Run

@@ -7,9 +7,9 @@ from dataclasses import astuple
 
 import numpy as np
 
-from lirs_envs.robots.catalog import Robot
-from lirs_envs.robots.twist import Twist, Waypoint
-from lirs_envs.sensing.sensors import Noise
+from lirs_envs.robots.command import Twist, Waypoint
+from lirs_envs.robots.robot import Robot
+from lirs_envs.sensing.sensors import SensorNoise
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
@@ -24,7 +24,7 @@ def check_arguments(world: object, robot: object, seed: object, noise: object) -
     for name, value, kind in (
         ("world", world, World),
         ("robot", robot, Robot),
-        ("noise", noise, Noise),
+        ("noise", noise, SensorNoise),
     ):
         if not isinstance(value, kind):
             raise ConfigError(f"a simulation's {name} must be a {kind.__name__}, got {value!r}")

@@ -39,7 +39,7 @@ class Collisions:
 
 
 @dataclass
-class ContactWatch:
+class ContactMonitor:
     """Looks at the contacts of a model after each control update."""
 
     wheel_geoms: frozenset[int]
@@ -80,7 +80,7 @@ class ContactWatch:
         )
 
 
-def check_sane(data: mujoco.MjData) -> None:
+def check_divergence(data: mujoco.MjData) -> None:
     """Stop a simulation that has diverged.
 
     Raises:

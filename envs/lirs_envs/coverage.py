@@ -13,7 +13,7 @@ from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import LaserScan
 
 
-class SeenArea:
+class CoverageGrid:
     """Cells of the world that some beam has passed over or ended in, from true poses.
 
     Args:

@@ -11,14 +11,14 @@ import mujoco
 import numpy as np
 from gymnasium import spaces
 
-from lirs_envs.coverage import SeenArea
+from lirs_envs.coverage import CoverageGrid
 from lirs_envs.lidar.casters import Rays
 from lirs_envs.lidar.noise import NoiseLevel
 from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.drive import Twist
+from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.odometry import Method, OdometryConfig
-from lirs_envs.sensing.sensors import Noise
-from lirs_envs.simulation import Observation, Simulation
+from lirs_envs.sensing.sensors import Observation, SensorNoise
+from lirs_envs.simulation import Simulation
 from lirs_wct.arrays import ByteArray, Float32Array
 from lirs_wct.contact.contact_parts import Terrain
 from lirs_wct.errors import ConfigError, SimulationError
@@ -78,7 +78,7 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
             raise ConfigError(f"unknown render mode {render_mode!r}; legal: rgb_array, None")
         self.render_mode = render_mode
         place = world if isinstance(world, World) else _built(str(world), _stamp(str(world)))
-        errors = Noise(odometry=OdometryConfig(method=odometry), lidar=noise, sweep=sweep)
+        errors = SensorNoise(odometry=OdometryConfig(method=odometry), lidar=noise, sweep=sweep)
         self.simulation = Simulation(
             place, make_robot(robot), lidar=lidar, noise=errors, terrain=terrain, rays=rays
         )
@@ -104,7 +104,7 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
         if start is None and starts:
             start = starts[int(self.np_random.integers(len(starts)))]
         observation = self.simulation.reset(start, seed=int(self.np_random.integers(2**31)))
-        self._seen = SeenArea(self.simulation.world.surface)
+        self._seen = CoverageGrid(self.simulation.world.surface)
         self._seen.add(observation.scan, self.simulation.T_world_base)
         self._last = observation
         return _arrays(observation), self._info()

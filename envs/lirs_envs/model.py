@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from lirs_envs.props import Parked, Prop, add_props
-from lirs_envs.robots.catalog import Robot
+from lirs_envs.props import Prop, StaticRobot, add_props
+from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.imu import Vector
 from lirs_wct.arrays import FloatArray
 from lirs_wct.contact.contact_grid import ContactGrid, contact_grid
@@ -51,7 +51,7 @@ class RobotModel:
         robot: Robot,
         period: float,
         control_period: float,
-        props: Sequence[Prop | Parked] = (),
+        props: Sequence[Prop | StaticRobot] = (),
         terrain: Terrain = "hfield",
         seen: bool = False,
     ) -> None:
@@ -64,7 +64,7 @@ class RobotModel:
         self.model = world_spec(world, contact=self.contact, robot=spec, terrain=terrain, seen=seen).compile()
         self.data = mujoco.MjData(self.model)
         piece = max(1, int(control_period / self.timestep + 1e-9))
-        self.pieces = tuple(min(piece, steps - done) for done in range(0, steps, piece))
+        self.substeps = tuple(min(piece, steps - done) for done in range(0, steps, piece))
         wheel_sides: list[tuple[str, ...]] = [robot.left_wheels, robot.right_wheels]
         sides = [(rotor,) for rotor in robot.rotors] or wheel_sides
         self._actuators = [[self.model.actuator(name).id for name in side] for side in sides]
@@ -161,7 +161,7 @@ class RobotModel:
         mujoco.mj_setState(self.model, self.data, initial, FULL)
         begun = time.perf_counter()
         for k, control in enumerate(controls):
-            self.step(control, self.pieces[k % len(self.pieces)])
+            self.step(control, self.substeps[k % len(self.substeps)])
         seconds = time.perf_counter() - begun
         pose = self.pose()
         mujoco.mj_setState(self.model, self.data, present, FULL)

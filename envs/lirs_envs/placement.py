@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from lirs_envs.robots.catalog import Robot
+from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
@@ -19,7 +19,7 @@ CLEARANCE = 0.01
 """Metres between the robot and the highest ground under it when it is let go."""
 
 
-def start_of(world: World, start: Pose2 | None) -> Pose2:
+def resolve_start(world: World, start: Pose2 | None) -> Pose2:
     """Return the pose where a robot is to start: the one given, or the world's first.
 
     Raises:

@@ -61,7 +61,7 @@ class Prop:
 
 
 @dataclass(frozen=True)
-class Parked:
+class StaticRobot:
     """Another robot, standing with its wheels held."""
 
     robot: Robot
@@ -71,18 +71,18 @@ class Parked:
         _check(self.place)
 
 
-def add_props(spec: mujoco.MjSpec, world: World, props: Sequence[Prop | Parked]) -> None:
+def add_props(spec: mujoco.MjSpec, world: World, props: Sequence[Prop | StaticRobot]) -> None:
     """Add things and robots to a specification, on the world's ground.
 
     Raises:
         ConfigError: one is of another type, or stands beyond the world's border.
     """
     for k, prop in enumerate(props):
-        if not isinstance(prop, Prop | Parked):
-            raise ConfigError(f"props must be Prop or Parked, got {prop!r}")
+        if not isinstance(prop, Prop | StaticRobot):
+            raise ConfigError(f"props must be Prop or StaticRobot, got {prop!r}")
         height = prop.height if isinstance(prop, Prop) else prop.robot.base_height
         T = _standing(world, prop.place, height)
-        if isinstance(prop, Parked):
+        if isinstance(prop, StaticRobot):
             _add_robot(spec, prop.robot, T, f"parked{k}_")
             continue
         body = spec.worldbody.add_body(name=f"prop{k}", pos=T.position, quat=T.quaternion)

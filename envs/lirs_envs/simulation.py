@@ -9,16 +9,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from lirs_envs.checks import check_arguments, check_command, check_seed, check_start
-from lirs_envs.collisions import Collisions, ContactWatch, check_sane
-from lirs_envs.lidar.casters import Rays, casters_of, check_rays
-from lirs_envs.lidar.lidar import make_lidar_preset
+from lirs_envs.collisions import Collisions, ContactMonitor, check_divergence
+from lirs_envs.lidar.casters import Rays, check_rays, make_casters
+from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.model import RobotModel
-from lirs_envs.placement import standing_pose, start_of
-from lirs_envs.props import Parked, Prop
-from lirs_envs.robots.catalog import Robot
-from lirs_envs.robots.drive import Drive, Twist, Waypoint
-from lirs_envs.robots.flight import Pilot
-from lirs_envs.sensing.sensors import Noise, Observation, Sensors
+from lirs_envs.placement import resolve_start, standing_pose
+from lirs_envs.props import Prop, StaticRobot
+from lirs_envs.robots.command import Twist, Waypoint
+from lirs_envs.robots.drive import Drive
+from lirs_envs.robots.flight import QuadrotorController
+from lirs_envs.robots.robot import Robot
+from lirs_envs.sensing.sensors import Observation, SensorNoise, Sensors
 from lirs_envs.timing import Replay, Timing
 from lirs_wct.arrays import FloatArray
 from lirs_wct.contact.contact_grid import ContactGrid
@@ -26,8 +27,6 @@ from lirs_wct.contact.contact_parts import Terrain
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.world import World
-
-__all__ = ["Observation", "Replay", "Simulation", "Timing"]
 
 CONTROL_PERIOD = 0.008
 """Longest time between two updates of the wheel speeds, seconds."""
@@ -70,12 +69,12 @@ class Simulation:
         *,
         lidar: str | None = None,
         seed: int = 0,
-        noise: Noise | None = None,
-        props: Sequence[Prop | Parked] = (),
+        noise: SensorNoise | None = None,
+        props: Sequence[Prop | StaticRobot] = (),
         terrain: Terrain = "hfield",
         rays: Rays = "ours",
     ) -> None:
-        self._noise = Noise() if noise is None else noise
+        self._noise = SensorNoise() if noise is None else noise
         check_arguments(world, robot, seed, self._noise)
         check_rays(rays)
         self.world = world
@@ -86,7 +85,7 @@ class Simulation:
         self.body = body = RobotModel(
             world, robot, self.period, CONTROL_PERIOD, props, terrain, rays == "mujoco"
         )
-        self.casters = casters_of(world, rays, bool(props), body.model, body.data)
+        self.casters = make_casters(world, rays, bool(props), body.model, body.data)
         self._seed = seed
         self._start_over(None)
 
@@ -95,8 +94,8 @@ class Simulation:
         self._seed = self._seed if seed is None else seed
         self._sensors = Sensors(self.robot, self.body, self.preset, self.casters, self._noise, self._seed)
         robot, body = self.robot, self.body
-        self._drive = Pilot(robot, body, self.world.surface) if robot.flies else Drive(robot)
-        self._watch = ContactWatch(self.body.wheel_geoms, self.body.own_geoms)
+        self._drive = QuadrotorController(robot, body, self.world.surface) if robot.flies else Drive(robot)
+        self._watch = ContactMonitor(self.body.wheel_geoms, self.body.own_geoms)
         self._controls: list[tuple[float, ...]] = []
         self._initial: FloatArray | None = None
         self.timing = Timing()
@@ -115,10 +114,10 @@ class Simulation:
         self._initial = None
         check_start(start)
         check_seed(self._seed if seed is None else seed)
-        start = start_of(self.world, start)
+        start = resolve_start(self.world, start)
         self.body.settle(standing_pose(self.world, self.robot, start), SETTLING)
         there = self.body.pose()
-        check_sane(self.body.data)
+        check_divergence(self.body.data)
         if math.hypot(there.x - start.x, there.y - start.y) > STAYS or self.tipped:
             raise SimulationError(
                 f"{self.robot.name} does not stay at ({start.x:.2f}, {start.y:.2f}): "
@@ -139,7 +138,7 @@ class Simulation:
             raise SimulationError("a simulation must be reset before it is advanced")
         check_command(self.robot, command)
         body, clock, physics, sensors = self.body, time.perf_counter, 0.0, 0.0
-        for steps in body.pieces:
+        for steps in body.substeps:
             dt = steps * body.timestep
             control = self._drive.update(command, self._sensors.yaw_rate, dt)
             self._controls.append(control)
@@ -151,7 +150,7 @@ class Simulation:
             self._sensors.dead_reckon(dt)
             physics += stepped - begun
             sensors += clock() - watched
-        check_sane(body.data)
+        check_divergence(body.data)
         begun = clock()
         observation = self._sensors.observe(self.time, self.period)
         self.timing.physics.append(physics)
@@ -166,7 +165,7 @@ class Simulation:
     @property
     def time(self) -> float:
         """Seconds since the reset."""
-        return len(self._controls) // len(self.body.pieces) * self.period
+        return len(self._controls) // len(self.body.substeps) * self.period
 
     @property
     def tipped(self) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lirs_envs.lidar.lidar import make_lidar_preset
+from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.record.run_record import RunConfig
 from lirs_wct.errors import SourceError

@@ -16,7 +16,7 @@ from lirs_wct.errors import ConfigError, WctError
 from lirs_wct.sources.options import BuildOptions
 
 if TYPE_CHECKING:
-    from lirs_envs.robots.catalog import Robot
+    from lirs_envs.robots.robot import Robot
     from lirs_validation.collision.validation import CollisionVerdict
     from lirs_wct.contact.contact_parts import Terrain
 

@@ -16,7 +16,7 @@ from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.files import atomic_write
 
 if TYPE_CHECKING:
-    from lirs_envs.robots.catalog import Robot
+    from lirs_envs.robots.robot import Robot
 
 FORMATS = ("urdf",)
 
@@ -53,7 +53,7 @@ def card(robot: Robot) -> Table:
     """Return the robot's data as a table."""
     import mujoco
 
-    from lirs_envs.lidar.lidar import make_lidar_preset
+    from lirs_envs.lidar.presets import make_lidar_preset
 
     model = mujoco.MjModel.from_xml_path(str(robot.mjcf))
     body, lidar, T = model.body("base_link"), make_lidar_preset(robot.lidar), robot.T_base_laser

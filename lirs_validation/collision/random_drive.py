@@ -10,12 +10,13 @@ from itertools import cycle, zip_longest
 import cv2
 import numpy as np
 
-from lirs_envs.collisions import check_sane
+from lirs_envs.collisions import check_divergence
 from lirs_envs.model import RobotModel
 from lirs_envs.placement import standing_pose
-from lirs_envs.robots.catalog import Robot
-from lirs_envs.robots.drive import Drive, Twist
-from lirs_envs.robots.flight import Pilot
+from lirs_envs.robots.command import Twist
+from lirs_envs.robots.drive import Drive
+from lirs_envs.robots.flight import QuadrotorController
+from lirs_envs.robots.robot import Robot
 from lirs_validation.collision.contact_log import ContactLog, ContactRecorder
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose2
@@ -113,12 +114,12 @@ def _stands(world: World, robot: Robot, start: Pose2) -> bool:
 
 
 def _leg(body: RobotModel, world: World, robot: Robot, steps: int, rng: np.random.Generator) -> Leg:
-    drive = Pilot(robot, body, world.surface) if robot.flies else Drive(robot)
+    drive = QuadrotorController(robot, body, world.surface) if robot.flies else Drive(robot)
     recorder, commanded = ContactRecorder(body), list[float]()
     every, tipped, diverged = round(HELD / body.timestep), False, ""
     command, rest = Twist(), steps
     while len(commanded) < steps and rest > 0:
-        for piece in body.pieces:
+        for piece in body.substeps:
             if len(commanded) % every < piece:
                 command = _command(robot, rng)
             control = drive.update(command, body.rates()[2], piece * body.timestep)
@@ -127,7 +128,7 @@ def _leg(body: RobotModel, world: World, robot: Robot, steps: int, rng: np.rando
             commanded += [command.v] * piece
             rest -= piece
         try:
-            check_sane(body.data)
+            check_divergence(body.data)
         except SimulationError as error:
             diverged = str(error)
             break

@@ -9,8 +9,9 @@ import numpy as np
 
 from lirs_envs.model import RobotModel
 from lirs_envs.placement import standing_pose
-from lirs_envs.robots.catalog import Robot
-from lirs_envs.robots.drive import Drive, Twist
+from lirs_envs.robots.command import Twist
+from lirs_envs.robots.drive import Drive
+from lirs_envs.robots.robot import Robot
 from lirs_validation.collision.random_drive import MARGIN, SETTLING
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2
@@ -63,7 +64,7 @@ def _climbed(body: RobotModel, robot: Robot, uphill: float) -> float:
     before, time = body.pose().position, 0.0
     began: float | None = None
     while time < ramp + way / v:
-        for piece in body.pieces:
+        for piece in body.substeps:
             dt = piece * body.timestep
             body.step(drive.update(Twist(v), body.rates()[2], dt), piece)
             time += dt

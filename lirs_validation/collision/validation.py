@@ -26,8 +26,8 @@ import numpy as np
 
 from lirs_envs.checks import check_arguments
 from lirs_envs.model import RobotModel
-from lirs_envs.robots.catalog import Robot
-from lirs_envs.sensing.sensors import Noise
+from lirs_envs.robots.robot import Robot
+from lirs_envs.sensing.sensors import SensorNoise
 from lirs_validation.collision import figures
 from lirs_validation.collision.contact_log import DEEP
 from lirs_validation.collision.random_drive import CONTROL_PERIOD, PERIOD, drive_at_random
@@ -148,7 +148,7 @@ def check_collisions(
     Raises:
         ConfigError: an argument is not legal, or the robot can stand nowhere in this world.
     """
-    check_arguments(world, robot, seed, Noise())
+    check_arguments(world, robot, seed, SensorNoise())
     if seed < 0:
         raise ConfigError(f"seed must be 0 or above, got {seed}")
     if not 0 < seconds < float("inf"):

@@ -7,7 +7,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from lirs_envs.robots.drive import Twist
+from lirs_envs.robots.command import Twist
 from lirs_validation.driving.planning import CoveragePlanner, TourConfig
 from lirs_validation.driving.pursuit import Pursuit, PursuitConfig, speed_profile
 from lirs_wct.errors import ConfigError

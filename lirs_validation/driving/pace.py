@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lirs_envs.robots.catalog import Robot
+from lirs_envs.robots.robot import Robot
 from lirs_validation.driving.drivers import DriverConfig
 from lirs_validation.driving.pursuit import PursuitConfig
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lirs_envs.robots.drive import Twist
+from lirs_envs.robots.command import Twist
 from lirs_validation.driving.path_smoothing import SPACING, arc_length, curvature
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from lirs_envs.robots.catalog import Robot
+from lirs_envs.robots.robot import Robot
 from lirs_validation.driving.drivers import CoverageDriver, plan_coverage
 from lirs_validation.driving.pace import driver_config
 from lirs_validation.record.run_record import RunConfig

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lirs_envs.simulation import Observation, Simulation
+from lirs_envs.sensing.sensors import Observation
+from lirs_envs.simulation import Simulation
 from lirs_validation.driving.drivers import CoverageDriver
 from lirs_validation.experiment.mapper_checks import check_pose
 from lirs_validation.record.run_record import Status

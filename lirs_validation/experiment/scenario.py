@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import dataclass, replace
 
-from lirs_envs.robots.catalog import Robot
+from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
 from lirs_validation.record.run_record import RunConfig
 from lirs_wct.sources.options import BuildOptions

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from lirs_envs.robots.catalog import Robot
+from lirs_envs.robots.robot import Robot
 from lirs_validation.driving.tour import plan
 from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.mapper_loading import mapper_named, rehearse_named

@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from lirs_envs.lidar.lidar import LIDARS, Lidar, LidarPreset, make_lidar_preset
-from lirs_envs.lidar.mipmap import EDGE, LEAF, ROW, terrain_of
+from lirs_envs.lidar.lidar import Lidar
+from lirs_envs.lidar.mipmap import EDGE, LEAF, ROW, build_terrain_mipmap
+from lirs_envs.lidar.presets import LIDARS, LidarPreset, make_lidar_preset
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.heightfield import HeightField
@@ -139,7 +140,7 @@ def test_rays_must_be_numbers() -> None:
 def test_the_mipmap_bounds_every_node(shape: tuple[int, int]) -> None:
     z = np.random.default_rng(0).normal(size=shape).astype(np.float32)
     surface = HeightField(z, (1.0, 1.0), (0.0, 0.0))
-    terrain, south_up = terrain_of(surface), surface.south_up
+    terrain, south_up = build_terrain_mipmap(surface), surface.south_up
     for level in range(LEAF, len(terrain.width)):
         rows, cols = -(-(shape[0] - 1) // 2**level), terrain.width[level]
         for side, sign in enumerate((1, -1)):
@@ -155,7 +156,7 @@ def test_the_mipmap_bounds_every_node(shape: tuple[int, int]) -> None:
 
 def test_blocks_hold_every_node_of_their_own() -> None:
     surface = HeightField(np.arange(19 * 28, dtype=np.float32).reshape(19, 28), (1.0, 1.0), (0.0, 0.0))
-    terrain = terrain_of(surface)
+    terrain = build_terrain_mipmap(surface)
     padded = np.pad(surface.south_up, ((0, 8), (0, 8)), "edge")
     assert len(terrain.block) == 3 * 4
     for number, block in enumerate(terrain.block):

@@ -11,9 +11,9 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
 import lirs_envs  # noqa: F401  registers
-from lirs_envs.coverage import SeenArea
+from lirs_envs.coverage import CoverageGrid
 from lirs_envs.mapping_env import MappingEnv
-from lirs_envs.sensing.ekf import FusedOdometry
+from lirs_envs.sensing.ekf import EkfOdometry
 from lirs_wct.errors import ConfigError, SimulationError, SourceError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
@@ -93,7 +93,7 @@ def test_reward_is_the_new_area(rough: World) -> None:
 
 
 def test_seen_area_of_a_known_scan() -> None:
-    seen = SeenArea(HeightField.centred(np.zeros((2, 2), np.float32), (10.0, 10.0)), resolution=0.5)
+    seen = CoverageGrid(HeightField.centred(np.zeros((2, 2), np.float32), (10.0, 10.0)), resolution=0.5)
     ranges = np.array((2.1, np.inf, -np.inf, np.nan), np.float32)
     scan = LaserScan(ranges, 0.0, np.pi / 2, 0.1, 3.1, 0.0)
     # East 2.1 m: cells at 0, .5, 1, 1.5, 2; north without return 3.1 m: seven, the first of them shared.
@@ -117,7 +117,7 @@ def test_sensors_are_chosen_by_name(rough: World) -> None:
     env = gym.make("LIRS/Mapping-v0", odometry="ekf", noise="none", sweep=True)
     assert env.spec is not None
     sim = gym.make(EnvSpec.from_json(env.spec.to_json())).unwrapped.simulation
-    assert isinstance(sim._sensors._odometry, FusedOdometry)
+    assert isinstance(sim._sensors._odometry, EkfOdometry)
     assert sim.reset().scan.time_increment > 0
     first = [MappingEnv(rough, noise="none").reset(seed=s)[0]["scan"].tobytes() for s in (1, 2)]
     assert first[0] == first[1], "one start pose, no noise"

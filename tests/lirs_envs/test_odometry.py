@@ -9,19 +9,20 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from lirs_envs.robots.catalog import Robot, make_robot
-from lirs_envs.robots.drive import Twist
-from lirs_envs.sensing.ekf import FilterConfig, FusedOdometry
+from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.command import Twist
+from lirs_envs.robots.robot import Robot
+from lirs_envs.sensing.ekf import EkfConfig, EkfOdometry
 from lirs_envs.sensing.imu import ImuConfig, ImuSensor
 from lirs_envs.sensing.odometry import Odometry, OdometryConfig, WheelNoise
-from lirs_envs.sensing.sensors import Noise
+from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.world import World
 
 EKF = OdometryConfig(method="ekf")
-EXACT_WHEELS = FilterConfig(slip_ahead=0, slip_aside=0, slip_turning=0, tilt=0)
+EXACT_WHEELS = EkfConfig(slip_ahead=0, slip_aside=0, slip_turning=0, tilt=0)
 DT, TICK = 0.008, 5
 
 
@@ -98,7 +99,7 @@ def test_the_filter_is_consistent(name: str, stops: bool) -> None:
     for seed in range(n):
         rng = np.random.default_rng(seed)
         imu = ImuSensor(config, np.random.default_rng((seed, 1)))
-        odometry = FusedOdometry(robot, EKF, rng, config, EXACT_WHEELS)
+        odometry = EkfOdometry(robot, EKF, rng, config, EXACT_WHEELS)
         truth = blind_drive(odometry, imu, seed, 200, stops)
         e = error_of(odometry, truth)
         nees.append(e @ np.linalg.solve(odometry.covariance[:3, :3], e))
@@ -110,7 +111,7 @@ def test_the_filter_is_consistent(name: str, stops: bool) -> None:
 def test_standing_teaches_the_bias(husky: Robot) -> None:
     config = ImuConfig(rate_bias=math.radians(0.5))
     imu = ImuSensor(config, np.random.default_rng(5))
-    odometry = FusedOdometry(husky, EKF, np.random.default_rng(0), config)
+    odometry = EkfOdometry(husky, EKF, np.random.default_rng(0), config)
     for _ in range(250):
         for _ in range(TICK):
             odometry.update(0.0, imu.rates((0, 0, 0)), 0.0, 0.0, DT, 0.0)
@@ -122,7 +123,7 @@ def test_standing_teaches_the_bias(husky: Robot) -> None:
 
 def test_spinning_wheels_do_not_teach_the_bias() -> None:
     robot = make_robot("turtlebot2")
-    odometry = FusedOdometry(robot, EKF, np.random.default_rng(0), ImuConfig())
+    odometry = EkfOdometry(robot, EKF, np.random.default_rng(0), ImuConfig())
     for _ in range(100):
         for _ in range(TICK):
             odometry.update(0.05, (0.0, 0.0, 0.0), 0.0, 0.0, DT, 0.3)
@@ -134,7 +135,7 @@ def test_spinning_wheels_do_not_teach_the_bias() -> None:
 def simulated(
     world: World, robot: Robot, method: str, seed: int, stops: bool
 ) -> tuple[Odometry, np.ndarray, bytes]:
-    noise = Noise(odometry=OdometryConfig(method=method))  # type: ignore[arg-type]
+    noise = SensorNoise(odometry=OdometryConfig(method=method))  # type: ignore[arg-type]
     sim = Simulation(world, robot, seed=seed, noise=noise, lidar="lms111")
     sim.reset()
     T_world_odom, rng, seen = sim.T_world_base.to_pose2(), np.random.default_rng(seed), []
@@ -154,7 +155,7 @@ def test_in_the_simulation_the_filter_knows_how_wrong_it_is(name: str, make_worl
     nees = []
     for seed in range(8):
         odometry, e, _ = simulated(world, make_robot(name), "ekf", seed, stops=True)
-        assert isinstance(odometry, FusedOdometry)
+        assert isinstance(odometry, EkfOdometry)
         nees.append(float(e @ np.linalg.solve(odometry.covariance[:3, :3], e)))
     # Slip is no Gaussian: within a factor of two and a half of three degrees of freedom.
     assert 3 / 2.5 < np.mean(nees) < 3 * 2.5
@@ -179,4 +180,4 @@ def test_methods_and_figures_that_are_none() -> None:
     with pytest.raises(ConfigError, match=r"unknown odometry method 'magic'; legal: ekf, gyro"):
         OdometryConfig(method="magic")  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="slip_ahead"):
-        FilterConfig(slip_ahead=-1.0)
+        EkfConfig(slip_ahead=-1.0)

@@ -7,16 +7,17 @@ import math
 import numpy as np
 import pytest
 
-from lirs_envs.props import Parked, Prop
-from lirs_envs.robots.catalog import Robot, make_robot
-from lirs_envs.robots.drive import Twist
-from lirs_envs.sensing.sensors import Noise
+from lirs_envs.props import Prop, StaticRobot
+from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.command import Twist
+from lirs_envs.robots.robot import Robot
+from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 
-EXACT = Noise(lidar="none")
+EXACT = SensorNoise(lidar="none")
 
 
 def beam(sim: Simulation, degrees: float) -> float:
@@ -39,7 +40,7 @@ def test_the_laser_sees_boxes_posts_and_balls(plane: World, husky: Robot) -> Non
 
 def test_the_laser_sees_another_robot_and_not_its_own(plane: World) -> None:
     # The TurtleBot's laser is 0.31 m above ground: among the Husky's body, above none of its own.
-    parked = Parked(make_robot("husky"), Pose2(2.0, 0.0, math.pi / 2))
+    parked = StaticRobot(make_robot("husky"), Pose2(2.0, 0.0, math.pi / 2))
     sim = Simulation(plane, make_robot("turtlebot2"), props=(parked,), noise=EXACT)
     scan = sim.reset().scan
     met = np.abs(scan.angles[np.isfinite(scan.ranges)])
@@ -54,7 +55,7 @@ def test_props_do_not_change_the_robot(plane: World, husky: Robot) -> None:
     """Far away, they leave its motion as it is, and their contacts are not its own."""
     far = (
         Prop(shape="sphere", size=(0.3,), place=Pose2(8.0, 8.0), mass=1.0),
-        Parked(husky, Pose2(-8.0, 8.0)),
+        StaticRobot(husky, Pose2(-8.0, 8.0)),
     )
     ends = []
     for props in ((), far):

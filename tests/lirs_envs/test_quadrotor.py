@@ -9,9 +9,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from lirs_envs.robots.catalog import Robot, make_robot
-from lirs_envs.robots.drive import Twist, Waypoint
+from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.command import Twist, Waypoint
 from lirs_envs.robots.flight import FlightConfig
+from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
@@ -107,7 +108,7 @@ def test_follows_terrain_at_three_metres_a_second(
     assert np.mean(speeds[40:]) == pytest.approx(3.0, rel=0.05)
     assert sim.collisions.body_contacts == 0
     assert sim.replay().T_world_base == sim.T_world_base
-    assert sim.controls.shape == (125 * len(sim.body.pieces), 4)
+    assert sim.controls.shape == (125 * len(sim.body.substeps), 4)
 
 
 def test_a_wall_stops_it(walled: World, T_world_wall: Pose2, robot: Robot) -> None:

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from lirs_envs.props import Parked, Prop
-from lirs_envs.robots.catalog import Robot
-from lirs_envs.robots.drive import Twist
-from lirs_envs.sensing.sensors import Noise
+from lirs_envs.props import Prop, StaticRobot
+from lirs_envs.robots.command import Twist
+from lirs_envs.robots.robot import Robot
+from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
@@ -40,7 +40,7 @@ def scans(world: World, robot: Robot, **options: object) -> tuple[Array, str]:
 @pytest.mark.parametrize("sweep", [False, True])
 @pytest.mark.parametrize("terrain", ["hfield", "mesh", "prisms"])
 def test_both_rays_agree(hills: World, husky: Robot, terrain: str, sweep: bool) -> None:
-    noise = Noise(lidar="none", sweep=sweep)
+    noise = SensorNoise(lidar="none", sweep=sweep)
     ours, end = scans(hills, husky, terrain=terrain, noise=noise)
     theirs, other_end = scans(hills, husky, terrain=terrain, noise=noise, rays="mujoco")
     assert end == other_end, "what is touched is the same"
@@ -63,11 +63,11 @@ def test_the_hfield_that_is_touched_is_another_one(hills: World, husky: Robot) -
 def test_walls_props_and_parked_robots(walled: World, husky: Robot) -> None:
     props = (
         Prop(shape="sphere", size=(0.5,), place=Pose2(1.8, 1.0)),
-        Parked(husky, Pose2(-1.8, 0.3, 1.0)),
+        StaticRobot(husky, Pose2(-1.8, 0.3, 1.0)),
     )
     for terrain in ("hfield", "mesh"):
         ours, theirs = (
-            scans(walled, husky, terrain=terrain, props=props, noise=Noise(lidar="none"), rays=rays)[0]
+            scans(walled, husky, terrain=terrain, props=props, noise=SensorNoise(lidar="none"), rays=rays)[0]
             for rays in ("ours", "mujoco")
         )
         np.testing.assert_allclose(theirs, ours, atol=1e-3)
@@ -79,7 +79,7 @@ def test_the_same_noise(hills: World, husky: Robot) -> None:
     finite = np.isfinite(ours) & np.isfinite(theirs)
     assert 0.3 < finite.mean() < 1
     np.testing.assert_allclose(theirs[finite], ours[finite], atol=1e-3)
-    exact = scans(hills, husky, noise=Noise(lidar="none"))[0]
+    exact = scans(hills, husky, noise=SensorNoise(lidar="none"))[0]
     error = ours[finite] / exact[finite] - 1
     assert error.std() == pytest.approx(0.01, rel=0.2)
 

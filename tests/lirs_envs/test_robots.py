@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from lirs_envs.robots.catalog import ROBOTS, Robot
-from lirs_envs.robots.drive import Twist
+from lirs_envs.robots.catalog import ROBOTS
+from lirs_envs.robots.command import Twist
+from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2

@@ -8,17 +8,19 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from lirs_envs.lidar.lidar import LIDARS
-from lirs_envs.robots.catalog import Robot, make_robot
-from lirs_envs.robots.drive import Odometry, OdometryConfig, Twist
+from lirs_envs.lidar.presets import LIDARS
+from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.command import Twist
+from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.imu import ImuConfig
-from lirs_envs.sensing.sensors import Noise
-from lirs_envs.simulation import Observation, Simulation
+from lirs_envs.sensing.odometry import Odometry, OdometryConfig
+from lirs_envs.sensing.sensors import Observation, SensorNoise
+from lirs_envs.simulation import Simulation
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 
-SILENT = Noise(
+SILENT = SensorNoise(
     imu=ImuConfig(
         attitude_sigma=0,
         attitude_bias=0,
@@ -64,7 +66,7 @@ def test_replay_ends_where_the_run_ended(rough: World, husky: Robot) -> None:
     assert sim.T_world_base == before
     assert replay.simulated == pytest.approx(2.4)
     assert sim.replay_rtf() > 1
-    assert sim.controls.shape == (60 * len(sim.body.pieces), 2)
+    assert sim.controls.shape == (60 * len(sim.body.substeps), 2)
 
 
 def test_a_tick_is_one_lrf_period(plane: World, husky: Robot) -> None:
@@ -75,7 +77,7 @@ def test_a_tick_is_one_lrf_period(plane: World, husky: Robot) -> None:
         np.testing.assert_allclose(stamps, np.arange(1, 4) / preset.rate, atol=1e-9)
         assert sim.body.data.time == pytest.approx(3 / preset.rate, abs=1e-6)
         assert sim.body.timestep <= 0.005
-        assert sum(sim.body.pieces) * sim.body.timestep == pytest.approx(1 / preset.rate)
+        assert sum(sim.body.substeps) * sim.body.timestep == pytest.approx(1 / preset.rate)
 
 
 def test_timing_is_kept_for_every_tick(plane: World, husky: Robot) -> None:
@@ -230,7 +232,7 @@ def test_arguments_of_the_wrong_type(plane: World, husky: Robot, make_world: Cal
         ((plane, husky), {"noise": "much"}, "noise must be a Noise"),
         ((plane, husky), {"lidar": 5}, "unknown lidar 5; legal"),
         ((plane, husky), {"terrain": "mud"}, "'mud'; legal"),
-        ((plane, husky), {"props": ["box"]}, "props must be Prop or Parked, got 'box'"),
+        ((plane, husky), {"props": ["box"]}, "props must be Prop or StaticRobot, got 'box'"),
     ):
         with pytest.raises(ConfigError, match=words):
             Simulation(*arguments, **options)
@@ -251,7 +253,7 @@ def test_noise_of_the_wrong_type() -> None:
         ({"sweep": "yes"}, "noise: sweep must be a bool, got 'yes'"),
     ):
         with pytest.raises(ConfigError, match=words):
-            Noise(**figures)  # type: ignore[arg-type]
+            SensorNoise(**figures)  # type: ignore[arg-type]
 
 
 def test_a_robot_too_large_for_the_world(husky: Robot, make_world: Callable[..., World]) -> None:

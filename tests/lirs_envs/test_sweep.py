@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from lirs_envs.lidar.deskew import deskewed_points, deskewed_scan, moved_frames
-from lirs_envs.lidar.lidar import LIDARS, Lidar, LidarPreset, Motion
+from lirs_envs.lidar.lidar import Lidar, Motion
 from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.lidar.pattern import BeamPattern, PatternLidar, rings
+from lirs_envs.lidar.presets import LIDARS, LidarPreset
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_envs.props import Prop
-from lirs_envs.robots.catalog import Robot
-from lirs_envs.robots.drive import Twist
-from lirs_envs.sensing.sensors import Noise
+from lirs_envs.robots.command import Twist
+from lirs_envs.robots.robot import Robot
+from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
@@ -102,7 +103,7 @@ def test_moved_frames_against_small_steps() -> None:
 
 
 def test_the_simulation_sweeps(walled: World, husky: Robot) -> None:
-    sim = Simulation(walled, husky, noise=Noise(lidar="none", sweep=True), lidar="utm30lx")
+    sim = Simulation(walled, husky, noise=SensorNoise(lidar="none", sweep=True), lidar="utm30lx")
     still = sim.reset().scan
     assert still.time_increment > 0
     for _ in range(40):

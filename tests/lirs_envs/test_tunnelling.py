@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lirs_envs.robots.catalog import ROBOTS, make_robot
-from lirs_envs.robots.drive import Twist
+from lirs_envs.robots.command import Twist
 from lirs_envs.simulation import Simulation
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3

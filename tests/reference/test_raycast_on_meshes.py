@@ -12,12 +12,13 @@ import pytest
 import trimesh
 
 from lirs_envs.lidar.casters import Rays
-from lirs_envs.lidar.lidar import Lidar, LidarPreset, Motion
+from lirs_envs.lidar.lidar import Lidar, Motion
 from lirs_envs.lidar.mesh_rays import MeshCaster
 from lirs_envs.lidar.noise import LidarNoise
+from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.lidar.ray_casting import mujoco_ranges
 from lirs_envs.robots.catalog import make_robot
-from lirs_envs.sensing.sensors import Noise
+from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
@@ -156,7 +157,7 @@ def test_a_world_with_overhangs_is_seen_as_mujoco_sees_it(gate: World) -> None:
     scans = []
     for rays in get_args(Rays):
         robot = make_robot("turtlebot2")
-        sim = Simulation(gate, robot, terrain="convex", noise=Noise(lidar="none"), rays=rays)
+        sim = Simulation(gate, robot, terrain="convex", noise=SensorNoise(lidar="none"), rays=rays)
         scans.append(sim.reset(Pose2(0.3, -3.0, 1.5)).scan.ranges)
     # The laser looks along the slab: its beams graze nothing, and the gate's edges are upright.
     jump = np.abs(np.diff(np.nan_to_num(scans[0], posinf=99.0))) > 0.1

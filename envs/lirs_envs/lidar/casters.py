@@ -42,7 +42,7 @@ class GeomCaster:
         return mujoco_ranges(self._model, self._data, origins, directions, max_range, groups=self._groups)
 
 
-def casters_of(
+def make_casters(
     world: World, rays: Rays, props: bool, model: mujoco.MjModel, data: mujoco.MjData
 ) -> tuple[Caster, Caster | None]:
     """Return what the laser sees of the world, and of what else stands there; never the robot itself.

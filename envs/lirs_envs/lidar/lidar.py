@@ -11,14 +11,12 @@ from numba import njit
 
 from lirs_envs.lidar.deskew import moved_frames
 from lirs_envs.lidar.noise import LidarNoise, draws, lidar_noise, measure
-from lirs_envs.lidar.presets import LIDARS, LidarPreset, make_lidar_preset
+from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.lidar.ray_casting import Caster
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import LaserScan
-
-__all__ = ["LIDARS", "Lidar", "LidarPreset", "Motion", "OtherRanges", "make_lidar_preset"]
 
 OtherRanges = Callable[[FloatArray, FloatArray, float], FloatArray]
 """origin (3,) or origins (n, 3), directions (n, 3), largest range -> (n,) ranges of what the caster does not

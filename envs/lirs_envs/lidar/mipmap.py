@@ -49,7 +49,7 @@ class Terrain(NamedTuple):
     cells: tuple[int, int]
 
 
-def terrain_of(surface: HeightField) -> Terrain:
+def build_terrain_mipmap(surface: HeightField) -> Terrain:
     """Build blocks and bounds of a height field: one pass over the nodes and little for the levels."""
     z = surface.south_up
     ny, nx = z.shape[0] - 1, z.shape[1] - 1

@@ -24,9 +24,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from lirs_envs.lidar.mipmap import Terrain, terrain_of
+from lirs_envs.lidar.mipmap import Terrain, build_terrain_mipmap
 from lirs_envs.lidar.terrain_rays import terrain_ranges
-from lirs_envs.lidar.wall_cells import WallCells, through_holes, wall_cells_of, wall_ranges
+from lirs_envs.lidar.wall_cells import WallCells, build_wall_cells, remove_hits_in_holes, wall_ranges
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
@@ -50,8 +50,8 @@ class RayCaster:
     """Ranges from a point along rays to the nearest triangle or wall of a world."""
 
     def __init__(self, surface: HeightField, walls: WallGrid | None = None) -> None:
-        self.terrain: Terrain = terrain_of(surface)
-        self.walls: WallCells = wall_cells_of(walls)
+        self.terrain: Terrain = build_terrain_mipmap(surface)
+        self.walls: WallCells = build_wall_cells(walls)
 
     def cast(self, origin: ArrayLike, directions: ArrayLike, max_range: float = math.inf) -> FloatArray:
         """Return (n,) ranges in metres along unit directions; inf where nothing is within `max_range`.
@@ -110,7 +110,7 @@ def _cast_fan(
         return
     to_wall = ranges.copy()
     terrain_ranges(terrain, origin, directions, max_range, ranges)
-    through_holes(walls, origin, directions, to_wall, ranges)
+    remove_hits_in_holes(walls, origin, directions, to_wall, ranges)
 
 
 def mujoco_ranges(

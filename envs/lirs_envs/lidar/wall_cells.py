@@ -30,7 +30,7 @@ class WallCells(NamedTuple):
     hole: BoolArray
 
 
-def wall_cells_of(walls: WallGrid | None) -> WallCells:
+def build_wall_cells(walls: WallGrid | None) -> WallCells:
     """Build the distances to the walls; none when there is no wall cell."""
     distance, hole = np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.bool_)
     if walls is None:
@@ -70,7 +70,7 @@ def wall_ranges(
 
 
 @njit(cache=True, error_model="numpy")
-def through_holes(
+def remove_hits_in_holes(
     walls: WallCells, origin: FloatArray, directions: FloatArray, to_wall: FloatArray, ranges: FloatArray
 ) -> None:
     """Give back the range of the wall behind, or inf, to rays that met the floor where it has a hole."""

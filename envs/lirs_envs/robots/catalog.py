@@ -12,11 +12,9 @@ from __future__ import annotations
 
 import math
 
-from lirs_envs.robots.robot import ASSETS, Robot
+from lirs_envs.robots.robot import Robot
 from lirs_wct.errors import unknown_name
 from lirs_wct.geometry.pose import Pose3
-
-__all__ = ["ASSETS", "ROBOTS", "Robot", "make_robot"]
 
 ROBOTS: dict[str, Robot] = {
     robot.name: robot

@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from lirs_envs.robots.catalog import Robot
-from lirs_envs.robots.twist import Twist, Waypoint
-from lirs_envs.sensing.odometry import Odometry, OdometryConfig
+from lirs_envs.robots.command import Twist, Waypoint
+from lirs_envs.robots.robot import Robot
 from lirs_wct.errors import ConfigError
-
-__all__ = ["Drive", "DriveConfig", "Odometry", "OdometryConfig", "Twist", "Waypoint"]
 
 
 @dataclass(frozen=True, kw_only=True)

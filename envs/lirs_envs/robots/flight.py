@@ -14,8 +14,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from lirs_envs.model import RobotModel
-from lirs_envs.robots.catalog import Robot
-from lirs_envs.robots.twist import Twist, Waypoint
+from lirs_envs.robots.command import Twist, Waypoint
+from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
@@ -76,7 +76,7 @@ class Airframe:
     thrust: float
 
 
-class Pilot:
+class QuadrotorController:
     """Flies a simulated robot: the control, fed with the state of its body."""
 
     def __init__(self, robot: Robot, body: RobotModel, surface: HeightField) -> None:
@@ -89,7 +89,7 @@ class Pilot:
         wrench = np.stack((np.ones(len(ids)), sites[:, 1], -sites[:, 0], drag), axis=1)
         thrust = float(model.actuator_ctrlrange[ids, 1].sum())
         frame = Airframe(float(base.mass[0]), np.array(base.inertia), wrench, thrust)
-        self._control = FlightControl(robot, frame, lambda x, y: float(surface.height_at(x, y)))
+        self._control = _Cascade(robot, frame, lambda x, y: float(surface.height_at(x, y)))
         self._body = body
 
     def update(self, command: Twist | Waypoint, yaw_rate: float, dt: float) -> tuple[float, ...]:
@@ -98,7 +98,7 @@ class Pilot:
         return self._control.update(command, T, T.rotation @ velocity, np.array(self._body.rates()), dt)
 
 
-class FlightControl:
+class _Cascade:
     """Rotor thrusts from commands.
 
     A `Twist` flies ahead and turns at the altitude of the config above the highest ground that comes within

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lirs_envs.robots.catalog import Robot
+from lirs_envs.robots.robot import Robot
 from lirs_wct.geometry.pose import Pose3
 
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from lirs_envs.robots.catalog import Robot
+from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import Odometry, OdometryConfig, Way, integrated
 from lirs_wct.arrays import FloatArray
@@ -30,7 +30,7 @@ BIAS_ROW = np.eye(5)[BIAS : BIAS + 1]
 
 
 @dataclass(frozen=True, kw_only=True)
-class FilterConfig:
+class EkfConfig:
     """What the filter expects beyond the sensors' own noise; standard deviations.
 
     Attributes:
@@ -71,7 +71,7 @@ class FilterConfig:
                 )
 
 
-class FusedOdometry(Odometry):
+class EkfOdometry(Odometry):
     """Odometry whose pose comes from the filter.
 
     Args:
@@ -88,10 +88,10 @@ class FusedOdometry(Odometry):
         config: OdometryConfig,
         rng: np.random.Generator,
         imu: ImuConfig,
-        expects: FilterConfig | None = None,
+        expects: EkfConfig | None = None,
     ) -> None:
         super().__init__(robot, config, rng)
-        self.expects = expects or FilterConfig()
+        self.expects = expects or EkfConfig()
         self._imu = imu
         # Slip of a wheel a radian of turn: along the wheel by the skid factor's surplus, across by the base.
         along = robot.track * (robot.skid_factor - 1) / 2

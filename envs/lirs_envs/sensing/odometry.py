@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from lirs_envs.robots.catalog import Robot
+from lirs_envs.robots.robot import Robot
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.geometry.pose import Pose2, Pose3, wrap_angle
 

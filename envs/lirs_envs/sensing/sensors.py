@@ -6,12 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lirs_envs.lidar.lidar import Lidar, LidarPreset, Motion
+from lirs_envs.lidar.lidar import Lidar, Motion
 from lirs_envs.lidar.noise import LidarNoise, NoiseLevel, lidar_noise
+from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.lidar.ray_casting import Caster
 from lirs_envs.model import RobotModel
-from lirs_envs.robots.catalog import Robot
-from lirs_envs.sensing.ekf import FusedOdometry
+from lirs_envs.robots.robot import Robot
+from lirs_envs.sensing.ekf import EkfOdometry
 from lirs_envs.sensing.imu import ImuConfig, ImuSensor
 from lirs_envs.sensing.odometry import FlowOdometry, Odometry, OdometryConfig
 from lirs_wct.errors import ConfigError
@@ -32,7 +33,7 @@ class Observation:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Noise:
+class SensorNoise:
     """Noise of all sensors.
 
     Attributes:
@@ -72,7 +73,7 @@ class Sensors:
         body: RobotModel,
         preset: LidarPreset,
         casters: tuple[Caster, Caster | None],
-        noise: Noise,
+        noise: SensorNoise,
         seed: int,
     ) -> None:
         if seed < 0:
@@ -88,7 +89,7 @@ class Sensors:
         self._imu = ImuSensor(noise.imu, imu)
         self._flow = FlowOdometry(robot, noise.odometry, odometry) if robot.flies else None
         self._odometry: Odometry = self._flow or (
-            FusedOdometry(robot, noise.odometry, odometry, noise.imu)
+            EkfOdometry(robot, noise.odometry, odometry, noise.imu)
             if noise.odometry.method == "ekf"
             else Odometry(robot, noise.odometry, odometry)
         )
