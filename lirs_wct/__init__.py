@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lirs_wct.errors import WctError
+    from lirs_wct.export.package import write_package
     from lirs_wct.geometry.grid import OccupancyGrid
     from lirs_wct.geometry.heightfield import HeightField
     from lirs_wct.geometry.mesh import TriangleMesh
@@ -32,6 +33,7 @@ _HOMES = {
     "WctError": "errors",
     "World": "world",
     "build_world": "world",
+    "write_package": "export.package",
 }
 
 __all__ = [
@@ -48,6 +50,7 @@ __all__ = [
     "WctError",
     "World",
     "build_world",
+    "write_package",
 ]
 
 

@@ -1,0 +1,80 @@
+"""Make the inputs that the examples and the README use: a height picture, a laser map, a robot's log.
+
+    python examples/make_inputs.py         # writes examples/data/
+
+The terrain and the floor plan are drawn by seeded code; the log is what a simulated TurtleBot 2 with an
+RPLIDAR recorded while it drove through the floor plan.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from lirs_validation import validate
+from lirs_wct.arrays import ByteArray
+
+DATA = Path(__file__).with_name("data")
+
+
+def main() -> None:
+    """Write the three inputs."""
+    DATA.mkdir(exist_ok=True)
+    cv2.imwrite(str(DATA / "dunes.png"), dunes(np.random.default_rng(7)))
+    cv2.imwrite(str(DATA / "office.pgm"), office())
+    (DATA / "office.yaml").write_text(
+        "image: office.pgm\nresolution: 0.05\norigin: [-6.0, -4.0, 0.0]\n"
+        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n",
+        encoding="utf-8",
+    )
+    record_log(DATA / "office.yaml", DATA / "office.clf.gz")
+
+
+def dunes(rng: np.random.Generator) -> np.ndarray:
+    """Return (257, 257) uint16 heights: wind-blown ridges with a few rocks on them."""
+    noise = rng.standard_normal((2, 257, 257))
+    swell = ndimage.gaussian_filter(noise[0], 40)
+    ridges = ndimage.gaussian_filter(noise[1], (6, 30))
+    z = swell / np.ptp(swell) + 0.35 * ridges / np.ptp(ridges)
+    rows, cols = np.mgrid[:257, :257]
+    for row, col in rng.integers(20, 237, (25, 2)):
+        if np.hypot(row - 128, col - 128) > 15:
+            z[np.hypot(rows - row, cols - col) < rng.uniform(2.5, 5)] += 0.2
+    z -= z.min()
+    return np.round(z / z.max() * 65535).astype(np.uint16)
+
+
+def office() -> ByteArray:
+    """Return (160, 240) uint8 floor plan of 12 x 8 m: 254 free, 0 wall, 205 unknown."""
+    plan = np.full((160, 240), 205, np.uint8)
+    cv2.rectangle(plan, (4, 4), (235, 155), 254, -1)
+    cv2.rectangle(plan, (4, 4), (235, 155), 0, 3)
+    for x in (80, 160):  # two partitions, a door in each
+        cv2.line(plan, (x, 4), (x, 155), 0, 3)
+    cv2.rectangle(plan, (78, 60), (82, 88), 254, -1)
+    cv2.rectangle(plan, (158, 100), (162, 128), 254, -1)
+    for corner, size in (
+        ((20, 120), (30, 12)),
+        ((110, 30), (12, 30)),
+        ((190, 40), (24, 14)),
+        ((205, 120), (12, 12)),
+    ):
+        cv2.rectangle(plan, corner, (corner[0] + size[0], corner[1] + size[1]), 0, -1)
+    return plan
+
+
+def record_log(source: Path, log: Path) -> None:
+    """Drive for a minute and keep the recorded scans and odometry."""
+    with tempfile.TemporaryDirectory() as out:
+        run = validate(source, robot="turtlebot2", lidar="rplidar_a1", seconds=60, seed=1, out=out)
+        assert run.folder is not None
+        shutil.copy(run.folder / "scans.clf.gz", log)
+
+
+if __name__ == "__main__":
+    main()
