@@ -31,7 +31,7 @@ def flat(degrees: float = 0.0) -> World:
     end = 2.0 * math.sin(angle)
     z = 2.0 - np.sqrt(4.0 - np.clip(s, 0, end) ** 2) + np.maximum(s - end, 0) * math.tan(angle)
     heights = np.broadcast_to(z, (201, 201)).astype(np.float32)
-    return World("flat", "terrain", HeightField.centred(heights, (0.1, 0.1)), starts=(Pose2(),))
+    return World("flat", "terrain", HeightField.centred(heights, (0.1, 0.1)), spawn_poses=(Pose2(),))
 
 
 def within(what: str, value: float, low: float, high: float, unit: str = "") -> Row:

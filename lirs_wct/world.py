@@ -10,7 +10,7 @@ from typing import Literal
 
 from lirs_wct.arrays import BoolArray
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.export.export_settings import Finish, checked_texture, finish_of
+from lirs_wct.export.export_settings import ExportSettings, checked_texture, settings_from
 from lirs_wct.formats.map_server import read_map, read_map_picture
 from lirs_wct.formats.world_json import read_fields, write_world
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -21,20 +21,20 @@ from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.meshing.simplify import simplified_solid
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.meshing.wall_solid import wall_mesh
-from lirs_wct.navigation.spawn_poses import start_poses
+from lirs_wct.navigation.spawn_poses import spawn_poses
 from lirs_wct.navigation.traversability import traversable
-from lirs_wct.sources.laser_map import level_floor, walls_of, without_speckles
+from lirs_wct.sources.laser_map import level_floor, walls_of, without_small_walls
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.source import Source, SourceKind, find_source, warn_of_useless
 from lirs_wct.sources.terrain_source import read_terrain
 from lirs_wct.sources.window import Window, cut_map, cut_nodes, cut_surface
 
-START_CLEARANCE = 0.8
-"""Metres of free ground around a start pose: a Husky and a step."""
-START_SLOPE = math.radians(12)
-START_AREA = 200.0
-"""Side of the square in the middle of a larger terrain where start poses are looked for, metres."""
+SPAWN_CLEARANCE = 0.8
+"""Metres of free ground around a spawn pose: a Husky and a step."""
+SPAWN_SLOPE = math.radians(12)
+SPAWN_AREA = 200.0
+"""Side of the square in the middle of a larger terrain where spawn poses are looked for, metres."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,12 @@ class World:
         surface: the ground.
         walls: what stands on the ground of a laser map.
         truth: the input laser map.
-        starts: poses where a robot as large as a Husky can be set down, the roomiest first.
+        spawn_poses: poses where a robot as large as a Husky can be set down, the roomiest first.
         scale: where the metres come from, in words.
-        finish: how the mesh files are made.
+        export_settings: how the mesh files are made.
         solid: the true mesh of a world of kind `mesh`.
         overhangs: whether that mesh is more than its heights from above say.
-        bare: (rows, cols) nodes of the surface over which that mesh has no ground; None = everywhere it has.
+        no_ground: (rows, cols) nodes of the surface where that mesh has no ground; None = it has everywhere.
     """
 
     name: str
@@ -60,12 +60,12 @@ class World:
     surface: HeightField
     walls: WallGrid | None = None
     truth: OccupancyGrid | None = None
-    starts: tuple[Pose2, ...] = ()
+    spawn_poses: tuple[Pose2, ...] = ()
     scale: str = "as given"
-    finish: Finish = field(default_factory=Finish)
+    export_settings: ExportSettings = field(default_factory=ExportSettings)
     solid: TriangleMesh | None = None
     overhangs: bool = False
-    bare: BoolArray | None = None
+    no_ground: BoolArray | None = None
 
     @cached_property
     def mesh(self) -> TriangleMesh:
@@ -74,19 +74,19 @@ class World:
         Raises:
             ConfigError: a laser map or a mesh with overhangs has more triangles than the budget allows.
         """
-        finish = self.finish
+        settings = self.export_settings
         if self.walls is not None or self.overhangs:
             exact = wall_mesh(self.walls) if self.walls is not None else self.solid
             assert exact is not None
-            if finish.max_triangles is not None and len(exact.faces) > finish.max_triangles:
+            if settings.max_triangles is not None and len(exact.faces) > settings.max_triangles:
                 raise ConfigError(
                     f"{self.name}: has {len(exact.faces)} triangles and is not simplified, "
-                    f"--max-triangles {finish.max_triangles} cannot be kept"
+                    f"--max-triangles {settings.max_triangles} cannot be kept"
                 )
             return exact
-        if finish.limited:
+        if settings.limited:
             return simplified_solid(
-                self.surface, max_error=finish.max_error, max_triangles=finish.max_triangles
+                self.surface, max_error=settings.max_error, max_triangles=settings.max_triangles
             )
         return self.solid or solid_mesh(self.surface)
 
@@ -96,7 +96,7 @@ class World:
             self.surface,
             self.walls,
             self.truth,
-            self.bare,
+            self.no_ground,
             clearance=clearance,
             max_slope=max_slope,
             resolution=resolution,
@@ -128,7 +128,7 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
     warn_of_useless(found, options)
     world = _place(found, options)
     texture = checked_texture(options.texture, options.max_pixels)
-    return replace(world, finish=finish_of(options, texture, world.finish))
+    return replace(world, export_settings=settings_from(options, texture, world.export_settings))
 
 
 def _place(found: Source, options: BuildOptions) -> World:
@@ -154,14 +154,14 @@ def _loaded_world(source: Source, options: BuildOptions) -> World:
         return world
     if world.walls is not None or world.overhangs:
         raise ConfigError(f"{source.path}: --window cuts a built terrain only; give the world's own source")
-    return _with_starts(replace(_cut(world, options.window), kind="terrain", solid=None))
+    return _with_spawn_poses(replace(_cut(world, options.window), kind="terrain", solid=None))
 
 
 def _terrain_world(source: Source, options: BuildOptions) -> World:
     surface, scale = read_terrain(source, options)
     if options.window is not None:
         surface = cut_surface(surface, options.window)
-    return _with_starts(World(source.name, "terrain", surface, scale=scale))
+    return _with_spawn_poses(World(source.name, "terrain", surface, scale=scale))
 
 
 def _mesh_world(source: Source, options: BuildOptions) -> World:
@@ -174,9 +174,9 @@ def _mesh_world(source: Source, options: BuildOptions) -> World:
         scale="as given" if given else "the file's own",
         solid=read.solid,
         overhangs=read.overhangs and read.solid is not None,
-        bare=read.bare,
+        no_ground=read.no_ground,
     )
-    return _with_starts(world)
+    return _with_spawn_poses(world)
 
 
 def _map_world(source: Source, options: BuildOptions) -> World:
@@ -188,23 +188,23 @@ def _map_world(source: Source, options: BuildOptions) -> World:
         truth = read_map_picture(source.path, options.resolution, options.origin, options.max_pixels)
     if options.window is not None:
         truth = cut_map(truth, options.window)
-    truth = without_speckles(truth, options.speckle)
+    truth = without_small_walls(truth, options.speckle)
     walls = walls_of(truth, options.wall_height, options.unknown)
     scale = f"{truth.resolution:g} m a cell"
-    return _with_starts(World(source.name, "map", level_floor(walls), walls, truth, scale=scale))
+    return _with_spawn_poses(World(source.name, "map", level_floor(walls), walls, truth, scale=scale))
 
 
 def _cut(world: World, window: Window) -> World:
     surface = cut_surface(world.surface, window)
-    return replace(world, surface=surface, bare=cut_nodes(world.bare, world.surface, surface))
+    return replace(world, surface=surface, no_ground=cut_nodes(world.no_ground, world.surface, surface))
 
 
-def _with_starts(world: World) -> World:
-    """Look for start poses; on a terrain of kilometres in its middle only: the search is by the decimetre."""
+def _with_spawn_poses(world: World) -> World:
+    """Look for spawn poses; on a terrain of kilometres in its middle only: the search is by the decimetre."""
     place = world
-    if world.kind != "map" and max(world.surface.size) > START_AREA:
+    if world.kind != "map" and max(world.surface.size) > SPAWN_AREA:
         west, south, east, north = world.surface.bounds
-        middle = ((west + east) / 2, (south + north) / 2, START_AREA)
+        middle = ((west + east) / 2, (south + north) / 2, SPAWN_AREA)
         place = _cut(world, middle)
-    free = place.traversable(clearance=START_CLEARANCE, max_slope=START_SLOPE)
-    return replace(world, starts=start_poses(free))
+    free = place.traversable(clearance=SPAWN_CLEARANCE, max_slope=SPAWN_SLOPE)
+    return replace(world, spawn_poses=spawn_poses(free))

@@ -136,9 +136,9 @@ def test_a_texture_is_copied_named_and_tiled(folder: Path) -> None:
     uv = np.concatenate([g.visual.uv for g in loaded.geometry.values()])
     assert np.ptp(uv[:, 0]) == pytest.approx(50 / 5, rel=0.3)
     again = built("out/w", to="dae")
-    assert again.finish.texture is not None
-    assert again.finish.texture.read_bytes() == Path("my grass.JPG").read_bytes()
-    assert again.finish.texture_size == 5
+    assert again.export_settings.texture is not None
+    assert again.export_settings.texture.read_bytes() == Path("my grass.JPG").read_bytes()
+    assert again.export_settings.texture_size == 5
 
 
 def test_a_heightmap_for_gazebo(folder: Path) -> None:

@@ -16,7 +16,7 @@ from lirs_wct.contact.contact_grid import contact_grid
 from lirs_wct.export.mjcf import world_spec
 from lirs_wct.export.package import write_package
 from lirs_wct.formats.meshes.mesh_file import read_upright
-from lirs_wct.sources.rasterize import drape
+from lirs_wct.sources.rasterize import rasterize_heights
 
 POINTS = 1000
 BUDGET = 0.02
@@ -54,12 +54,14 @@ def test_gazebos_mesh_is_within_the_budget_of_the_source(world: World, folder: P
     surface = world.surface
     for kind in ("dae", "stl"):
         mesh = read_upright(folder / "meshes" / f"{world.name}.{kind}")
-        top = drape(mesh, (*surface.origin, *surface.cell), surface.shape)[::-1]
+        top = rasterize_heights(mesh, (*surface.origin, *surface.cell), surface.shape)[::-1]
         row, col = (rng.integers(0, n, POINTS) for n in surface.shape)
         assert np.abs(top[row, col] - surface.z[row, col]).max() <= BUDGET + ROUNDING
         west, south, east, north = surface.bounds
         x, y = rng.uniform(west, east, POINTS), rng.uniform(south, north, POINTS)
-        heights = [drape(mesh, (px, py, 1.0, 1.0), (1, 1))[0, 0] for px, py in zip(x, y, strict=True)]
+        heights = [
+            rasterize_heights(mesh, (px, py, 1.0, 1.0), (1, 1))[0, 0] for px, py in zip(x, y, strict=True)
+        ]
         error = np.abs(np.array(heights) - surface.height_at(x, y))
         # Upright sides of obstacles are one cell wide: between nodes a line is as far off as it is steep.
         gentle = np.ones(POINTS, np.bool_)
@@ -146,7 +148,7 @@ def test_a_map_is_the_same_walls_for_all(tmp_path: Path) -> None:
     for (x, y), (u, v) in zip(world.walls.origin.apply(local), local, strict=True):
         height = 2.5 if world.walls.solid[math.floor(v / 0.1), math.floor(u / 0.1)] else 0.0
         walls += height > 0
-        assert drape(mesh, (x, y, 1.0, 1.0), (1, 1))[0, 0] == pytest.approx(height, abs=1e-6)
+        assert rasterize_heights(mesh, (x, y, 1.0, 1.0), (1, 1))[0, 0] == pytest.approx(height, abs=1e-6)
         ray = np.array((x, y, 9.0)), np.array((0.0, 0.0, -1.0))
         assert 9.0 - mujoco.mj_ray(model, data, *ray, None, 1, -1, hit) == pytest.approx(height, abs=1e-5)
         assert 9.0 - caster.cast(ray[0], [ray[1]])[0] == pytest.approx(height, abs=1e-6)

@@ -19,7 +19,7 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.meshing.wall_solid import SLAB, wall_mesh
-from lirs_wct.sources.laser_map import merged_boxes, walls_of, without_speckles
+from lirs_wct.sources.laser_map import merged_boxes, walls_of, without_small_walls
 
 masks = hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9))
 KEYS = "resolution: 0.5\norigin: [1.0, -2.0, 0.5]\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
@@ -179,11 +179,11 @@ def test_speckles_are_dropped_by_their_size() -> None:
     p[8, 8] = np.nan
     grid = OccupancyGrid.from_probability(p, 0.1)
     for least, left in ((0, 6), (1, 6), (2, 5), (3, 3), (4, 0)):
-        cleaned = without_speckles(grid, least)
+        cleaned = without_small_walls(grid, least)
         assert cleaned.occupied.sum() == left, least
         assert np.array_equal(cleaned.known, grid.known)
         assert cleaned.free.sum() == 80 - left
-    assert without_speckles(grid, 3).occupied[1, 1]
+    assert without_small_walls(grid, 3).occupied[1, 1]
 
 
 def test_flat_yaml_agrees_with_pyyaml(shared_data: Path) -> None:

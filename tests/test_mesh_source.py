@@ -15,7 +15,7 @@ from lirs_wct.formats.meshes.mesh_file import SUFFIXES, read_upright, write_mesh
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.sources.rasterize import drape, layers
+from lirs_wct.sources.rasterize import layers, rasterize_heights
 
 
 @pytest.fixture
@@ -26,12 +26,12 @@ def hill() -> TriangleMesh:
 
 
 def test_draping_gives_the_nodes_back(hill: TriangleMesh) -> None:
-    top = drape(hill, (10.0, -5.0, 0.5, 0.4), (21, 31))
+    top = rasterize_heights(hill, (10.0, -5.0, 0.5, 0.4), (21, 31))
     np.testing.assert_allclose(
         top.ravel(), hill.vertices[: 21 * 31, 2].reshape(21, 31)[::-1].ravel(), atol=1e-6
     )
     assert (layers(hill, (10.0, -5.0, 0.5, 0.4), (21, 31)) == 2).all()
-    outside = drape(hill, (9.0, -5.0, 0.5, 0.4), (21, 31))
+    outside = rasterize_heights(hill, (9.0, -5.0, 0.5, 0.4), (21, 31))
     assert np.isnan(outside[:, :2]).all()
     assert np.isfinite(outside[:, 2:]).all()
 
@@ -40,14 +40,14 @@ def test_draping_gives_the_nodes_back(hill: TriangleMesh) -> None:
 def test_a_closed_terrain_of_any_format(suffix: str, hill: TriangleMesh, tmp_path: Path) -> None:
     write_mesh(tmp_path / f"hill{suffix}", hill)
     world = build_world(tmp_path / f"hill{suffix}", BuildOptions(resolution=0.1))
-    assert (world.name, world.kind, world.overhangs, world.bare) == ("hill", "mesh", False, None)
+    assert (world.name, world.kind, world.overhangs, world.no_ground) == ("hill", "mesh", False, None)
     assert world.surface.bounds == pytest.approx((10, -5, 25, 3), abs=1e-4)
     assert world.surface.shape == (81, 151)
     assert world.mesh.is_watertight
     assert len(world.mesh.faces) == len(hill.faces)
     rng = np.random.default_rng(0)
     for x, y in zip(rng.uniform(10, 25, 50), rng.uniform(-5, 3, 50), strict=True):
-        true = drape(hill, (x, y, 1.0, 1.0), (1, 1))[0, 0]
+        true = rasterize_heights(hill, (x, y, 1.0, 1.0), (1, 1))[0, 0]
         assert world.surface.height_at(x, y) == pytest.approx(true, abs=0.01)
 
 
@@ -83,7 +83,7 @@ def test_inside_out_is_turned_and_overhangs_are_noticed(hill: TriangleMesh, tmp_
     loaded = World.load(ring.save(tmp_path / "saved"))
     assert loaded.overhangs
     assert np.array_equal(loaded.mesh.faces, ring.mesh.faces)
-    assert np.array_equal(loaded.bare, ring.bare)  # type: ignore[arg-type]
+    assert np.array_equal(loaded.no_ground, ring.no_ground)  # type: ignore[arg-type]
 
 
 def test_an_open_sheet_is_taken_by_its_heights(hill: TriangleMesh, tmp_path: Path) -> None:
@@ -104,10 +104,10 @@ def test_where_there_is_no_ground_nothing_drives(tmp_path: Path) -> None:
     trimesh.creation.cylinder(10, 2).export(tmp_path / "disc.stl")
     with pytest.warns(UserWarning, match="nodes have no ground"):
         world = build_world(tmp_path / "disc.stl", BuildOptions(resolution=0.1))
-    assert world.bare is not None
+    assert world.no_ground is not None
     free = world.traversable(clearance=0.3, max_slope=0.3)
     assert free.free.sum() * 0.01 == pytest.approx(math.pi * 9.7**2, rel=0.02)
-    assert all(math.hypot(s.x, s.y) < 10 for s in world.starts)
+    assert all(math.hypot(s.x, s.y) < 10 for s in world.spawn_poses)
 
 
 def test_what_is_no_terrain_is_refused(tmp_path: Path) -> None:

@@ -17,9 +17,9 @@ from lirs_envs.simulation import Simulation
 from lirs_validation import validate
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.contact.contact_grid import ContactGrid, contact_grid, steep_nodes
-from lirs_wct.contact.contact_parts import TERRAINS, Terrain, contact_parts, prisms
+from lirs_wct.contact.contact_parts import CONTACT_GEOMETRIES, ContactGeometry, contact_parts, prisms
 from lirs_wct.errors import ConfigError
-from lirs_wct.export.export_settings import Finish
+from lirs_wct.export.export_settings import ExportSettings
 from lirs_wct.export.mjcf import SEEN_GROUP, TERRAIN_GROUP, world_spec
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -37,7 +37,12 @@ def hills() -> World:
     z[70:90, 60:100] = z.max() + 0.2
     axis = np.abs(np.linspace(-1, 1, 161, dtype=np.float32))
     z += 3 * np.maximum(axis[:, None], axis) ** 8
-    return World("hills", "terrain", HeightField.centred(z, (0.1, 0.1)), finish=Finish(max_error=0.004))
+    return World(
+        "hills",
+        "terrain",
+        HeightField.centred(z, (0.1, 0.1)),
+        export_settings=ExportSettings(max_error=0.004),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -76,10 +81,10 @@ def blocks(cells: np.ndarray, edge: float, corner: np.ndarray) -> TriangleMesh:
 
 
 def dropped(
-    world: World, terrain: Terrain, points: np.ndarray, contact: ContactGrid | None = None
+    world: World, terrain: ContactGeometry, points: np.ndarray, contact: ContactGrid | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (n, 3) centres of spheres after 5 s, when each touches the ground, and whether it does."""
-    spec = world_spec(world, terrain=terrain, contact=contact)
+    spec = world_spec(world, contact_geometry=terrain, contact=contact)
     spec.option.timestep = 0.004
     for x, y, z in points:
         ball = spec.worldbody.add_body(
@@ -120,7 +125,7 @@ def gaps(mesh: TriangleMesh, centres: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("terrain", ["hfield", "mesh", "prisms"])
-def test_spheres_rest_on_the_true_surface(terrain: Terrain, hills: World) -> None:
+def test_spheres_rest_on_the_true_surface(terrain: ContactGeometry, hills: World) -> None:
     exact = World("hills", "terrain", hills.surface).mesh
     rng = np.random.default_rng(1)
     xy = rng.uniform(-7.0, 7.0, (SPHERES, 2))
@@ -147,7 +152,7 @@ def gaps_by_sampling(surface: HeightField, centres: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("terrain", ["hfield", "prisms"])
-def test_spheres_on_the_ground_that_users_get(terrain: Terrain) -> None:
+def test_spheres_on_the_ground_that_users_get(terrain: ContactGeometry) -> None:
     """On the contact grid, and on prisms within 1 cm: what is guaranteed against the true surface.
 
     Where nothing steep is near, 1 cm. Beside a steep face vertical errors say little, and the face itself may
@@ -210,7 +215,7 @@ def test_a_prism_for_each_triangle_and_no_more_than_are_legal(hills: World) -> N
     edges = np.array([(p[1] - p[0], p[2] - p[0]) for p in parts])
     area = 0.5 * np.abs(np.cross(edges[:, 0], edges[:, 1])[:, 2]).sum()
     assert area == pytest.approx(16.0**2, rel=1e-9)
-    full = World("full", "terrain", hills.surface, finish=Finish(max_error=1e-5))
+    full = World("full", "terrain", hills.surface, export_settings=ExportSettings(max_error=1e-5))
     with pytest.raises(ConfigError, match=r"at most 20000 are legal; give --max-error or --max-triangles"):
         list(prisms(full))
 
@@ -226,15 +231,15 @@ def test_a_terrain_that_does_not_fit_is_refused(
         (walls, "prisms", "convex boxes already"),
     ):
         with pytest.raises(ConfigError, match=says):
-            world_spec(world, terrain=terrain)  # type: ignore[arg-type]
+            world_spec(world, contact_geometry=terrain)  # type: ignore[arg-type]
     monkeypatch.setitem(sys.modules, "coacd", None)
     with pytest.raises(ConfigError, match=r"pip install 'lirs-wct\[mesh\]'"):
         list(contact_parts(arch, "convex"))
-    assert get_args(Terrain) == TERRAINS
+    assert get_args(ContactGeometry) == CONTACT_GEOMETRIES
 
 
 def test_the_seen_mesh_is_whole_and_never_touched(hills: World) -> None:
-    model = world_spec(hills, terrain="mesh").compile()
+    model = world_spec(hills, contact_geometry="mesh").compile()
     seen = [g for g in range(model.ngeom) if model.geom(g).name.startswith("seen")]
     assert sum(model.mesh_facenum[model.geom_dataid[g]] for g in seen) == len(hills.mesh.faces)
     assert max(model.mesh_facenum) <= 200_000
@@ -245,7 +250,7 @@ def test_the_seen_mesh_is_whole_and_never_touched(hills: World) -> None:
 
 def test_an_overhang_is_seen_in_its_own_group(arch: World) -> None:
     pytest.importorskip("coacd", reason="coacd, the extra [mesh], is not installed")
-    model = world_spec(arch, terrain="convex").compile()
+    model = world_spec(arch, contact_geometry="convex").compile()
     groups = {model.geom(g).name.rstrip("0123456789"): int(model.geom_group[g]) for g in range(model.ngeom)}
     assert groups == {"ground": TERRAIN_GROUP, "seen": SEEN_GROUP}
 
@@ -274,7 +279,7 @@ def test_a_robot_falls_into_no_hole_and_drives_on_the_floor_beside() -> None:
 
 
 @pytest.mark.parametrize("terrain", ["mesh", "prisms"])
-def test_a_run_says_what_was_touched(terrain: Terrain) -> None:
+def test_a_run_says_what_was_touched(terrain: ContactGeometry) -> None:
     options = BuildOptions(max_triangles=3000, window=(0, 0, 20))
     run = validate("simple", seconds=2, terrain=terrain, options=options)
     assert run.record.status == "ok"

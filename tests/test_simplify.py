@@ -19,7 +19,7 @@ from lirs_wct.meshing.simplify import simplified_solid, triangulate
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.picture import read_height_field
-from lirs_wct.sources.rasterize import drape
+from lirs_wct.sources.rasterize import rasterize_heights
 
 
 def hills(rows: int, cols: int, seed: int = 0, blur: float = 3.0) -> HeightField:
@@ -80,7 +80,7 @@ def test_the_budget_holds_on_real_pictures(shared_data: Path, name: str, share: 
     north_up = TriangleMesh(
         np.column_stack((points[:, 1], rows - 1.0 - points[:, 0], surface.z[tuple(points.T)])), faces
     )
-    off = drape(north_up, (0, 0, 1, 1), (rows, cols))[::-1] - surface.z
+    off = rasterize_heights(north_up, (0, 0, 1, 1), (rows, cols))[::-1] - surface.z
     assert np.abs(off).max() <= share * surface.relief
 
 

@@ -12,7 +12,7 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
-from lirs_wct.navigation.spawn_poses import start_poses
+from lirs_wct.navigation.spawn_poses import spawn_poses
 from lirs_wct.navigation.traversability import traversable
 
 SLOPE = math.radians(20)
@@ -75,14 +75,14 @@ def test_starts_lie_in_one_free_area_and_apart() -> None:
     p[10:90, 10:60] = 0.0
     p[10:20, 80:90] = 0.0
     grid = OccupancyGrid.from_probability(p, 0.1)
-    starts = start_poses(grid, 5)
+    starts = spawn_poses(grid, 5)
     assert len(starts) == 5
     assert all(1.0 <= s.y <= 9.0 and 1.0 <= s.x <= 6.0 for s in starts)
     assert min(a.distance(b) for a in starts for b in starts if a is not b) > 1.5
 
 
 def test_no_free_ground_gives_no_start() -> None:
-    assert start_poses(OccupancyGrid.from_probability(np.ones((5, 5)), 0.1)) == ()
+    assert spawn_poses(OccupancyGrid.from_probability(np.ones((5, 5)), 0.1)) == ()
 
 
 def test_slopes_strip_by_strip_are_those_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -42,7 +42,7 @@ def floor(tmp_path: Path) -> Path:
 
 def same(a: World, b: World) -> bool:
     return (
-        (a.name, a.kind, a.starts, a.scale) == (b.name, b.kind, b.starts, b.scale)
+        (a.name, a.kind, a.spawn_poses, a.scale) == (b.name, b.kind, b.spawn_poses, b.scale)
         and np.array_equal(a.surface.z, b.surface.z)
         and (a.surface.cell, a.surface.origin) == (b.surface.cell, b.surface.origin)
         and (a.walls is None) == (b.walls is None)

@@ -20,7 +20,7 @@ from lirs_envs.sensing.odometry import Method, OdometryConfig
 from lirs_envs.sensing.sensors import Observation, SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_wct.arrays import ByteArray, Float32Array
-from lirs_wct.contact.contact_parts import Terrain
+from lirs_wct.contact.contact_parts import ContactGeometry
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.world import World, build_world
 
@@ -67,7 +67,7 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
         robot: str = "husky",
         *,
         lidar: str | None = None,
-        terrain: Terrain = "hfield",
+        terrain: ContactGeometry = "hfield",
         odometry: Method = "gyro",
         noise: NoiseLevel = "simulated",
         sweep: bool = False,
@@ -100,7 +100,7 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
         """Set the robot down; `options["start"]` may hold a Pose2."""
         super().reset(seed=seed)
         start = (options or {}).get("start")
-        starts = self.simulation.world.starts
+        starts = self.simulation.world.spawn_poses
         if start is None and starts:
             start = starts[int(self.np_random.integers(len(starts)))]
         observation = self.simulation.reset(start, seed=int(self.np_random.integers(2**31)))

@@ -14,7 +14,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.imu import Vector
 from lirs_wct.arrays import FloatArray
 from lirs_wct.contact.contact_grid import ContactGrid, contact_grid
-from lirs_wct.contact.contact_parts import Terrain
+from lirs_wct.contact.contact_parts import ContactGeometry
 from lirs_wct.export.mjcf import world_spec
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.world import World
@@ -41,7 +41,7 @@ class RobotModel:
         period: time from scan to scan, seconds: a whole number of steps.
         control_period: longest time between control updates, seconds.
         props: what else stands there.
-        terrain: what is touched (see `lirs_wct.contact.contact_parts.TERRAINS`).
+        terrain: what is touched (see `lirs_wct.contact.contact_parts.CONTACT_GEOMETRIES`).
         seen: whether MuJoCo's own rays are to meet the surface, where something else is touched.
     """
 
@@ -52,7 +52,7 @@ class RobotModel:
         period: float,
         control_period: float,
         props: Sequence[Prop | StaticRobot] = (),
-        terrain: Terrain = "hfield",
+        terrain: ContactGeometry = "hfield",
         seen: bool = False,
     ) -> None:
         self.contact: ContactGrid = contact_grid(world.surface)
@@ -61,7 +61,9 @@ class RobotModel:
         self.timestep = period / steps
         spec.option.timestep = self.timestep
         add_props(spec, world, props)
-        self.model = world_spec(world, contact=self.contact, robot=spec, terrain=terrain, seen=seen).compile()
+        self.model = world_spec(
+            world, contact=self.contact, robot=spec, contact_geometry=terrain, seen=seen
+        ).compile()
         self.data = mujoco.MjData(self.model)
         piece = max(1, int(control_period / self.timestep + 1e-9))
         self.substeps = tuple(min(piece, steps - done) for done in range(0, steps, piece))

@@ -27,9 +27,9 @@ def resolve_start(world: World, start: Pose2 | None) -> Pose2:
         SimulationError: none is given and the world has none.
     """
     if start is None:
-        if not world.starts:
+        if not world.spawn_poses:
             raise SimulationError(f"world {world.name!r} has no free place to start from; give a start pose")
-        return world.starts[0]
+        return world.spawn_poses[0]
     if not all(math.isfinite(v) for v in (start.x, start.y, start.yaw)):
         raise ConfigError(f"a start pose must be finite, got {start}")
     return start

@@ -23,7 +23,7 @@ from lirs_envs.sensing.sensors import Observation, SensorNoise, Sensors
 from lirs_envs.timing import Replay, Timing
 from lirs_wct.arrays import FloatArray
 from lirs_wct.contact.contact_grid import ContactGrid
-from lirs_wct.contact.contact_parts import Terrain
+from lirs_wct.contact.contact_parts import ContactGeometry
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.world import World
@@ -71,7 +71,7 @@ class Simulation:
         seed: int = 0,
         noise: SensorNoise | None = None,
         props: Sequence[Prop | StaticRobot] = (),
-        terrain: Terrain = "hfield",
+        terrain: ContactGeometry = "hfield",
         rays: Rays = "ours",
     ) -> None:
         self._noise = SensorNoise() if noise is None else noise

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from lirs_validation.cli import option_help as word
 from lirs_validation.cli.log_sources import with_logs_mapped
-from lirs_wct.contact.contact_parts import TERRAINS, Terrain
+from lirs_wct.contact.contact_parts import CONTACT_GEOMETRIES, ContactGeometry
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.sources.options import DENOISE_METHODS, UNKNOWN, BuildOptions
@@ -124,13 +124,13 @@ def gazebo_terrain(given: str) -> Literal["solid", "heightmap"]:
     return terrain
 
 
-def mujoco_terrain(given: str) -> Terrain:
+def mujoco_terrain(given: str) -> ContactGeometry:
     """Return what MuJoCo is to touch.
 
     Raises:
         ConfigError: it is none of these.
     """
-    terrain: Terrain = _choice(given, "--terrain", TERRAINS)
+    terrain: ContactGeometry = _choice(given, "--terrain", CONTACT_GEOMETRIES)
     return terrain
 
 

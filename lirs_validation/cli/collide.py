@@ -18,7 +18,7 @@ from lirs_wct.sources.options import BuildOptions
 if TYPE_CHECKING:
     from lirs_envs.robots.robot import Robot
     from lirs_validation.collision.validation import CollisionVerdict
-    from lirs_wct.contact.contact_parts import Terrain
+    from lirs_wct.contact.contact_parts import ContactGeometry
 
 
 @with_build_options
@@ -99,7 +99,7 @@ def _checked(
     sources: list[str],
     options: BuildOptions,
     robots: list[Robot],
-    terrains: list[Terrain],
+    terrains: list[ContactGeometry],
     seconds: float,
     seeds: list[int],
 ) -> Iterator[CollisionVerdict | WctError]:

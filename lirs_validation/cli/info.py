@@ -9,7 +9,7 @@ import numpy as np
 from rich.table import Table
 
 from lirs_envs.robots.catalog import ROBOTS
-from lirs_wct.sources.rasterize import drape
+from lirs_wct.sources.rasterize import rasterize_heights
 from lirs_wct.world import World
 
 CELLS = 2000
@@ -69,7 +69,7 @@ def world_facts(world: World) -> WorldFacts:
 def mesh_error(world: World) -> float:
     """Return the largest vertical distance of the world's mesh from its surface at the nodes, metres."""
     surface = world.surface
-    top = drape(world.mesh, (*surface.origin, *surface.cell), surface.shape)
+    top = rasterize_heights(world.mesh, (*surface.origin, *surface.cell), surface.shape)
     return float(np.nanmax(np.abs(top - surface.south_up)))
 
 
@@ -85,7 +85,7 @@ def facts_table(world: World, facts: WorldFacts) -> Table:
             (f"drivable, {robot}", f"{share:.1f} %, up to {math.degrees(ROBOTS[robot].max_slope):.0f} deg")
             for robot, share in facts.drivable.items()
         ),
-        ("start poses", f"{len(world.starts)}"),
+        ("start poses", f"{len(world.spawn_poses)}"),
         ("triangles", f"{facts.triangles}"),
         ("watertight", f"{'yes' if facts.watertight else 'no'}, {facts.volume:.6g} m3"),
         ("mesh error", "exact" if facts.error is None else f"{facts.error:.6f} m at the nodes"),

@@ -20,7 +20,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_validation.collision.contact_log import ContactLog, ContactRecorder
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.navigation.spawn_poses import start_poses
+from lirs_wct.navigation.spawn_poses import spawn_poses
 from lirs_wct.navigation.traversability import largest_area
 from lirs_wct.world import World
 
@@ -76,7 +76,7 @@ def places(world: World, robot: Robot, rng: np.random.Generator) -> list[Pose2]:
     ]
     found = [
         [start for start in starts if _stands(world, robot, start)][:PLACES]
-        for starts in (start_poses(free, PLACES), beside)
+        for starts in (spawn_poses(free, PLACES), beside)
     ]
     if not any(found):
         raise ConfigError(

@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 from lirs_envs.model import RobotModel
 from lirs_validation.cli.info import mesh_error
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.contact.contact_parts import PRISM_ERROR, Terrain
+from lirs_wct.contact.contact_parts import PRISM_ERROR, ContactGeometry
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
 
@@ -17,7 +17,7 @@ from lirs_wct.world import World
 class Touched:
     """What MuJoCo touches in a world, as a solid of its own: told without MuJoCo's collision detection."""
 
-    def __init__(self, world: World, body: RobotModel, terrain: Terrain) -> None:
+    def __init__(self, world: World, body: RobotModel, terrain: ContactGeometry) -> None:
         self._walls = world.walls
         self._hulls: list[FloatArray] = []
         self._slack = 0.0
@@ -25,7 +25,7 @@ class Touched:
         if terrain in ("hfield", "mesh"):
             self._heights = body.contact.heights(world.surface)
         elif terrain == "prisms":
-            limited = world.finish.limited or world.solid is not None
+            limited = world.export_settings.limited or world.solid is not None
             self._slack = mesh_error(world) if limited else PRISM_ERROR
         else:
             self._hulls = _hulls(body.model)

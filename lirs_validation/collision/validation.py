@@ -33,7 +33,7 @@ from lirs_validation.collision.contact_log import DEEP
 from lirs_validation.collision.random_drive import CONTROL_PERIOD, PERIOD, drive_at_random
 from lirs_validation.collision.slope_test import climb
 from lirs_validation.collision.touched import Touched
-from lirs_wct.contact.contact_parts import Terrain
+from lirs_wct.contact.contact_parts import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.world import World
 
@@ -91,7 +91,7 @@ class CollisionVerdict:
 
     world: str
     robot: str
-    terrain: Terrain
+    terrain: ContactGeometry
     seconds: float
     seed: int
     driven: float
@@ -141,7 +141,7 @@ class CollisionVerdict:
 
 
 def check_collisions(
-    world: World, robot: Robot, *, terrain: Terrain = "hfield", seconds: float = 60.0, seed: int = 1
+    world: World, robot: Robot, *, terrain: ContactGeometry = "hfield", seconds: float = 60.0, seed: int = 1
 ) -> CollisionVerdict:
     """Drive a robot at random at full speed, then up the steepest ground, and judge every contact.
 

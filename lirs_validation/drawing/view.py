@@ -92,10 +92,10 @@ def _block_colours(world: World, canvas: Canvas, relief: FloatArray) -> tuple[Fl
 
 
 def _starts(axes: Axes, world: World) -> None:
-    """Draw an arrow at each start pose, numbered as in `World.starts`."""
+    """Draw an arrow at each spawn pose, numbered as in `World.spawn_poses`."""
     west, _, east, _ = world.surface.bounds
     length = 0.035 * (east - west)
-    for number, pose in enumerate(world.starts, start=1):
+    for number, pose in enumerate(world.spawn_poses, start=1):
         tip = (pose.x + length * math.cos(pose.yaw), pose.y + length * math.sin(pose.yaw))
         arrow = {"arrowstyle": "-|>", "color": VERMILLION, "linewidth": 1.5, "shrinkA": 0, "shrinkB": 0}
         axes.annotate("", tip, (pose.x, pose.y), arrowprops=arrow, zorder=6)
@@ -106,7 +106,7 @@ def _starts(axes: Axes, world: World) -> None:
         label.set(fontsize=SMALL, color=BLACK, ha="center", va="center")
         label.set_path_effects([withStroke(linewidth=2, foreground="white")])
     handles: list[Line2D | Patch] = []
-    if world.starts:
+    if world.spawn_poses:
         handles.append(Line2D([], [], color=VERMILLION, marker="o", markersize=4.5, label="start pose"))
     if world.walls is not None:
         handles.append(Patch(color=WALL, label=f"wall, {world.walls.height:g} m"))

@@ -11,7 +11,7 @@ from lirs_validation.driving.drivers import CoverageDriver, plan_coverage
 from lirs_validation.driving.pace import driver_config
 from lirs_validation.record.run_record import RunConfig
 from lirs_wct.errors import ConfigError
-from lirs_wct.navigation.spawn_poses import start_poses
+from lirs_wct.navigation.spawn_poses import spawn_poses
 from lirs_wct.world import World
 
 MARGIN = 0.15
@@ -27,7 +27,7 @@ def plan(world: World, robot: Robot, config: RunConfig) -> CoverageDriver:
         ConfigError: the robot fits nowhere in this world.
     """
     free = world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope)
-    starts = start_poses(free)
+    starts = spawn_poses(free)
     if not starts:
         raise ConfigError(
             f"{config.source}: no place for {robot.name}: it needs {2 * (robot.radius + MARGIN):.1f} m of "

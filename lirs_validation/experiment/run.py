@@ -29,7 +29,7 @@ from lirs_validation.experiment.results import write_results
 from lirs_validation.experiment.scenario import Stage, StageCache
 from lirs_validation.experiment.warm_up import warm_up
 from lirs_validation.record.run_record import RunConfig, RunRecord
-from lirs_wct.contact.contact_parts import Terrain
+from lirs_wct.contact.contact_parts import ContactGeometry
 from lirs_wct.errors import SimulationError
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.world import World
@@ -56,7 +56,7 @@ def validate(
     robot: str = "husky",
     mapper: str = "hector",
     lidar: str | None = None,
-    terrain: Terrain = "hfield",
+    terrain: ContactGeometry = "hfield",
     rays: Rays = "ours",
     seconds: float = 120.0,
     seed: int = 1,

@@ -12,7 +12,7 @@ import numpy as np
 
 from lirs_envs.lidar.casters import Rays, check_rays
 from lirs_validation.record.provenance import machine, versions
-from lirs_wct.contact.contact_parts import TERRAINS, Terrain
+from lirs_wct.contact.contact_parts import CONTACT_GEOMETRIES, ContactGeometry
 from lirs_wct.errors import ConfigError, SourceError, unknown_name
 from lirs_wct.files import atomic_write
 from lirs_wct.sources.options import BuildOptions
@@ -49,7 +49,7 @@ class RunConfig:
     robot: str = "husky"
     mapper: str = "hector"
     lidar: str | None = None
-    terrain: Terrain = "hfield"
+    terrain: ContactGeometry = "hfield"
     rays: Rays = "ours"
     seconds: float = 120.0
     seed: int = 1
@@ -63,8 +63,8 @@ class RunConfig:
             raise ConfigError(f"the wall limit must be above 0 s, got {self.wall_limit:g}")
         if self.seed < 0:
             raise ConfigError(f"seed must be 0 or above, got {self.seed}")
-        if self.terrain not in TERRAINS:
-            raise unknown_name("terrain for MuJoCo", self.terrain, TERRAINS)
+        if self.terrain not in CONTACT_GEOMETRIES:
+            raise unknown_name("terrain for MuJoCo", self.terrain, CONTACT_GEOMETRIES)
         check_rays(self.rays)
 
     @property

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from lirs_envs.lidar.casters import Rays
 from lirs_validation.record.run_record import RunConfig
 from lirs_validation.sweep.run_cell import RunCell
-from lirs_wct.contact.contact_parts import Terrain
+from lirs_wct.contact.contact_parts import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.sources.options import BuildOptions
 
@@ -20,7 +20,7 @@ MAX_SEEDS = 100_000
 class View:
     """A way to represent a world: what is touched, and whose rays see it."""
 
-    terrain: Terrain = "hfield"
+    terrain: ContactGeometry = "hfield"
     rays: Rays = "ours"
 
 

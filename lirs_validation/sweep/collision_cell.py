@@ -15,7 +15,7 @@ from lirs_validation.sweep.cell import Tell
 from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.run_cell import world_name
 from lirs_validation.sweep.staleness import is_older, same_code, world_files
-from lirs_wct.contact.contact_parts import Terrain
+from lirs_wct.contact.contact_parts import ContactGeometry
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_folder
 
@@ -40,7 +40,7 @@ class CollisionCell:
 
     source: str
     robot: str
-    terrain: Terrain = "hfield"
+    terrain: ContactGeometry = "hfield"
     seconds: float = 60.0
     seed: int = 1
 

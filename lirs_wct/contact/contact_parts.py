@@ -12,15 +12,15 @@ from scipy.sparse.csgraph import connected_components
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.export.export_settings import Finish
+from lirs_wct.export.export_settings import ExportSettings
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.meshing.simplify import simplified_solid
 
-Terrain = Literal["hfield", "mesh", "prisms", "convex"]
-TERRAINS: tuple[Terrain, ...] = get_args(Terrain)
-"""What is touched: a height field; the same, with the mesh to be seen; prisms; convex parts."""
+ContactGeometry = Literal["hfield", "mesh", "prisms", "convex"]
+CONTACT_GEOMETRIES: tuple[ContactGeometry, ...] = get_args(ContactGeometry)
+"""What a physics engine touches: a height field; the same, the mesh is seen; prisms; convex parts."""
 MAX_PRISMS = 20_000
 """A step costs about 1.7 us for each thousand: with these, no robot's takes more than 60 us (measured: 46 to
 48 us at 16,447, 59 to 65 us at 26,981)."""
@@ -60,35 +60,35 @@ class Ground(Protocol):
         """Whether the true mesh is more than its heights from above."""
 
     @property
-    def finish(self) -> Finish:
+    def export_settings(self) -> ExportSettings:
         """The mesh's budget."""
 
 
-def check_terrain(terrain: str, world: Ground) -> None:
-    """Tell whether a world can be touched in a way.
+def check_contact_geometry(geometry: str, world: Ground) -> None:
+    """Check that a world can have a contact geometry.
 
     Raises:
-        ConfigError: there is no such way, or it does not fit the world.
+        ConfigError: there is no such geometry, or it does not fit the world.
     """
-    if terrain not in TERRAINS:
-        raise unknown_name("terrain for MuJoCo", terrain, TERRAINS)
-    if world.walls is not None and terrain in ("prisms", "convex"):
+    if geometry not in CONTACT_GEOMETRIES:
+        raise unknown_name("terrain for MuJoCo", geometry, CONTACT_GEOMETRIES)
+    if world.walls is not None and geometry in ("prisms", "convex"):
         raise ConfigError(
             f"{world.name}: a laser map's walls are convex boxes already; legal terrains: hfield, mesh"
         )
-    if world.overhangs and terrain != "convex":
-        raise ConfigError(f"{world.name}: has overhangs, which terrain {terrain} cannot hold; take convex")
-    if terrain == "convex" and world.solid is None:
+    if world.overhangs and geometry != "convex":
+        raise ConfigError(f"{world.name}: has overhangs, which terrain {geometry} cannot hold; take convex")
+    if geometry == "convex" and world.solid is None:
         raise ConfigError(f"{world.name}: terrain convex is for closed meshes; take hfield, mesh or prisms")
 
 
-def contact_parts(world: Ground, terrain: Terrain) -> Iterator[FloatArray]:
+def contact_parts(world: Ground, geometry: ContactGeometry) -> Iterator[FloatArray]:
     """Yield the convex parts of a world.
 
     Raises:
         ConfigError: more prisms than `MAX_PRISMS`, or coacd is not installed.
     """
-    return prisms(world) if terrain == "prisms" else convex_parts(world.mesh)
+    return prisms(world) if geometry == "prisms" else convex_parts(world.mesh)
 
 
 def prisms(world: Ground) -> Iterator[FloatArray]:
@@ -97,7 +97,7 @@ def prisms(world: Ground) -> Iterator[FloatArray]:
     Raises:
         ConfigError: there are more than `MAX_PRISMS`.
     """
-    if world.finish.limited or world.solid is not None:
+    if world.export_settings.limited or world.solid is not None:
         mesh, budget = world.mesh, ""
     else:
         mesh, budget = simplified_solid(world.surface, max_error=PRISM_ERROR), f" within {PRISM_ERROR:g} m"

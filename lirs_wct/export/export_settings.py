@@ -15,8 +15,8 @@ TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finish:
-    """What is done to the mesh of a world before it is written.
+class ExportSettings:
+    """Budget, turn and texture of the mesh that is made of a world.
 
     Attributes:
         max_error: largest vertical deviation of the mesh from the surface, metres; None = the full grid.
@@ -51,12 +51,12 @@ class Finish:
         return self.max_error is not None or self.max_triangles is not None
 
 
-def finish_of(options: BuildOptions, texture: Path | None, former: Finish) -> Finish:
-    """Return what the options ask for; of what they do not mention, the former finish stays."""
+def settings_from(options: BuildOptions, texture: Path | None, former: ExportSettings) -> ExportSettings:
+    """Return what the options ask for; of what they do not mention, the former settings stay."""
     budget = options.max_error, options.max_triangles
     if budget == (None, None):
         budget = former.max_error, former.max_triangles
-    return Finish(
+    return ExportSettings(
         max_error=budget[0],
         max_triangles=budget[1],
         rotate_x=options.rotate_x or former.rotate_x,

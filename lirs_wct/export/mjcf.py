@@ -14,7 +14,7 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.contact.contact_grid import ContactGrid
-from lirs_wct.contact.contact_parts import Ground, Terrain, check_terrain, contact_parts
+from lirs_wct.contact.contact_parts import ContactGeometry, Ground, check_contact_geometry, contact_parts
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.meshing.tiles import MUJOCO_FACES, split_tiles
@@ -36,7 +36,7 @@ def world_spec(
     contact: ContactGrid | None = None,
     robot: mujoco.MjSpec | None = None,
     group: int = TERRAIN_GROUP,
-    terrain: Terrain = "hfield",
+    contact_geometry: ContactGeometry = "hfield",
     seen: bool = False,
     heights: bool = True,
 ) -> mujoco.MjSpec:
@@ -47,28 +47,28 @@ def world_spec(
         contact: the grid that is touched; default: the surface itself.
         robot: specification that the world is added to; its options and defaults stay as they are.
         group: geom group of ground and walls.
-        terrain: what is touched (see `TERRAINS`).
+        contact_geometry: what is touched (see `CONTACT_GEOMETRIES`).
         seen: whether MuJoCo's own rays are to meet the surface itself, where something else is touched.
         heights: whether the height field holds its heights; without, they are to come from a file.
 
     Raises:
         ConfigError: the terrain does not fit the world.
     """
-    check_terrain(terrain, world)
+    check_contact_geometry(contact_geometry, world)
     spec = robot if robot is not None else mujoco.MjSpec()
     spec.modelname = world.name
     surface = world.surface if contact is None else contact.heights(world.surface)
-    if terrain in ("prisms", "convex"):
-        _add_parts(spec, world, terrain, group)
+    if contact_geometry in ("prisms", "convex"):
+        _add_parts(spec, world, contact_geometry, group)
     elif world.walls is None or world.walls.hole is None:
         _add_ground(spec, surface, group, heights=heights)
     else:
         _add_boxes(spec, world.walls, world.walls.floor, (-BASE, 0.0), group, GROUND_COLOUR)
     if world.walls is not None:
         _add_boxes(spec, world.walls, world.walls.solid, (0.0, world.walls.height), group, WALL_COLOUR)
-    if terrain == "mesh" or world.overhangs:
+    if contact_geometry == "mesh" or world.overhangs:
         _add_tiles(spec, world, SEEN_GROUP if world.overhangs else group)
-    elif seen and (terrain != "hfield" or surface.shape != world.surface.shape):
+    elif seen and (contact_geometry != "hfield" or surface.shape != world.surface.shape):
         _hide(spec, group)
         _add_ground(spec, world.surface, group, name="seen", contype=0, conaffinity=0)
     for geom in spec.worldbody.geoms:
@@ -144,9 +144,9 @@ def _add_boxes(
     spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 
-def _add_parts(spec: mujoco.MjSpec, world: Ground, terrain: Terrain, group: int) -> None:
+def _add_parts(spec: mujoco.MjSpec, world: Ground, contact_geometry: ContactGeometry, group: int) -> None:
     """Add each convex part as a mesh: MuJoCo touches its hull, which is the part."""
-    for k, corners in enumerate(contact_parts(world, terrain)):
+    for k, corners in enumerate(contact_parts(world, contact_geometry)):
         name = f"ground{k}"
         spec.add_mesh(name=name, uservert=corners.ravel())
         spec.worldbody.add_geom(

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from lirs_wct.arrays import ByteArray
-from lirs_wct.contact.contact_parts import Ground, Terrain
+from lirs_wct.contact.contact_parts import ContactGeometry, Ground
 from lirs_wct.export.mjcf import world_spec
 from lirs_wct.files import atomic_write
 from lirs_wct.geometry.heightfield import HeightField
@@ -45,8 +45,8 @@ def write_mjcf(
     """
     path = Path(folder) / f"{world.name}.xml"
     # Seen in the viewer as it opens: it hides group 3.
-    terrain: Terrain = "convex" if world.overhangs else "hfield"
-    spec = world_spec(world, group=0, terrain=terrain, heights=False)
+    contact_geometry: ContactGeometry = "convex" if world.overhangs else "hfield"
+    spec = world_spec(world, group=0, contact_geometry=contact_geometry, heights=False)
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,

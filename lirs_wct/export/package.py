@@ -71,7 +71,7 @@ def write_package(
         if "mjcf" in formats:
             steps.begin(f"{world.name}.xml")
             texture = write_texture(world, temporary) if world.kind == "terrain" else None
-            write_mjcf(world, temporary, texture, world.finish.texture_size)
+            write_mjcf(world, temporary, texture, world.export_settings.texture_size)
         if "hfield" in formats:
             steps.begin(f"{world.name}.hfield")
             write_hfield(temporary / f"{world.name}.hfield", world.surface)
@@ -100,16 +100,16 @@ def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: S
         return
     if not kinds:
         return
-    finish = world.finish
+    settings = world.export_settings
     steps.begin("triangles")
-    mesh = _turned(world.mesh, finish.rotate_x)
+    mesh = _turned(world.mesh, settings.rotate_x)
     if "stl" in kinds:
         steps.begin(f"{world.name}.stl")
         write_stl(_mesh_path(world, folder, "stl"), mesh, steps.tick)
     if kinds == ["stl"]:
         return
     texture = f"../{write_texture(world, folder).as_posix()}"
-    dressed = _turned(cube_uv(world.mesh, finish.texture_size), finish.rotate_x)
+    dressed = _turned(cube_uv(world.mesh, settings.texture_size), settings.rotate_x)
     if "dae" in kinds:
         steps.begin(f"{world.name}.dae")
         write_collada(_mesh_path(world, folder, "dae"), dressed, texture, tick=steps.tick)
@@ -120,7 +120,8 @@ def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: S
 
 def _streams(world: World) -> bool:
     """Whether the mesh is the full grid of a large surface: its STL is written without making it."""
-    plain = world.kind == "terrain" and not world.finish.limited and world.finish.rotate_x == 0
+    settings = world.export_settings
+    plain = world.kind == "terrain" and not settings.limited and settings.rotate_x == 0
     return plain and world.surface.z.size > LARGE
 
 
@@ -151,7 +152,7 @@ def _write_model(world: World, folder: Path, formats: Collection[str], terrain: 
 
 def write_texture(world: World, folder: Path) -> Path:
     """Write the world's texture into a package, unless `World.save` did, and return its path inside."""
-    given = world.finish.texture
+    given = world.export_settings.texture
     if given is not None:
         return TEXTURES / f"{world.name}{given.suffix.lower()}"
     path = TEXTURES / f"{world.name}.png"

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.errors import SourceError
-from lirs_wct.export.export_settings import Finish
+from lirs_wct.export.export_settings import ExportSettings
 from lirs_wct.files import atomic_write
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
@@ -42,7 +42,7 @@ def write_world(world: World, folder: Path) -> Path:
         "kind": world.kind,
         "scale": world.scale,
         "surface": {"cell": world.surface.cell, "origin": world.surface.origin},
-        "starts": [astuple(pose) for pose in world.starts],
+        "starts": [astuple(pose) for pose in world.spawn_poses],
         "arrays": ARRAYS,
     }
     if world.walls is not None:
@@ -53,12 +53,12 @@ def write_world(world: World, folder: Path) -> Path:
     if world.truth is not None:
         arrays["truth"] = world.truth.log_odds
         entry["truth"] = _grid_entry(world.truth)
-    if world.bare is not None:
-        arrays["bare"] = world.bare
+    if world.no_ground is not None:
+        arrays["bare"] = world.no_ground
     if world.solid is not None:
         arrays |= {"vertices": world.solid.vertices, "faces": world.solid.faces}
         entry["overhangs"] = world.overhangs
-    entry["finish"] = asdict(world.finish) | {"texture": _keep_texture(world, folder)}
+    entry["finish"] = asdict(world.export_settings) | {"texture": _keep_texture(world, folder)}
     with atomic_write(folder / ARRAYS) as path:
         _write_arrays(path, arrays)
     with atomic_write(folder / JSON) as path:
@@ -101,11 +101,11 @@ def read_fields(folder: Path) -> dict[str, Any]:
                 "surface": surface,
                 "walls": walls and WallGrid(arrays["walls"], *_placed(walls), walls["height"], hole),
                 "truth": truth and OccupancyGrid(arrays["truth"], *_placed(truth)),
-                "starts": tuple(Pose2(*start) for start in entry["starts"]),
+                "spawn_poses": tuple(Pose2(*start) for start in entry["starts"]),
                 "scale": entry["scale"],
-                "finish": _finish(entry, folder),
+                "export_settings": _export_settings(entry, folder),
                 "solid": TriangleMesh(arrays["vertices"], arrays["faces"]) if "faces" in arrays else None,
-                "bare": arrays.get("bare"),
+                "no_ground": arrays.get("bare"),
                 "overhangs": bool(entry.get("overhangs", False)),
             }
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
@@ -119,7 +119,7 @@ def read_fields(folder: Path) -> dict[str, Any]:
 
 def _keep_texture(world: World, folder: Path) -> str | None:
     """Copy the user's texture into the folder, under the world's name, and return where it lies in there."""
-    given = world.finish.texture
+    given = world.export_settings.texture
     if given is None:
         return None
     kept = TEXTURES / f"{world.name}{given.suffix.lower()}"
@@ -128,10 +128,10 @@ def _keep_texture(world: World, folder: Path) -> str | None:
     return kept.as_posix()
 
 
-def _finish(entry: dict[str, Any], folder: Path) -> Finish:
+def _export_settings(entry: dict[str, Any], folder: Path) -> ExportSettings:
     given = entry.get("finish", {})
     texture = given.get("texture")
-    return Finish(**given | {"texture": texture and folder / texture})
+    return ExportSettings(**given | {"texture": texture and folder / texture})
 
 
 def _grid_entry(grid: WallGrid | OccupancyGrid) -> dict[str, Any]:

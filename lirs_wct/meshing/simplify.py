@@ -53,7 +53,7 @@ def simplified_solid(
 def triangulate(
     surface: HeightField, *, max_error: float | None = None, max_triangles: int | None = None
 ) -> tuple[Int32Array, Int32Array]:
-    """Choose pixels and triangulate them (Garland and Heckbert 1995; kernels in `tin_search`).
+    """Choose pixels and triangulate them (Garland and Heckbert 1995; kernels in `refinement`).
 
     Returns:
         points: (n, 2) row and column of the chosen pixels.

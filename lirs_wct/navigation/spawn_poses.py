@@ -16,7 +16,7 @@ EDGE = 0.15
 """Share of the free area's extent, on each side, where no robot starts."""
 
 
-def start_poses(free: OccupancyGrid, count: int = 8) -> tuple[Pose2, ...]:
+def spawn_poses(free: OccupancyGrid, count: int = 8) -> tuple[Pose2, ...]:
     """Return up to `count` poses spread over the largest connected free area, the roomiest first.
 
     Each faces the middle of that area and lies in its inner part: at the edge of the world a robot

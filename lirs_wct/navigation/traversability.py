@@ -25,7 +25,7 @@ def traversable(
     surface: HeightField,
     walls: WallGrid | None = None,
     truth: OccupancyGrid | None = None,
-    bare: BoolArray | None = None,
+    no_ground: BoolArray | None = None,
     *,
     clearance: float,
     max_slope: float,
@@ -37,7 +37,7 @@ def traversable(
         surface: the ground.
         walls: what stands on it.
         truth: the input laser map; where given, only its free cells can be driven.
-        bare: (rows, cols) nodes of the surface under which there is no ground.
+        no_ground: (rows, cols) nodes of the surface under which there is no ground.
         clearance: distance that the centre keeps from steep ground, walls and the border, metres.
         max_slope: steepest ground that the robot drives, radians, over a baseline of 0.3 m.
         resolution: metres a cell.
@@ -46,9 +46,9 @@ def traversable(
     shape = (max(1, math.ceil((north - south) / resolution)), max(1, math.ceil((east - west) / resolution)))
     grid = OccupancyGrid(np.zeros(shape, np.float32), resolution, Pose2(west, south))
     blocked = _steep_cells(surface, max_slope, grid)
-    if bare is not None:
-        blocked |= _nodes_cells(surface, bare, grid)
-        blocked |= _bare_cells(surface, bare, grid)
+    if no_ground is not None:
+        blocked |= _nodes_cells(surface, no_ground, grid)
+        blocked |= _without_ground(surface, no_ground, grid)
     if walls is not None:
         blocked |= _wall_cells(walls, grid)
     if truth is not None:
@@ -99,14 +99,16 @@ def _nodes_cells(surface: HeightField, chosen: BoolArray, grid: OccupancyGrid) -
     return marked
 
 
-def _bare_cells(surface: HeightField, bare: BoolArray, grid: OccupancyGrid) -> BoolArray:
-    """Mark cells of the grid whose nearest node is bare: nodes may be farther apart than cells."""
+def _without_ground(surface: HeightField, no_ground: BoolArray, grid: OccupancyGrid) -> BoolArray:
+    """Mark cells of the grid whose nearest node has no ground: nodes may be farther apart than cells."""
     at = _centres(grid)
     col = np.rint((at[..., 0] - surface.origin[0]) / surface.cell[0]).astype(np.int64)
     row = (
         surface.z.shape[0] - 1 - np.rint((at[..., 1] - surface.origin[1]) / surface.cell[1]).astype(np.int64)
     )
-    found: BoolArray = bare[np.clip(row, 0, bare.shape[0] - 1), np.clip(col, 0, bare.shape[1] - 1)]
+    found: BoolArray = no_ground[
+        np.clip(row, 0, no_ground.shape[0] - 1), np.clip(col, 0, no_ground.shape[1] - 1)
+    ]
     return found
 
 

@@ -14,7 +14,7 @@ _STEP = 1 / 64
 """One over the largest eigenvalue of the squared five-point Laplacian."""
 
 
-def deterrace(levels: Float32Array, step: float = 1.0) -> Float32Array:
+def dequantize(levels: Float32Array, step: float = 1.0) -> Float32Array:
     """Return the smoothest surface within half a gray level of every pixel.
 
     Minimises the thin-plate energy, the sum of squared Laplacians, under |z - levels| <= step / 2 by

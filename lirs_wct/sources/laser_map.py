@@ -32,14 +32,14 @@ def walls_of(grid: OccupancyGrid, height: float, unknown: Unknown = "floor") -> 
     return WallGrid(solid, grid.resolution, grid.origin, height, hole)
 
 
-def without_speckles(grid: OccupancyGrid, cells: int) -> OccupancyGrid:
-    """Return a map in which connected occupied cells, fewer than `cells` of them, are free.
+def without_small_walls(grid: OccupancyGrid, min_cells: int) -> OccupancyGrid:
+    """Return a map in which fewer than `min_cells` connected occupied cells are free.
 
     Cells that touch at a corner are connected.
     """
     occupied = grid.occupied
     _, label, stats, _ = cv2.connectedComponentsWithStats(occupied.astype(np.uint8), connectivity=8)
-    small = (stats[:, cv2.CC_STAT_AREA] < cells)[label] & occupied
+    small = (stats[:, cv2.CC_STAT_AREA] < min_cells)[label] & occupied
     if not small.any():
         return grid
     return OccupancyGrid.from_probability(

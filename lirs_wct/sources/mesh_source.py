@@ -14,7 +14,7 @@ from lirs_wct.formats.meshes.mesh_file import read_upright
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.rasterize import drape, layers
+from lirs_wct.sources.rasterize import layers, rasterize_heights
 from lirs_wct.sources.window import Window
 
 NODES = 1025
@@ -31,13 +31,13 @@ class MeshSource:
         surface: its highest points, from above.
         solid: the mesh itself where it is closed, else None.
         overhangs: whether a vertical line somewhere meets more than a top and a bottom.
-        bare: (rows, cols) nodes of the surface where a closed mesh has no ground; None = it has everywhere.
+        no_ground: (rows, cols) nodes of the surface where a closed mesh has no ground; None = no such node.
     """
 
     surface: HeightField
     solid: TriangleMesh | None
     overhangs: bool
-    bare: BoolArray | None
+    no_ground: BoolArray | None
 
 
 def read_mesh_source(path: Path, options: BuildOptions) -> MeshSource:
@@ -51,7 +51,7 @@ def read_mesh_source(path: Path, options: BuildOptions) -> MeshSource:
     low, high = mesh.bounds
     if not (high[:2] - low[:2] > 0).all():
         raise SourceError(f"{path}: a terrain needs an extent along x and y, this is {_size(low, high)} m")
-    surface, overhangs, bare = _surface(path, mesh, options)
+    surface, overhangs, no_ground = _surface(path, mesh, options)
     closed = mesh.is_watertight
     if not closed:
         # Neither which side is ground nor what a consumer would touch can be told.
@@ -63,7 +63,7 @@ def read_mesh_source(path: Path, options: BuildOptions) -> MeshSource:
     if options.window is not None and overhangs:
         raise ConfigError(f"{path}: has overhangs, --window cannot cut it")
     solid = mesh if closed and options.window is None else None
-    return MeshSource(surface, solid, overhangs, bare if closed and bare.any() else None)
+    return MeshSource(surface, solid, overhangs, no_ground if closed and no_ground.any() else None)
 
 
 def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[HeightField, bool, BoolArray]:
@@ -77,21 +77,22 @@ def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[Hei
             "give a coarser --resolution or a larger --max-pixels"
         )
     grid = (west, south, (east - west) / (cols - 1), (north - south) / (rows - 1))
-    top = drape(mesh, grid, (rows, cols))
-    bare = np.isnan(top)
-    if bare.all():
+    top = rasterize_heights(mesh, grid, (rows, cols))
+    no_ground = np.isnan(top)
+    if no_ground.all():
         raise SourceError(f"{path}: has no face that is seen from above")
-    if bare.any():
+    if no_ground.any():
         warnings.warn(
-            f"{path}: {int(bare.sum())} of {bare.size} nodes have no ground, set to the lowest height",
+            f"{path}: {int(no_ground.sum())} of {no_ground.size} nodes have no ground, "
+            "set to the lowest height",
             stacklevel=4,
         )
-        top[bare] = mesh.bounds[0, 2]
+        top[no_ground] = mesh.bounds[0, 2]
     if options.window is not None:
         top -= top.min()
     z = np.ascontiguousarray(top[::-1].astype(np.float32))
     overhangs = bool((layers(mesh, grid, (rows, cols)) > (2 if mesh.is_watertight else 1)).any())
-    return HeightField(z, grid[2:], grid[:2]), overhangs and not _stacked(mesh), bare[::-1]
+    return HeightField(z, grid[2:], grid[:2]), overhangs and not _stacked(mesh), no_ground[::-1]
 
 
 def _stacked(mesh: TriangleMesh) -> bool:

@@ -15,7 +15,7 @@ from lirs_wct.errors import SourceError
 from lirs_wct.formats.images import tiff
 from lirs_wct.formats.images.picture import read_picture
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.sources.dequantize import deterrace
+from lirs_wct.sources.dequantize import dequantize
 from lirs_wct.sources.filters import apply_filters
 from lirs_wct.sources.options import DEFAULT_HEIGHT, DEFAULT_SIZE, BuildOptions
 
@@ -33,13 +33,13 @@ def read_height_field(path: Path, options: BuildOptions) -> HeightField:
 
 
 def read_scaled(path: Path, options: BuildOptions) -> tuple[HeightField, str]:
-    """Read a picture as a terrain, and say in words where its metres come from.
+    """Read a picture as a terrain, and a text that says where its metres come from.
 
     Bright is high, the lowest point is z = 0, the centre is the origin.
 
     A GeoTIFF keeps its own pixel size and heights unless the options say otherwise; any other picture
     is scaled to the options or their defaults. The pixels are the nodes. Options act in this order: crop,
-    nodata, invert, deterrace, denoise, smoothing, sharpness, resize, metres, scale.
+    nodata, invert, dequantize, denoise, smoothing, sharpness, resize, metres, scale.
 
     Raises:
         SourceError: the file cannot be used, is in colour without `grayscale`, or is more than half
@@ -49,7 +49,7 @@ def read_scaled(path: Path, options: BuildOptions) -> tuple[HeightField, str]:
     pixels = _cropped(path, picture.pixels, options.crop)
     above = _above_lowest(path, pixels, tiff.nodata(picture.tags), options)
     if options.deterrace:
-        above = deterrace(above, _level_step(path, pixels))
+        above = dequantize(above, _level_step(path, pixels))
     above = apply_filters(above, options)
     try:
         pixel = tiff.metric_pixel(picture.tags)
@@ -61,10 +61,10 @@ def read_scaled(path: Path, options: BuildOptions) -> tuple[HeightField, str]:
     z = _heights(above, unit, options.height, sz * (options.z_scale or 1.0))
     rows, cols = z.shape
     surface = HeightField.centred(z, (width * sx / (cols - 1), depth * sy / (rows - 1)))
-    return surface, _in_words(own=pixel is not None, options=options)
+    return surface, _scale_text(own=pixel is not None, options=options)
 
 
-def _in_words(*, own: bool, options: BuildOptions) -> str:
+def _scale_text(*, own: bool, options: BuildOptions) -> str:
     """Say where the metres come from."""
     size = height = "the file's own"
     if not own:

@@ -14,13 +14,13 @@ _SLACK = 1e-9
 """Share of a triangle by which it reaches over its edges, so that no node falls between two."""
 
 
-def drape(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> FloatArray:
+def rasterize_heights(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> FloatArray:
     """Return (rows, cols) heights of the highest point above or below each node, row 0 = south.
 
     Exact: each triangle is evaluated at the nodes that it covers; NaN where there is none.
     """
     top, count = np.full(shape, -np.inf), np.zeros(shape, np.int32)
-    _drape(np.ascontiguousarray(mesh.vertices), mesh.faces, grid, _SLACK, top, count)
+    _rasterize(np.ascontiguousarray(mesh.vertices), mesh.faces, grid, _SLACK, top, count)
     top[count == 0] = np.nan
     return top
 
@@ -32,12 +32,14 @@ def layers(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> Int32Array
     """
     count = np.zeros((shape[0] - 1, shape[1] - 1), np.int32)
     beside = (grid[0] + 0.4871203 * grid[2], grid[1] + 0.5132079 * grid[3], grid[2], grid[3])
-    _drape(np.ascontiguousarray(mesh.vertices), mesh.faces, beside, 0.0, np.full(count.shape, -np.inf), count)
+    _rasterize(
+        np.ascontiguousarray(mesh.vertices), mesh.faces, beside, 0.0, np.full(count.shape, -np.inf), count
+    )
     return count
 
 
 @njit(cache=True)
-def _drape(vertices, faces, grid, slack, top, count):  # type: ignore[no-untyped-def]
+def _rasterize(vertices, faces, grid, slack, top, count):  # type: ignore[no-untyped-def]
     """Raise `top` to each triangle's height at the nodes inside it, and count the triangles there."""
     rows, cols = top.shape
     x0, y0, cell_x, cell_y = grid

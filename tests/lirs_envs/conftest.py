@@ -25,7 +25,7 @@ def terrain_world(z: Terrain, nodes: int = 201, cell: float = 0.1) -> World:
     axis = (np.arange(nodes) - (nodes - 1) / 2) * cell
     x, y = np.meshgrid(axis, -axis)
     heights = np.broadcast_to(z(x, y), x.shape).astype(np.float32)
-    return World("synthetic", "terrain", HeightField.centred(heights, (cell, cell)), starts=(Pose2(),))
+    return World("synthetic", "terrain", HeightField.centred(heights, (cell, cell)), spawn_poses=(Pose2(),))
 
 
 @pytest.fixture(scope="session")
@@ -84,4 +84,4 @@ def walled(T_world_wall: Pose2) -> World:
     solid[:, 160:162] = True
     floor = HeightField.centred(np.zeros((2, 2), np.float32), (24.0, 24.0))
     walls = WallGrid(solid, 0.05, T_world_wall @ Pose2(3.0 - 8.0, -5.0), 2.0)
-    return World("walled", "map", floor, walls, starts=(Pose2(),))
+    return World("walled", "map", floor, walls, spawn_poses=(Pose2(),))

@@ -23,7 +23,7 @@ from lirs_validation.collision.random_drive import CONTROL_PERIOD, PERIOD, Leg, 
 from lirs_validation.collision.slope_test import climb
 from lirs_validation.collision.touched import Touched
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions
-from lirs_wct.contact.contact_parts import Terrain
+from lirs_wct.contact.contact_parts import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
@@ -38,7 +38,7 @@ def terrain(z: Heights, nodes: int = 201, cell: float = 0.1) -> World:
     axis = (np.arange(nodes) - (nodes - 1) / 2) * cell
     x, y = np.meshgrid(axis, -axis)
     heights = np.broadcast_to(z(x, y), x.shape).astype(np.float32)
-    return World("made-up", "terrain", HeightField.centred(heights, (cell, cell)), starts=(Pose2(),))
+    return World("made-up", "terrain", HeightField.centred(heights, (cell, cell)), spawn_poses=(Pose2(),))
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def blocks() -> World:
     return terrain(z)
 
 
-def body_in(world: World, name: str, kind: Terrain = "hfield") -> RobotModel:
+def body_in(world: World, name: str, kind: ContactGeometry = "hfield") -> RobotModel:
     return RobotModel(world, make_robot(name), PERIOD, CONTROL_PERIOD, terrain=kind)
 
 
@@ -86,7 +86,7 @@ def test_every_robot_among_blocks(name: str, blocks: World) -> None:
         ("advanced", "prisms", "turtlebot2"),
     ],
 )
-def test_bundled_worlds(source: str, kind: Terrain, name: str) -> None:
+def test_bundled_worlds(source: str, kind: ContactGeometry, name: str) -> None:
     world = build_world(source, BuildOptions(window=(0, 0, 20)))
     verdict = check_collisions(world, make_robot(name), terrain=kind, seconds=8.0)
     assert verdict.passed, verdict.checks

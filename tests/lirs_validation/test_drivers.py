@@ -18,7 +18,7 @@ from lirs_validation.driving.pursuit import PursuitConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.navigation.spawn_poses import start_poses
+from lirs_wct.navigation.spawn_poses import spawn_poses
 from lirs_wct.world import build_world
 
 ROBOT, MARGIN = 0.61, 0.15
@@ -94,7 +94,7 @@ def corridor(length: float = 20.0, width: float = 1.0) -> OccupancyGrid:
 
 
 def driver_on(free: OccupancyGrid, seed: int = 1, seconds: float = 120.0, **config: float) -> CoverageDriver:
-    start = start_poses(free)[0]
+    start = spawn_poses(free)[0]
     return plan_coverage(
         free, start, seconds=seconds, rng=np.random.default_rng(seed), config=DriverConfig(**config)
     )  # type: ignore[arg-type]
@@ -141,7 +141,7 @@ def test_the_same_seed_gives_the_same_tour_and_another_another() -> None:
 
 def test_a_tour_is_long_enough_evenly_spaced_and_free() -> None:
     free, _ = field(5)
-    start = start_poses(free)[0]
+    start = spawn_poses(free)[0]
     planner = CoveragePlanner(free, start, np.random.default_rng(0))
     points = planner.tour(start, 200.0)
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)

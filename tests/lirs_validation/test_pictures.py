@@ -104,7 +104,7 @@ def test_oblique_view_of_a_tower() -> None:
 
 @pytest.mark.parametrize("kind", ["terrain", "map"])
 def test_a_world_becomes_a_picture(kind: str, tmp_path: Path) -> None:
-    world = room() if kind == "map" else World("hill", "terrain", hill(), starts=(Pose2(5, 5, 1),))
+    world = room() if kind == "map" else World("hill", "terrain", hill(), spawn_poses=(Pose2(5, 5, 1),))
     view_figure(world).savefig(tmp_path / "view.png")
     image = cv2.imread(str(tmp_path / "view.png"))
     assert image is not None

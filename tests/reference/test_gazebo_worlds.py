@@ -18,7 +18,7 @@ import trimesh
 
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.export.package import write_package
-from lirs_wct.navigation.spawn_poses import start_poses
+from lirs_wct.navigation.spawn_poses import spawn_poses
 
 RADIUS = 0.3
 
@@ -107,7 +107,7 @@ def test_the_mesh_loader_counts_ours_and_finds_the_texture(
 def test_a_sphere_rests_on_the_mesh(programs: Path, package: tuple[World, Path, Path | None]) -> None:
     world, folder, _ = package
     free = world.traversable(clearance=0.4, max_slope=0.2, resolution=max(0.1, world.surface.size[0] / 500))
-    start = start_poses(free)[0]
+    start = spawn_poses(free)[0]
     drop = float(world.surface.height_at(start.x, start.y)) + 0.6
     dae = folder / "meshes" / f"{world.name}.dae"
     said = run(programs / "physchk", "dartsim", dae, start.x, start.y, drop, 3000)
@@ -133,6 +133,6 @@ def test_whole_and_true_to_the_source(package: tuple[World, Path, Path | None]) 
     per_cell = world.surface.cell[0] * world.surface.cell[1] / 6
     integral = float((2 * sw + 2 * ne + se + nw).sum()) * per_cell
     below = -world.mesh.bounds[0, 2] * width * depth
-    budget = (world.finish.max_error or 0.0) * width * depth
-    if world.finish.max_triangles is None:
+    budget = (world.export_settings.max_error or 0.0) * width * depth
+    if world.export_settings.max_triangles is None:
         assert world.mesh.volume == pytest.approx(integral + below, abs=budget + 1e-6 * integral)

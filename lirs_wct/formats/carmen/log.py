@@ -76,7 +76,7 @@ def read_carmen(path: Path, facts: LaserFacts | None = None) -> CarmenLog:
     laser, read = _lasers(lines, skipped)
     if not read:
         raise SourceError(
-            f"{path}: no usable laser scan (FLASER, ROBOTLASER1, ...) in this CARMEN log{_told(skipped)}"
+            f"{path}: no usable laser scan (FLASER, ROBOTLASER1, ...) in this CARMEN log{_formatted(skipped)}"
         )
     read, odoms = _in_time(read, skipped), _in_time(odoms, skipped)
     late = _late([*read, *odoms])
@@ -143,7 +143,7 @@ def _by_stamp(messages: Sequence[Message], skipped: Counter[str]) -> list[Messag
     return [first[stamp] for stamp in sorted(first)]
 
 
-def _told(skipped: Counter[str]) -> str:
+def _formatted(skipped: Counter[str]) -> str:
     if not skipped:
         return ""
     told = ", ".join(f"{n} x {why}" for why, n in skipped.most_common(REASONS))

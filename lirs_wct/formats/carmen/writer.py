@@ -76,7 +76,7 @@ def _pose(pose: Pose2) -> str:
 
 
 def _ranges(scan: LaserScan) -> str:
-    words = _words(math.ceil(scan.range_max * 1000) + 1)
+    words = _formatted_ranges(math.ceil(scan.range_max * 1000) + 1)
     mm = _millimetres(scan.ranges, len(words) - 2)
     return " ".join([words[k] for k in mm.tolist()])
 
@@ -94,6 +94,6 @@ def _millimetres(ranges: Float32Array, most: int) -> IntArray:
 
 
 @cache
-def _words(millimetres: int) -> list[str]:
+def _formatted_ranges(millimetres: int) -> list[str]:
     """Return each number of millimetres as metres, last the code for "invalid": formatted once for all."""
     return [*(f"{mm / 1000:.3f}" for mm in range(millimetres)), f"{INVALID:.2f}"]
