@@ -17,7 +17,7 @@ from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
-from tests.carmen_room import PERIOD, START, flaser, room_lines, write_log
+from tests.lirs_wct.formats.carmen.carmen_room import PERIOD, START, flaser, room_lines, write_log
 from tests.slam_baselines.synthetic import ROOM, ranges_to
 
 SCANS = 90

@@ -16,7 +16,7 @@ from lirs_wct.errors import SourceError
 from lirs_wct.formats.tum import write_tum
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
-from tests.carmen_room import START, room_lines, write_log
+from tests.lirs_wct.formats.carmen.carmen_room import START, room_lines, write_log
 
 
 @pytest.mark.parametrize("zipped", [False, True])

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
-from tests.carmen_room import START, room_lines, write_log
+from tests.lirs_wct.formats.carmen.carmen_room import START, room_lines, write_log
 
 LINES, _ = room_lines(12, beams=181)
 STAMPS = [START + 0.2 * k for k in range(12)]

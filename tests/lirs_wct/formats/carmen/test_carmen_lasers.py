@@ -13,7 +13,7 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import LaserFacts, no_return
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.geometry.pose import Pose2, Pose3
-from tests.carmen_room import flaser, room_lines, write_log
+from tests.lirs_wct.formats.carmen.carmen_room import flaser, room_lines, write_log
 
 HALF = np.full(181, 2.0)
 
