@@ -28,8 +28,8 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
 from lirs_validation.collision.files import verdicts_table
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions
+from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import set_stage
-from lirs_validation.record.run_record import RunConfig
 from lirs_wct.errors import WctError
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.world import World

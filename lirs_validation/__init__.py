@@ -4,10 +4,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from lirs_validation.config import RunConfig
     from lirs_validation.experiment.run import Run, validate
     from lirs_validation.logs.log_source import resolve_source
     from lirs_validation.logs.mapping import MappedLog, map_log
-    from lirs_validation.record.run_record import RunConfig, RunRecord, read_record
+    from lirs_validation.record.run_record import RunRecord, read_record
 
 __all__ = [
     "MappedLog",
@@ -26,7 +27,7 @@ _HOMES = {
     "resolve_source": "logs.log_source",
     "Run": "experiment.run",
     "validate": "experiment.run",
-    "RunConfig": "record.run_record",
+    "RunConfig": "config",
     "RunRecord": "record.run_record",
     "read_record": "record.run_record",
 }

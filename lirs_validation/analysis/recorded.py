@@ -11,7 +11,7 @@ import numpy as np
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
-from lirs_validation.record.run_record import RunConfig
+from lirs_validation.config import RunConfig
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.imu_csv import read_imu

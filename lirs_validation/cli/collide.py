@@ -105,8 +105,8 @@ def _checked(
 ) -> Iterator[CollisionVerdict | WctError]:
     """Yield a verdict for each robot, terrain and seed in each world, or why there can be none."""
     from lirs_validation.collision.validation import check_collisions
+    from lirs_validation.config import RunConfig
     from lirs_validation.experiment.scenario import set_stage
-    from lirs_validation.record.run_record import RunConfig
 
     bar = Progress(
         TextColumn("[bold]{task.description}"),

@@ -56,8 +56,8 @@ def map_log(
     ),
 ) -> None:
     """Map a laser log: map.pgm and map.yaml for ROS, the path, a picture, and how right it is."""
+    from lirs_validation.config import MapConfig
     from lirs_validation.logs.mapping import run_mapping
-    from lirs_validation.record.map_record import MapConfig
 
     config = MapConfig(
         log=log,

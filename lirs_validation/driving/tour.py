@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from lirs_envs.robots.robot import Robot
+from lirs_validation.config import RunConfig
 from lirs_validation.driving.drivers import CoverageDriver, plan_coverage
 from lirs_validation.driving.pace import driver_config
-from lirs_validation.record.run_record import RunConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.navigation.spawn_poses import spawn_poses
 from lirs_wct.world import World

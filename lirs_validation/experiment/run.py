@@ -10,6 +10,7 @@ from typing import Any
 from lirs_envs.lidar.casters import Rays
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.simulation import Simulation
+from lirs_validation.config import RunConfig
 from lirs_validation.driving.drivers import CoverageDriver
 from lirs_validation.driving.tour import plan
 from lirs_validation.experiment.cost import CostMeter
@@ -28,7 +29,7 @@ from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_validation.experiment.results import write_results
 from lirs_validation.experiment.scenario import Stage, StageCache
 from lirs_validation.experiment.warm_up import warm_up
-from lirs_validation.record.run_record import RunConfig, RunRecord
+from lirs_validation.record.run_record import RunRecord
 from lirs_wct.contact.contact_parts import ContactGeometry
 from lirs_wct.errors import SimulationError
 from lirs_wct.sources.options import BuildOptions

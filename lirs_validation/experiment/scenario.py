@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
-from lirs_validation.record.run_record import RunConfig
+from lirs_validation.config import RunConfig
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.window import Window
 from lirs_wct.world import World, build_world

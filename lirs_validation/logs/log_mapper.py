@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from lirs_validation.config import MapConfig
 from lirs_validation.experiment.mapper_loading import mapper_named
-from lirs_validation.record.map_record import MapConfig
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.log import CarmenLog
 from slam_baselines.mapper import MAPPERS, Mapper, make_mapper

@@ -6,8 +6,8 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+from lirs_validation.config import MapConfig
 from lirs_validation.logs.mapping import folder_name, run_mapping
-from lirs_validation.record.map_record import MapConfig
 from lirs_validation.record.provenance import versions
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write

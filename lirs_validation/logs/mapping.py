@@ -9,13 +9,14 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from lirs_validation.config import MapConfig
 from lirs_validation.experiment.cost import CostMeter
 from lirs_validation.experiment.mapper_checks import check_pose, final_map, final_stats, final_trajectory
 from lirs_validation.logs.accuracy import Accuracy, judge_trajectory
 from lirs_validation.logs.log_mapper import check_log, make_log_mapper, rehearse_log_mapper
 from lirs_validation.logs.reference import read_reference
 from lirs_validation.metrics.relations import Relation, read_relations
-from lirs_validation.record.map_record import MapConfig, MapRecord, log_figures, map_figures
+from lirs_validation.record.map_record import MapRecord, log_figures, map_figures
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import CarmenLog, read_carmen

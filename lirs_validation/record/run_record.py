@@ -1,8 +1,7 @@
-"""The run record: config, seed, versions, machine and every figure; JSON, enough to run it again."""
+"""The run record: config, seed, versions, machine and every metric; JSON, enough to run it again."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -10,79 +9,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lirs_envs.lidar.casters import Rays, check_rays
+from lirs_validation.config import RunConfig, run_name
 from lirs_validation.record.provenance import machine, versions
-from lirs_wct.contact.contact_parts import CONTACT_GEOMETRIES, ContactGeometry
-from lirs_wct.errors import ConfigError, SourceError, unknown_name
+from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
-from lirs_wct.sources.options import BuildOptions
 
 SCHEMA = 2
 
 Status = Literal["ok", "wall limit", "tipped", "stuck", "off world", "diverged", "lost", "error", "timeout"]
 SOUND: tuple[Status, ...] = ("ok", "wall limit")
 """A run that ended so did not fail: it drove its time, or as much of it as it was allowed."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class RunConfig:
-    """What to run.
-
-    Attributes:
-        source: a bundled world's name, a built folder, a picture or a map YAML.
-        robot: name of a robot.
-        mapper: name of a mapper, or `module:name` of your own.
-        lidar: name of an LRF preset; None = the robot's own.
-        terrain: what MuJoCo touches.
-        rays: whose rays the LRF takes: `ours`, or `mujoco` for comparison.
-        seconds: simulated time to drive.
-        seed: of every random number in the run.
-        wall_limit: wall seconds after which the drive is stopped; None = never.
-        build: how the source becomes a world.
-
-    Raises:
-        ConfigError: seconds or the wall limit is not above 0, the seed is negative, or there is no such
-            terrain or rays.
-    """
-
-    source: str
-    robot: str = "husky"
-    mapper: str = "hector"
-    lidar: str | None = None
-    terrain: ContactGeometry = "hfield"
-    rays: Rays = "ours"
-    seconds: float = 120.0
-    seed: int = 1
-    wall_limit: float | None = None
-    build: BuildOptions = field(default_factory=BuildOptions)
-
-    def __post_init__(self) -> None:
-        if not 0 < self.seconds < float("inf"):
-            raise ConfigError(f"seconds must be a finite number above 0, got {self.seconds:g}")
-        if self.wall_limit is not None and not self.wall_limit > 0:
-            raise ConfigError(f"the wall limit must be above 0 s, got {self.wall_limit:g}")
-        if self.seed < 0:
-            raise ConfigError(f"seed must be 0 or above, got {self.seed}")
-        if self.terrain not in CONTACT_GEOMETRIES:
-            raise unknown_name("terrain for MuJoCo", self.terrain, CONTACT_GEOMETRIES)
-        check_rays(self.rays)
-
-    @property
-    def digest(self) -> str:
-        """Eight hex digits that tell this experiment from others.
-
-        The wall limit is left out: it says how long one waits, not what is tried.
-        """
-        entry = asdict(self) | {"seconds": float(self.seconds)}
-        del entry["wall_limit"]
-        text = json.dumps(entry, sort_keys=True, default=str)
-        return hashlib.sha256(text.encode()).hexdigest()[:8]
-
-
-def run_name(config: RunConfig, world: str) -> str:
-    """Return the name of the run's folder; of a mapper's `module:name` only the name."""
-    mapper = config.mapper.rpartition(":")[2]
-    return f"{world}-{config.robot}-{mapper}-s{config.seed}-{config.digest}"
 
 
 @dataclass(frozen=True, kw_only=True)

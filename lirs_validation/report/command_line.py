@@ -7,7 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from lirs_validation.record.run_record import RunConfig
+from lirs_validation.config import RunConfig
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.sources.options import BuildOptions
 

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass, field
 
 from lirs_envs.lidar.casters import Rays
-from lirs_validation.record.run_record import RunConfig
+from lirs_validation.config import RunConfig
 from lirs_validation.sweep.run_cell import RunCell
 from lirs_wct.contact.contact_parts import ContactGeometry
 from lirs_wct.errors import ConfigError

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
+from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import StageCache
-from lirs_validation.record.run_record import RunConfig
 from lirs_validation.sweep.outcome import Outcome, outcome_of
 
 Tell = Callable[[str, float], None]

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lirs_envs.robots.catalog import make_robot
+from lirs_validation.config import RunConfig, run_name
 from lirs_validation.experiment.scenario import StageCache
 from lirs_validation.record.provenance import versions
-from lirs_validation.record.run_record import RunConfig, run_name
 from lirs_validation.sweep.cell import Tell
 from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.run_cell import world_name

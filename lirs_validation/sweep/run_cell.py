@@ -10,10 +10,11 @@ from typing import Any
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
+from lirs_validation.config import RunConfig, run_name
 from lirs_validation.experiment.mapper_loading import mapper_named, source_file
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import StageCache
-from lirs_validation.record.run_record import RunConfig, RunRecord, read_record, run_name
+from lirs_validation.record.run_record import RunRecord, read_record
 from lirs_validation.sweep.cell import Tell
 from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.staleness import is_older, same_code, world_files

@@ -7,8 +7,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from lirs_validation.config import RunConfig
 from lirs_validation.record.provenance import code, versions
-from lirs_validation.record.run_record import RunConfig
 
 
 def same_code(found: Any) -> bool:

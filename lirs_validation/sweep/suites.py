@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from lirs_validation.record.run_record import RunConfig
+from lirs_validation.config import RunConfig
 from lirs_validation.sweep.axes import Axes, View
 from lirs_validation.sweep.cell import Cell
 from lirs_validation.sweep.collision_cell import CollisionCell

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import StageCache
-from lirs_validation.record.run_record import RunConfig
 from lirs_validation.sweep.cell import Tell
 from lirs_validation.sweep.outcome import Outcome
 from lirs_wct.files import atomic_folder

@@ -6,7 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from lirs_validation.record.run_record import RunConfig, RunRecord, Status
+from lirs_validation.config import RunConfig
+from lirs_validation.record.run_record import RunRecord, Status
 
 SECONDS = 30
 

@@ -142,7 +142,7 @@ BAD = {
     "particles": (("map", "my room.clf", "--mapper", "hector", "--particles", "3"), "'particles'"),
     "relations": (("map", "my room.clf", "--relations", "empty.clf"), "empty.clf: holds no relation"),
     "reference": (("map", "my room.clf", "--reference", "empty.clf"), "empty.clf: no usable laser scan"),
-    "cells": (("map", "my room.clf", "--resolution", "0"), "resolution must be 0.01 to 1 m, got 0"),
+    "cells": (("map", "my room.clf", "--resolution", "0"), "resolution must be within [0.01, 1] m, got 0"),
     "in the way": (("map", "my room.clf", "--mapper", "hector", "-o", "empty.clf"), "empty.clf"),
     "build": (("build", "empty.clf"), "empty.clf: no usable laser scan"),
     "build without": (("build", "nothing.clf"), "nothing.clf: no such file or folder"),

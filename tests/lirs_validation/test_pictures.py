@@ -9,12 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
+from lirs_validation.config import RunConfig
 from lirs_validation.drawing.canvas import Canvas, bounds_of
 from lirs_validation.drawing.hillshade import hillshade, shading
 from lirs_validation.drawing.oblique import oblique_view
 from lirs_validation.drawing.overview import overview_figure, shown_bounds
 from lirs_validation.drawing.view import view_figure
-from lirs_validation.record.run_record import RunConfig, RunRecord
+from lirs_validation.record.run_record import RunRecord
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2

@@ -19,8 +19,8 @@ from lirs_validation.analysis.groups import Cell, by_cell
 from lirs_validation.analysis.repeats import repeats
 from lirs_validation.analysis.result_folders import RunFolder, read_results
 from lirs_validation.cli.build_options import with_build_options
+from lirs_validation.config import RunConfig
 from lirs_validation.record.metric_catalogue import RTF, figures_named, significant
-from lirs_validation.record.run_record import RunConfig
 from lirs_validation.report.charts import series_band
 from lirs_validation.report.command_line import command_of
 from lirs_validation.report.contents import Report, report_of

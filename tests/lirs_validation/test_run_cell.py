@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
-from lirs_validation.record.run_record import RunConfig, RunRecord, Status, read_record
+from lirs_validation.config import RunConfig
+from lirs_validation.record.run_record import RunRecord, Status, read_record
 from lirs_validation.sweep.engines.base import Serial
 from lirs_validation.sweep.engines.processes import Processes
 from lirs_validation.sweep.outcome import Outcome

@@ -1,0 +1,129 @@
+"""What can be asked for: a run of a robot through a world, a map of a log."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING
+
+from lirs_wct.errors import unknown_name
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.validation import require_above, require_at_least, require_within
+
+if TYPE_CHECKING:
+    from lirs_envs.lidar.casters import Rays
+    from lirs_wct.contact.contact_parts import ContactGeometry
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunConfig:
+    """What to run.
+
+    Attributes:
+        source: a bundled world's name, a built folder, a picture or a map YAML.
+        robot: name of a robot.
+        mapper: name of a mapper, or `module:name` of your own.
+        lidar: name of an LRF preset; None = the robot's own.
+        terrain: what MuJoCo touches.
+        rays: whose rays the LRF takes: `ours`, or `mujoco` for comparison.
+        seconds: simulated time to drive.
+        seed: of every random number in the run.
+        wall_limit: wall seconds after which the drive is stopped; None = never.
+        build: how the source becomes a world.
+
+    Raises:
+        ConfigError: seconds or the wall limit is not above 0, the seed is negative, or there is no such
+            terrain or rays.
+    """
+
+    source: str
+    robot: str = "husky"
+    mapper: str = "hector"
+    lidar: str | None = None
+    terrain: ContactGeometry = "hfield"
+    rays: Rays = "ours"
+    seconds: float = 120.0
+    seed: int = 1
+    wall_limit: float | None = None
+    build: BuildOptions = field(default_factory=BuildOptions)
+
+    def __post_init__(self) -> None:
+        # The names belong to the simulator, which who maps a log does not load.
+        from lirs_envs.lidar.casters import check_rays
+        from lirs_wct.contact.contact_parts import CONTACT_GEOMETRIES
+
+        require_above(self, 0, "seconds", finite=True)
+        if self.wall_limit is not None:
+            require_above(self, 0, "wall_limit", unit="s")
+        require_at_least(self, 0, "seed")
+        if self.terrain not in CONTACT_GEOMETRIES:
+            raise unknown_name("terrain for MuJoCo", self.terrain, CONTACT_GEOMETRIES)
+        check_rays(self.rays)
+
+    @property
+    def digest(self) -> str:
+        """Eight hex digits that tell this experiment from others.
+
+        The wall limit is left out: it says how long one waits, not what is tried.
+        """
+        entry = asdict(self) | {"seconds": float(self.seconds)}
+        del entry["wall_limit"]
+        text = json.dumps(entry, sort_keys=True, default=str)
+        return hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+def run_name(config: RunConfig, world: str) -> str:
+    """Return the name of the run's folder; of a mapper's `module:name` only the name."""
+    mapper = config.mapper.rpartition(":")[2]
+    return f"{world}-{config.robot}-{mapper}-s{config.seed}-{config.digest}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapConfig:
+    """How a log is mapped.
+
+    Attributes:
+        log: path of a CARMEN log.
+        mapper: name of a mapper, or `module:name` of your own.
+        seed: of its random numbers.
+        particles: of gmapping; None = its own number.
+        resolution: edge of a cell, metres, 0.01 to 1: finer ones fill the memory, coarser ones hold no room;
+            None = the mapper's own.
+        fov: field of view of the laser, degrees; None = as the log says.
+        range_max: ranges from here on are no return, metres; None = as the log says.
+        relations: path of relative-pose constraints that are known to be true.
+        reference: path of a reference trajectory: TUM, or a CARMEN log of corrected poses.
+
+    Raises:
+        ConfigError: a value is not legal.
+    """
+
+    log: str
+    mapper: str = "cartographer"
+    seed: int = 1
+    particles: int | None = None
+    resolution: float | None = None
+    fov: float | None = None
+    range_max: float | None = None
+    relations: str | None = None
+    reference: str | None = None
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 0, "seed")
+        if self.resolution is not None:
+            require_within(self, "[0.01, 1]", "resolution", unit="m")
+        if self.fov is not None:
+            require_within(self, "(0, 360]", "fov", unit="deg")
+        if self.range_max is not None:
+            require_above(self, 0, "range_max", unit="m", finite=True)
+
+    def digest(self, content: bytes) -> str:
+        """Return eight hex digits that tell this map from others.
+
+        Args:
+            content: of the log. Its path is left out, and what the map is only evaluated by.
+        """
+        entry = asdict(self) | {"log": hashlib.sha256(content).hexdigest()}
+        del entry["relations"], entry["reference"]
+        return hashlib.sha256(json.dumps(entry, sort_keys=True).encode()).hexdigest()[:8]
