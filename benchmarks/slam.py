@@ -28,8 +28,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lirs_validation.logs.accuracy import reference_errors
 from lirs_validation.logs.reference import read_reference
+from lirs_validation.metrics.accuracy import reference_errors
 from lirs_validation.metrics.relations import Relation, read_relations, relation_errors
 from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
 from lirs_wct.geometry.trajectory import Trajectory

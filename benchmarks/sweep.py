@@ -26,8 +26,9 @@ from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.cli.sweep_tables import sweep_tables
 from lirs_validation.experiment.scenario import StageCache
 from lirs_validation.sweep.cell import Tell
-from lirs_validation.sweep.engines.base import Executor, Serial
+from lirs_validation.sweep.engines.base import Executor
 from lirs_validation.sweep.engines.processes import Processes
+from lirs_validation.sweep.engines.serial import Serial
 from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.run_cell import RunCell
 from lirs_validation.sweep.sweep import Sweep

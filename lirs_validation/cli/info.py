@@ -9,7 +9,7 @@ import numpy as np
 from rich.table import Table
 
 from lirs_envs.robots.catalog import ROBOTS
-from lirs_wct.sources.rasterize import rasterize_heights
+from lirs_validation.metrics.mesh import mesh_error
 from lirs_wct.world import World
 
 CELLS = 2000
@@ -64,13 +64,6 @@ def world_facts(world: World) -> WorldFacts:
         volume=mesh.volume,
         error=None if walls is not None else mesh_error(world),
     )
-
-
-def mesh_error(world: World) -> float:
-    """Return the largest vertical distance of the world's mesh from its surface at the nodes, metres."""
-    surface = world.surface
-    top = rasterize_heights(world.mesh, (*surface.origin, *surface.cell), surface.shape)
-    return float(np.nanmax(np.abs(top - surface.south_up)))
 
 
 def facts_table(world: World, facts: WorldFacts) -> Table:

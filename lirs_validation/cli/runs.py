@@ -54,7 +54,8 @@ def validate(
     Run again, the same command goes on where it was interrupted.
     """
     from lirs_validation.cli.sweep_options import axes_cells, seeds_of, suite_cells
-    from lirs_validation.sweep.engines.base import Limits, make_executor
+    from lirs_validation.sweep.engines.base import Limits
+    from lirs_validation.sweep.engines.factory import make_executor
     from lirs_validation.sweep.manifest import Manifest
     from lirs_validation.sweep.sweep import Sweep
 

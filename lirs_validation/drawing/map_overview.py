@@ -25,7 +25,7 @@ from lirs_validation.drawing.style import (
     plain_axes,
     title,
 )
-from lirs_validation.logs.accuracy import Accuracy
+from lirs_validation.metrics.accuracy import Accuracy
 from lirs_validation.record.map_record import MapRecord
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.grid import OccupancyGrid

@@ -6,21 +6,21 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from lirs_validation.config import MapConfig
 from lirs_validation.experiment.cost import CostMeter
 from lirs_validation.experiment.mapper_checks import check_pose, final_map, final_stats, final_trajectory
-from lirs_validation.logs.accuracy import Accuracy, judge_trajectory
 from lirs_validation.logs.log_mapper import check_log, make_log_mapper, rehearse_log_mapper
+from lirs_validation.logs.mapped_log import MappedLog
 from lirs_validation.logs.reference import read_reference
+from lirs_validation.metrics.accuracy import trajectory_accuracy
 from lirs_validation.metrics.relations import Relation, read_relations
 from lirs_validation.record.map_record import MapRecord, log_figures, map_figures
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
-from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.source import find_source
@@ -28,29 +28,6 @@ from slam_baselines.mapper import Mapper
 
 Report = Callable[[str, float], None]
 """Called with what is going on and the share that is done, 0 to 1."""
-
-
-@dataclass(frozen=True)
-class MappedLog:
-    """What mapping a log leaves behind.
-
-    Attributes:
-        record: every figure.
-        log: as read.
-        grid: the map; its frame is the first base pose.
-        trajectory: pose of every scan in the map, by the log's stamps.
-        reference: in its own frame; None where none was given.
-        accuracy: errors pose by pose.
-        folder: where it was written; None = nowhere.
-    """
-
-    record: MapRecord
-    log: CarmenLog
-    grid: OccupancyGrid
-    trajectory: Trajectory
-    reference: Trajectory | None
-    accuracy: Accuracy
-    folder: Path | None = None
 
 
 def map_log(
@@ -114,7 +91,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, report: Report | 
     with _timed(seconds, "map_seconds"):
         drive(config, mapper, log, tell)
         grid, trajectory = final_map(mapper), final_trajectory(mapper)
-    accuracy = judge_trajectory(trajectory, log.track, relations, reference)
+    accuracy = trajectory_accuracy(trajectory, log.track, relations, reference)
     cost = {**seconds, "cpu_seconds": meter.cpu_seconds(), "peak_memory": meter.peak_memory()}
     record = MapRecord(
         name=name,

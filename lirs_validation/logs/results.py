@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from lirs_validation.drawing.map_overview import map_overview
+from lirs_validation.logs.mapped_log import MappedLog
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.tum import write_tum
-
-if TYPE_CHECKING:
-    from lirs_validation.logs.mapping import MappedLog
 
 
 def write_mapped(folder: Path, mapped: MappedLog) -> Path:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from lirs_validation.sweep.engines.base import make_executor
+from lirs_validation.sweep.engines.factory import make_executor
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.errors import ConfigError
 from tests.lirs_validation.fake_cells import FakeCell

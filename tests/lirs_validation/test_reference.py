@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation.logs.accuracy import reference_errors
 from lirs_validation.logs.reference import read_reference
+from lirs_validation.metrics.accuracy import reference_errors
 from lirs_validation.metrics.planar import rms
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct.errors import SourceError

@@ -14,8 +14,8 @@ import pytest
 
 from lirs_validation.config import RunConfig
 from lirs_validation.record.run_record import RunRecord, Status, read_record
-from lirs_validation.sweep.engines.base import Serial
 from lirs_validation.sweep.engines.processes import Processes
+from lirs_validation.sweep.engines.serial import Serial
 from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.run_cell import RunCell
 from lirs_validation.sweep.sweep import Sweep

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from lirs_validation.sweep.engines.base import Limits, Serial
+from lirs_validation.sweep.engines.base import Limits
 from lirs_validation.sweep.engines.processes import Processes
+from lirs_validation.sweep.engines.serial import Serial
 from lirs_validation.sweep.manifest import Manifest
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.errors import WctError

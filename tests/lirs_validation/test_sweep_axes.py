@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 
 from lirs_validation.sweep.axes import Axes, View, read_seeds
 from lirs_validation.sweep.collision_cell import CollisionCell
-from lirs_validation.sweep.engines.base import Limits, Serial, make_executor
+from lirs_validation.sweep.engines.base import Limits
+from lirs_validation.sweep.engines.factory import make_executor
 from lirs_validation.sweep.engines.processes import Processes
+from lirs_validation.sweep.engines.serial import Serial
 from lirs_validation.sweep.run_cell import RunCell
 from lirs_validation.sweep.suites import SUITES, suite_named
 from lirs_wct.errors import ConfigError

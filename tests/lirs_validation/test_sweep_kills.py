@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from lirs_validation.sweep.engines.base import Serial
+from lirs_validation.sweep.engines.serial import Serial
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.files import remove_leftovers
 from tests.lirs_validation.fake_cells import FakeCell

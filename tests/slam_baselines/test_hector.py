@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lirs_validation.logs.accuracy import reference_errors
 from lirs_validation.logs.reference import read_reference
+from lirs_validation.metrics.accuracy import reference_errors
 from lirs_validation.metrics.agreement import agreement
 from lirs_validation.metrics.map import false_occupied
 from lirs_validation.metrics.relations import read_relations, relation_errors

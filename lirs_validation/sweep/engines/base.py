@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from lirs_validation.experiment.scenario import StageCache
-from lirs_validation.sweep.cell import Cell, attempt
+from lirs_validation.sweep.cell import Cell
 from lirs_validation.sweep.outcome import Outcome
-from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.errors import ConfigError
 
-ENGINES = ("serial", "processes", "ray")
 MOST_MEMORY = 1e18
 """Bytes that the system can be asked to keep a process below."""
 
@@ -53,56 +51,3 @@ class Executor(Protocol):
     def run(self, cells: Sequence[Cell], out: Path, progress: Progress) -> Iterator[Outcome]:
         """Run cells into folders of `out`; failures are outcomes too, and not written by the executor."""
         ...
-
-
-class Serial:
-    """One cell after the other in this process: nothing beside it, so its real-time factors count."""
-
-    def run(self, cells: Sequence[Cell], out: Path, progress: Progress) -> Iterator[Outcome]:
-        """Run cells into folders of `out`."""
-        stages = StageCache()
-        for cell in cells:
-
-            def tell(stage: str, share: float, name: str = cell.name) -> None:
-                progress(name, stage, share)
-
-            yield attempt(cell, out, stages, tell, concurrent=False)
-
-
-def make_executor(
-    engine: str | None,
-    *,
-    jobs: int | None = None,
-    address: str | None = None,
-    limits: Limits | None = None,
-) -> Executor:
-    """Make an engine.
-
-    Args:
-        engine: one of ENGINES; None = `serial`, or `processes` where more than one job is asked for.
-        jobs: cells at a time; None = one, or with `processes` one a core.
-        address: of a Ray cluster; None = one is started on this machine.
-        limits: of a cell.
-
-    Raises:
-        ConfigError: the options contradict, or Ray is not installed.
-    """
-    limits = limits or Limits()
-    chosen = engine or ("processes" if jobs is not None and jobs > 1 else "serial")
-    if chosen not in ENGINES:
-        raise unknown_name("engine", chosen, ENGINES)
-    if jobs is not None and jobs < 1:
-        raise ConfigError(f"--jobs must be 1 or more, got {jobs}")
-    if address is not None and chosen != "ray":
-        raise ConfigError(f"--address is of a Ray cluster; the engine is {chosen}")
-    if chosen == "ray":
-        from lirs_validation.sweep.engines.ray import RayCluster
-
-        return RayCluster(address=address, jobs=jobs, limits=limits)
-    if chosen == "serial" and jobs not in (None, 1):
-        raise ConfigError(f"--engine serial runs one cell at a time, got --jobs {jobs}")
-    if chosen == "serial" and not limits.any:
-        return Serial()
-    from lirs_validation.sweep.engines.processes import Processes, cores
-
-    return Processes(jobs=1 if chosen == "serial" else jobs or cores(), limits=limits)

@@ -56,7 +56,7 @@ class Accuracy:
         }
 
 
-def judge_trajectory(
+def trajectory_accuracy(
     estimate: Trajectory,
     odometry: Trajectory,
     relations: Sequence[Relation] | None,

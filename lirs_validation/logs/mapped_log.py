@@ -1,0 +1,35 @@
+"""A mapped log: its record, and the values that its figures come from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from lirs_validation.metrics.accuracy import Accuracy
+from lirs_validation.record.map_record import MapRecord
+from lirs_wct.formats.carmen.log import CarmenLog
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class MappedLog:
+    """What mapping a log leaves behind.
+
+    Attributes:
+        record: every figure.
+        log: as read.
+        grid: the map; its frame is the first base pose.
+        trajectory: pose of every scan in the map, by the log's stamps.
+        reference: in its own frame; None where none was given.
+        accuracy: errors pose by pose.
+        folder: where it was written; None = nowhere.
+    """
+
+    record: MapRecord
+    log: CarmenLog
+    grid: OccupancyGrid
+    trajectory: Trajectory
+    reference: Trajectory | None
+    accuracy: Accuracy
+    folder: Path | None = None

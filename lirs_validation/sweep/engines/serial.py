@@ -1,0 +1,25 @@
+"""The engine of one process: one cell after the other, nothing beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from lirs_validation.experiment.scenario import StageCache
+from lirs_validation.sweep.cell import Cell, attempt
+from lirs_validation.sweep.engines.base import Progress
+from lirs_validation.sweep.outcome import Outcome
+
+
+class Serial:
+    """One cell after the other in this process: nothing beside it, so its real-time factors count."""
+
+    def run(self, cells: Sequence[Cell], out: Path, progress: Progress) -> Iterator[Outcome]:
+        """Run cells into folders of `out`."""
+        stages = StageCache()
+        for cell in cells:
+
+            def tell(stage: str, share: float, name: str = cell.name) -> None:
+                progress(name, stage, share)
+
+            yield attempt(cell, out, stages, tell, concurrent=False)
