@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 from lirs_wct.errors import ConfigError
 from slam_baselines.cartographer.constraints.builder import ConstraintConfig
-from slam_baselines.cartographer.constraints.candidates import QueueConfig
-from slam_baselines.cartographer.constraints.verification import ConfirmationConfig
+from slam_baselines.cartographer.constraints.candidates import CandidateConfig
+from slam_baselines.cartographer.constraints.verification import LoopVerificationConfig
 from slam_baselines.cartographer.optimization import OptimizationConfig
 from slam_baselines.cartographer.submap import SubmapConfig
 from slam_baselines.cartographer.trimmer import TrimmingConfig
@@ -22,13 +22,13 @@ class GlobalConfig:
     """Parameters of global SLAM; names as in Cartographer's pose_graph.
 
     Attributes:
-        queue: which searches are made.
-        constraints: how they are made.
-        confirmation: which loops need a second one.
+        candidates: pairs of nodes and submaps that are searched.
+        constraints: loop search.
+        verification: of loops that move the map far.
         optimization: of the graph.
-        trimming: which submaps are forgotten.
-        optimize_every_n_nodes: the graph is solved after so many new nodes, if there are new loops.
-        searches_per_update: at most so many searches in one update.
+        trimming: of redundant submaps.
+        optimize_every_n_nodes: number of new nodes after which new loops make an optimization due.
+        searches_per_update: most loop searches in one update.
         matcher_translation_error: standard deviation of a node's place in a submap that it entered, metres.
         matcher_rotation_error: likewise of its yaw, radians.
 
@@ -36,9 +36,9 @@ class GlobalConfig:
         ConfigError: a value that is not above 0.
     """
 
-    queue: QueueConfig = field(default_factory=QueueConfig)
+    candidates: CandidateConfig = field(default_factory=CandidateConfig)
     constraints: ConstraintConfig = field(default_factory=ConstraintConfig)
-    confirmation: ConfirmationConfig = field(default_factory=ConfirmationConfig)
+    verification: LoopVerificationConfig = field(default_factory=LoopVerificationConfig)
     optimization: OptimizationConfig = field(default_factory=OptimizationConfig)
     trimming: TrimmingConfig = field(default_factory=TrimmingConfig)
     optimize_every_n_nodes: int = 40

@@ -1,44 +1,49 @@
-"""Global SLAM: the pose graph that holds submaps and nodes together, grown and solved a bit at a time.
+"""Global SLAM: the pose graph of submaps and nodes, grown and optimized a bit at a time.
 
 Hess et al. 2016, section V. Constraints come from local SLAM (a node in the submaps that it entered),
 from odometry (from one submap to the next) and from loops. Each update does a bounded share of the
-searches and at most one step of an optimisation; its result is taken over when it has converged.
+searches and at most one step of an optimization; its result is applied when it has converged.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.cartographer.config import GlobalConfig
-from slam_baselines.cartographer.constraints.builder import Constraint, ConstraintBuilder
-from slam_baselines.cartographer.constraints.candidates import LoopQueue
+from slam_baselines.cartographer.constraints.builder import ConstraintBuilder, LoopConstraint
+from slam_baselines.cartographer.constraints.candidates import CandidateQueue
 from slam_baselines.cartographer.constraints.loop_event import LoopEvent
-from slam_baselines.cartographer.constraints.verification import Confirmation
+from slam_baselines.cartographer.constraints.verification import LoopVerification
 from slam_baselines.cartographer.local_slam import LocalSlam
 from slam_baselines.cartographer.node import NOWHERE, Node, compounded
-from slam_baselines.cartographer.optimization import Edges, Problem, Solution, begin, improve
+from slam_baselines.cartographer.optimization import (
+    OptimizationProblem,
+    PoseConstraint,
+    PoseConstraints,
+    Solution,
+    iterate,
+    optimize,
+    start_optimization,
+)
 from slam_baselines.cartographer.trimmer import Trimmer
 from slam_baselines.common.se2 import in_axes_of, inverted
 
-Row = tuple[int, int, FloatArray, FloatArray, bool]
-
 
 class GlobalSlam:
-    """The graph.
+    """Pose graph.
 
     Attributes:
         nodes: all of them, in the local frame.
         poses: `T_map_base` of each node.
         submap_poses: `T_map_submap` of each submap.
-        T_map_local: how the local frame lies in the map at present.
-        queue: what is searched for next.
-        builder: searches for loops.
-        loops: constraints found and believed.
-        events: the same for those who want to know.
-        trimmed: submaps forgotten.
-        optimizations: how often the graph was solved.
+        T_map_local: pose of the local frame in the map at present.
+        candidates: queue of the loop search.
+        builder: of loop constraints.
+        loops: constraints found and accepted.
+        events: closed loops, for users.
+        trimmed: number of submaps trimmed.
+        optimizations: number of optimizations applied.
         version: changes whenever poses that were there before have changed.
     """
 
@@ -49,27 +54,27 @@ class GlobalSlam:
         self.submap_poses: list[Pose2] = []
         self.T_map_local = Pose2()
         self.builder = ConstraintBuilder(config.constraints)
-        self.queue = LoopQueue(config.queue)
-        self.loops: list[Constraint] = []
+        self.candidates = CandidateQueue(config.candidates)
+        self.loops: list[LoopConstraint] = []
         self.events: list[LoopEvent] = []
         self.optimizations = self.version = self.trimmed = 0
         self._trimmer = Trimmer(config.trimming)
         self._local = local
-        self._confirmation = Confirmation(config.confirmation)
-        self._to_nodes: list[Row] = []
-        self._to_submaps: list[Row] = []
-        self._running: tuple[Problem, Solution] | None = None
+        self._verification = LoopVerification(config.verification)
+        self._to_nodes: list[PoseConstraint] = []
+        self._to_submaps: list[PoseConstraint] = []
+        self._running: tuple[OptimizationProblem, Solution] | None = None
         self._optimized_at = (0, 0)
-        self._loops_begun = self._rows_solved = 0
+        self._loops_at_start = self._rows_optimized = 0
         self._sampled = 0.0
         self._finished: list[int] = []
         self._since_submap = NOWHERE
-        self._ties: dict[int, list[float]] = {}
+        self._constrained_at: dict[int, list[float]] = {}
         t, r = config.matcher_translation_error, config.matcher_rotation_error
         self._matcher_covariance = np.diag((t**2, t**2, r**2))
 
-    def add(self, node: Node) -> None:
-        """Tie a new node to the submaps that it entered, and ask for loops."""
+    def add_node(self, node: Node) -> None:
+        """Add a node with its constraints to the submaps that it entered, and its candidates for loops."""
         index, submaps = len(self.nodes), self._local.submaps.all
         self.nodes.append(node)
         self.poses.append(self.T_map_local @ node.pose)
@@ -78,103 +83,110 @@ class GlobalSlam:
         information = inverted(self._matcher_covariance + node.covariance)
         for i in node.submaps:
             z = (submaps[i].pose.inverse() @ node.pose).as_array()
-            self._to_nodes.append((i, index, z, in_axes_of(submaps[i].pose, information), False))
+            in_submap = in_axes_of(submaps[i].pose, information)
+            self._to_nodes.append(PoseConstraint(i, index, z, in_submap, robust=False))
         self._since_submap = compounded(self._since_submap, node.odometry)
         if node.submaps and submaps[node.submaps[-1]].nodes[0] == index:
-            self._tie_submap(node.submaps[-1])
-        self._ask(index, node)
+            self._add_odometry_constraint(node.submaps[-1])
+        self._add_candidates(index, node)
 
-    def _tie_submap(self, index: int) -> None:
-        """Tie a submap that has just begun to the one before by odometry."""
+    def _add_odometry_constraint(self, index: int) -> None:
+        """Constrain a submap that has just begun to the one before by odometry."""
         odometry, self._since_submap = self._since_submap, NOWHERE
         if index > 0:
             z, information = odometry.pose.as_array(), inverted(odometry.covariance)
-            self._to_submaps.append((index - 1, index, z, information, True))
+            self._to_submaps.append(PoseConstraint(index - 1, index, z, information, robust=True))
 
-    def work(self) -> None:
-        """Do a bounded share of what is to be done."""
+    def run_work_share(self) -> None:
+        """Do a bounded share of the searches, and of the optimization that is running or due."""
         for _ in range(self.config.searches_per_update):
-            pair = self.queue.next()
-            if pair is not None:
-                self._search(*pair)
+            candidate = self.candidates.next_candidate()
+            if candidate is not None:
+                self._search_loop(*candidate)
         if self._running is None and self._optimization_due():
-            self._running, self._loops_begun = self._begin(), len(self.loops)
-            self._rows_solved = len(self._to_nodes)
+            self._running, self._loops_at_start = self._start_optimization(), len(self.loops)
+            self._rows_optimized = len(self._to_nodes)
         elif self._running is not None:
             problem, solution = self._running
-            solution = improve(problem, solution)
+            solution = iterate(problem, solution)
             self._running = problem, solution
-            if solution.done:
+            if solution.converged:
                 self._running = None
-                self._take(solution)
+                self._apply_solution(solution)
 
-    def settled(self) -> tuple[list[Pose2], Pose2]:
-        """Return the nodes' poses and `T_map_local` after optimising to the end; changes nothing."""
+    def optimized_poses(self) -> tuple[list[Pose2], Pose2]:
+        """Return the nodes' poses and `T_map_local` after optimizing to the end; changes nothing."""
         if self._optimized_at[1] == len(self.loops) and self._running is None:
             return self.poses, self.T_map_local
-        problem, solution = self._begin()
-        while not solution.done:
-            solution = improve(problem, solution)
+        solution = optimize(*self._start_optimization())
         poses = [Pose2(*p) for p in solution.nodes.tolist()]
         return poses, poses[-1] @ self.nodes[-1].pose.inverse()
 
-    def _ask(self, index: int, node: Node) -> None:
-        """Put pairs of nodes and finished submaps that may see the same place into the queue."""
+    def _add_candidates(self, index: int, node: Node) -> None:
+        """Queue pairs of nodes and finished submaps that may see the same place."""
         submaps = self._local.submaps.all
-        self._sampled += self.config.queue.sampling_ratio
+        self._sampled += self.config.candidates.sampling_ratio
         if self._sampled >= 1:
             self._sampled -= 1
             for i in self._finished:
-                self._ask_near(index, i, fresh=True)
+                self._add_candidate_if_near(index, i, new_node=True)
         first = node.submaps[0]
         if submaps[first].finished:
             self._finished.append(first)
-            self._trimmer.finished(first, submaps[first])
+            self._trimmer.add_finished_submap(first, submaps[first])
             own = set(submaps[first].nodes)
-            stride = max(1, round(1 / self.config.queue.sampling_ratio))
+            stride = max(1, round(1 / self.config.candidates.sampling_ratio))
             for j in range(0, index, stride):
                 if j not in own and not self.nodes[j].bare:
-                    self._ask_near(j, first, fresh=False)
+                    self._add_candidate_if_near(j, first, new_node=False)
 
-    def _ask_near(self, node: int, submap: int, *, fresh: bool) -> None:
-        pose, near = self.poses[node], self.config.queue.max_constraint_distance
+    def _add_candidate_if_near(self, node: int, submap: int, *, new_node: bool) -> None:
+        pose, near = self.poses[node], self.config.candidates.max_constraint_distance
         members = self._local.submaps.all[submap].nodes
         if min(pose.distance(self.poses[members[k]]) for k in (0, len(members) // 2, -1)) <= near:
-            self.queue.ask(node, self.nodes[node].submaps[-1], submap, fresh=fresh)
+            self.candidates.add_candidate(node, self.nodes[node].submaps[-1], submap, new_node=new_node)
 
-    def _search(self, index: int, submap_index: int) -> None:
-        """Search for a node in a submap; tie them together where it is found."""
+    def _search_loop(self, index: int, submap_index: int) -> None:
+        """Search for a node in a submap; where it is found and verified, add the constraint."""
         node, submap = self.nodes[index], self._local.submaps.all[submap_index]
         if node.bare or submap_index not in self._finished:
             return
         submap.revalue(self._local.relief.match_bound)
         walls = self._local.walls(node.scan, node.pose, node.height, node.steep) > 0
         expected = submap.pose @ self.submap_poses[submap_index].inverse() @ self.poses[index]
-        ties = self._ties.setdefault(submap_index, [self.nodes[i].way for i in submap.nodes])
-        way = min(abs(node.way - tie) for tie in ties)
-        found = self.builder.search(submap, node.scan.hits[walls], expected, way)
-        self.queue.note(index, submap_index, found=found is not None)
-        if found is None:
+        match = self.builder.compute_constraint(
+            submap, node.scan.hits[walls], expected, self._travelled_between(node, submap_index)
+        )
+        self.candidates.record_result(index, submap_index, found=match is not None)
+        if match is None:
             return
-        pose, information, score = found
-        T_submap_node = submap.pose.inverse() @ pose
-        loop = Constraint(submap_index, index, T_submap_node, in_axes_of(submap.pose, information), score)
-        for believed in self._confirmation.admit(loop, node.way, self.submap_poses, self.poses):
-            z = believed.T_submap_node.as_array()
-            self._to_nodes.append((believed.submap, believed.node, z, believed.information, True))
-            self.loops.append(believed)
-            self.events.append(self._event(believed))
+        T_submap_node = submap.pose.inverse() @ match.pose
+        information = in_axes_of(submap.pose, match.information)
+        loop = LoopConstraint(submap_index, index, T_submap_node, information, match.score)
+        for accepted in self._verification.verify_loop(loop, node.way, self.submap_poses, self.poses):
+            z = accepted.T_submap_node.as_array()
+            self._to_nodes.append(
+                PoseConstraint(accepted.submap, accepted.node, z, accepted.information, robust=True)
+            )
+            self.loops.append(accepted)
+            self.events.append(self._loop_event(accepted))
 
-    def _event(self, loop: Constraint) -> LoopEvent:
+    def _travelled_between(self, node: Node, submap: int) -> float:
+        """Return the distance travelled between a node and the nearest one with a constraint to a submap."""
+        members = self._local.submaps.all[submap].nodes
+        known = self._constrained_at.setdefault(submap, [self.nodes[i].way for i in members])
+        return min(abs(node.way - travelled) for travelled in known)
+
+    def _loop_event(self, loop: LoopConstraint) -> LoopEvent:
         first = self._local.submaps.all[loop.submap].nodes[0]
         stamps = self.nodes[loop.node].scan.stamp, self.nodes[first].scan.stamp
         after = self.submap_poses[loop.submap] @ loop.T_submap_node
         return LoopEvent(*stamps, self.poses[loop.node], after, loop.score)
 
-    def _trim(self) -> None:
-        """Forget submaps of places that were seen often enough since, and scans that are in no other."""
+    def _trim_submaps(self) -> None:
+        """Empty redundant submaps, and the scans that are in no other."""
         submaps = self._local.submaps.all
-        for index in self._trimmer.needless(self.submap_poses):
+        for index in self._trimmer.pop_redundant(self.submap_poses):
             self.trimmed += 1
             self._finished.remove(index)
             submaps[index].trim()
@@ -186,28 +198,31 @@ class GlobalSlam:
         nodes, loops = self._optimized_at
         return len(self.loops) > loops and len(self.nodes) - nodes >= self.config.optimize_every_n_nodes
 
-    def _begin(self) -> tuple[Problem, Solution]:
-        """Pose the problem as it is now."""
-        problem = Problem(
-            self.config.optimization, Edges.of(self._to_nodes), Edges.of(self._to_submaps), np.zeros(3)
+    def _start_optimization(self) -> tuple[OptimizationProblem, Solution]:
+        """Return the problem as it is now, and its start."""
+        problem = OptimizationProblem(
+            self.config.optimization,
+            PoseConstraints.stack(self._to_nodes),
+            PoseConstraints.stack(self._to_submaps),
+            np.zeros(3),
         )
         submaps = np.array([p.as_array() for p in self.submap_poses])
         nodes = np.array([p.as_array() for p in self.poses])
-        return problem, begin(problem, submaps, nodes, self._rows_solved)
+        return problem, start_optimization(problem, submaps, nodes, self._rows_optimized)
 
-    def _take(self, solution: Solution) -> None:
-        """Take the solution over; what was added since moves along with the last node in it."""
+    def _apply_solution(self, solution: Solution) -> None:
+        """Take the poses of a solution; what was added since moves along with the last node in it."""
         self.optimizations += 1
         self.version += 1
         loops = self._optimized_at[1]
-        self._optimized_at = len(solution.nodes), self._loops_begun
-        for loop in self.loops[loops : self._loops_begun]:
-            self._ties[loop.submap].append(self.nodes[loop.node].way)
+        self._optimized_at = len(solution.nodes), self._loops_at_start
+        for loop in self.loops[loops : self._loops_at_start]:
+            self._constrained_at[loop.submap].append(self.nodes[loop.node].way)
         poses = [Pose2(*p) for p in solution.nodes.tolist()]
         self.T_map_local = poses[-1] @ self.nodes[len(poses) - 1].pose.inverse()
         self.poses = poses + [self.T_map_local @ node.pose for node in self.nodes[len(poses) :]]
         submaps = [Pose2(*p) for p in solution.submaps.tolist()]
         newer = self._local.submaps.all[len(submaps) :]
         self.submap_poses = submaps + [self.T_map_local @ submap.pose for submap in newer]
-        if self._trimmer.due():
-            self._trim()
+        if self._trimmer.trimming_due():
+            self._trim_submaps()

@@ -18,7 +18,7 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.cartographer.config import LocalisationConfig
-from slam_baselines.cartographer.constraints.builder import spread
+from slam_baselines.cartographer.constraints.builder import voxel_filter
 from slam_baselines.cartographer.known_map import KnownMap
 from slam_baselines.common.se2 import inverted
 from slam_baselines.mapper import MapperStats, Stopwatch
@@ -151,7 +151,7 @@ class Localiser:
     def _search(self, scan: LevelledScan) -> None:
         """Search the whole map; take over the place found if it is the only one."""
         c, known = self.config, self._known
-        sparse = spread(scan.hits, known.bounds.resolution, c.beams)
+        sparse = voxel_filter(scan.hits, known.bounds.resolution, c.beams)
         if len(sparse) < c.least_beams:
             return
         self._counts.searches += 1

@@ -107,12 +107,12 @@ class CartographerMapper:
         started = self._stopwatch.start()
         node = self._local.update(scan, odometry, imu)
         if node is not None:
-            self._graph.add(node)
+            self._graph.add_node(node)
             if self._look_again_at <= node.way:
                 self._look_again()
         nodes = self._graph.nodes
         self._scans.add(scan.stamp, self._local.estimate.pose, len(nodes), nodes[-1].pose if nodes else None)
-        self._graph.work()
+        self._graph.run_work_share()
         self._stopwatch.stop(started)
         return self._graph.T_map_local @ self._local.estimate.pose
 
@@ -127,16 +127,16 @@ class CartographerMapper:
         nodes = local.look_again(self._graph.nodes)
         self._graph = GlobalSlam(self.config.graph, local)
         for node in nodes:
-            self._graph.add(node)
+            self._graph.add_node(node)
 
     def map(self) -> OccupancyGrid:
         """Return the map, drawn from all nodes where they are believed to be now."""
-        poses, _ = self._graph.settled()
+        poses, _ = self._graph.optimized_poses()
         return self._map.draw(self._graph.nodes, poses)
 
     def trajectory(self) -> Trajectory:
         """Return the pose of every scan, by stamp."""
-        poses, T_map_local = self._graph.settled()
+        poses, T_map_local = self._graph.optimized_poses()
         return self._scans.trajectory([node.pose for node in self._graph.nodes], poses, T_map_local)
 
     @property
@@ -169,8 +169,8 @@ class CartographerMapper:
                 "loop_searches": counts.searched,
                 "loop_searches_ambiguous": counts.ambiguous,
                 "loop_searches_given_up": counts.given_up,
-                "loop_searches_waiting": len(graph.queue),
-                "loop_searches_dropped": graph.queue.dropped,
+                "loop_searches_waiting": len(graph.candidates),
+                "loop_searches_dropped": graph.candidates.dropped,
                 "optimizations": graph.optimizations,
                 "second_looks": self._looks,
                 "searches": local.matcher.searches,

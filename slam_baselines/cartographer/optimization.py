@@ -1,9 +1,10 @@
-"""The sparse pose graph: submaps and nodes, and the constraints between them.
+"""Pose-graph optimization: submaps and nodes, and the constraints between them.
 
 Hess et al. 2016, section V-A (after Konolige et al. 2010): the poses minimise the sum of
 rho(e' Lambda e) over all constraints, e the difference between the measured pose of b in the frame of a
-and the estimated one. Every constraint has a submap at one end, so that nodes are tied to submaps only:
-they are eliminated block by block, and what is factorised is as large as the number of submaps.
+and the estimated one. Every constraint has a submap at one end, so that nodes are constrained to submaps
+only: the Schur complement eliminates them block by block, and the matrix that is factorized grows with the
+number of submaps alone.
 """
 
 from __future__ import annotations
@@ -11,79 +12,125 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse.linalg import splu
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.errors import ConfigError
+from lirs_wct.validation import require_above
 from slam_baselines.common.linalg import block_matrix, sum_blocks, sum_vectors
 from slam_baselines.common.se2 import inverted, relative_poses, wrap
 
 
 @dataclass(frozen=True, kw_only=True)
 class OptimizationConfig:
-    """How the graph is solved; `huber_scale` as in Cartographer's optimization_problem.
+    """Parameters of the solver; names as in Cartographer's optimization_problem and in Ceres.
 
     Attributes:
-        huber_scale: error, in standard deviations, from which on a loop counts less and less ...
-        narrowing: the kernel starts wide and is narrowed by this factor from step to step.
-        max_num_iterations: of Levenberg and Marquardt, at most, each time.
-        converged: ends when a step lowers the cost by less than this share.
-        damping: Levenberg's, at first, as a share of the diagonal.
-        gauge: information of the tie that holds the first node where it is.
+        cauchy_scale: error of a robust constraint, in standard deviations, at which Cauchy's loss bends.
+        scale_reduction: factor by which the loss is narrowed from step to step, above 1.
+        max_num_iterations: of Levenberg-Marquardt in one optimization.
+        function_tolerance: relative decrease of the cost below which the optimization ends.
+        initial_damping: Levenberg's damping of the first step, as a share of the diagonal.
+        gauge_information: information of the prior that holds the first node.
 
     Raises:
-        ConfigError: a value that is not above 0, or narrowing not above 1.
+        ConfigError: a value that is not above 0, or scale_reduction not above 1.
     """
 
-    huber_scale: float = 3.0
-    narrowing: float = 2.0
+    cauchy_scale: float = 3.0
+    scale_reduction: float = 2.0
     max_num_iterations: int = 30
-    converged: float = 1e-4
-    damping: float = 1e-4
-    gauge: float = 1e8
+    function_tolerance: float = 1e-4
+    initial_damping: float = 1e-4
+    gauge_information: float = 1e8
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"{name} of the optimization must be above 0, got {getattr(self, name)}")
-        if not self.narrowing > 1:
-            raise ConfigError(f"narrowing of the optimization must be above 1, got {self.narrowing}")
+        require_above(self, 0, *self.__dataclass_fields__, of="the optimization")
+        require_above(self, 1, "scale_reduction", of="the optimization")
+
+
+class PoseConstraint(NamedTuple):
+    """A measured pose of a node or a submap in the frame of a submap.
+
+    Attributes:
+        a: index of the submap in whose frame it was measured.
+        b: index of the node, or of another submap.
+        z: (3,) measured x, y, yaw of b in the frame of a.
+        information: (3, 3) inverse covariance of z.
+        robust: whether it may be an outlier.
+    """
+
+    a: int
+    b: int
+    z: FloatArray
+    information: FloatArray
+    robust: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
-    """What is to be solved: constraints from submaps to nodes and from submaps to submaps.
+class PoseConstraints:
+    """Constraints as arrays, with a first axis of length m.
 
     Attributes:
-        config: how.
+        a: (m,) index of the submap in whose frame it was measured.
+        b: (m,) index of the node, or of another submap.
+        z: (m, 3) measured x, y, yaw of b in the frame of a.
+        information: (m, 3, 3) inverse covariance of z.
+        robust: (m,) whether it may be an outlier.
+    """
+
+    a: IntArray
+    b: IntArray
+    z: FloatArray
+    information: FloatArray
+    robust: BoolArray
+
+    @staticmethod
+    def stack(constraints: Sequence[PoseConstraint]) -> PoseConstraints:
+        """Stack constraints."""
+        return PoseConstraints(
+            np.array([c.a for c in constraints], dtype=np.int64),
+            np.array([c.b for c in constraints], dtype=np.int64),
+            np.array([c.z for c in constraints], dtype=np.float64).reshape(-1, 3),
+            np.array([c.information for c in constraints], dtype=np.float64).reshape(-1, 3, 3),
+            np.array([c.robust for c in constraints], dtype=np.bool_),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class OptimizationProblem:
+    """Nonlinear least-squares problem over the poses of submaps and nodes.
+
+    Attributes:
+        config: parameters of the solver.
         to_nodes: constraints whose b are nodes.
         to_submaps: constraints whose b are submaps.
-        origin: (3,) where the first node is held.
+        origin: (3,) pose at which the first node is held.
     """
 
     config: OptimizationConfig
-    to_nodes: Edges
-    to_submaps: Edges
+    to_nodes: PoseConstraints
+    to_submaps: PoseConstraints
     origin: FloatArray
 
     def cost(self, submaps: FloatArray, nodes: FloatArray, width: float) -> float:
         """Return half the sum of the robust squared errors of (s, 3) submaps and (n, 3) nodes.
 
-        The kernel is `width` times as wide as configured.
+        Cauchy's scale is `width` times the configured one.
         """
         total = 0.0
-        for edges, targets in ((self.to_nodes, nodes), (self.to_submaps, submaps)):
-            e = errors(submaps[edges.a], targets[edges.b], edges.z)
-            chi2 = np.einsum("mi,mij,mj->m", e, edges.information, e)
-            total += float(np.where(edges.robust, self._rho(chi2, width), chi2).sum())
-        tie = nodes[0] - self.origin
-        tie[2] = wrap(tie[2])
-        return 0.5 * (total + self.config.gauge * float(tie @ tie))
+        for constraints, targets in ((self.to_nodes, nodes), (self.to_submaps, submaps)):
+            e = errors(submaps[constraints.a], targets[constraints.b], constraints.z)
+            chi2 = np.einsum("mi,mij,mj->m", e, constraints.information, e)
+            total += float(np.where(constraints.robust, self._loss(chi2, width), chi2).sum())
+        gauge = nodes[0] - self.origin
+        gauge[2] = wrap(gauge[2])
+        return 0.5 * (total + self.config.gauge_information * float(gauge @ gauge))
 
-    def width(self, submaps: FloatArray, nodes: FloatArray, since: int) -> float:
-        """Return how wide the kernel must be for none of the loops from row `since` on to lose its pull."""
+    def initial_width(self, submaps: FloatArray, nodes: FloatArray, since: int) -> float:
+        """Return the width of the loss at which every loop from row `since` on is within its scale."""
         late = slice(since, None)
         robust = self.to_nodes.robust[late]
         if not robust.any():
@@ -91,20 +138,20 @@ class Problem:
         a, b = self.to_nodes.a[late][robust], self.to_nodes.b[late][robust]
         e = errors(submaps[a], nodes[b], self.to_nodes.z[late][robust])
         chi2 = np.einsum("mi,mij,mj->m", e, self.to_nodes.information[late][robust], e)
-        return max(1.0, math.sqrt(float(chi2.max())) / self.config.huber_scale)
+        return max(1.0, math.sqrt(float(chi2.max())) / self.config.cauchy_scale)
 
-    def step(
+    def solve_normal_equations(
         self, submaps: FloatArray, nodes: FloatArray, damping: float, width: float
     ) -> tuple[FloatArray, FloatArray]:
         """Return submaps and nodes after one Gauss-Newton step with Levenberg's damping."""
         n, s = len(nodes), len(submaps)
-        A, B, C, ga, gb = self._linearised(self.to_nodes, submaps, nodes, width)
+        A, B, C, ga, gb = self._linearize(self.to_nodes, submaps, nodes, width)
         Hnn, gn = sum_blocks(C, self.to_nodes.b, n), sum_vectors(gb, self.to_nodes.b, n)
-        Hnn[0] += self.config.gauge * np.eye(3)
-        tie = nodes[0] - self.origin
-        gn[0] += self.config.gauge * np.array((tie[0], tie[1], wrap(tie[2])))
+        Hnn[0] += self.config.gauge_information * np.eye(3)
+        gauge = nodes[0] - self.origin
+        gn[0] += self.config.gauge_information * np.array((gauge[0], gauge[1], wrap(gauge[2])))
         Hsn = block_matrix(B, self.to_nodes.a, self.to_nodes.b, s, n)
-        A2, B2, C2, ga2, gb2 = self._linearised(self.to_submaps, submaps, submaps, width)
+        A2, B2, C2, ga2, gb2 = self._linearize(self.to_submaps, submaps, submaps, width)
         gs = sum_vectors(ga, self.to_nodes.a, s) + sum_vectors(ga2, self.to_submaps.a, s)
         gs += sum_vectors(gb2, self.to_submaps.b, s)
         diagonal = sum_blocks(A, self.to_nodes.a, s) + sum_blocks(A2, self.to_submaps.a, s)
@@ -120,16 +167,16 @@ class Problem:
         dn = -np.einsum("nij,nj->ni", inverse, rest)
         return _moved(submaps, ds.reshape(-1, 3)), _moved(nodes, dn)
 
-    def _linearised(
-        self, edges: Edges, submaps: FloatArray, targets: FloatArray, width: float
+    def _linearize(
+        self, constraints: PoseConstraints, submaps: FloatArray, targets: FloatArray, width: float
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return the blocks Ja'WJa, Ja'WJb, Jb'WJb (m, 3, 3) and the gradients Ja'We, Jb'We (m, 3)."""
-        e = errors(submaps[edges.a], targets[edges.b], edges.z)
-        Ja, Jb = jacobians(submaps[edges.a], targets[edges.b])
-        W = edges.information
-        if edges.robust.any():
+        e = errors(submaps[constraints.a], targets[constraints.b], constraints.z)
+        Ja, Jb = jacobians(submaps[constraints.a], targets[constraints.b])
+        W = constraints.information
+        if constraints.robust.any():
             chi2 = np.einsum("mi,mij,mj->m", e, W, e)
-            W = W * np.where(edges.robust, self._weight(chi2, width), 1.0)[:, None, None]
+            W = W * np.where(constraints.robust, self._loss_derivative(chi2, width), 1.0)[:, None, None]
         WJa, WJb = W @ Ja, W @ Jb
         JaT, JbT = Ja.transpose(0, 2, 1), Jb.transpose(0, 2, 1)
         We = np.einsum("mij,mj->mi", W, e)
@@ -141,31 +188,31 @@ class Problem:
             np.einsum("mij,mj->mi", JbT, We),
         )
 
-    def _rho(self, chi2: FloatArray, width: float) -> FloatArray:
-        """Cauchy's loss: quadratic near 0, logarithmic far out, so that wrong loops lose their pull."""
-        c2 = (width * self.config.huber_scale) ** 2
+    def _loss(self, chi2: FloatArray, width: float) -> FloatArray:
+        """Cauchy's loss: quadratic near 0, logarithmic far out, so that outliers lose their weight."""
+        c2 = (width * self.config.cauchy_scale) ** 2
         return c2 * np.log1p(chi2 / c2)
 
-    def _weight(self, chi2: FloatArray, width: float) -> FloatArray:
-        """Derivative of the loss."""
-        return 1 / (1 + chi2 / (width * self.config.huber_scale) ** 2)
+    def _loss_derivative(self, chi2: FloatArray, width: float) -> FloatArray:
+        """Derivative of the loss: the weight of a constraint."""
+        return 1 / (1 + chi2 / (width * self.config.cauchy_scale) ** 2)
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """Where an optimisation stands.
+    """State of an optimization.
 
-    The kernel starts so wide that every new loop pulls, however far the map has drifted, and is narrowed
-    from step to step (graduated non-convexity): what contradicts all others loses its pull in the end.
+    The loss starts so wide that every new loop has its full weight, however far the map has drifted, and is
+    narrowed from step to step (graduated non-convexity): outliers lose their weight in the end.
 
     Attributes:
         submaps: (s, 3) poses.
         nodes: (n, 3) poses.
-        cost: of them.
-        damping: Levenberg's, for the next step.
-        width: of the kernel, times the configured one.
+        cost: of these poses.
+        damping: Levenberg's damping of the next step.
+        width: of the loss, times the configured scale.
         iterations: steps so far.
-        done: whether no further step is worth while.
+        converged: whether no further step is worthwhile.
     """
 
     submaps: FloatArray
@@ -174,77 +221,50 @@ class Solution:
     damping: float
     width: float = 1.0
     iterations: int = 0
-    done: bool = False
+    converged: bool = False
 
 
-def begin(problem: Problem, submaps: FloatArray, nodes: FloatArray, since: int = 0) -> Solution:
-    """Start from poses; the constraints to nodes from row `since` on are new."""
-    width = problem.width(submaps, nodes, since)
-    return Solution(submaps, nodes, problem.cost(submaps, nodes, width), problem.config.damping, width)
+def start_optimization(
+    problem: OptimizationProblem, submaps: FloatArray, nodes: FloatArray, new_since: int = 0
+) -> Solution:
+    """Start from poses; the constraints to nodes from row `new_since` on are new."""
+    width = problem.initial_width(submaps, nodes, new_since)
+    return Solution(
+        submaps, nodes, problem.cost(submaps, nodes, width), problem.config.initial_damping, width
+    )
 
 
-def improve(problem: Problem, now: Solution) -> Solution:
-    """Try one step of Levenberg and Marquardt; a step that does not lower the cost is not taken."""
+def iterate(problem: OptimizationProblem, now: Solution) -> Solution:
+    """Try one Levenberg-Marquardt step; a step that does not lower the cost is rejected."""
     c = problem.config
-    submaps, nodes = problem.step(now.submaps, now.nodes, now.damping, now.width)
+    submaps, nodes = problem.solve_normal_equations(now.submaps, now.nodes, now.damping, now.width)
     cost, count = problem.cost(submaps, nodes, now.width), now.iterations + 1
     last = count >= c.max_num_iterations
     if not cost < now.cost:
-        hopeless = cost <= now.cost * (1 + c.converged) or now.damping > 1e4
-        if not hopeless:
-            return replace(now, damping=now.damping * 10, iterations=count, done=last)
+        stuck = cost <= now.cost * (1 + c.function_tolerance) or now.damping > 1e4
+        if not stuck:
+            return replace(now, damping=now.damping * 10, iterations=count, converged=last)
         submaps, nodes, cost = now.submaps, now.nodes, now.cost
     damping = max(now.damping / 10, 1e-9)
     if now.width > 1:
-        width = max(1.0, now.width / c.narrowing)
+        width = max(1.0, now.width / c.scale_reduction)
         cost = problem.cost(submaps, nodes, width)
         return Solution(submaps, nodes, cost, damping, width, count, last)
-    done = last or now.cost - cost <= c.converged * now.cost
-    return Solution(submaps, nodes, cost, damping, 1.0, count, done)
+    converged = last or now.cost - cost <= c.function_tolerance * now.cost
+    return Solution(submaps, nodes, cost, damping, 1.0, count, converged)
 
 
-def solve(problem: Problem, submaps: FloatArray, nodes: FloatArray) -> Solution:
-    """Iterate until it is done."""
-    solution = begin(problem, submaps, nodes)
-    while not solution.done:
-        solution = improve(problem, solution)
-    return solution
+def optimize(problem: OptimizationProblem, start: Solution) -> Solution:
+    """Iterate until converged."""
+    while not start.converged:
+        start = iterate(problem, start)
+    return start
 
 
 def _moved(poses: FloatArray, step: FloatArray) -> FloatArray:
     moved = poses + step
     moved[:, 2] = wrap(moved[:, 2])
     return moved
-
-
-@dataclass(frozen=True, slots=True)
-class Edges:
-    """Constraints as arrays.
-
-    Attributes:
-        a: (m,) index of the submap in whose frame it was measured.
-        b: (m,) index of the node, or of another submap.
-        z: (m, 3) measured x, y, yaw of b in the frame of a.
-        information: (m, 3, 3) inverse covariance of z.
-        robust: (m,) whether it may be wrong altogether.
-    """
-
-    a: IntArray
-    b: IntArray
-    z: FloatArray
-    information: FloatArray
-    robust: BoolArray
-
-    @staticmethod
-    def of(rows: Sequence[tuple[int, int, FloatArray, FloatArray, bool]]) -> Edges:
-        """Stack (a, b, z, information, robust) of each constraint."""
-        return Edges(
-            np.array([r[0] for r in rows], dtype=np.int64),
-            np.array([r[1] for r in rows], dtype=np.int64),
-            np.array([r[2] for r in rows], dtype=np.float64).reshape(-1, 3),
-            np.array([r[3] for r in rows], dtype=np.float64).reshape(-1, 3, 3),
-            np.array([r[4] for r in rows], dtype=np.bool_),
-        )
 
 
 def errors(a: FloatArray, b: FloatArray, z: FloatArray) -> FloatArray:

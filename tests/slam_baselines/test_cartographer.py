@@ -1,4 +1,4 @@
-"""Cartographer as a whole and its parts: submaps, queue, confirmation, a ring driven twice, a real log."""
+"""Cartographer as a whole and its parts: submaps, candidates, loops, a ring driven twice, a real log."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.cartographer.constraints.builder import (
-    Constraint,
     ConstraintBuilder,
     ConstraintConfig,
-    spread,
+    LoopConstraint,
+    voxel_filter,
 )
-from slam_baselines.cartographer.constraints.candidates import LoopQueue, QueueConfig
-from slam_baselines.cartographer.constraints.verification import Confirmation, ConfirmationConfig
+from slam_baselines.cartographer.constraints.candidates import CandidateConfig, CandidateQueue
+from slam_baselines.cartographer.constraints.verification import LoopVerification, LoopVerificationConfig
 from slam_baselines.cartographer.global_slam import GlobalSlam
 from slam_baselines.cartographer.node_trajectory import NodeTrajectory
 from slam_baselines.cartographer.submap import Submap, SubmapConfig, Submaps
@@ -202,13 +202,13 @@ def test_a_scan_is_found_in_a_submap():
             0, np.zeros(3), lifted(pose.apply(hits)), np.empty((0, 3)), np.zeros(len(hits), np.uint8), 0
         )
     builder = ConstraintBuilder(ConstraintConfig())
-    for way, shift in ((0.0, Pose2(0.1, -0.1, 0.02)), (100.0, Pose2(0.9, 0.6, -0.2))):
-        found = builder.search(submap, lifted(hits), pose @ shift, way)
+    for travelled, shift in ((0.0, Pose2(0.1, -0.1, 0.02)), (100.0, Pose2(0.9, 0.6, -0.2))):
+        found = builder.compute_constraint(submap, lifted(hits), pose @ shift, travelled)
         assert found is not None
-        assert found[0].distance(pose) < 0.05
-        assert found[2] > 0.4
-    assert builder.search(submap, lifted(hits[:5]), pose, 0.0) is None
-    assert builder.search(submap, lifted(rng.uniform(-5, 5, (150, 2))), pose, 100.0) is None
+        assert found.pose.distance(pose) < 0.05
+        assert found.score > 0.4
+    assert builder.compute_constraint(submap, lifted(hits[:5]), pose, 0.0) is None
+    assert builder.compute_constraint(submap, lifted(rng.uniform(-5, 5, (150, 2))), pose, 100.0) is None
     assert builder.counts.found == 2
 
 
@@ -222,31 +222,36 @@ def lifted(points):
 
 
 def test_one_loop_that_moves_far_waits_for_a_second():
-    confirmation = Confirmation(ConfirmationConfig())
+    verification = LoopVerification(LoopVerificationConfig())
     submaps, nodes = [Pose2()], [Pose2(i, 0.0) for i in range(4)]
     moved = Pose2(0.0, 2.0, 0.1)
-    loops = [Constraint(0, i, moved @ nodes[i], np.eye(3)) for i in range(4)]
-    near = Constraint(0, 3, Pose2(3.1, 0.0), np.eye(3))
-    odd = Constraint(0, 1, Pose2(4.0, -2.0), np.eye(3))
-    assert confirmation.admit(near, 3.0, submaps, nodes) == [near]
-    assert confirmation.admit(loops[0], 0.0, submaps, nodes) == []
-    assert confirmation.admit(odd, 1.0, submaps, nodes) == []
-    assert confirmation.admit(loops[2], 2.0, submaps, nodes) == [loops[0], loops[2]]
-    assert len(confirmation) == 1  # the odd one
+    loops = [LoopConstraint(0, i, moved @ nodes[i], np.eye(3)) for i in range(4)]
+    near = LoopConstraint(0, 3, Pose2(3.1, 0.0), np.eye(3))
+    odd = LoopConstraint(0, 1, Pose2(4.0, -2.0), np.eye(3))
+    assert verification.verify_loop(near, 3.0, submaps, nodes) == [near]
+    assert verification.verify_loop(loops[0], 0.0, submaps, nodes) == []
+    assert verification.verify_loop(odd, 1.0, submaps, nodes) == []
+    assert verification.verify_loop(loops[2], 2.0, submaps, nodes) == [loops[0], loops[2]]
+    assert len(verification) == 1  # the odd one
 
 
 def test_the_queue_takes_new_nodes_first_and_enough_is_enough():
-    queue = LoopQueue(QueueConfig(found_per_pair=2, tries_per_pair=3, max_num_candidates=5))
-    queue.ask(1, 0, 7, fresh=False)
-    queue.ask(20, 5, 7, fresh=True)
-    queue.ask(21, 5, 7, fresh=True)
-    assert [queue.next(), queue.next(), queue.next(), queue.next()] == [(21, 7), (20, 7), (1, 7), None]
-    queue.note(20, 7, found=True)
-    queue.note(21, 7, found=True)
-    queue.ask(22, 5, 7, fresh=True)
-    assert queue.next() is None
+    queue = CandidateQueue(CandidateConfig(found_per_pair=2, tries_per_pair=3, max_num_candidates=5))
+    queue.add_candidate(1, 0, 7, new_node=False)
+    queue.add_candidate(20, 5, 7, new_node=True)
+    queue.add_candidate(21, 5, 7, new_node=True)
+    assert [
+        queue.next_candidate(),
+        queue.next_candidate(),
+        queue.next_candidate(),
+        queue.next_candidate(),
+    ] == [(21, 7), (20, 7), (1, 7), None]
+    queue.record_result(20, 7, found=True)
+    queue.record_result(21, 7, found=True)
+    queue.add_candidate(22, 5, 7, new_node=True)
+    assert queue.next_candidate() is None
     for i in range(8):
-        queue.ask(i, 9, 3, fresh=False)
+        queue.add_candidate(i, 9, 3, new_node=False)
     assert (len(queue), queue.dropped) == (5, 3)
 
 
@@ -261,20 +266,20 @@ def test_scans_between_nodes_follow_both():
     np.testing.assert_allclose(poses.xy, [[0, 0], [0.5, 0.2], [1, 0.4], [1.5, 0.4]], atol=1e-9)
 
 
-def test_spread_keeps_one_point_a_square():
+def test_the_voxel_filter_keeps_one_point_a_square():
     rng = np.random.default_rng(0)
     points = rng.uniform(-1, 1, (500, 3))
-    thin = spread(points, 0.5, 1000)
+    thin = voxel_filter(points, 0.5, 1000)
     cells = {tuple(c) for c in np.floor(thin[:, :2] / 0.5).astype(int).tolist()}
     assert len(thin) == len(cells) == 16
-    assert len(spread(points, 0.05, 40)) <= 40
+    assert len(voxel_filter(points, 0.05, 40)) <= 40
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
         (lambda: SubmapConfig(search_level=3), "search_level"),
-        (lambda: QueueConfig(sampling_ratio=1.5), "sampling_ratio"),
+        (lambda: CandidateConfig(sampling_ratio=1.5), "sampling_ratio"),
         (lambda: ConstraintConfig(min_score=0.9), "global_min_score"),
         (lambda: make_mapper("cartographer", map_resolution=0.0), "map_resolution"),
         (lambda: make_mapper("cartographer", nonsense=1), "nonsense"),
@@ -313,7 +318,7 @@ def test_no_odometry_is_said_so():
     assert mapper.stats.received == 0
 
 
-def test_the_same_nodes_added_again_are_tied_alike():
+def test_the_same_nodes_added_again_are_constrained_alike():
     """Also where the newest submap holds a single node: each submap hangs on the one before, once."""
     rng, mapper, truth = np.random.default_rng(2), make_mapper("cartographer"), ring(1)
     local = mapper._local
@@ -325,8 +330,8 @@ def test_the_same_nodes_added_again_are_tied_alike():
         pytest.fail("the drive is too short for a second submap")
     again = GlobalSlam(mapper.config.graph, local)
     for node in mapper._graph.nodes:
-        again.add(node)
-    assert [tie[:2] for tie in again._to_submaps] == [(0, 1)]
-    for tie, before in zip(again._to_submaps, mapper._graph._to_submaps, strict=True):
-        np.testing.assert_allclose(tie[2], before[2])
-        np.testing.assert_allclose(tie[3], before[3])
+        again.add_node(node)
+    assert [(constraint.a, constraint.b) for constraint in again._to_submaps] == [(0, 1)]
+    for now, before in zip(again._to_submaps, mapper._graph._to_submaps, strict=True):
+        np.testing.assert_allclose(now.z, before.z)
+        np.testing.assert_allclose(now.information, before.information)

@@ -7,18 +7,20 @@ import pytest
 
 from lirs_wct.errors import ConfigError
 from slam_baselines.cartographer.optimization import (
-    Edges,
     OptimizationConfig,
-    Problem,
+    OptimizationProblem,
+    PoseConstraint,
+    PoseConstraints,
     errors,
     jacobians,
-    solve,
+    optimize,
+    start_optimization,
 )
 from slam_baselines.common.se2 import composed, relative_poses, wrap
 
 TIGHT = np.diag((0.02**-2, 0.02**-2, 0.004**-2))
 LOCAL = np.diag((0.03**-2, 0.03**-2, 0.01**-2))
-NO_EDGES = Edges.of([])
+NONE = PoseConstraints.stack([])
 
 
 def square(side=10.0, per_side=20, per_submap=10):
@@ -33,21 +35,21 @@ def square(side=10.0, per_side=20, per_submap=10):
     return nodes, nodes[::per_submap].copy(), per_submap
 
 
-def edges_of(nodes, local, per_submap, rng, outliers=0.0):
-    """Edges of each node to its two submaps as local SLAM drifts; true loops from round two to round one."""
+def constraints_of(nodes, local, per_submap, rng, outliers=0.0):
+    """Each node to its two submaps as local SLAM drifts; true loops from round two to round one."""
     submaps, rows = nodes[::per_submap], []
     for k in range(len(submaps)):
         first = k * per_submap
         members = range(first, min(len(nodes), first + 2 * per_submap))
-        rows += [(k, j, relative_poses(local[first], local[j]), LOCAL, False) for j in members]
+        rows += [PoseConstraint(k, j, relative_poses(local[first], local[j]), LOCAL, False) for j in members]
     half = len(nodes) // 2
     for j in range(half, len(nodes), 2):
         k = (j - half) // per_submap
         z = relative_poses(submaps[k], nodes[j]) + rng.normal(0, (0.01, 0.01, 0.002))
         if rng.random() < outliers:
             z = z + rng.normal(0, (3.0, 3.0, 1.0))
-        rows.append((k, j, z, TIGHT, True))
-    return Edges.of(rows)
+        rows.append(PoseConstraint(k, j, z, TIGHT, True))
+    return PoseConstraints.stack(rows)
 
 
 def drifted(nodes, rng):
@@ -58,6 +60,10 @@ def drifted(nodes, rng):
     for step in steps:
         poses.append(composed(poses[-1], step))
     return np.array(poses)
+
+
+def solved(problem, submaps, nodes):
+    return optimize(problem, start_optimization(problem, submaps, nodes))
 
 
 def rmse(estimate, truth):
@@ -88,8 +94,10 @@ def test_a_square_is_recovered(outliers):
     rng = np.random.default_rng(3)
     nodes, _, per = square()
     start = drifted(nodes, rng)
-    edges = edges_of(nodes, start, per, rng, outliers)
-    solution = solve(Problem(OptimizationConfig(), edges, NO_EDGES, np.zeros(3)), start[::per], start)
+    constraints = constraints_of(nodes, start, per, rng, outliers)
+    solution = solved(
+        OptimizationProblem(OptimizationConfig(), constraints, NONE, np.zeros(3)), start[::per], start
+    )
     second = len(nodes) // 2  # the first round closes nowhere: that the second lies on it is what loops say
     assert rmse(start[second:], start[:second]) > 1.0
     assert rmse(solution.nodes[second:], solution.nodes[:second]) < 0.05
@@ -101,10 +109,10 @@ def test_outliers_ruin_it_without_the_robust_kernel():
     rng = np.random.default_rng(3)
     nodes, _, per = square()
     start = drifted(nodes, rng)
-    edges = edges_of(nodes, start, per, rng, 0.05)
-    least_squares = Problem(OptimizationConfig(huber_scale=1e6), edges, NO_EDGES, np.zeros(3))
-    robust = Problem(OptimizationConfig(), edges, NO_EDGES, np.zeros(3))
-    plain, resistant = (solve(p, start[::per], start) for p in (least_squares, robust))
+    constraints = constraints_of(nodes, start, per, rng, 0.05)
+    least_squares = OptimizationProblem(OptimizationConfig(cauchy_scale=1e6), constraints, NONE, np.zeros(3))
+    robust = OptimizationProblem(OptimizationConfig(), constraints, NONE, np.zeros(3))
+    plain, resistant = (solved(p, start[::per], start) for p in (least_squares, robust))
     half = len(nodes) // 2
     assert rmse(plain.nodes[half:], plain.nodes[:half]) > 3 * rmse(
         resistant.nodes[half:], resistant.nodes[:half]
@@ -115,16 +123,21 @@ def test_the_step_solves_the_whole_system():
     """The Schur complement gives what the dense normal equations give."""
     rng = np.random.default_rng(5)
     nodes, submaps, per = square(per_side=5, per_submap=5)
-    edges = edges_of(nodes, drifted(nodes, rng), per, rng)
-    odometry = [(k, k + 1, relative_poses(submaps[k], submaps[k + 1]), TIGHT / 4, False) for k in range(7)]
-    problem = Problem(OptimizationConfig(gauge=100.0), edges, Edges.of(odometry), np.zeros(3))
+    constraints = constraints_of(nodes, drifted(nodes, rng), per, rng)
+    odometry = [
+        PoseConstraint(k, k + 1, relative_poses(submaps[k], submaps[k + 1]), TIGHT / 4, False)
+        for k in range(7)
+    ]
+    problem = OptimizationProblem(
+        OptimizationConfig(gauge_information=100.0), constraints, PoseConstraints.stack(odometry), np.zeros(3)
+    )
     s0, n0 = submaps + rng.normal(0, 0.05, submaps.shape), nodes + rng.normal(0, 0.05, nodes.shape)
     s, n = len(s0), len(n0)
 
     def stacked(x):
         S, N = x[: 3 * s].reshape(s, 3), x[3 * s :].reshape(n, 3)
         e = []
-        for part, ends in ((edges, N), (problem.to_submaps, S)):
+        for part, ends in ((constraints, N), (problem.to_submaps, S)):
             roots = np.sqrt(np.diagonal(part.information, axis1=1, axis2=2))
             e.append(errors(S[part.a], ends[part.b], part.z) * roots)
         return np.concatenate([*(v.ravel() for v in e), 10 * N[0]])
@@ -132,13 +145,27 @@ def test_the_step_solves_the_whole_system():
     x = np.concatenate((s0.ravel(), n0.ravel()))
     J = np.stack([(stacked(x + d) - stacked(x - d)) / 2e-6 for d in 1e-6 * np.eye(len(x))], axis=1)
     # Loops are robust: hold their weights at 1 by a wide kernel.
-    wide = Problem(OptimizationConfig(gauge=100.0, huber_scale=1e6), edges, problem.to_submaps, np.zeros(3))
+    wide = OptimizationProblem(
+        OptimizationConfig(gauge_information=100.0, cauchy_scale=1e6),
+        constraints,
+        problem.to_submaps,
+        np.zeros(3),
+    )
     step = -np.linalg.solve(J.T @ J + 1e-9 * np.diag(np.diag(J.T @ J)), J.T @ stacked(x))
-    got_s, got_n = wide.step(s0, n0, 1e-9, 1.0)
+    got_s, got_n = wide.solve_normal_equations(s0, n0, 1e-9, 1.0)
     np.testing.assert_allclose(wrap(got_s - s0).ravel(), step[: 3 * s], atol=1e-5)
     np.testing.assert_allclose(wrap(got_n - n0).ravel(), step[3 * s :], atol=1e-5)
 
 
 def test_illegal_settings_are_refused():
-    with pytest.raises(ConfigError, match="damping"):
-        OptimizationConfig(damping=0.0)
+    with pytest.raises(ConfigError, match="initial_damping of the optimization must be above 0"):
+        OptimizationConfig(initial_damping=0.0)
+
+
+def test_the_scale_is_that_of_cauchys_loss():
+    """At the scale, Cauchy's loss is log 2 times the squared scale; Huber's would still be quadratic."""
+    z = np.array((3.0, 0.0, 0.0))
+    constraint = PoseConstraints.stack([PoseConstraint(0, 0, z, np.eye(3), True)])
+    problem = OptimizationProblem(OptimizationConfig(cauchy_scale=3.0), constraint, NONE, np.zeros(3))
+    cost = problem.cost(np.zeros((1, 3)), np.zeros((1, 3)), 1.0)
+    assert cost == pytest.approx(0.5 * 9 * np.log(2))

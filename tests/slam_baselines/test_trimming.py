@@ -32,32 +32,32 @@ def trimmer_of(xs: list[float], **config: int) -> tuple[Trimmer, list[Pose2]]:
     trimmer, poses = Trimmer(TrimmingConfig(**config)), []
     for i, x in enumerate(xs):
         submap = submap_at(x)
-        trimmer.finished(i, submap)
+        trimmer.add_finished_submap(i, submap)
         poses.append(submap.pose)
     return trimmer, poses
 
 
 def test_of_each_place_the_freshest_are_kept() -> None:
     trimmer, poses = trimmer_of([0, 10, 0, 10, 0, 20], fresh_submaps_count=2)
-    assert trimmer.due()
-    assert trimmer.needless(poses) == [0]
-    assert not trimmer.due()
-    assert trimmer.needless(poses) == []
+    assert trimmer.trimming_due()
+    assert trimmer.pop_redundant(poses) == [0]
+    assert not trimmer.trimming_due()
+    assert trimmer.pop_redundant(poses) == []
 
 
 def test_where_they_lie_now_counts_and_not_where_they_were_drawn() -> None:
     trimmer, poses = trimmer_of([0, 10, 20], fresh_submaps_count=1)
-    assert trimmer.needless(poses) == []
+    assert trimmer.pop_redundant(poses) == []
     # A loop has moved all of them to one place.
     trimmer, _ = trimmer_of([0, 10, 20], fresh_submaps_count=1)
-    assert trimmer.needless([Pose2(5, 5, 1)] * 3) == [1, 0]
+    assert trimmer.pop_redundant([Pose2(5, 5, 1)] * 3) == [1, 0]
 
 
 def test_a_submap_that_shows_something_of_its_own_is_kept() -> None:
     trimmer, poses = trimmer_of([2.0, 0.0], fresh_submaps_count=1)
-    assert trimmer.needless(poses) == []
+    assert trimmer.pop_redundant(poses) == []
     trimmer, poses = trimmer_of([0.5, 0.0], fresh_submaps_count=1)
-    assert trimmer.needless(poses) == [0]
+    assert trimmer.pop_redundant(poses) == [0]
 
 
 def test_a_trimmed_submap_holds_nothing() -> None:
@@ -109,7 +109,7 @@ def test_every_scan_still_has_a_place(ten_laps: tuple[CartographerMapper, list[P
     assert grid.occupied.sum() > 400
 
 
-def test_loops_are_told(ten_laps: tuple[CartographerMapper, list[Pose2], list[int]]) -> None:
+def test_loops_are_reported(ten_laps: tuple[CartographerMapper, list[Pose2], list[int]]) -> None:
     mapper, truth, _ = ten_laps
     events = mapper.loops
     assert len(events) == mapper.stats.counts["loops"] > 5

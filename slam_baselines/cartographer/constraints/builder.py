@@ -1,6 +1,6 @@
-"""Loop closure: nodes found again in finished submaps.
+"""Loop constraints: nodes matched to finished submaps.
 
-Hess et al. 2016, section V-B: branch and bound for where a scan fits into a submap, then refinement
+Hess et al. 2016, section V-B: branch and bound over the poses of a scan in a submap, then refinement
 by Gauss-Newton on the interpolated map.
 """
 
@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.validation import require_above, require_within
 from slam_baselines.cartographer.submap import Submap
 from slam_baselines.common.se2 import inverted
 from slam_baselines.matching.branch_and_bound import branch_and_bound
@@ -22,77 +23,72 @@ from slam_baselines.matching.gauss_newton import Match, MatchConfig, ScanMatcher
 
 @dataclass(frozen=True, kw_only=True)
 class ConstraintConfig:
-    """Where loops are searched for and which are believed; names as in constraint_builder.
+    """Window of the loop search, and the scores that a loop needs; names as in constraint_builder.
 
     Attributes:
-        min_score: mean occupancy at the ends of the beams that a loop needs in the search; it is 0 where the
-            submap knows nothing.
-        min_refined_score: mean occupancy that it needs after refinement, where the submap knows something ...
-        min_known: ... and the share of beams that end there.
+        min_score: mean occupancy at the ends of the beams that a loop needs in the narrowest search; unknown
+            cells count as 0.
         global_min_score: the same in the widest search: the more poses there are, the more fit by chance.
-        linear_search_window: shifts at most up to this in x and in y, metres.
-        angular_search_window: turns at most up to this, radians.
-        linear_start: shifts up to this after no way at all, metres ...
-        linear_drift: ... and so much more for each metre driven.
-        angular_start: likewise of turns, radians ...
-        angular_drift: ... and radians per metre.
-        linear_refined: up to this window, refinement alone finds the pose, metres.
-        rival: a pose found is not believed if another one has this share of its score ...
-        apart: ... at least so far from it, metres.
-        beams: at most so many beams are used to search, evenly spread in space.
-        least_beams: fewer than this say nothing.
-        spread: one beam for each square of this size, metres.
-        bounded: a search is given up after so many nodes of its tree.
+        min_refined_score: mean occupancy on known cells that a loop needs after refinement.
+        min_known_ratio: share of beams on known cells that a loop needs after refinement.
+        linear_search_window: largest shift in x and in y, metres.
+        angular_search_window: largest turn, radians.
+        linear_start: shift at distance 0 from the last constraint, metres.
+        linear_drift: growth of the shift per metre travelled since the last constraint.
+        angular_start: turn at distance 0 from the last constraint, radians.
+        angular_drift: growth of the turn per metre travelled since the last constraint, radians.
+        max_refined_window: window up to which refinement alone finds the pose, metres.
+        ambiguity_ratio: share of the best score from which on a second pose makes the best one ambiguous.
+        min_separation: distance from the best pose at which a second one counts, metres.
+        max_points: most points for the search, evenly spread in space.
+        min_points: fewest points for the search.
+        voxel_size: edge of the squares of which each keeps one point, metres.
+        max_search_nodes: nodes of the tree after which a search is given up.
         match: refinement.
-        loose: standard deviation of the search's result for the refinement, metres and radians.
-        floor: standard deviation that a loop has at least, metres and radians: submaps are not perfect.
+        search_deviation: standard deviation of the search's result for the refinement, metres and radians.
+        min_deviation: smallest standard deviation of a loop, metres and radians: submaps are not perfect.
 
     Raises:
         ConfigError: a value that is not above 0, or scores not in order.
     """
 
     min_score: float = 0.4
-    min_refined_score: float = 0.5
-    min_known: float = 0.4
     global_min_score: float = 0.55
+    min_refined_score: float = 0.5
+    min_known_ratio: float = 0.4
     linear_search_window: float = 5.0
     angular_search_window: float = math.radians(20.0)
     linear_start: float = 0.3
     linear_drift: float = 0.03
     angular_start: float = 0.05
     angular_drift: float = 0.003
-    linear_refined: float = 0.6
-    rival: float = 0.9
-    apart: float = 0.5
-    beams: int = 120
-    least_beams: int = 20
-    spread: float = 0.1
-    bounded: int = 60000
+    max_refined_window: float = 0.6
+    ambiguity_ratio: float = 0.9
+    min_separation: float = 0.5
+    max_points: int = 120
+    min_points: int = 20
+    voxel_size: float = 0.1
+    max_search_nodes: int = 60000
     match: MatchConfig = field(default_factory=lambda: MatchConfig(iterations=(8, 5, 5)))
-    loose: tuple[float, float] = (0.2, 0.05)
-    floor: tuple[float, float] = (0.02, 0.003)
+    search_deviation: tuple[float, float] = (0.2, 0.05)
+    min_deviation: tuple[float, float] = (0.02, 0.003)
 
     def __post_init__(self) -> None:
-        for name in set(self.__dataclass_fields__) - {"match", "loose", "floor"}:
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"{name} of the constraints must be above 0, got {getattr(self, name)}")
-        if not self.min_score <= self.global_min_score <= 1:
-            raise ConfigError(
-                f"global_min_score must be at least min_score = {self.min_score} and at most 1, "
-                f"got {self.global_min_score}"
-            )
+        names = [name for name in self.__dataclass_fields__ if isinstance(getattr(self, name), float | int)]
+        require_above(self, 0, *names, of="the constraints")
+        require_within(self, f"[{self.min_score}, 1]", "global_min_score", of="the constraints")
 
 
 @dataclass(frozen=True, slots=True)
-class Constraint:
-    """A node's pose as seen from a submap.
+class LoopConstraint:
+    """Pose of a node in the frame of a submap that it was not inserted into.
 
     Attributes:
         submap: index.
         node: index.
         T_submap_node: measured.
         information: (3, 3) its inverse covariance, in the submap's axes.
-        score: mean occupancy at the ends of the beams; 1 where it comes from local SLAM.
+        score: mean occupancy at the ends of the beams.
     """
 
     submap: int
@@ -102,9 +98,31 @@ class Constraint:
     score: float = 1.0
 
 
+class SubmapMatch(NamedTuple):
+    """A scan matched to a submap.
+
+    Attributes:
+        pose: of the base in the submap's local frame.
+        information: (3, 3) inverse covariance of the pose.
+        score: mean occupancy at the ends of the beams; unknown cells count as 0.
+    """
+
+    pose: Pose2
+    information: FloatArray
+    score: float
+
+
 @dataclass
 class SearchCounts:
-    """What the searches came to."""
+    """Outcomes of the searches.
+
+    Attributes:
+        searched: all of them.
+        found: with a match.
+        poor: without a match that fits well enough.
+        given_up: after max_search_nodes.
+        ambiguous: with two matches that fit equally well.
+    """
 
     searched: int = 0
     found: int = 0
@@ -114,100 +132,92 @@ class SearchCounts:
 
 
 class ConstraintBuilder:
-    """Finds scans in submaps.
+    """Search for scans in submaps.
 
     Attributes:
-        counts: what became of the searches.
+        counts: outcomes of the searches.
     """
 
     def __init__(self, config: ConstraintConfig) -> None:
         self.config = config
         self.counts = SearchCounts()
         self._matcher = ScanMatcher(config.match)
-        metres, radians = config.floor
-        self._floor = np.diag((metres**2, metres**2, radians**2))
+        metres, radians = config.min_deviation
+        self._min_covariance = np.diag((metres**2, metres**2, radians**2))
 
-    def search(
-        self, submap: Submap, points: FloatArray, start: Pose2, way: float
-    ) -> tuple[Pose2, FloatArray, float] | None:
-        """Look for a scan in a submap, the wider the longer ago the robot was there.
+    def compute_constraint(
+        self, submap: Submap, points: FloatArray, start: Pose2, travelled: float
+    ) -> SubmapMatch | None:
+        """Match a scan to a submap; the search window grows with the distance travelled.
 
         Args:
             submap: finished.
             points: (n, 2 or more) hits on walls in the levelled base frame, metres.
             start: expected pose of the base in the submap's local frame.
-            way: driven since the robot was last tied to the submap, or will be next, metres.
+            travelled: distance from the nearest node with a constraint to the submap, metres.
 
         Returns:
-            Pose of the base in the submap's local frame, its information there, and the score; None where the
-            scan fits nowhere well.
+            The match; None where the scan fits nowhere well.
         """
         self.counts.searched += 1
-        sparse = spread(points, self.config.spread, self.config.beams)
-        if len(sparse) < self.config.least_beams:
+        sparse = voxel_filter(points, self.config.voxel_size, self.config.max_points)
+        if len(sparse) < self.config.min_points:
             self.counts.poor += 1
             return None
-        match = self._fit(submap, points, sparse, start.as_array(), way)
+        match = self._match_scan(submap, points, sparse, start.as_array(), travelled)
         if match is None:
             return None
         self.counts.found += 1
         x, y, yaw = match.pose.tolist()
-        information = inverted(inverted(match.information + 1e-3 * np.eye(3)) + self._floor)
-        return Pose2(x, y, wrap_angle(yaw)), information, match.score * match.known
+        information = inverted(inverted(match.information + 1e-3 * np.eye(3)) + self._min_covariance)
+        return SubmapMatch(Pose2(x, y, wrap_angle(yaw)), information, match.score * match.known)
 
-    def _fit(
-        self, submap: Submap, points: FloatArray, sparse: FloatArray, start: FloatArray, way: float
+    def _match_scan(
+        self, submap: Submap, points: FloatArray, sparse: FloatArray, start: FloatArray, travelled: float
     ) -> Match | None:
-        """Fit from the expected pose, if that is well known; else from the best pose of a window."""
+        """Match from the expected pose, if that is well known; else from the best pose of a window."""
         c = self.config
-        linear = min(c.linear_search_window, c.linear_start + c.linear_drift * way)
-        angular = min(c.angular_search_window, c.angular_start + c.angular_drift * way)
-        if linear > c.linear_refined:
-            found = self._best(submap, sparse, start, linear, angular)
+        linear = min(c.linear_search_window, c.linear_start + c.linear_drift * travelled)
+        angular = min(c.angular_search_window, c.angular_start + c.angular_drift * travelled)
+        if linear > c.max_refined_window:
+            found = self._search_window(submap, sparse, start, linear, angular)
             if found is None:
                 return None
-            start, linear, angular = found, *c.loose
-        loose = np.diag((linear**-2, linear**-2, angular**-2))
+            start, linear, angular = found, *c.search_deviation
+        information = np.diag((linear**-2, linear**-2, angular**-2))
         match = self._matcher.match(
-            submap.pyramid, points, np.ones(len(points)), start, loose, len(c.match.iterations)
+            submap.pyramid, points, np.ones(len(points)), start, information, len(c.match.iterations)
         )
-        if match.score < c.min_refined_score or match.known < c.min_known:
+        if match.score < c.min_refined_score or match.known < c.min_known_ratio:
             self.counts.poor += 1
             return None
         return match
 
-    def _best(
+    def _search_window(
         self, submap: Submap, points: FloatArray, start: FloatArray, linear: float, angular: float
     ) -> FloatArray | None:
         """Search a window; None where nothing fits or, as along a corridor, two places fit equally well."""
         c = self.config
-        least = c.min_score + (c.global_min_score - c.min_score) * linear / c.linear_search_window
-        found = branch_and_bound(submap.bounds, points, start, linear, angular, least, c.bounded)
-        self.counts.given_up += not found.complete
-        if found.score < 0:
+        min_score = c.min_score + (c.global_min_score - c.min_score) * linear / c.linear_search_window
+        best = branch_and_bound(submap.bounds, points, start, linear, angular, min_score, c.max_search_nodes)
+        self.counts.given_up += not best.complete
+        if best.score < 0:
             self.counts.poor += 1
             return None
-        rival = branch_and_bound(
-            submap.bounds,
-            points,
-            start,
-            linear,
-            angular,
-            c.rival * found.score,
-            c.bounded,
-            found.pose,
-            c.apart,
-        )
-        if rival.score >= 0 or not rival.complete:
+        second = branch_and_bound(
+            submap.bounds, points, start, linear, angular, c.ambiguity_ratio * best.score,
+            c.max_search_nodes, best.pose, c.min_separation,
+        )  # fmt: skip
+        if second.score >= 0 or not second.complete:
             self.counts.ambiguous += 1
             return None
-        return found.pose
+        return best.pose
 
 
-def spread(points: FloatArray, size: float, most: int) -> FloatArray:
-    """Return at most `most` of the points, at first one for each square of the given size."""
+def voxel_filter(points: FloatArray, size: float, max_points: int) -> FloatArray:
+    """Return at most `max_points` of the points, the first one of each square of the given size."""
     cells = np.floor(points[:, :2] / size).astype(np.int64)
     _, first = np.unique(cells[:, 0] * (1 << 20) + cells[:, 1], return_index=True)
     first.sort()
-    stride = max(1, -(-len(first) // most))
+    stride = max(1, -(-len(first) // max_points))
     return np.asarray(points[first[::stride]], dtype=np.float64)

@@ -1,7 +1,7 @@
-"""Which pairs of a node and a submap are tried next: many could be, a few at a time are.
+"""Candidate pairs of a node and a submap for the loop search: many are possible, a few at a time are tried.
 
 New nodes come first, the newest of them at once; pairs of old nodes and a submap that has just been
-finished follow when there is time. Two stretches of the way need only so many ties between them.
+finished follow when there is time. Two submaps need only so many constraints between them.
 """
 
 from __future__ import annotations
@@ -9,21 +9,22 @@ from __future__ import annotations
 from collections import Counter, deque
 from dataclasses import dataclass
 
-from lirs_wct.errors import ConfigError
+from lirs_wct.validation import require_above, require_within
 
-Pair = tuple[int, int]
+Candidate = tuple[int, int]
+"""Index of a node, index of a submap."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class QueueConfig:
-    """How many pairs are tried.
+class CandidateConfig:
+    """Number of candidates that are tried.
 
     Attributes:
         sampling_ratio: share of the nodes that are searched for in the submaps around them.
-        max_constraint_distance: nodes farther than this from a submap's nodes are not searched for, metres.
-        found_per_pair: between the nodes of a submap and another submap, so many loops are enough ...
-        tries_per_pair: ... and after so many searches without that, no more are tried.
-        max_num_candidates: pairs that may wait; beyond that the oldest are dropped, and counted.
+        max_constraint_distance: largest distance of a node from a submap's nodes, metres.
+        found_per_pair: loops after which no more are searched for between two submaps.
+        tries_per_pair: searches after which no more are made between two submaps.
+        max_num_candidates: length of the queue; the oldest candidates beyond it are dropped, and counted.
 
     Raises:
         ConfigError: a value that is not above 0, or a ratio above 1.
@@ -36,60 +37,57 @@ class QueueConfig:
     max_num_candidates: int = 2000
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"{name} of the loop queue must be above 0, got {getattr(self, name)}")
-        if self.sampling_ratio > 1:
-            raise ConfigError(f"sampling_ratio must be within (0, 1], got {self.sampling_ratio}")
+        require_within(self, "(0, 1]", "sampling_ratio", of="the candidates")
+        require_above(self, 0, *self.__dataclass_fields__, of="the candidates")
 
 
-class LoopQueue:
-    """The pairs that wait.
+class CandidateQueue:
+    """Candidates that wait for their search.
 
     Attributes:
-        dropped: pairs that were never tried because too many waited.
+        dropped: candidates that were never tried because too many waited.
     """
 
-    def __init__(self, config: QueueConfig) -> None:
+    def __init__(self, config: CandidateConfig) -> None:
         self.config = config
         self.dropped = 0
-        self._fresh: deque[Pair] = deque()
-        self._backlog: deque[Pair] = deque()
-        self._tried: Counter[Pair] = Counter()
-        self._found: Counter[Pair] = Counter()
-        self._stretch: dict[int, int] = {}
+        self._new_nodes: deque[Candidate] = deque()
+        self._old_nodes: deque[Candidate] = deque()
+        self._tried: Counter[tuple[int, int]] = Counter()
+        self._found: Counter[tuple[int, int]] = Counter()
+        self._home: dict[int, int] = {}
 
     def __len__(self) -> int:
-        return len(self._fresh) + len(self._backlog)
+        return len(self._new_nodes) + len(self._old_nodes)
 
-    def ask(self, node: int, stretch: int, submap: int, *, fresh: bool) -> None:
-        """Put a pair into the queue.
+    def add_candidate(self, node: int, home: int, submap: int, *, new_node: bool) -> None:
+        """Put a candidate into the queue.
 
         Args:
             node: index.
-            stretch: index of the submap that the node belongs to.
-            submap: index.
-            fresh: whether it is the node that is new, and not the submap.
+            home: index of the submap that the node was inserted into.
+            submap: index of the submap in which the node is searched for.
+            new_node: whether the node is new, and not the submap.
         """
-        self._stretch[node] = stretch
-        queue = self._fresh if fresh else self._backlog
+        self._home[node] = home
+        queue = self._new_nodes if new_node else self._old_nodes
         queue.append((node, submap))
         if len(queue) > self.config.max_num_candidates:
             queue.popleft()
             self.dropped += 1
 
-    def next(self) -> Pair | None:
-        """Take the next pair out of the queue; None where no pair is worth a search."""
+    def next_candidate(self) -> Candidate | None:
+        """Take the next candidate out of the queue; None where none is worth a search."""
         c = self.config
-        while self._fresh or self._backlog:
-            node, submap = self._fresh.pop() if self._fresh else self._backlog.popleft()
-            between = self._stretch[node], submap
-            if self._found[between] < c.found_per_pair and self._tried[between] < c.tries_per_pair:
+        while self._new_nodes or self._old_nodes:
+            node, submap = self._new_nodes.pop() if self._new_nodes else self._old_nodes.popleft()
+            pair = self._home[node], submap
+            if self._found[pair] < c.found_per_pair and self._tried[pair] < c.tries_per_pair:
                 return node, submap
         return None
 
-    def note(self, node: int, submap: int, *, found: bool) -> None:
-        """Note what a search came to."""
-        between = self._stretch[node], submap
-        self._tried[between] += 1
-        self._found[between] += found
+    def record_result(self, node: int, submap: int, *, found: bool) -> None:
+        """Count a search and its success."""
+        pair = self._home[node], submap
+        self._tried[pair] += 1
+        self._found[pair] += found

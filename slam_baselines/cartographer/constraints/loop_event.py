@@ -1,4 +1,4 @@
-"""What is told about a loop that was closed."""
+"""A closed loop, for users who want to follow loop closure."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from lirs_wct.geometry.pose import Pose2
 
 @dataclass(frozen=True, slots=True)
 class LoopEvent:
-    """A scan that was found again in an older piece of the map, and believed.
+    """A scan that was matched to an older submap, and accepted.
 
     Attributes:
         stamp: of the scan, seconds.
-        seen: when that piece of the map was begun, seconds.
-        before: `T_map_base` where the map had the scan when the loop was believed.
-        after: `T_map_base` where the loop puts it.
+        seen: stamp of the submap's first scan, seconds.
+        before: `T_map_base` of the scan before the loop was closed.
+        after: `T_map_base` of the scan according to the loop.
         score: mean occupancy at the ends of its beams there, 0 to 1.
     """
 
@@ -27,5 +27,5 @@ class LoopEvent:
 
     @property
     def distance(self) -> float:
-        """How far the loop moves the scan, metres."""
+        """Distance by which the loop moves the scan, metres."""
         return self.before.distance(self.after)
