@@ -1,7 +1,7 @@
-"""A mapper's rehearsal: a short made-up drive that compiles its kernels before the clock starts.
+"""A mapper's warm-up: a short made-up drive that compiles its kernels before the clock starts.
 
-A room is driven around until a known place comes again, leaning a little; then the robot is moved by
-hand, so that the rarely used parts (wider search, loop closure) come on stage too.
+A room is driven around until a known place comes again, tilting a little; then the robot is moved by
+hand, so that the rarely used parts (wider search, loop closure) are compiled too.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ RADIUS, STEP = 2.2, 0.12
 """Of the circle that is driven, and between scans, metres."""
 
 
-def rehearse(name: str, **config: Any) -> None:
-    """Run a mapper through the rehearsal, on a floor and on uneven ground, and forget what it mapped.
+def warm_up(name: str, **config: Any) -> None:
+    """Run a mapper through the warm-up, on a floor and on uneven ground, and forget what it mapped.
 
     Args:
         name: one of MAPPERS.
-        **config: fields of the method's configuration, to make the rehearsal shorter.
+        **config: fields of the method's configuration, to make the warm-up shorter.
 
     Raises:
         ConfigError: no mapper has that name, or its configuration no such field.
@@ -43,9 +43,9 @@ def rehearse(name: str, **config: Any) -> None:
         for k, angle in enumerate(laps):
             pose = _on_circle(angle)
             jump = Pose2(0.4, 0.3, 0.5) if k == len(laps) - 3 else Pose2()
-            lean = 0.03 * math.sin(3 * angle) if uneven else 0.0
+            tilt = 0.03 * math.sin(3 * angle) if uneven else 0.0
             stamp = 0.2 * k
-            imu = Imu(pitch=lean, stamp=stamp) if uneven else None
+            imu = Imu(pitch=tilt, stamp=stamp) if uneven else None
             mapper.update(_scan(pose @ jump, stamp), start.inverse() @ pose, imu)
         mapper.map()
         mapper.trajectory()
@@ -66,8 +66,8 @@ def _scan(T_room_base: Pose2, stamp: float) -> LaserScan:
     across = _cross(direction, edge)
     with np.errstate(divide="ignore", invalid="ignore"):
         distance, along = _cross(a, edge) / across, _cross(a, direction) / across
-    met = (distance > 0) & (along >= 0) & (along <= 1)
-    ranges = np.where(met, distance, np.inf).min(axis=1).astype(np.float32)
+    hit = (distance > 0) & (along >= 0) & (along <= 1)
+    ranges = np.where(hit, distance, np.inf).min(axis=1).astype(np.float32)
     return LaserScan(ranges, -FOV / 2, FOV / (BEAMS - 1), 0.1, RANGE, stamp, MOUNT)
 
 

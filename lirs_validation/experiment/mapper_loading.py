@@ -12,7 +12,7 @@ from typing import Any
 
 from lirs_wct.errors import ConfigError, unknown_name
 from slam_baselines.mapper import MAPPERS, Mapper, make_mapper
-from slam_baselines.warmup import rehearse
+from slam_baselines.warmup import warm_up
 
 RESOLUTION = 0.05
 """Edge of a map's cell that your own mapper is told where it takes it, metres; ours use the same."""
@@ -43,10 +43,10 @@ def mapper_named(name: str, seed: int) -> Mapper:
     return _checked(mapper, name)
 
 
-def rehearse_named(name: str) -> None:
+def warm_up_mapper(name: str) -> None:
     """Compile a mapper's kernels; one of your own is only warmed up by driving."""
     if name in MAPPERS:
-        rehearse(name)
+        warm_up(name)
 
 
 def source_file(name: str) -> Path | None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from lirs_envs.robots.robot import Robot
 from lirs_validation.driving.tour import plan
 from lirs_validation.experiment.loop import drive
-from lirs_validation.experiment.mapper_loading import mapper_named, rehearse_named
+from lirs_validation.experiment.mapper_loading import mapper_named, warm_up_mapper
 from lirs_validation.experiment.scenario import Stage
 
 WARM_UP = 2.0
@@ -29,7 +29,7 @@ def warm_up(stage: Stage, robot: Robot) -> float:
     if kind in _WARM:
         return 0.0
     begun = time.perf_counter()
-    rehearse_named(c.mapper)
+    warm_up_mapper(c.mapper)
     slow = c.rays == "mujoco" and c.terrain == "hfield"
     config = replace(c, seconds=BRIEF if slow else WARM_UP)
     driver = plan(stage.world, robot, config)

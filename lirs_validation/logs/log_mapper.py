@@ -9,11 +9,11 @@ from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.log import CarmenLog
 from slam_baselines.mapper import MAPPERS, Mapper, make_mapper
-from slam_baselines.warmup import rehearse
+from slam_baselines.warmup import warm_up
 
 RESOLUTION = {"hector": "map_resolution", "gmapping": "delta", "cartographer": "map_resolution"}
 """What each mapper calls the edge of its map's cell."""
-REHEARSED = {"gmapping": {"particles": 4}}
+WARM_UP_CONFIG = {"gmapping": {"particles": 4}}
 """Kernels need no more particles than these to be compiled."""
 NEED_ODOMETRY = ("gmapping", "cartographer")
 """Mappers to which the scans of a log alone, a few a second, do not tell how the robot moved."""
@@ -52,7 +52,7 @@ def check_log(config: MapConfig, log: CarmenLog) -> None:
         )
 
 
-def rehearse_log_mapper(config: MapConfig) -> None:
-    """Compile a mapper's kernels; one of your own is not rehearsed."""
+def warm_up_log_mapper(config: MapConfig) -> None:
+    """Compile a mapper's kernels; one of your own is not warmed up."""
     if config.mapper in MAPPERS:
-        rehearse(config.mapper, **REHEARSED.get(config.mapper, {}))
+        warm_up(config.mapper, **WARM_UP_CONFIG.get(config.mapper, {}))

@@ -12,7 +12,7 @@ from pathlib import Path
 from lirs_validation.config import MapConfig
 from lirs_validation.experiment.cost import CostMeter
 from lirs_validation.experiment.mapper_checks import check_pose, final_map, final_stats, final_trajectory
-from lirs_validation.logs.log_mapper import check_log, make_log_mapper, rehearse_log_mapper
+from lirs_validation.logs.log_mapper import check_log, make_log_mapper, warm_up_log_mapper
 from lirs_validation.logs.mapped_log import MappedLog
 from lirs_validation.logs.reference import read_reference
 from lirs_validation.metrics.accuracy import trajectory_accuracy
@@ -87,7 +87,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, report: Report | 
         check_log(config, log)
     tell("compile", 0.0)
     with _timed(seconds, "compile_seconds"):
-        rehearse_log_mapper(config)
+        warm_up_log_mapper(config)
     with _timed(seconds, "map_seconds"):
         drive(config, mapper, log, tell)
         grid, trajectory = final_map(mapper), final_trajectory(mapper)

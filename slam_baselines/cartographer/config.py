@@ -11,7 +11,7 @@ from slam_baselines.cartographer.constraints.verification import LoopVerificatio
 from slam_baselines.cartographer.optimization import OptimizationConfig
 from slam_baselines.cartographer.submap import SubmapConfig
 from slam_baselines.cartographer.trimmer import TrimmingConfig
-from slam_baselines.mapping.ground_filter import ReliefConfig
+from slam_baselines.mapping.ground_filter import GroundFilterConfig
 from slam_baselines.matching.local_matching import LocalMatchingConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
 from slam_baselines.motion.motion_filter import MotionFilterConfig
@@ -62,7 +62,7 @@ class LocalConfig:
         motion_filter: which scans enter them.
         motion: confidence in the odometry.
         matching: how a scan is fitted into a submap.
-        relief: how ground is told from walls.
+        ground_filter: separates hits on ground from hits on walls.
         slip_speed: on uneven ground, a match is not believed that lies farther from where odometry puts the
             robot than this allows in the time since the last scan, m/s and rad/s ...
         slip_deviations: ... and so many standard deviations of that prediction.
@@ -70,24 +70,24 @@ class LocalConfig:
         lost_after: ... and after so many of them in a row the mapper is lost.
 
     Raises:
-        ConfigError: lost_score above the matching's poor_score.
+        ConfigError: lost_score above the matching's search_threshold.
     """
 
     submaps: SubmapConfig = field(default_factory=SubmapConfig)
     motion_filter: MotionFilterConfig = field(default_factory=MotionFilterConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
     matching: LocalMatchingConfig = field(default_factory=LocalMatchingConfig)
-    relief: ReliefConfig = field(default_factory=ReliefConfig)
+    ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
     slip_speed: float = 1.0
     slip_deviations: float = 4.0
     lost_score: float = 0.2
     lost_after: int = 10
 
     def __post_init__(self) -> None:
-        if not 0 < self.lost_score <= self.matching.poor_score:
+        if not 0 < self.lost_score <= self.matching.search_threshold:
             raise ConfigError(
-                f"lost_score must be above 0 and at most poor_score = {self.matching.poor_score}, "
-                f"got {self.lost_score}"
+                "lost_score must be above 0 and at most "
+                f"search_threshold = {self.matching.search_threshold}, got {self.lost_score}"
             )
 
 
@@ -99,10 +99,10 @@ class LocalisationConfig:
         min_score: mean occupancy at the ends of the beams that a place found in the whole map needs.
         rival: it is not believed if another place has this share of its score ...
         apart: ... at least so far from it, metres.
-        every: while the place is unknown it is searched for after so much way, metres ...
+        every: while the place is unknown it is searched for after so much distance, metres ...
         seconds: ... or so much time.
         beams: at most so many beams are used to search, evenly spread in space ...
-        least_beams: ... and fewer than this say nothing.
+        min_beams: ... and fewer than this say nothing.
         bounded: a search is given up after so many nodes of its tree.
         lost_score: mean occupancy at the ends of the beams below which a scan does not fit ...
         lost_after: ... and after so many of them in a row the place is unknown.
@@ -118,7 +118,7 @@ class LocalisationConfig:
     every: float = 1.0
     seconds: float = 5.0
     beams: int = 150
-    least_beams: int = 30
+    min_beams: int = 30
     bounded: int = 1 << 20
     lost_score: float = 0.2
     lost_after: int = 10

@@ -16,7 +16,7 @@ from slam_baselines.cartographer.constraints.candidates import CandidateQueue
 from slam_baselines.cartographer.constraints.loop_event import LoopEvent
 from slam_baselines.cartographer.constraints.verification import LoopVerification
 from slam_baselines.cartographer.local_slam import LocalSlam
-from slam_baselines.cartographer.node import NOWHERE, Node, compounded
+from slam_baselines.cartographer.node import NOWHERE, Node, composed
 from slam_baselines.cartographer.optimization import (
     OptimizationProblem,
     PoseConstraint,
@@ -85,7 +85,7 @@ class GlobalSlam:
             z = (submaps[i].pose.inverse() @ node.pose).as_array()
             in_submap = in_axes_of(submaps[i].pose, information)
             self._to_nodes.append(PoseConstraint(i, index, z, in_submap, robust=False))
-        self._since_submap = compounded(self._since_submap, node.odometry)
+        self._since_submap = composed(self._since_submap, node.odometry)
         if node.submaps and submaps[node.submaps[-1]].nodes[0] == index:
             self._add_odometry_constraint(node.submaps[-1])
         self._add_candidates(index, node)
@@ -151,8 +151,8 @@ class GlobalSlam:
         node, submap = self.nodes[index], self._local.submaps.all[submap_index]
         if node.bare or submap_index not in self._finished:
             return
-        submap.revalue(self._local.relief.match_bound)
-        walls = self._local.walls(node.scan, node.pose, node.height, node.steep) > 0
+        submap.revalue(self._local.ground_filter.match_wall_slope)
+        walls = self._local.walls(node.scan, node.pose, node.height, node.min_slopes) > 0
         expected = submap.pose @ self.submap_poses[submap_index].inverse() @ self.poses[index]
         match = self.builder.compute_constraint(
             submap, node.scan.hits[walls], expected, self._travelled_between(node, submap_index)
@@ -163,7 +163,9 @@ class GlobalSlam:
         T_submap_node = submap.pose.inverse() @ match.pose
         information = in_axes_of(submap.pose, match.information)
         loop = LoopConstraint(submap_index, index, T_submap_node, information, match.score)
-        for accepted in self._verification.verify_loop(loop, node.way, self.submap_poses, self.poses):
+        for accepted in self._verification.verify_loop(
+            loop, node.distance_traveled, self.submap_poses, self.poses
+        ):
             z = accepted.T_submap_node.as_array()
             self._to_nodes.append(
                 PoseConstraint(accepted.submap, accepted.node, z, accepted.information, robust=True)
@@ -174,8 +176,8 @@ class GlobalSlam:
     def _travelled_between(self, node: Node, submap: int) -> float:
         """Return the distance travelled between a node and the nearest one with a constraint to a submap."""
         members = self._local.submaps.all[submap].nodes
-        known = self._constrained_at.setdefault(submap, [self.nodes[i].way for i in members])
-        return min(abs(node.way - travelled) for travelled in known)
+        known = self._constrained_at.setdefault(submap, [self.nodes[i].distance_traveled for i in members])
+        return min(abs(node.distance_traveled - distance_traveled) for distance_traveled in known)
 
     def _loop_event(self, loop: LoopConstraint) -> LoopEvent:
         first = self._local.submaps.all[loop.submap].nodes[0]
@@ -217,7 +219,7 @@ class GlobalSlam:
         loops = self._optimized_at[1]
         self._optimized_at = len(solution.nodes), self._loops_at_start
         for loop in self.loops[loops : self._loops_at_start]:
-            self._constrained_at[loop.submap].append(self.nodes[loop.node].way)
+            self._constrained_at[loop.submap].append(self.nodes[loop.node].distance_traveled)
         poses = [Pose2(*p) for p in solution.nodes.tolist()]
         self.T_map_local = poses[-1] @ self.nodes[len(poses) - 1].pose.inverse()
         self.poses = poses + [self.T_map_local @ node.pose for node in self.nodes[len(poses) :]]

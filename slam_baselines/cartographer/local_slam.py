@@ -15,14 +15,14 @@ from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu, LaserScan
 from slam_baselines.cartographer.config import LocalConfig
-from slam_baselines.cartographer.node import NOWHERE, Node, compounded
+from slam_baselines.cartographer.node import NOWHERE, Node, composed
 from slam_baselines.cartographer.submap import Submaps
-from slam_baselines.mapping.ground_filter import Relief
+from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.matching.gauss_newton import Match
 from slam_baselines.matching.local_matching import LocalMatcher
-from slam_baselines.motion.dead_reckoning import DeadReckoning, Estimate
+from slam_baselines.motion.dead_reckoning import DeadReckoning, PoseEstimate
 from slam_baselines.motion.motion_filter import MotionFilter
-from slam_baselines.scan.leveling import LevelledScan, ScanLeveller
+from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
 
 
 class LocalSlam:
@@ -30,7 +30,7 @@ class LocalSlam:
 
     Attributes:
         submaps: all of them.
-        relief: of the ground, in the local frame.
+        ground_filter: in the local frame.
         matcher: with the count of its searches.
         estimate: `T_local_base`.
         received: scans so far.
@@ -40,20 +40,20 @@ class LocalSlam:
     """
 
     def __init__(self, config: LocalConfig, clear_range: float, max_range: float) -> None:
-        """Use what ScanLeveller takes of ranges, metres."""
+        """Use what ScanLeveler takes of ranges, metres."""
         self.config = config
         self.submaps = Submaps(config.submaps)
-        self.relief = Relief(config.relief)
+        self.ground_filter = GroundFilter(config.ground_filter)
         self.matcher = LocalMatcher(config.matching)
-        self.estimate = Estimate(Pose2(), np.zeros((3, 3)))
+        self.estimate = PoseEstimate(Pose2(), np.zeros((3, 3)))
         self.received = self.matched = self.lost_scans = self.implausible = self.nodes = 0
         self._stamp = -math.inf
-        self._leveller = ScanLeveller(clear_range, max_range)
+        self._leveler = ScanLeveler(clear_range, max_range)
         self._reckoning = DeadReckoning(config.motion)
         self._since_node = DeadReckoning(config.motion)
-        self._step = NOWHERE
+        self._increment = NOWHERE
         self._poor_in_a_row = 0
-        self._way = 0.0
+        self._distance_traveled = 0.0
         self._filter = MotionFilter(config.motion_filter)
 
     @property
@@ -63,53 +63,56 @@ class LocalSlam:
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Node | None:
         """Match a scan and move the estimate; return the node where it entered the submaps."""
-        level = self._leveller.level(scan, imu)
+        level = self._leveler.level(scan, imu)
         before = self.estimate.pose
         expected = self._reckoning.predict(self.estimate, odometry, imu, scan.stamp)
-        self._step = self._since_node.predict(self._step, odometry, imu, scan.stamp)
+        self._increment = self._since_node.predict(self._increment, odometry, imu, scan.stamp)
         seconds, self._stamp = scan.stamp - self._stamp, scan.stamp
         fits = self._count(self._match(level, expected, seconds))
-        self._way += before.distance(self.estimate.pose)
-        if level.levelled:
-            self.relief.move(before.inverse() @ self.estimate.pose, level)
+        self._distance_traveled += before.distance(self.estimate.pose)
+        if level.leveled:
+            self.ground_filter.move(before.inverse() @ self.estimate.pose, level)
         due = fits and self._filter.due(level, self.estimate.pose)
         return self._enter(level) if due else None
 
-    def walls(self, scan: LevelledScan, pose: Pose2, height: float, steep: ByteArray | None) -> FloatArray:
+    def walls(
+        self, scan: LeveledScan, pose: Pose2, height: float, min_slopes: ByteArray | None
+    ) -> FloatArray:
         """Return (n,) 1 for hits on what is known by now to be a wall, 0 for those that may be ground.
 
         Args:
-            scan: levelled.
+            scan: leveled.
             pose: `T_local_base`.
             height: of the base in the local frame, metres.
-            steep: (n,) what was proven before, if anything.
+            min_slopes: (n,) known before, SLOPE_STEP; None: as the front submap knows them.
         """
-        bound = self.relief.match_bound
-        if bound == 0:
+        wall_slope = self.ground_filter.match_wall_slope
+        if wall_slope == 0:
             return np.ones(len(scan.hits))
-        origin, hits, _ = scan.placed(pose, height)
-        proven = self.relief.steepness(origin, hits, pose)
-        known = self.submaps.front.steepness(hits) if steep is None else steep
-        return (np.maximum(proven, known) >= bound).astype(np.float64)
+        origin, hits, _ = scan.transformed(pose, height)
+        known = self.submaps.front.min_slope(hits) if min_slopes is None else min_slopes
+        return (np.maximum(self.ground_filter.min_slope(origin, hits, pose), known) >= wall_slope).astype(
+            np.float64
+        )
 
-    def _match(self, scan: LevelledScan, expected: Estimate, seconds: float) -> Match | None:
+    def _match(self, scan: LeveledScan, expected: PoseEstimate, seconds: float) -> Match | None:
         """Move the estimate to where the scan fits; to the expected one, if there is nothing to fit."""
         before, self.estimate = self.estimate.pose, expected
         self.received += 1
         if len(scan.hits) == 0 or not self.submaps.all:
             return None
-        weights = self.walls(scan, expected.pose, self.relief.height, None)
+        weights = self.walls(scan, expected.pose, self.ground_filter.height, None)
         front = self.submaps.front
-        front.revalue(self.relief.match_bound)
+        front.revalue(self.ground_filter.match_wall_slope)
         fitted, match = self.matcher.fit(front.pyramid, scan.hits, weights, expected, before)
-        if self.relief.match_bound > 0 and not self._plausible(expected, fitted.pose, seconds):
+        if self.ground_filter.match_wall_slope > 0 and not self._plausible(expected, fitted.pose, seconds):
             self.implausible += 1
             return None
         self.estimate = fitted
         self.matched += match is not None
         return match
 
-    def _plausible(self, expected: Estimate, pose: Pose2, seconds: float) -> bool:
+    def _plausible(self, expected: PoseEstimate, pose: Pose2, seconds: float) -> bool:
         """Return whether the robot can be at `pose`, by odometry and what wheels may slip.
 
         Asked on uneven ground only: a hill taken for a wall pulls a scan away at once, and no wheel does.
@@ -124,27 +127,33 @@ class LocalSlam:
 
     def _count(self, match: Match | None) -> bool:
         """Keep count of poor matches; return whether the scan may enter the submaps."""
-        known = self.config.matching.known_share
+        known = self.config.matching.known_ratio
         fits = match is None or match.known < known or match.score >= self.config.lost_score
         self._poor_in_a_row = 0 if fits else self._poor_in_a_row + 1
         self.lost_scans += self.lost
         return fits
 
-    def _enter(self, scan: LevelledScan) -> Node:
+    def _enter(self, scan: LeveledScan) -> Node:
         """Draw the scan into the submaps."""
-        pose, height, relief = self.estimate.pose, self.relief.height, self.relief
-        origin, hits, free = scan.placed(pose, height)
-        steep = relief.observe(origin, hits, free, pose) if scan.levelled else relief.unproven(len(hits))
-        entered = self.submaps.insert(self.nodes, pose, origin, hits, free, steep, relief.match_bound)
-        step, self._step = self._step, NOWHERE
+        pose, height, ground_filter = self.estimate.pose, self.ground_filter.height, self.ground_filter
+        origin, hits, free = scan.transformed(pose, height)
+        min_slopes = (
+            ground_filter.observe(origin, hits, free, pose)
+            if scan.leveled
+            else ground_filter.no_min_slope(len(hits))
+        )
+        entered = self.submaps.insert(
+            self.nodes, pose, origin, hits, free, min_slopes, ground_filter.match_wall_slope
+        )
+        step, self._increment = self._increment, NOWHERE
         self.nodes += 1
         self._filter.note(scan, pose)
         return Node(
-            scan, pose, self.estimate.covariance, height, steep, entered, step, relief.travelled, relief.tilt,
-            self._way,
+            scan, pose, self.estimate.covariance, height, min_slopes, entered, step,
+            ground_filter.distance_traveled, ground_filter.tilt, self._distance_traveled,
         )  # fmt: skip
 
-    def look_again(self, nodes: Sequence[Node]) -> list[Node]:
+    def refine(self, nodes: Sequence[Node]) -> list[Node]:
         """Draw the submaps again from the start with what is known by now about ground and walls.
 
         On uneven ground nothing is known to be a wall at first: the robot begins on odometry alone, and the
@@ -161,44 +170,54 @@ class LocalSlam:
         self.submaps = Submaps(self.config.submaps)
         again: list[Node] = []
         for node, estimate in zip(nodes, found, strict=True):
-            origin, hits, free = node.scan.placed(estimate.pose, node.height)
-            steep = np.maximum(node.steep, self.relief.steepness(origin, hits, estimate.pose))
+            origin, hits, free = node.scan.transformed(estimate.pose, node.height)
+            min_slopes = np.maximum(
+                node.min_slopes, self.ground_filter.min_slope(origin, hits, estimate.pose)
+            )
             entered = self.submaps.insert(
-                len(again), estimate.pose, origin, hits, free, steep, self.relief.match_bound
+                len(again), estimate.pose, origin, hits, free, min_slopes, self.ground_filter.match_wall_slope
             )
             again.append(
                 replace(
-                    node, pose=estimate.pose, covariance=estimate.covariance, steep=steep, submaps=entered
+                    node,
+                    pose=estimate.pose,
+                    covariance=estimate.covariance,
+                    min_slopes=min_slopes,
+                    submaps=entered,
                 )
             )
         T_new_old = estimate.pose @ nodes[-1].pose.inverse()
-        self.estimate = Estimate(T_new_old @ self.estimate.pose, self.estimate.covariance)
+        self.estimate = PoseEstimate(T_new_old @ self.estimate.pose, self.estimate.covariance)
         self._filter.moved(estimate.pose)
         return again
 
-    def _backwards(self, nodes: Sequence[Node]) -> list[Estimate]:
+    def _backwards(self, nodes: Sequence[Node]) -> list[PoseEstimate]:
         """Match the nodes from the last to the first; return where they are, the first where it was."""
         self.submaps = Submaps(replace(self.config.submaps, num_range_data=len(nodes) + 1))
-        found: list[Estimate] = []
-        estimate = Estimate(nodes[-1].pose, np.zeros((3, 3)))
+        found: list[PoseEstimate] = []
+        estimate = PoseEstimate(nodes[-1].pose, np.zeros((3, 3)))
         for i in range(len(nodes) - 1, -1, -1):
             node = nodes[i]
             if found:
                 step = nodes[i + 1].odometry
-                estimate = self._again(
-                    node, compounded(estimate, Estimate(step.pose.inverse(), step.covariance))
+                estimate = self._refit(
+                    node, composed(estimate, PoseEstimate(step.pose.inverse(), step.covariance))
                 )
             found.append(estimate)
-            origin, hits, free = node.scan.placed(estimate.pose, node.height)
-            steep = np.maximum(node.steep, self.relief.steepness(origin, hits, estimate.pose))
-            self.submaps.insert(i, estimate.pose, origin, hits, free, steep, self.relief.match_bound)
+            origin, hits, free = node.scan.transformed(estimate.pose, node.height)
+            min_slopes = np.maximum(
+                node.min_slopes, self.ground_filter.min_slope(origin, hits, estimate.pose)
+            )
+            self.submaps.insert(
+                i, estimate.pose, origin, hits, free, min_slopes, self.ground_filter.match_wall_slope
+            )
         found.reverse()
         move = nodes[0].pose @ found[0].pose.inverse()
-        return [Estimate(move @ e.pose, e.covariance) for e in found]
+        return [PoseEstimate(move @ e.pose, e.covariance) for e in found]
 
-    def _again(self, node: Node, expected: Estimate) -> Estimate:
+    def _refit(self, node: Node, expected: PoseEstimate) -> PoseEstimate:
         weights = self.walls(node.scan, expected.pose, node.height, None)
         front = self.submaps.front
-        front.revalue(self.relief.match_bound)
+        front.revalue(self.ground_filter.match_wall_slope)
         fitted, _ = self.matcher.fit(front.pyramid, node.scan.hits, weights, expected, expected.pose)
         return fitted

@@ -25,8 +25,8 @@ from slam_baselines.mapper import MapperStats, Stopwatch
 from slam_baselines.matching.branch_and_bound import branch_and_bound
 from slam_baselines.matching.gauss_newton import Match, ScanMatcher
 from slam_baselines.matching.local_matching import LocalMatcher, LocalMatchingConfig
-from slam_baselines.motion.dead_reckoning import DeadReckoning, Estimate, MotionConfig
-from slam_baselines.scan.leveling import LevelledScan, ScanLeveller
+from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, PoseEstimate
+from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
 
 
 @dataclass
@@ -62,20 +62,20 @@ class Localiser:
         config: LocalisationConfig,
         matching: LocalMatchingConfig,
         motion: MotionConfig,
-        leveller: ScanLeveller,
+        leveler: ScanLeveler,
     ) -> None:
         """Begin at `start` (`T_map_base`); None: anywhere in the map."""
         self.config = config
         self._known = known
         self._matcher, self._refiner = LocalMatcher(matching), ScanMatcher(matching.match)
         self._reckoning = DeadReckoning(motion)
-        self._leveller = leveller
+        self._leveler = leveler
         metres, radians = config.start
         self._loose = np.diag((metres**2, metres**2, radians**2))
         self._located = self._anchored = start is not None
-        self._estimate = Estimate(start or Pose2(), self._loose)
+        self._estimate = PoseEstimate(start or Pose2(), self._loose)
         self._searched: tuple[float, float] | None = None
-        self._way = 0.0
+        self._distance_traveled = 0.0
         self._track, self._counts, self._stopwatch = _Track(), _Counts(), Stopwatch()
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
@@ -85,14 +85,14 @@ class Localiser:
         """
         started, counts = self._stopwatch.start(), self._counts
         counts.received += 1
-        level = self._leveller.level(scan, imu)
+        level = self._leveler.level(scan, imu)
         before = self._estimate.pose
         self._estimate = self._reckoning.predict(self._estimate, odometry, imu, scan.stamp)
         if not self._located and self._search_due(scan.stamp):
             self._search(level)
         if self._located:
             self._fit(level, before)
-        self._way += before.distance(self._estimate.pose)
+        self._distance_traveled += before.distance(self._estimate.pose)
         self._track.scans[scan.stamp] = self._estimate.pose
         counts.lost += self.lost
         self._stopwatch.stop(started)
@@ -130,14 +130,14 @@ class Localiser:
             **self._stopwatch.summary(),
         )
 
-    def _fit(self, scan: LevelledScan, before: Pose2) -> None:
+    def _fit(self, scan: LeveledScan, before: Pose2) -> None:
         weights = np.ones(len(scan.hits))
         self._estimate, match = self._matcher.fit(
             self._known.pyramid, scan.hits, weights, self._estimate, before
         )
         counts, c = self._counts, self.config
         counts.matched += match is not None
-        known = match is not None and match.known >= self._matcher.config.known_share
+        known = match is not None and match.known >= self._matcher.config.known_ratio
         poor = match is not None and known and match.score < c.lost_score
         counts.poor_in_a_row = counts.poor_in_a_row + 1 if poor else 0
         if counts.poor_in_a_row >= c.lost_after:
@@ -146,16 +146,16 @@ class Localiser:
     def _search_due(self, stamp: float) -> bool:
         """Whether there is something new to search with since the last search."""
         c, last = self.config, self._searched
-        return last is None or self._way - last[0] >= c.every or stamp - last[1] >= c.seconds
+        return last is None or self._distance_traveled - last[0] >= c.every or stamp - last[1] >= c.seconds
 
-    def _search(self, scan: LevelledScan) -> None:
+    def _search(self, scan: LeveledScan) -> None:
         """Search the whole map; take over the place found if it is the only one."""
         c, known = self.config, self._known
         sparse = voxel_filter(scan.hits, known.bounds.resolution, c.beams)
-        if len(sparse) < c.least_beams:
+        if len(sparse) < c.min_beams:
             return
         self._counts.searches += 1
-        self._searched = self._way, scan.stamp
+        self._searched = self._distance_traveled, scan.stamp
         start, window = np.array((*known.centre, 0.0)), (known.reach, math.pi)
         found = branch_and_bound(known.bounds, sparse, start, *window, c.min_score, c.bounded)
         if found.score < 0:
@@ -170,7 +170,7 @@ class Localiser:
             return
         self._locate(Pose2(*best.pose.tolist()))
 
-    def _refined(self, scan: LevelledScan, pose: FloatArray) -> Match:
+    def _refined(self, scan: LeveledScan, pose: FloatArray) -> Match:
         """Return where the scan fits on the finest level near a pose of the search."""
         weights, loose = np.ones(len(scan.hits)), inverted(self._loose)
         return self._refiner.match(self._known.pyramid, scan.hits, weights, pose, loose, 3)
@@ -179,4 +179,4 @@ class Localiser:
         if not self._anchored:
             self._track.anchor(pose @ self._estimate.pose.inverse())
             self._anchored = True
-        self._estimate, self._located = Estimate(pose, self._loose), True
+        self._estimate, self._located = PoseEstimate(pose, self._loose), True

@@ -1,4 +1,4 @@
-"""Cartographer's way: local SLAM on submaps, loops by branch and bound, a sparse pose graph.
+"""Cartographer: local SLAM on submaps, loops by branch and bound, a sparse pose graph.
 
 Hess, Kohler, Rapp, Andor 2016, "Real-time loop closure in 2D LIDAR SLAM", written from the paper.
 Beyond it: the odometry is a prior of the matching, and ground is told from walls.
@@ -25,7 +25,7 @@ from slam_baselines.cartographer.node_map import NodeMap
 from slam_baselines.cartographer.node_trajectory import NodeTrajectory
 from slam_baselines.mapper import Mapper, MapperStats, Stopwatch
 from slam_baselines.mapping.occupancy_map import UpdateConfig
-from slam_baselines.scan.leveling import ScanLeveller
+from slam_baselines.scan.leveling import ScanLeveler
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +37,7 @@ class CartographerConfig:
         graph: loops and optimisation.
         map_resolution: edge of a cell of the final map, metres.
         update: how a scan changes the final map.
-        first_look: on uneven ground, submaps are drawn again after so much way, metres, and when it has
+        first_refinement: on uneven ground, submaps are drawn again after so many metres, and when they have
             doubled, until the first one is finished.
         max_range: hits farther away are not used, metres.
         clear_range: a beam without return is believed to be free up to here, metres.
@@ -53,7 +53,7 @@ class CartographerConfig:
     graph: GlobalConfig = field(default_factory=GlobalConfig)
     map_resolution: float = 0.05
     update: UpdateConfig = field(default_factory=UpdateConfig)
-    first_look: float = 2.0
+    first_refinement: float = 2.0
     max_range: float = math.inf
     clear_range: float = 0.0
     map: OccupancyGrid | str | Path | None = None
@@ -77,8 +77,8 @@ def make_cartographer(config: CartographerConfig) -> Mapper:
     c = config
     if c.map is None:
         return CartographerMapper(c)
-    leveller = ScanLeveller(c.clear_range, c.max_range)
-    return Localiser(KnownMap.of(c.map), c.start, c.localisation, c.local.matching, c.local.motion, leveller)
+    leveler = ScanLeveler(c.clear_range, c.max_range)
+    return Localiser(KnownMap.of(c.map), c.start, c.localisation, c.local.matching, c.local.motion, leveler)
 
 
 class CartographerMapper:
@@ -88,10 +88,10 @@ class CartographerMapper:
         self.config = c = config or CartographerConfig()
         self._local = LocalSlam(c.local, c.clear_range, c.max_range)
         self._graph = GlobalSlam(c.graph, self._local)
-        self._map = NodeMap(c.map_resolution, c.update, c.local.relief)
+        self._map = NodeMap(c.map_resolution, c.update, c.local.ground_filter)
         self._scans = NodeTrajectory()
-        self._look_again_at = c.first_look
-        self._looks = 0
+        self._refine_at = c.first_refinement
+        self._refinements = 0
         self._stopwatch = Stopwatch()
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
@@ -108,23 +108,23 @@ class CartographerMapper:
         node = self._local.update(scan, odometry, imu)
         if node is not None:
             self._graph.add_node(node)
-            if self._look_again_at <= node.way:
-                self._look_again()
+            if self._refine_at <= node.distance_traveled:
+                self._refine_start()
         nodes = self._graph.nodes
         self._scans.add(scan.stamp, self._local.estimate.pose, len(nodes), nodes[-1].pose if nodes else None)
         self._graph.run_work_share()
         self._stopwatch.stop(started)
         return self._graph.T_map_local @ self._local.estimate.pose
 
-    def _look_again(self) -> None:
+    def _refine_start(self) -> None:
         """Begin again with what is known by now about the ground, as long as no submap is finished."""
-        self._look_again_at *= 2
+        self._refine_at *= 2
         local = self._local
-        if local.relief.match_bound == 0 or local.submaps.all[0].finished:
-            self._look_again_at = math.inf
+        if local.ground_filter.match_wall_slope == 0 or local.submaps.all[0].finished:
+            self._refine_at = math.inf
             return
-        self._looks += 1
-        nodes = local.look_again(self._graph.nodes)
+        self._refinements += 1
+        nodes = local.refine(self._graph.nodes)
         self._graph = GlobalSlam(self.config.graph, local)
         for node in nodes:
             self._graph.add_node(node)
@@ -160,7 +160,7 @@ class CartographerMapper:
             lost=local.lost_scans,
             memory=sum(submap.nbytes for submap in local.submaps.all)
             + sum(node.nbytes for node in graph.nodes)
-            + local.relief.grid.nbytes,
+            + local.ground_filter.grid.nbytes,
             counts={
                 "nodes": len(graph.nodes),
                 "submaps": len(local.submaps.all),
@@ -172,7 +172,7 @@ class CartographerMapper:
                 "loop_searches_waiting": len(graph.candidates),
                 "loop_searches_dropped": graph.candidates.dropped,
                 "optimizations": graph.optimizations,
-                "second_looks": self._looks,
+                "second_looks": self._refinements,
                 "searches": local.matcher.searches,
                 "matches_implausible": local.implausible,
             },

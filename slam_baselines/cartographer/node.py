@@ -9,10 +9,10 @@ import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.geometry.pose import Pose2
-from slam_baselines.motion.dead_reckoning import Estimate
-from slam_baselines.scan.leveling import LevelledScan
+from slam_baselines.motion.dead_reckoning import PoseEstimate
+from slam_baselines.scan.leveling import LeveledScan
 
-NOWHERE = Estimate(Pose2(), np.zeros((3, 3)))
+NOWHERE = PoseEstimate(Pose2(), np.zeros((3, 3)))
 """Dead reckoning that has just begun."""
 
 
@@ -21,28 +21,28 @@ class Node:
     """A scan that entered submaps.
 
     Attributes:
-        scan: levelled.
+        scan: leveled.
         pose: `T_local_base`.
         covariance: (3, 3) of x, y, yaw in the local frame, given the submap in front.
         height: of the base in the local frame, metres.
-        steep: (n,) rise over run of its hits as proven when it entered, STEEP_STEP.
+        min_slopes: (n,) minimum slopes of its hits as known when it entered, SLOPE_STEP.
         submaps: indices of the submaps that it entered.
         odometry: its pose in the frame of the node before, by dead reckoning.
-        travelled: way driven until then, as the relief counts it, metres.
-        way: the same, with and without attitude.
-        tilt: the most that the robot had leaned until then, radians.
+        leveled_distance: traveled with known attitude until then, as the ground filter counts it, metres.
+        distance_traveled: until then, metres.
+        tilt: largest of the robot until then, radians.
     """
 
-    scan: LevelledScan
+    scan: LeveledScan
     pose: Pose2
     covariance: FloatArray
     height: float
-    steep: ByteArray
+    min_slopes: ByteArray
     submaps: range
-    odometry: Estimate
-    travelled: float
+    odometry: PoseEstimate
+    leveled_distance: float
     tilt: float
-    way: float
+    distance_traveled: float
 
     @property
     def bare(self) -> bool:
@@ -53,19 +53,19 @@ class Node:
         """Return the node without its scan's points."""
         nothing = np.empty((0, 3))
         scan = replace(self.scan, hits=nothing, free=nothing)
-        return replace(self, scan=scan, steep=np.empty(0, np.uint8))
+        return replace(self, scan=scan, min_slopes=np.empty(0, np.uint8))
 
     @property
     def nbytes(self) -> int:
         """Memory of the scan."""
-        return self.scan.hits.nbytes + self.scan.free.nbytes + self.steep.nbytes
+        return self.scan.hits.nbytes + self.scan.free.nbytes + self.min_slopes.nbytes
 
 
-def compounded(first: Estimate, then: Estimate) -> Estimate:
+def composed(first: PoseEstimate, then: PoseEstimate) -> PoseEstimate:
     """Return `first @ then`; the errors of the two are independent."""
     pose = first.pose @ then.pose
     c, s = math.cos(first.pose.yaw), math.sin(first.pose.yaw)
     R = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
     G = np.eye(3)
     G[0, 2], G[1, 2] = first.pose.y - pose.y, pose.x - first.pose.x
-    return Estimate(pose, G @ first.covariance @ G.T + R @ then.covariance @ R.T)
+    return PoseEstimate(pose, G @ first.covariance @ G.T + R @ then.covariance @ R.T)

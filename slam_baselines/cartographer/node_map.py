@@ -8,17 +8,17 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.cartographer.node import Node
 from slam_baselines.cartographer.submap import bounding_box
-from slam_baselines.mapping.ground_filter import Relief, ReliefConfig
+from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
 from slam_baselines.mapping.occupancy_map import OccupancyMap, UpdateConfig
 
 
 class NodeMap:
     """Draws nodes; keeps what it has drawn as long as the nodes stay where they were."""
 
-    def __init__(self, resolution: float, update: UpdateConfig, relief: ReliefConfig) -> None:
+    def __init__(self, resolution: float, update: UpdateConfig, ground_filter: GroundFilterConfig) -> None:
         self._resolution = resolution
         self._update = update
-        self._relief_config = relief
+        self._ground_filter_config = ground_filter
         self._drawn: list[tuple[Pose2, bool]] = []
         self._restart()
 
@@ -31,16 +31,26 @@ class NodeMap:
             if not bare:
                 self._enter(node, pose)
             self._drawn.append((pose, bare))
-        return self._map.occupancy_grid(self._relief.bound)
+        return self._map.occupancy_grid(self._ground_filter.wall_slope)
 
     def _restart(self) -> None:
         self._map = OccupancyMap(self._resolution, self._update)
-        self._relief = Relief(self._relief_config)
+        self._ground_filter = GroundFilter(self._ground_filter_config)
         self._drawn.clear()
 
     def _enter(self, node: Node, pose: Pose2) -> None:
-        relief = self._relief
-        relief.height, relief.travelled, relief.tilt = node.height, node.travelled, node.tilt
-        origin, hits, free = node.scan.placed(pose, node.height)
-        steep = relief.observe(origin, hits, free, pose) if node.scan.levelled else relief.unproven(len(hits))
-        self._map.update(origin, hits, free, steep, relief.match_bound, bounding_box(origin, hits, free))
+        ground_filter = self._ground_filter
+        ground_filter.height, ground_filter.distance_traveled, ground_filter.tilt = (
+            node.height,
+            node.leveled_distance,
+            node.tilt,
+        )
+        origin, hits, free = node.scan.transformed(pose, node.height)
+        min_slopes = (
+            ground_filter.observe(origin, hits, free, pose)
+            if node.scan.leveled
+            else ground_filter.no_min_slope(len(hits))
+        )
+        self._map.update(
+            origin, hits, free, min_slopes, ground_filter.match_wall_slope, bounding_box(origin, hits, free)
+        )

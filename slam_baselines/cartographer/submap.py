@@ -67,7 +67,7 @@ class Submap:
         self.nodes: list[int] = []
         self.finished = False
         self._config = config
-        self._bound = 0
+        self._wall_slope = 0
         self._bounds: BoundGrids | None = None
         sizes = [config.resolution * 2**level for level in range(config.levels)]
         self.pyramid = MapPyramid(tuple(OccupancyMap(size, config.update) for size in sizes))
@@ -85,27 +85,33 @@ class Submap:
         return np.asarray((cells + 0.5) * grid.resolution, dtype=np.float64)
 
     def insert(
-        self, node: int, origin: FloatArray, hits: FloatArray, free: FloatArray, steep: ByteArray, bound: int
+        self,
+        node: int,
+        origin: FloatArray,
+        hits: FloatArray,
+        free: FloatArray,
+        min_slopes: ByteArray,
+        wall_slope: int,
     ) -> None:
         """Draw a scan, given in the local frame (see OccupancyMap.update)."""
-        self.revalue(bound)
+        self.revalue(wall_slope)
         self.nodes.append(node)
         box = bounding_box(origin, hits, free)
-        grew = [level.update(origin, hits, free, steep, bound, box) for level in self.pyramid.maps]
+        grew = [level.update(origin, hits, free, min_slopes, wall_slope, box) for level in self.pyramid.maps]
         if any(grew):
             self.pyramid.refresh()
 
-    def revalue(self, bound: int) -> None:
-        """Let matchers see as walls only what is proven to be steeper than `bound`."""
-        if bound == self._bound:
+    def revalue(self, wall_slope: int) -> None:
+        """Let matchers see as walls only what has a minimum slope of `wall_slope`."""
+        if wall_slope == self._wall_slope:
             return
-        self._bound, self._bounds = bound, None
+        self._wall_slope, self._bounds = wall_slope, None
         for level in self.pyramid.maps:
-            level.revalue(bound)
+            level.revalue(wall_slope)
 
-    def steepness(self, points: FloatArray) -> ByteArray:
-        """Return (n,) what is proven of the cells under points (n, 2 or more) of the local frame."""
-        return self.pyramid.maps[-1].steepness(points)
+    def min_slope(self, points: FloatArray) -> ByteArray:
+        """Return (n,) the minimum slopes of the cells under points (n, 2 or more) of the local frame."""
+        return self.pyramid.maps[-1].min_slope(points)
 
     @property
     def bounds(self) -> BoundGrids:
@@ -151,14 +157,14 @@ class Submaps:
 
     def insert(
         self, node: int, pose: Pose2, origin: FloatArray, hits: FloatArray, free: FloatArray,
-        steep: ByteArray, bound: int,
+        min_slopes: ByteArray, wall_slope: int,
     ) -> range:  # fmt: skip
         """Draw a scan taken at `pose`; return the submaps it entered."""
         if not self.all or len(self.all[-1].nodes) >= self._config.num_range_data:
             self.all.append(Submap(self._config, pose))
         entered = self.active
         for i in entered:
-            self.all[i].insert(node, origin, hits, free, steep, bound)
+            self.all[i].insert(node, origin, hits, free, min_slopes, wall_slope)
         front = self.all[entered[0]]
         front.finished = len(front.nodes) >= 2 * self._config.num_range_data
         return entered

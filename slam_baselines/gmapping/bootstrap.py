@@ -1,8 +1,8 @@
-"""The first metres on uneven ground, gone over again once walls can be told from ground.
+"""Start-up refinement: the first metres on uneven ground, matched again once walls are known.
 
 At first nothing is known to be a wall, so the filter follows the odometry and the first scans enter at
 poses that are a little wrong; every map would keep that. So the first processed scans are kept, and after
-some metres one new map is built from them with what is proven by now: from the last to the first, so that
+some metres one new map is built from them with the slopes known by now: from the last to the first, so that
 it grows from where walls are known. What the walls and the gyro disagree about in the long run is the
 gyro's bias, and the next round is made without it.
 """
@@ -19,12 +19,12 @@ from lirs_wct.geometry.pose import Pose2, wrap_angle
 from slam_baselines.common.se2 import in_axes_of
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.proposal import Proposer
-from slam_baselines.mapping.ground_filter import Relief
+from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.motion.increment import unbiased
-from slam_baselines.scan.leveling import LevelledScan
+from slam_baselines.scan.leveling import LeveledScan
 
 FIRST = 2.0
-"""Metres after which to go over the way for the first time; then whenever the way has doubled ..."""
+"""Distance traveled at the first refinement, metres; the next ones come whenever it has doubled ..."""
 LAST = 40.0
 """... up to this many metres."""
 ROUNDS = 2
@@ -40,23 +40,23 @@ class Frame:
     """A processed scan.
 
     Attributes:
-        scan: levelled.
+        scan: leveled.
         step: `T_before_now` by odometry and gyro as they are.
         covariance: (3, 3) of the step.
         seconds: of the step, spent moving.
         height: of the base in the map frame, metres.
-        steep: (n,) what was proven of its hits.
+        min_slopes: (n,) of its hits, SLOPE_STEP.
     """
 
-    scan: LevelledScan
+    scan: LeveledScan
     step: Pose2
     covariance: FloatArray
     seconds: float
     height: float
-    steep: ByteArray
+    min_slopes: ByteArray
 
 
-class Retrace:
+class Bootstrap:
     """Keeps the first processed scans, and lays them into a new map when it is due.
 
     Attributes:
@@ -65,7 +65,7 @@ class Retrace:
     """
 
     def __init__(self) -> None:
-        self.times = 0
+        self.refinements = 0
         self.bias = 0.0
         self._next = FIRST
         self._closed = False
@@ -76,52 +76,52 @@ class Retrace:
         """Whether frames are still kept."""
         return not self._closed
 
-    def note(self, frame: Frame, travelled: float) -> bool:
-        """Keep a frame while it may be needed; return whether it is time to go over the way."""
-        if max(self._next, travelled) > LAST:
+    def note(self, frame: Frame, distance_traveled: float) -> bool:
+        """Keep a frame while it may be needed; return whether a refinement is due."""
+        if max(self._next, distance_traveled) > LAST:
             self._closed = True
             self._frames.clear()
             return False
         self._frames.append(frame)
-        return travelled >= self._next
+        return distance_traveled >= self._next
 
-    def trace(self, maps: PatchMaps, proposer: Proposer, relief: Relief) -> list[Pose2]:
+    def refine(self, maps: PatchMaps, proposer: Proposer, ground_filter: GroundFilter) -> list[Pose2]:
         """Draw the frames into an empty map of one particle; return their poses."""
-        self.times += 1
+        self.refinements += 1
         self._next *= 2
-        bound = relief.match_bound
+        wall_slope = ground_filter.match_wall_slope
         for _ in range(ROUNDS):
-            poses = self._backwards(PatchMaps(1, maps.resolution), proposer, relief)
+            poses = self._backwards(PatchMaps(1, maps.resolution), proposer, ground_filter)
             self._learn(poses)
         for i, (frame, pose) in enumerate(zip(self._frames, poses, strict=True)):
-            steep = _steepness(frame, pose, relief)
-            _draw(maps, frame, pose, steep, bound)
-            self._frames[i] = replace(frame, steep=steep)
+            min_slopes = _min_slope(frame, pose, ground_filter)
+            _draw(maps, frame, pose, min_slopes, wall_slope)
+            self._frames[i] = replace(frame, min_slopes=min_slopes)
         return poses
 
-    def _backwards(self, maps: PatchMaps, proposer: Proposer, relief: Relief) -> list[Pose2]:
+    def _backwards(self, maps: PatchMaps, proposer: Proposer, ground_filter: GroundFilter) -> list[Pose2]:
         """Match the frames from the last to the first; return where they are, the first at the origin."""
-        frames, bound = self._frames, relief.match_bound
-        way = self._reckoned()
-        pose, found = way[-1], [way[-1]]
-        _draw(maps, frames[-1], pose, _steepness(frames[-1], pose, relief), bound)
+        frames, wall_slope = self._frames, ground_filter.match_wall_slope
+        path = self._reckoned()
+        pose, found = path[-1], [path[-1]]
+        _draw(maps, frames[-1], pose, _min_slope(frames[-1], pose, ground_filter), wall_slope)
         for i in range(len(frames) - 2, -1, -1):
-            step = way[i + 1].inverse() @ way[i]
+            step = path[i + 1].inverse() @ path[i]
             pose = pose @ step
             covariance = in_axes_of(pose.inverse(), frames[i + 1].covariance)
-            steep = _steepness(frames[i], pose, relief)
-            pose = _matched(frames[i], pose, covariance, steep, maps, proposer, bound)
-            _draw(maps, frames[i], pose, _steepness(frames[i], pose, relief), bound)
+            min_slopes = _min_slope(frames[i], pose, ground_filter)
+            pose = _matched(frames[i], pose, covariance, min_slopes, maps, proposer, wall_slope)
+            _draw(maps, frames[i], pose, _min_slope(frames[i], pose, ground_filter), wall_slope)
             found.append(pose)
         T_new_old = found[-1].inverse()
         return [T_new_old @ pose for pose in reversed(found)]
 
     def _reckoned(self) -> list[Pose2]:
-        """Return the way by odometry and gyro, less the bias."""
-        way = [Pose2()]
+        """Return the poses by odometry and gyro, less the bias."""
+        path = [Pose2()]
         for frame in self._frames[1:]:
-            way.append(way[-1] @ unbiased(frame.step, self.bias, frame.seconds))
-        return way
+            path.append(path[-1] @ unbiased(frame.step, self.bias, frame.seconds))
+        return path
 
     def _learn(self, poses: list[Pose2]) -> None:
         """Correct the bias by the trend of what the matched headings differ from the reckoned ones."""
@@ -133,29 +133,31 @@ class Retrace:
         self.bias -= float((t @ off / HEADING**2 + pull) / (t @ t / HEADING**2 + 1 / BIAS**2))
 
 
-def _steepness(frame: Frame, pose: Pose2, relief: Relief) -> ByteArray:
-    """Return (n,) what is proven by now of the frame's hits."""
-    origin, hits, _ = frame.scan.placed(pose, frame.height)
-    return np.maximum(frame.steep, relief.steepness(origin, hits, pose))
+def _min_slope(frame: Frame, pose: Pose2, ground_filter: GroundFilter) -> ByteArray:
+    """Return (n,) the minimum slopes of the frame's hits as known by now."""
+    origin, hits, _ = frame.scan.transformed(pose, frame.height)
+    return np.maximum(frame.min_slopes, ground_filter.min_slope(origin, hits, pose))
 
 
-def _draw(maps: PatchMaps, frame: Frame, pose: Pose2, steep: ByteArray, bound: int) -> None:
+def _draw(maps: PatchMaps, frame: Frame, pose: Pose2, min_slopes: ByteArray, wall_slope: int) -> None:
     lift, scan = np.array((0.0, 0.0, frame.height)), frame.scan
-    maps.enter(pose.as_array()[None], scan.origin + lift, scan.hits + lift, scan.free + lift, steep, bound)
+    maps.enter(
+        pose.as_array()[None], scan.origin + lift, scan.hits + lift, scan.free + lift, min_slopes, wall_slope
+    )
 
 
 def _matched(
     frame: Frame,
     expected: Pose2,
     covariance: FloatArray,
-    steep: ByteArray,
+    min_slopes: ByteArray,
     maps: PatchMaps,
     proposer: Proposer,
-    bound: int,
+    wall_slope: int,
 ) -> Pose2:
     """Return where the frame fits into the map so far; the expected pose if nowhere."""
-    _, hits, _ = frame.scan.placed(expected, frame.height)
-    weights = (np.maximum(steep, maps.steepness(0, hits)) >= bound).astype(np.float64)
-    view, points = maps.view(0, bound), frame.scan.hits
+    _, hits, _ = frame.scan.transformed(expected, frame.height)
+    weights = (np.maximum(min_slopes, maps.min_slope(0, hits)) >= wall_slope).astype(np.float64)
+    view, points = maps.view(0, wall_slope), frame.scan.hits
     found = proposer.track(view, points, weights, expected.as_array(), covariance)
     return expected if found is None else Pose2(*found.tolist())

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from lirs_wct.errors import ConfigError
 from slam_baselines.gmapping.proposal import ProposalConfig
-from slam_baselines.mapping.ground_filter import ReliefConfig
+from slam_baselines.mapping.ground_filter import GroundFilterConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
 
 
@@ -33,8 +33,8 @@ class GmappingConfig(ProposalConfig):
         lost_score: share of the beams on known cells that must end at a wall, else a scan does not enter
             the maps ...
         lost_after: ... and after so many processed scans in a row the mapper is lost ...
-        known_share: ... where at least so many of its beams end on known cells.
-        relief: how ground is told from walls.
+        known_ratio: ... where at least so many of its beams end on known cells.
+        ground_filter: separates hits on ground from hits on walls.
 
     Raises:
         ConfigError: a value that is not legal.
@@ -54,8 +54,8 @@ class GmappingConfig(ProposalConfig):
     maxUrange: float = math.inf  # noqa: N815
     lost_score: float = 0.3
     lost_after: int = 3
-    known_share: float = 0.3
-    relief: ReliefConfig = field(default_factory=ReliefConfig)
+    known_ratio: float = 0.3
+    ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -71,8 +71,8 @@ class GmappingConfig(ProposalConfig):
     def motion(self) -> MotionConfig:
         """The odometry's errors for dead reckoning."""
         return MotionConfig(
-            translation_per_metre=self.srr,
+            translation_per_meter=self.srr,
             translation_per_radian=self.srt,
-            rotation_per_metre=self.str,
+            rotation_per_meter=self.str,
             rotation_per_radian=self.stt,
         )

@@ -60,18 +60,18 @@ class PatchMaps:
         origin: FloatArray,
         hits: FloatArray,
         free: FloatArray,
-        steep: ByteArray,
-        bound: int,
+        min_slopes: ByteArray,
+        wall_slope: int,
     ) -> None:
         """Draw one scan into every map, each from its own pose.
 
         Args:
             poses: (particles, 3) x, y, yaw of `T_map_base`.
-            origin: (3,) x, y of the laser in the levelled base frame, and its height in the map, metres.
+            origin: (3,) x, y of the laser in the leveled base frame, and its height in the map, metres.
             hits: (n, 3) where beams ended, likewise.
             free: (m, 3) ends of beams that met nothing up to there, likewise.
-            steep: (n,) proven rise over run of each hit, in STEEP_STEP.
-            bound: from which step of `steep` on a cell is a wall for sure.
+            min_slopes: (n,) of each hit, SLOPE_STEP.
+            wall_slope: minimum slope from which on a cell is a wall, SLOPE_STEP.
         """
         ends = np.concatenate((hits, free, origin[None]))[:, :2]
         reach = float(np.sqrt((ends**2).sum(axis=1).max())) + 2 * self.resolution
@@ -91,30 +91,30 @@ class PatchMaps:
                 origin,
                 hits,
                 free,
-                steep,
-                bound,
+                min_slopes,
+                wall_slope,
                 np.array(self._steps),
                 int(span) + 4,
                 needed,
                 done,
             )
 
-    def view(self, particle: int, bound: int) -> MapView:
+    def view(self, particle: int, wall_slope: int) -> MapView:
         """Return one map for the kernels; void after the next change."""
-        return MapView(self.tables[particle], self.corner, self.patches, self.resolution, bound)
+        return MapView(self.tables[particle], self.corner, self.patches, self.resolution, wall_slope)
 
-    def steepness(self, particle: int, points: FloatArray) -> ByteArray:
-        """Return (n,) what is proven of the cells under points (n, 2 or more) of the map frame."""
+    def min_slope(self, particle: int, points: FloatArray) -> ByteArray:
+        """Return (n,) the minimum slopes of the cells under points (n, 2 or more) of the map frame."""
         out = np.zeros(len(points), np.uint8)
-        steepness(self.tables[particle], self.corner, self.patches, self.resolution, points, out)
+        min_slope(self.tables[particle], self.corner, self.patches, self.resolution, points, out)
         return out
 
-    def occupancy_grid(self, particle: int, bound: int) -> OccupancyGrid:
-        """Return one map; hits not proven to be steeper than `bound` are unknown, not occupied."""
+    def occupancy_grid(self, particle: int, wall_slope: int) -> OccupancyGrid:
+        """Return one map; hits whose minimum slope is below `wall_slope` are unknown, not occupied."""
         table, p = self.tables[particle], self.patches
         rows, cols = table.shape
         lattice = table.ravel()
-        known = (p.log_odds != UNKNOWN) & ~((p.log_odds > 0) & (p.steep < bound))
+        known = (p.log_odds != UNKNOWN) & ~((p.log_odds > 0) & (p.min_slope < wall_slope))
         values = np.where(known, p.log_odds * np.float32(STEP), np.float32(np.nan)).astype(np.float32)
         values = np.where((lattice == ABSENT)[:, None], np.float32(np.nan), values[lattice])
         grid = values.reshape(rows, cols, PATCH, PATCH).swapaxes(1, 2).reshape(rows * PATCH, cols * PATCH)
@@ -193,7 +193,7 @@ class Patches(NamedTuple):
         log_odds: (p, 256) int8, steps of STEP, UNKNOWN where no beam came.
         hits: (p, 256) uint8, how many beams ended there, up to MEAN_MEMORY.
         mean: (p, 256, 2) uint16, where they ended on average, MEAN_STEPS east and north of the cell's corner.
-        steep: (p, 256) uint8, largest proven rise over run of what was hit there, STEEP_STEP.
+        min_slope: (p, 256) uint8, largest minimum slope of what was hit there, SLOPE_STEP.
         top: (p, 256) int16, largest height at which it was hit, TOP_STEP.
         owners: (p,) int32, tables that point at the patch; 0 = free.
         free: (1 + p,) int32, how many patches are free, and then which.
@@ -202,7 +202,7 @@ class Patches(NamedTuple):
     log_odds: NDArray[np.int8]
     hits: ByteArray
     mean: NDArray[np.uint16]
-    steep: ByteArray
+    min_slope: ByteArray
     top: NDArray[np.int16]
     owners: Int32Array
     free: Int32Array
@@ -216,14 +216,14 @@ class MapView(NamedTuple):
         corner: (2,) row and column of the table's first patch.
         patches: all patches.
         resolution: edge of a cell, metres.
-        bound: proven rise over run, in STEEP_STEP, from which on a hit is a wall.
+        wall_slope: minimum slope from which on a hit is a wall, SLOPE_STEP.
     """
 
     table: Int32Array
     corner: IntArray
     patches: Patches
     resolution: float
-    bound: int
+    wall_slope: int
 
 
 @njit(cache=True)
@@ -235,12 +235,12 @@ def _own(table, patches, row, col):  # type: ignore[no-untyped-def]
     if p == ABSENT:
         patches.log_odds[q] = UNKNOWN
         patches.hits[q] = 0
-        patches.steep[q] = 0
+        patches.min_slope[q] = 0
     else:
         patches.owners[p] -= 1
         patches.log_odds[q] = patches.log_odds[p]
         patches.hits[q] = patches.hits[p]
-        patches.steep[q] = patches.steep[p]
+        patches.min_slope[q] = patches.min_slope[p]
         # Most patches are free space: what was never hit has neither mean nor top.
         if patches.hits[q].any():
             patches.mean[q] = patches.mean[p]
@@ -252,7 +252,20 @@ def _own(table, patches, row, col):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def enter_scans(  # type: ignore[no-untyped-def]
-    tables, corner, patches, res, poses, origin, hits, free, steep, bound, steps, side, needed, first
+    tables,
+    corner,
+    patches,
+    res,
+    poses,
+    origin,
+    hits,
+    free,
+    min_slopes,
+    wall_slope,
+    steps,
+    side,
+    needed,
+    first,
 ):
     """Draw the scan into the maps from the first on; return how many are done when patches run out."""
     touched = np.empty((side, side), np.uint8)
@@ -266,17 +279,17 @@ def enter_scans(  # type: ignore[no-untyped-def]
         window = np.array((int(np.floor(y)) - side // 2, int(np.floor(x)) - side // 2))
         for i in range(len(hits)):
             u, v = x + c * hits[i, 0] - s * hits[i, 1], y + s * hits[i, 0] + c * hits[i, 1]
-            _hit(tables[k], corner, patches, touched, window, u, v, hits[i, 2], steep[i], steps)
+            _hit(tables[k], corner, patches, touched, window, u, v, hits[i, 2], min_slopes[i], steps)
         for i in range(len(hits) + len(free)):
             to_end = i >= len(hits)
             end = free[i - len(hits)] if to_end else hits[i]
             u, v = x + c * end[0] - s * end[1], y + s * end[0] + c * end[1]
-            _pass(tables[k], corner, patches, touched, window, start, u, v, end[2], to_end, bound, steps)
+            _pass(tables[k], corner, patches, touched, window, start, u, v, end[2], to_end, wall_slope, steps)
     return len(poses)
 
 
 @njit(cache=True)
-def _hit(table, corner, patches, touched, window, u, v, z, steep, steps):  # type: ignore[no-untyped-def]
+def _hit(table, corner, patches, touched, window, u, v, z, min_slope, steps):  # type: ignore[no-untyped-def]
     """Raise the cell where a beam ends (u, v in cells), once a scan, and move its mean."""
     row, col = int(np.floor(v)), int(np.floor(u))
     r, c = (row >> BITS) - corner[0], (col >> BITS) - corner[1]
@@ -292,7 +305,7 @@ def _hit(table, corner, patches, touched, window, u, v, z, steep, steps):  # typ
         patches.mean[p, cell, axis] = np.uint16(
             before + (min(part * MEAN_STEPS, MEAN_STEPS - 1.0) - before) / n
         )
-    patches.steep[p, cell] = max(patches.steep[p, cell], steep)
+    patches.min_slope[p, cell] = max(patches.min_slope[p, cell], min_slope)
     top = np.int16(z / TOP_STEP)
     patches.top[p, cell] = top if first else max(patches.top[p, cell], top)
     if touched[row - window[0], col - window[1]] == 0:
@@ -302,12 +315,12 @@ def _hit(table, corner, patches, touched, window, u, v, z, steep, steps):  # typ
 
 
 @njit(cache=True)
-def _pass(table, corner, patches, touched, window, start, u, v, z, to_end, bound, steps):  # type: ignore[no-untyped-def]
+def _pass(table, corner, patches, touched, window, start, u, v, z, to_end, wall_slope, steps):  # type: ignore[no-untyped-def]
     """Lower the cells between the laser and the end of one beam (u, v in cells), each once a scan.
 
-    A beam that passes above where a proven wall was hit says nothing about the wall.
+    A beam that passes above where a wall was hit says nothing about the wall.
     """
-    log_odds, steep, tops, owners = patches.log_odds, patches.steep, patches.top, patches.owners
+    log_odds, min_slopes, tops, owners = patches.log_odds, patches.min_slope, patches.top, patches.owners
     top, left, row0, col0 = corner[0], corner[1], window[0], window[1]
     x0, y0, z0, miss, most = start[0], start[1], start[2], steps[0], steps[2]
     n = int(max(abs(u - start[0]), abs(v - start[1]))) + 1
@@ -327,17 +340,17 @@ def _pass(table, corner, patches, touched, window, start, u, v, z, to_end, bound
         cell = ((row & MASK) << BITS) | (col & MASK)
         before = log_odds[p, cell]
         above = (z0 + i * dz) / TOP_STEP > tops[p, cell] + 10
-        if before > 0 and 0 < bound <= steep[p, cell] and above:
+        if before > 0 and 0 < wall_slope <= min_slopes[p, cell] and above:
             continue
         log_odds[p, cell] = max(-most, (0 if before == UNKNOWN else before) + miss)
 
 
 @njit(cache=True)
-def steepness(table, corner, patches, res, points, out):  # type: ignore[no-untyped-def]
-    """Read the layer `steep` of one map at points; 0 where nothing was drawn."""
+def min_slope(table, corner, patches, res, points, out):  # type: ignore[no-untyped-def]
+    """Read the layer `min_slope` of one map at points; 0 where nothing was drawn."""
     rows, cols = table.shape
     for i in range(len(points)):
         row, col = int(np.floor(points[i, 1] / res)), int(np.floor(points[i, 0] / res))
         r, c = (row >> BITS) - corner[0], (col >> BITS) - corner[1]
         if 0 <= r < rows and 0 <= c < cols and table[r, c] != ABSENT:
-            out[i] = patches.steep[table[r, c], ((row & MASK) << BITS) | (col & MASK)]
+            out[i] = patches.min_slope[table[r, c], ((row & MASK) << BITS) | (col & MASK)]

@@ -1,7 +1,7 @@
 """How well a scan fits into one particle's map, and in which direction it would fit better.
 
 The ends of beams are compared with the means of the hits in the cells around them, as in likelihood
-fields: close to a mean is likely, whatever the beam has passed on its way.
+fields: close to a mean is likely, whatever the beam has passed before.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Beams(NamedTuple):
     """A scan for the kernels.
 
     Attributes:
-        points: (n, 2 or more) ends of beams in the levelled base frame, metres.
+        points: (n, 2 or more) ends of beams in the leveled base frame, metres.
         weights: (n,) how much each counts.
     """
 
@@ -44,7 +44,7 @@ def _cell(table, row0, col0, row, col):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline="always")
-def _attraction(table, top, left, log_odds, mean, steep, bound, u, v, reach, narrow):  # type: ignore[no-untyped-def]
+def _attraction(table, top, left, log_odds, mean, min_slopes, wall_slope, u, v, reach, narrow):  # type: ignore[no-untyped-def]
     """Return how strongly walls attract a beam's end (u, v in cells), whereto, and by which matrix.
 
     The walls' cells within `reach` weigh exp(narrow d^2). The end is drawn to their weighted mean m, across
@@ -55,7 +55,7 @@ def _attraction(table, top, left, log_odds, mean, steep, bound, u, v, reach, nar
     for row in range(row0 - reach, row0 + reach + 1):
         for col in range(col0 - reach, col0 + reach + 1):
             p, cell = _cell(table, top, left, row, col)
-            if p != ABSENT and log_odds[p, cell] > 0 and steep[p, cell] >= bound:
+            if p != ABSENT and log_odds[p, cell] > 0 and min_slopes[p, cell] >= wall_slope:
                 du = col + mean[p, cell, 0] / MEAN_STEPS - u
                 dv = row + mean[p, cell, 1] / MEAN_STEPS - v
                 a = np.exp(narrow * (du * du + dv * dv))
@@ -74,7 +74,7 @@ def _attraction(table, top, left, log_odds, mean, steep, bound, u, v, reach, nar
 
 @njit(cache=True)
 def log_likelihood(view, beams, pose, reach, lsigma, width):  # type: ignore[no-untyped-def]
-    """Return the log-likelihood of a scan, and the weights of beams that met a wall and known cells.
+    """Return the log-likelihood of a scan, and the weights of beams that end at a wall and on known cells.
 
     Each beam gives -d^2 / lsigma, d metres from its end to the wall within `reach` cells, and -NOTHING
     without one. The distance is taken across the wall: taken to the nearest cell's mean, a likelihood this
@@ -88,35 +88,35 @@ def log_likelihood(view, beams, pose, reach, lsigma, width):  # type: ignore[no-
         lsigma: square metres.
         width: standard deviation of the attraction, cells.
     """
-    points, weights, res, bound = beams.points, beams.weights, view.resolution, view.bound
+    points, weights, res, wall_slope = beams.points, beams.weights, view.resolution, view.wall_slope
     table, top, left = view.table, view.corner[0], view.corner[1]
-    log_odds, mean, steep = view.patches.log_odds, view.patches.mean, view.patches.steep
+    log_odds, mean, min_slopes = view.patches.log_odds, view.patches.mean, view.patches.min_slope
     c, s = np.cos(pose[2]) / res, np.sin(pose[2]) / res
     x, y = pose[0] / res, pose[1] / res
     narrow, sharp = -0.5 / width**2, res * res / lsigma
-    total = met = known = 0.0
+    total = hit = known = 0.0
     for i in range(len(points)):
         if weights[i] == 0:
             continue
         u, v = x + c * points[i, 0] - s * points[i, 1], y + s * points[i, 0] + c * points[i, 1]
         w, du, dv, auu, auv, avv = _attraction(
-            table, top, left, log_odds, mean, steep, bound, u, v, reach, narrow
+            table, top, left, log_odds, mean, min_slopes, wall_slope, u, v, reach, narrow
         )
         if w > 0:
             d2 = auu * du * du + 2 * auv * du * dv + avv * dv * dv
             total -= weights[i] * min(NOTHING, d2 * sharp)
-            met += weights[i]
+            hit += weights[i]
             known += weights[i]
             continue
         total -= weights[i] * NOTHING
         p, cell = _cell(table, top, left, int(np.floor(v)), int(np.floor(u)))
         if p != ABSENT and log_odds[p, cell] != UNKNOWN:
             known += weights[i]
-    return total, met, known
+    return total, hit, known
 
 
 @njit(cache=True)
-def linearise(view, beams, stride, pose, reach, width, H, g):  # type: ignore[no-untyped-def]
+def linearize(view, beams, stride, pose, reach, width, H, g):  # type: ignore[no-untyped-def]
     """Fill H (3, 3) and g (3,) of a Gauss-Newton step that moves the beams' ends onto the walls.
 
     In units of one over the variance of a beam.
@@ -131,9 +131,9 @@ def linearise(view, beams, stride, pose, reach, width, H, g):  # type: ignore[no
         H: filled.
         g: filled.
     """
-    points, weights, res, bound = beams.points, beams.weights, view.resolution, view.bound
+    points, weights, res, wall_slope = beams.points, beams.weights, view.resolution, view.wall_slope
     table, top, left = view.table, view.corner[0], view.corner[1]
-    log_odds, mean, steep = view.patches.log_odds, view.patches.mean, view.patches.steep
+    log_odds, mean, min_slopes = view.patches.log_odds, view.patches.mean, view.patches.min_slope
     c, s = np.cos(pose[2]) / res, np.sin(pose[2]) / res
     x, y = pose[0] / res, pose[1] / res
     H[:] = 0
@@ -144,7 +144,7 @@ def linearise(view, beams, stride, pose, reach, width, H, g):  # type: ignore[no
             continue
         pu, pv = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
         w, du, dv, auu, auv, avv = _attraction(
-            table, top, left, log_odds, mean, steep, bound, x + pu, y + pv, reach, narrow
+            table, top, left, log_odds, mean, min_slopes, wall_slope, x + pu, y + pv, reach, narrow
         )
         if w < 1e-6:
             continue
@@ -189,9 +189,9 @@ class Tuning(NamedTuple):
     astep: float
     llsamplerange: float
     lasamplerange: float
-    poor_score: float
+    search_threshold: float
     minimumScore: float  # noqa: N815
-    least_beams: int
+    min_beams: int
 
 
 @njit(cache=True)
@@ -221,7 +221,7 @@ def match(view, beams, prior, start, tuning, H):  # type: ignore[no-untyped-def]
     for stage in range(2):
         wider, stride, done = (3, few, 0.01) if stage == 0 else (1, 1, 0.001)
         for _ in range(tuning.iterations):
-            linearise(view, beams, stride, pose, wider * reach, wider * width, H, g)
+            linearize(view, beams, stride, pose, wider * reach, wider * width, H, g)
             H /= tuning.sigma**2
             pull = prior.information @ _difference(pose, prior.pose)
             step = solve3(H + prior.information, g / tuning.sigma**2 - pull)

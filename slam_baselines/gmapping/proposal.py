@@ -51,13 +51,13 @@ class ProposalConfig:
         lasamplerange: half the wider search's window, radians.
         samples: points evaluated around the maximum.
         spread: they lie within so many standard deviations of the maximum.
-        poor_score: share of the beams on known cells that must end at a wall, else the wider search begins.
+        search_threshold: hit ratio below which the wider search begins.
         minimumScore: share below which the match has failed and the odometry alone is believed.
 
-        least_beams: fewer beams at walls than this say nothing.
+        min_beams: fewer beams at walls than this say nothing.
 
     Raises:
-        ConfigError: a value that is not above 0, or minimumScore above poor_score.
+        ConfigError: a value that is not above 0, or minimumScore above search_threshold.
     """
 
     sigma: float = 0.05
@@ -70,17 +70,18 @@ class ProposalConfig:
     lasamplerange: float = 0.35
     samples: int = 16
     spread: float = 2.0
-    poor_score: float = 0.5
+    search_threshold: float = 0.5
     minimumScore: float = 0.15  # noqa: N815
-    least_beams: int = 15
+    min_beams: int = 15
 
     def __post_init__(self) -> None:
         for name in ProposalConfig.__dataclass_fields__:
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} of the proposal must be above 0, got {getattr(self, name)}")
-        if self.minimumScore > self.poor_score:
+        if self.minimumScore > self.search_threshold:
             raise ConfigError(
-                f"minimumScore must be at most poor_score = {self.poor_score}, got {self.minimumScore}"
+                f"minimumScore must be at most search_threshold = {self.search_threshold}, "
+                f"got {self.minimumScore}"
             )
 
 
@@ -93,16 +94,16 @@ class Proposal:
         means: (particles, 3) mu.
         covariances: (particles, 3, 3) Sigma.
         log_eta: (particles,) logarithm of the weights' factors.
-        met: (particles,) share of the beams on known cells that end at a wall.
-        known: (particles,) share of the beams that end on known cells.
+        hit_ratio: (particles,) share of the beams on known cells that end at a wall.
+        known_ratio: (particles,) share of the beams that end on known cells.
     """
 
     poses: FloatArray
     means: FloatArray
     covariances: FloatArray
     log_eta: FloatArray
-    met: FloatArray
-    known: FloatArray
+    hit_ratio: FloatArray
+    known_ratio: FloatArray
 
 
 class Proposer:
@@ -123,7 +124,7 @@ class Proposer:
         maps: PatchMaps,
         points: FloatArray,
         weights: FloatArray,
-        bound: int,
+        wall_slope: int,
         expected: FloatArray,
         covariances: FloatArray,
         best: int,
@@ -136,9 +137,9 @@ class Proposer:
 
         Args:
             maps: of the particles.
-            points: (n, 2 or more) ends of beams in the levelled base frame, metres.
+            points: (n, 2 or more) ends of beams in the leveled base frame, metres.
             weights: (n,) how much each counts.
-            bound: proven rise over run from which on a hit is a wall, STEEP_STEP.
+            wall_slope: minimum slope from which on a hit is a wall, SLOPE_STEP.
             expected: (particles, 3) poses by odometry.
             covariances: (particles, 3, 3) of these.
             best: the particle to match first.
@@ -151,7 +152,7 @@ class Proposer:
             maps.corner,
             maps.patches,
             maps.resolution,
-            bound,
+            wall_slope,
             Beams(points, weights),
             expected,
             covariances,
@@ -178,18 +179,18 @@ class Proposer:
 
         Args:
             view: the map.
-            points: (n, 2 or more) ends of beams in the levelled base frame, metres.
+            points: (n, 2 or more) ends of beams in the leveled base frame, metres.
             weights: (n,) how much each counts.
             expected: (3,) pose by odometry.
             covariance: (3, 3) of it.
         """
-        if weights.sum() < self.config.least_beams:
+        if weights.sum() < self.config.min_beams:
             return None
-        pose, met, known = track(view, Beams(points, weights), expected, covariance, self._tuning)
-        return pose if met >= max(self.config.poor_score * known, self.config.least_beams) else None
+        pose, hit, known = track(view, Beams(points, weights), expected, covariance, self._tuning)
+        return pose if hit >= max(self.config.search_threshold * known, self.config.min_beams) else None
 
 
-def carried(poses: FloatArray, step: Pose2, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+def propagated(poses: FloatArray, step: Pose2, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (n, 3) poses after a step `T_before_now`, and (n, 3, 3) its covariance in the map frame.
 
     Args:
@@ -216,7 +217,7 @@ def propose(  # type: ignore[no-untyped-def]
     corner,
     patches,
     res,
-    bound,
+    wall_slope,
     beams,
     expected,
     covariances,
@@ -229,14 +230,14 @@ def propose(  # type: ignore[no-untyped-def]
     sigmas,
     told,
 ):
-    """Fill poses, means, sigmas, and told (log eta, met, known); return how many wider searches were made."""
+    """Fill poses, means, sigmas, told (log eta, hit ratio, known ratio); return the number of searches."""
     n = len(expected)
     correction = np.zeros(3)
     searches = 0
     total, width = max(beams.weights.sum(), 1e-9), tuning.sigma / res
     for step in range(n):
         k = best if step == 0 else step - 1 if step <= best else step
-        view = MapView(tables[k], corner, patches, res, bound)
+        view = MapView(tables[k], corner, patches, res, wall_slope)
         prior = Prior(expected[k], np.linalg.inv(covariances[k]))
         start = prior.pose
         if step > 0:
@@ -245,23 +246,23 @@ def propose(  # type: ignore[no-untyped-def]
                 start = other
         H = np.empty((3, 3))
         peak = match(view, beams, prior, start, tuning, H)
-        value, met, known = log_likelihood(
+        value, hit, known = log_likelihood(
             view, beams, peak, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution
         )
-        if tuning.least_beams <= known and met < tuning.poor_score * known:
+        if tuning.min_beams <= known and hit < tuning.search_threshold * known:
             searches += 1
             curvature = H.copy()
             other = match(view, beams, prior, search(view, beams, prior, tuning), tuning, H)
             better, there, seen = log_likelihood(view, beams, other, tuning.kernelSize, tuning.lsigma, width)
-            if there >= tuning.poor_score * seen and better + log_prior(other, prior) > value + log_prior(
-                peak, prior
-            ):
-                peak, met, known = other, there, seen
+            if there >= tuning.search_threshold * seen and better + log_prior(
+                other, prior
+            ) > value + log_prior(peak, prior):
+                peak, hit, known = other, there, seen
             else:
                 H = curvature
         if step == 0:
             correction = between(prior.pose, peak)
-        if met < max(tuning.minimumScore * known, tuning.least_beams):
+        if hit < max(tuning.minimumScore * known, tuning.min_beams):
             means[k], sigmas[k], told[k, 0] = (
                 prior.pose,
                 covariances[k],
@@ -271,19 +272,19 @@ def propose(  # type: ignore[no-untyped-def]
             around = np.linalg.inv(H * (2 * tuning.sigma**2 / tuning.lsigma) + prior.information)
             told[k, 0] = _fit(view, beams, prior, peak, around, cube, tuning, means[k], sigmas[k])
         poses[k] = means[k] + np.linalg.cholesky(sigmas[k]) @ normals[k]
-        told[k, 1], told[k, 2] = met / max(known, 1e-9), known / total
+        told[k, 1], told[k, 2] = hit / max(known, 1e-9), known / total
     return searches
 
 
 @njit(cache=True)
 def track(view, beams, expected, covariance, tuning):  # type: ignore[no-untyped-def]
-    """Return the pose that fits best, and the weights of beams that met a wall and known cells."""
+    """Return the pose that fits best, and the weights of beams that end at a wall and on known cells."""
     prior = Prior(expected, np.linalg.inv(covariance))
     pose = match(view, beams, prior, expected, tuning, np.empty((3, 3)))
-    _, met, known = log_likelihood(
+    _, hit, known = log_likelihood(
         view, beams, pose, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution
     )
-    return pose, met, known
+    return pose, hit, known
 
 
 @njit(cache=True)

@@ -7,7 +7,7 @@ import numpy as np
 from lirs_wct.arrays import FloatArray, IntArray
 
 
-def normalised(log_weights: FloatArray) -> FloatArray:
+def normalized(log_weights: FloatArray) -> FloatArray:
     """Return (n,) weights that sum to 1, of logarithms up to a constant."""
     weights: FloatArray = np.exp(log_weights - log_weights.max())
     return weights / weights.sum()  # type: ignore[no-any-return]

@@ -9,10 +9,10 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
 
 LEVER = 0.5
-"""How many metres of way a radian of turn counts as where an error is spread along the way."""
+"""Metres that a radian of turn counts as where an error is spread along the trajectory."""
 
 
-class Lineage:
+class TrajectoryTree:
     """Poses of all particles at each processed scan, as far back as their lines differ."""
 
     def __init__(self) -> None:
@@ -36,7 +36,7 @@ class Lineage:
         """
         self._poses.append(poses.copy())
         self._parents.append(parents.astype(np.int32))
-        self._steps.append((step, _way(step)))
+        self._steps.append((step, _distance(step)))
         self._prune()
 
     def add_scan(self, stamp: float, since: Pose2) -> None:
@@ -44,7 +44,7 @@ class Lineage:
 
         A later scan of the same stamp takes the place of the earlier.
         """
-        self._scans[stamp] = self.generations - 1, since, _way(since)
+        self._scans[stamp] = self.generations - 1, since, _distance(since)
 
     def rewrite(self, path: FloatArray) -> None:
         """Replace the paths of all particles by one, (generations, 3); all are children of its end."""
@@ -62,19 +62,19 @@ class Lineage:
     def trajectory(self, particle: int) -> Trajectory:
         """Return every scan's pose on the path of a particle.
 
-        Between two processed scans the odometry has gone astray by some error: it is spread along the way.
+        Between two processed scans the odometry has gone astray by some error: it is spread over them.
         """
         nodes = [Pose2(*p) for p in self.path(particle).tolist()]
         stamps = sorted(self._scans)
         return Trajectory.from_poses(stamps, [self._pose(nodes, *self._scans[t]) for t in stamps])
 
-    def _pose(self, nodes: list[Pose2], last: int, since: Pose2, way: float) -> Pose2:
+    def _pose(self, nodes: list[Pose2], last: int, since: Pose2, distance: float) -> Pose2:
         here = nodes[last]
         if last + 1 == len(nodes):
             return here @ since
         step, whole = self._steps[last + 1]
         error = here.inverse() @ nodes[last + 1] @ step.inverse()
-        share = min(1.0, way / whole) if whole > 0 else 0.0
+        share = min(1.0, distance / whole) if whole > 0 else 0.0
         return here @ Pose2(share * error.x, share * error.y, share * error.yaw) @ since
 
     def _prune(self) -> None:
@@ -88,5 +88,5 @@ class Lineage:
             self._parents[i] = self._parents[i][alive]
 
 
-def _way(step: Pose2) -> float:
+def _distance(step: Pose2) -> float:
     return float(np.hypot(step.x, step.y)) + LEVER * abs(step.yaw)

@@ -1,9 +1,9 @@
-"""The second look: the map built again, from the start, with what is known by now about ground and walls.
+"""Start-up refinement: the map built again from the start with what is known by now about ground and walls.
 
 On uneven ground nothing is known to be a wall at first, so the robot begins on odometry alone and the
 first scans enter at poses that are a little wrong; the map would keep that error for ever. After some
-metres most of what the first scans saw is proven, and what the odometry always gets wrong is known, too: so
-they fit to each other as well as all later ones.
+metres most of the walls that the first scans saw are known, and so is the odometry's calibration: they fit
+to each other as well as all later ones.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from lirs_wct.geometry.pose import Pose2
 from slam_baselines.hector.keyframes import Keyframe
 from slam_baselines.mapping.map_builder import MapBuilder
 from slam_baselines.matching.registration import Registration
-from slam_baselines.motion.dead_reckoning import DeadReckoning, Estimate
+from slam_baselines.motion.dead_reckoning import DeadReckoning, PoseEstimate
 
 
 @dataclass(frozen=True, kw_only=True)
-class SecondLookConfig:
-    """When to look again.
+class BootstrapConfig:
+    """When the map is built again.
 
     Attributes:
-        first: after so many metres, and then whenever the way has doubled ...
+        first: after so many metres, and then whenever the distance has doubled ...
         last: ... up to this many metres.
 
     Raises:
@@ -37,18 +37,18 @@ class SecondLookConfig:
 
     def __post_init__(self) -> None:
         if not self.first > 0:
-            raise ConfigError(f"first of the second look must be above 0 m, got {self.first}")
+            raise ConfigError(f"first of the bootstrap must be above 0 m, got {self.first}")
 
 
-class SecondLook:
+class Bootstrap:
     """Keeps the first keyframes and lays them into a new map when it is due.
 
     Attributes:
-        looks: how often that was done.
+        refinements: how often that was done.
     """
 
-    def __init__(self, config: SecondLookConfig) -> None:
-        self.looks = 0
+    def __init__(self, config: BootstrapConfig) -> None:
+        self.refinements = 0
         self._config = config
         self._next = config.first
         self._keyframes: list[Keyframe] = []
@@ -58,38 +58,44 @@ class SecondLook:
         """Whether the map will not be built again."""
         return self._next > self._config.last
 
-    def note(self, keyframe: Keyframe, travelled: float) -> bool:
-        """Keep a keyframe while it may be needed; return whether it is time to look again."""
+    def note(self, keyframe: Keyframe, distance_traveled: float) -> bool:
+        """Keep a keyframe while it may be needed; return whether a refinement is due."""
         if self.over:
             self._keyframes.clear()
             return False
         self._keyframes.append(keyframe)
-        return travelled >= self._next
+        return distance_traveled >= self._next
 
-    def look(self, builder: MapBuilder, registration: Registration, reckoning: DeadReckoning) -> list[Pose2]:
+    def refine(
+        self, builder: MapBuilder, registration: Registration, reckoning: DeadReckoning
+    ) -> list[Pose2]:
         """Build the map again, with the odometry as it is now known; return the keyframes' new poses."""
-        self.looks += 1
+        self.refinements += 1
         self._next *= 2
         builder.restart()
-        estimate, before = Estimate(self._keyframes[0].pose, np.zeros((3, 3))), None
+        estimate, before = PoseEstimate(self._keyframes[0].pose, np.zeros((3, 3))), None
         frames: list[Keyframe] = []
         for frame in self._keyframes:
             last = estimate.pose
             if before is not None:
                 estimate = _expected(estimate, before, frame, reckoning)
-            steep = np.maximum(frame.steep, builder.steepness(frame.scan, estimate.pose, frame.height))
+            min_slopes = np.maximum(
+                frame.min_slopes, builder.min_slope(frame.scan, estimate.pose, frame.height)
+            )
             if before is not None:
-                weights = builder.weights(steep)
+                weights = builder.weights(min_slopes)
                 estimate, _ = registration.fit(builder.pyramid, frame.scan.hits, weights, estimate, last)
-            builder.enter_again(frame.scan, estimate.pose, frame.height, steep)
-            frames.append(replace(frame, pose=estimate.pose, steep=steep))
+            builder.enter_again(frame.scan, estimate.pose, frame.height, min_slopes)
+            frames.append(replace(frame, pose=estimate.pose, min_slopes=min_slopes))
             before = frame
         self._keyframes = frames
         return [frame.pose for frame in frames]
 
 
-def _expected(estimate: Estimate, before: Keyframe, now: Keyframe, reckoning: DeadReckoning) -> Estimate:
-    """Go from one keyframe to the next by dead reckoning; without odometry as the first look found it."""
+def _expected(
+    estimate: PoseEstimate, before: Keyframe, now: Keyframe, reckoning: DeadReckoning
+) -> PoseEstimate:
+    """Go from one keyframe to the next by dead reckoning; without odometry as they were found at first."""
     predict, seconds = reckoning.config.predict, now.scan.stamp - before.scan.stamp
     if not now.moves or None in now.moves:
         return predict(estimate, before.pose.inverse() @ now.pose, seconds)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from lirs_wct.arrays import ByteArray
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.motion.dead_reckoning import Move
-from slam_baselines.scan.leveling import LevelledScan
+from slam_baselines.motion.dead_reckoning import OdometryIncrement
+from slam_baselines.scan.leveling import LeveledScan
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,18 +16,18 @@ class Keyframe:
     """A scan that entered the map.
 
     Attributes:
-        scan: levelled.
+        scan: leveled.
         pose: `T_map_base`.
         height: of the base in the map frame, metres.
         moves: by odometry since the keyframe before; None where there was no odometry.
-        steep: (n,) what was ever proven of its hits, in steps of the relief.
+        min_slopes: (n,) minimum slopes of its hits, SLOPE_STEP.
     """
 
-    scan: LevelledScan
+    scan: LeveledScan
     pose: Pose2
     height: float
-    moves: tuple[Move | None, ...]
-    steep: ByteArray
+    moves: tuple[OdometryIncrement | None, ...]
+    min_slopes: ByteArray
 
 
 class KeyframeTrajectory:

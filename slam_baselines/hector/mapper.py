@@ -1,4 +1,4 @@
-"""HectorSLAM's way: match each scan to the map by Gauss-Newton, then enter it.
+"""HectorSLAM: match each scan to the map by Gauss-Newton, then enter it.
 
 Kohlbrecher et al. 2011, "A flexible and scalable SLAM system with full 3D motion estimation", written
 from the paper. Beyond it: the odometry is a prior and not only a start, a poor match is searched for
@@ -17,15 +17,15 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.hector.bootstrap import SecondLook, SecondLookConfig
+from slam_baselines.hector.bootstrap import Bootstrap, BootstrapConfig
 from slam_baselines.hector.keyframes import Keyframe, KeyframeTrajectory
 from slam_baselines.mapper import MapperStats, Stopwatch
 from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
 from slam_baselines.matching.gauss_newton import Match
 from slam_baselines.matching.registration import Registration, RegistrationConfig
 from slam_baselines.motion.calibration import CalibrationConfig
-from slam_baselines.motion.dead_reckoning import DeadReckoning, Estimate, MotionConfig, Move
-from slam_baselines.scan.leveling import LevelledScan, ScanLeveller
+from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, OdometryIncrement, PoseEstimate
+from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,21 +36,21 @@ class HectorConfig(BuilderConfig):
         motion: confidence in the odometry.
         calibration: how fast the odometry's constant errors are learnt.
         registration: how a scan is fitted into the map.
-        second_look: when the map is built again.
+        bootstrap: when the map is built again.
         laser_max_dist: hits farther away are not used, metres.
         laser_clear_dist: a beam without return is believed to be free up to here, metres.
         lost_score: mean occupancy at the ends of the beams below which a scan does not enter the map ...
         lost_after: ... and after so many of them in a row the mapper is lost.
 
     Raises:
-        ConfigError: lost_score above poor_score, or iterations not given for each level.
+        ConfigError: lost_score above search_threshold, or iterations not given for each level.
     """
 
     # Its slides are learnt: see Calibration.
     motion: MotionConfig = field(default_factory=lambda: MotionConfig(slide_per_radian=1.0))
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
-    second_look: SecondLookConfig = field(default_factory=SecondLookConfig)
+    bootstrap: BootstrapConfig = field(default_factory=BootstrapConfig)
     laser_max_dist: float = math.inf
     laser_clear_dist: float = 0.0
     lost_score: float = 0.25
@@ -59,9 +59,10 @@ class HectorConfig(BuilderConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.registration
-        if not 0 < self.lost_score <= r.poor_score:
+        if not 0 < self.lost_score <= r.search_threshold:
             raise ConfigError(
-                f"lost_score must be within (0, poor_score = {r.poor_score}], got {self.lost_score}"
+                f"lost_score must be within (0, search_threshold = {r.search_threshold}], "
+                f"got {self.lost_score}"
             )
         if len(r.match.iterations) < self.map_multi_res_levels:
             raise ConfigError(
@@ -74,14 +75,14 @@ class HectorMapper:
 
     def __init__(self, config: HectorConfig | None = None) -> None:
         self.config = config or HectorConfig()
-        self._leveller = ScanLeveller(self.config.laser_clear_dist, self.config.laser_max_dist)
+        self._leveler = ScanLeveler(self.config.laser_clear_dist, self.config.laser_max_dist)
         self._reckoning = DeadReckoning(self.config.motion, self.config.calibration)
         self._registration = Registration(self.config.registration)
         self._builder = MapBuilder(self.config)
-        self._second_look = SecondLook(self.config.second_look)
-        self._estimate = Estimate(Pose2(), np.zeros((3, 3)))
+        self._bootstrap = Bootstrap(self.config.bootstrap)
+        self._estimate = PoseEstimate(Pose2(), np.zeros((3, 3)))
         self._poses = KeyframeTrajectory()
-        self._moves: list[Move | None] = []
+        self._moves: list[OdometryIncrement | None] = []
         self._received = self._matched = self._unmatched = self._lost_scans = self._poor_in_a_row = 0
         self._settled = False
         self._earlier: Pose2 | None = None
@@ -90,10 +91,10 @@ class HectorMapper:
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Match the scan to the map, enter it, return `T_map_base`."""
         started = self._stopwatch.start()
-        level = self._leveller.level(scan, imu)
+        level = self._leveler.level(scan, imu)
         expected = self._reckoning.predict(self._estimate, odometry, imu, scan.stamp)
-        if level.levelled and not self._second_look.over:
-            self._moves.append(self._reckoning.moved)
+        if level.leveled and not self._bootstrap.over:
+            self._moves.append(self._reckoning.increment)
         match = self._match(level, expected)
         self._builder.follow(level, self._estimate.pose)
         if self._fits(match) and self._builder.due(level, self._estimate.pose):
@@ -127,18 +128,18 @@ class HectorMapper:
             counts={
                 "map_updates": self._builder.updates,
                 "searches": self._registration.searches,
-                "second_looks": self._second_look.looks,
+                "second_looks": self._bootstrap.refinements,
             },
             **self._stopwatch.summary(),
         )
 
-    def _match(self, scan: LevelledScan, expected: Estimate) -> Match | None:
+    def _match(self, scan: LeveledScan, expected: PoseEstimate) -> Match | None:
         """Move the estimate to where the scan fits; to the expected one, if there is nothing to fit."""
         r, before, self._estimate = self.config.registration, self._estimate.pose, expected
         self._received += 1
         if self._builder.updates == 0:
             return None
-        weights = self._builder.weights(self._builder.steepness(scan, expected.pose))
+        weights = self._builder.weights(self._builder.min_slope(scan, expected.pose))
         self._estimate, match = self._registration.fit(
             self._builder.pyramid, scan.hits, weights, expected, before, self._earlier
         )
@@ -147,40 +148,40 @@ class HectorMapper:
             self._unmatched += 1
         else:
             self._matched += 1
-            if match.score >= (r.poor_score if self._builder.flat else r.sure_score):
+            if match.score >= (r.search_threshold if self._builder.flat else r.sure_score):
                 self._reckoning.learn(before, self._estimate.pose)
         return match
 
     def _fits(self, match: Match | None) -> bool:
         """Keep count of poor matches; return whether the scan may enter the map.
 
-        Before the first good match nothing is known that a scan could contradict. The first metres among
-        hills are looked at again with more of the ground known: until then dead reckoning is believed.
+        Before the first good match nothing is known that a scan could contradict. The first metres on
+        uneven ground are refined when more of it is known: until then dead reckoning is believed.
         """
         c = self.config
-        known = match is not None and match.known >= c.registration.known_share
+        known = match is not None and match.known >= c.registration.known_ratio
         if match is None or not known or match.score >= c.lost_score:
             self._settled |= known
             self._poor_in_a_row = 0
             return True
-        hills = not self._builder.flat and not self._second_look.over
-        if not self._settled or hills:
+        uneven = not self._builder.flat and not self._bootstrap.over
+        if not self._settled or uneven:
             return True
         self._poor_in_a_row += 1
         self._lost_scans += self.lost
         return False
 
-    def _enter(self, scan: LevelledScan) -> None:
-        """Make the scan a keyframe, and look again at all of them when it is time."""
+    def _enter(self, scan: LeveledScan) -> None:
+        """Make the scan a keyframe, and refine all of them when it is due."""
         builder, pose = self._builder, self._estimate.pose
-        steep = builder.enter(scan, pose)
+        min_slopes = builder.enter(scan, pose)
         self._poses.add_keyframe(pose)
-        if not scan.levelled:
+        if not scan.leveled:
             return
-        keyframe = Keyframe(scan, pose, builder.relief.height, tuple(self._moves), steep)
+        keyframe = Keyframe(scan, pose, builder.ground_filter.height, tuple(self._moves), min_slopes)
         self._moves.clear()
-        if self._second_look.note(keyframe, builder.relief.travelled):
-            poses = self._second_look.look(builder, self._registration, self._reckoning)
+        if self._bootstrap.note(keyframe, builder.ground_filter.distance_traveled):
+            poses = self._bootstrap.refine(builder, self._registration, self._reckoning)
             T_new_old = self._poses.move(poses)
-            self._estimate = Estimate(T_new_old @ pose, self._estimate.covariance)
+            self._estimate = PoseEstimate(T_new_old @ pose, self._estimate.covariance)
             builder.moved(self._estimate.pose)

@@ -3,13 +3,13 @@
 One scan cannot tell a hill from a wall; time can. Ground is a single height over each place, and it
 is nowhere steeper than a slope that a robot drives. So the map keeps for each place the lowest height
 at which a beam was seen there - passing over, ending, or the robot standing on it: the ground cannot
-be higher (the *ceiling* of the ground). A beam that ends at P at height z proves the rise
+be higher (the *upper bound* of the ground). A beam that ends at P at height z has the minimum slope
 
-    s = max over Q near P of (z - ceiling(Q)) / (|PQ| + margin)
+    s = max over Q near P of (z - upper_bound(Q)) / (|PQ| + margin)
 
-between Q and P. If s exceeds every slope that the robot has met, P is a wall. All bounds hold with the
+between Q and P. If s exceeds every slope that the robot has driven, P is a wall. All bounds hold with the
 stated confidence: a beam's height is known to h0 + sigma r, and the drift of the robot's own height,
-integrated from attitude and motion, loosens old ceilings by the way driven since.
+integrated from attitude and motion, loosens old bounds by the distance traveled since.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.growing_grid import GrowingGrid
-from slam_baselines.mapping.occupancy_map import STEEP_STEP
-from slam_baselines.scan.leveling import LevelledScan
+from slam_baselines.mapping.occupancy_map import SLOPE_STEP
+from slam_baselines.scan.leveling import LeveledScan
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReliefConfig:
+class GroundFilterConfig:
     """What is believed of attitude, height and ground.
 
     Attributes:
-        resolution: edge of a cell of the ceiling, metres.
+        resolution: edge of a cell of the upper bound, metres.
         attitude_error: of roll and pitch, radians.
         height_error: of a beam's height close to the robot, metres.
         confidence: how many of these errors a proof must exceed.
         drift: of the robot's height, per metre driven.
         base_height: of base_link above the ground, metres.
         footprint: radius of the ground that the robot stands on, metres.
-        flat_tilt: ground on which the robot never leaned more is a floor: every hit is a wall. Radians.
-        slope_factor: ground is at most so many times as steep as the robot has leaned ...
+        flat_tilt: ground on which the robot never tilted more is a floor: every hit is a wall. Radians.
+        slope_factor: ground is at most so many times as steep as the robot has tilted ...
         slope_margin: ... plus this, radians ...
-        match_margin: for matching, steeper than the robot has leaned plus this is a wall, radians.
-        sheer: a wall at least so steep says fully where it is; where it is less steep, a height that is a
-            little wrong shifts it more, and it counts by the square of that. Rise over run.
-        first_margin: at the start, when little ground has been met, ground may be steeper by this, radians.
-        first_metres: way over which this falls to 1/e, metres.
+        match_margin: for matching, steeper than the robot has tilted plus this is a wall, radians.
+        full_weight_slope: rise over run from which on a hit has full weight in matching; where it is less
+            steep, an error of height shifts it more, and its weight falls with the square of the slope.
+        first_margin: at the start, when little ground is known, ground may be steeper by this, radians.
+        first_meters: distance over which this falls to 1/e, metres.
         slope_limit: ... and never steeper than this, radians.
 
     Raises:
@@ -65,9 +65,9 @@ class ReliefConfig:
     slope_factor: float = 2.0
     slope_margin: float = math.radians(3.0)
     match_margin: float = math.radians(3.0)
-    sheer: float = 2.0
+    full_weight_slope: float = 2.0
     first_margin: float = math.radians(15.0)
-    first_metres: float = 5.0
+    first_meters: float = 5.0
     slope_limit: float = math.radians(40.0)
 
     def __post_init__(self) -> None:
@@ -77,47 +77,47 @@ class ReliefConfig:
             "height_error",
             "confidence",
             "slope_factor",
-            "sheer",
+            "full_weight_slope",
             "slope_limit",
         ):
             if not getattr(self, name) > 0:
-                raise ConfigError(f"{name} of the relief must be above 0, got {getattr(self, name)}")
+                raise ConfigError(f"{name} of the ground filter must be above 0, got {getattr(self, name)}")
 
 
-class Relief:
-    """The ceiling of the ground, the robot's height, and the steepest slope that is still ground.
+class GroundFilter:
+    """Upper bound of the ground, the robot's height, and the slope from which on a hit is a wall.
 
     Attributes:
         height: of base_link in the map frame, 0 at the start, metres.
-        travelled: way driven, metres.
-        tilt: the most that the robot has leaned, radians.
+        distance_traveled: metres.
+        tilt: largest of the robot so far, radians.
     """
 
-    def __init__(self, config: ReliefConfig | None = None) -> None:
-        self.config = config or ReliefConfig()
-        self.grid = GrowingGrid(self.config.resolution, {"ceiling": (np.float32, np.inf)})
+    def __init__(self, config: GroundFilterConfig | None = None) -> None:
+        self.config = config or GroundFilterConfig()
+        self.grid = GrowingGrid(self.config.resolution, {"upper_bound": (np.float32, np.inf)})
         self.height = 0.0
-        self.travelled = 0.0
+        self.distance_traveled = 0.0
         self.tilt = 0.0
-        self._lean: tuple[float, float] | None = None
+        self._slope: tuple[float, float] | None = None
         self._offsets = _neighbours(self.config.resolution)
 
-    def move(self, delta: Pose2, scan: LevelledScan) -> None:
-        """Follow the ground over a step `T_before_now` of the base, as steep as the robot leans."""
+    def move(self, delta: Pose2, scan: LeveledScan) -> None:
+        """Follow the ground over a step `T_before_now` of the base, as steep as the robot is tilted."""
         self.height += scan.ground_slope[0] * delta.x + scan.ground_slope[1] * delta.y
-        self.travelled += math.hypot(delta.x, delta.y)
-        x, y = scan.ground_slope if self._lean is None else self._lean
+        self.distance_traveled += math.hypot(delta.x, delta.y)
+        x, y = scan.ground_slope if self._slope is None else self._slope
         # Noise of single readings is no slope.
-        self._lean = 0.8 * x + 0.2 * scan.ground_slope[0], 0.8 * y + 0.2 * scan.ground_slope[1]
-        self.tilt = max(self.tilt, math.atan(math.hypot(*self._lean)))
+        self._slope = 0.8 * x + 0.2 * scan.ground_slope[0], 0.8 * y + 0.2 * scan.ground_slope[1]
+        self.tilt = max(self.tilt, math.atan(math.hypot(*self._slope)))
 
     @property
-    def bound(self) -> int:
-        """Rise over run, in STEEP_STEP, from which on a hit is a wall; 0 on a floor."""
+    def wall_slope(self) -> int:
+        """Rise over run, in SLOPE_STEP, from which on a hit is a wall; 0 on a floor."""
         return self._steps(self.config.slope_factor, self.config.slope_margin)
 
     @property
-    def match_bound(self) -> int:
+    def match_wall_slope(self) -> int:
         """The same, for matching: ground is hardly steeper than where the robot has been."""
         return self._steps(1.0, self.config.match_margin)
 
@@ -125,12 +125,12 @@ class Relief:
         c = self.config
         if self.tilt <= c.flat_tilt:
             return 0
-        unknown = c.first_margin * math.exp(-self.travelled / c.first_metres)
+        unknown = c.first_margin * math.exp(-self.distance_traveled / c.first_meters)
         angle = math.degrees(min(factor * self.tilt + margin + unknown, c.slope_limit))
-        return round(math.tan(math.radians(math.ceil(angle))) / STEEP_STEP)
+        return round(math.tan(math.radians(math.ceil(angle))) / SLOPE_STEP)
 
     def observe(self, origin: FloatArray, hits: FloatArray, free: FloatArray, base: Pose2) -> ByteArray:
-        """Lower the ceiling by what a scan has seen; return the proven steepness of its hits.
+        """Lower the upper bound by what a scan has seen; return the minimum slopes of its hits.
 
         Args:
             origin: (3,) the laser in the map frame, metres.
@@ -142,25 +142,35 @@ class Relief:
         ends = np.concatenate((hits, free, origin[None]))
         low, high = ends.min(axis=0) - 2.0, ends.max(axis=0) + 2.0
         g.ensure(low[0], low[1], high[0], high[1])
-        ceiling = g.layers["ceiling"]
-        old = c.drift * self.travelled
+        upper_bound = g.layers["upper_bound"]
+        old = c.drift * self.distance_traveled
         near, far = c.confidence * c.height_error, c.confidence * c.attitude_error
         frame = np.array((g.row0, g.col0, g.resolution))
-        lower(ceiling, frame, origin, hits, True, near - old, far)
-        lower(ceiling, frame, origin, free, False, near - old, far)
-        stand(ceiling, frame, self._ground(base), c.footprint, old)
-        return self.steepness(origin, hits, base)
+        lower(upper_bound, frame, origin, hits, True, near - old, far)
+        lower(upper_bound, frame, origin, free, False, near - old, far)
+        stand(upper_bound, frame, self._ground(base), c.footprint, old)
+        return self.min_slope(origin, hits, base)
 
-    def steepness(self, origin: FloatArray, hits: FloatArray, base: Pose2) -> ByteArray:
-        """Return the proven steepness of hits, in STEEP_STEP, from what was observed so far."""
+    def min_slope(self, origin: FloatArray, hits: FloatArray, base: Pose2) -> ByteArray:
+        """Return the minimum slopes of hits, SLOPE_STEP, from what was observed so far."""
         c, g = self.config, self.grid
-        steep = np.zeros(len(hits), np.uint8)
+        min_slopes = np.zeros(len(hits), np.uint8)
         near, far = c.confidence * c.height_error, c.confidence * c.attitude_error
         frame = np.array((g.row0, g.col0, g.resolution))
-        ground, old = self._ground(base), c.drift * self.travelled
+        ground, old = self._ground(base), c.drift * self.distance_traveled
         bounds = old, near, far
-        steepness(g.layers["ceiling"], frame, origin, hits, ground, bounds, self._offsets, STEEP_STEP, steep)
-        return steep
+        min_slope(
+            g.layers["upper_bound"],
+            frame,
+            origin,
+            hits,
+            ground,
+            bounds,
+            self._offsets,
+            SLOPE_STEP,
+            min_slopes,
+        )
+        return min_slopes
 
     def _ground(self, base: Pose2) -> FloatArray:
         """Return (3,) the highest that the ground under the robot may be."""
@@ -168,8 +178,8 @@ class Relief:
         return np.array((base.x, base.y, self.height - c.base_height + c.confidence * c.height_error))
 
     @staticmethod
-    def unproven(n: int) -> ByteArray:
-        """Return the steepness of n hits about whose height nothing is known."""
+    def no_min_slope(n: int) -> ByteArray:
+        """Return the minimum slopes of n hits about whose height nothing is known."""
         return np.zeros(n, np.uint8)
 
 
@@ -183,8 +193,8 @@ def _neighbours(resolution: float) -> FloatArray:
 
 
 @njit(cache=True)
-def lower(ceiling, frame, origin, ends, with_end, near, far):  # type: ignore[no-untyped-def]
-    """Lower the ceiling along beams to their height plus near + far * range."""
+def lower(upper_bound, frame, origin, ends, with_end, near, far):  # type: ignore[no-untyped-def]
+    """Lower the upper bound along beams to their height plus near + far * range."""
     res = frame[2]
     x, y = origin[0] / res - frame[1], origin[1] / res - frame[0]
     for i in range(len(ends)):
@@ -195,26 +205,26 @@ def lower(ceiling, frame, origin, ends, with_end, near, far):  # type: ignore[no
         for k in range(steps + 1 if with_end else steps):
             z = np.float32(origin[2] + k * rise + near + k * loose)
             row, col = int(y + k * dy), int(x + k * dx)
-            if z < ceiling[row, col]:
-                ceiling[row, col] = z
+            if z < upper_bound[row, col]:
+                upper_bound[row, col] = z
 
 
 @njit(cache=True)
-def stand(ceiling, frame, ground, footprint, old):  # type: ignore[no-untyped-def]
+def stand(upper_bound, frame, ground, footprint, old):  # type: ignore[no-untyped-def]
     """The robot stands here: the ground is where its wheels are."""
     reach = int(footprint / frame[2])
     row0, col0 = int(ground[1] / frame[2] - frame[0]), int(ground[0] / frame[2] - frame[1])
     for row in range(row0 - reach, row0 + reach + 1):
         for col in range(col0 - reach, col0 + reach + 1):
-            ceiling[row, col] = min(ceiling[row, col], np.float32(ground[2] - old))
+            upper_bound[row, col] = min(upper_bound[row, col], np.float32(ground[2] - old))
 
 
 @njit(cache=True)
-def steepness(ceiling, frame, origin, hits, ground, bounds, offsets, step, steep):  # type: ignore[no-untyped-def]
-    """Fill `steep` with the largest proven rise over run towards each hit."""
+def min_slope(upper_bound, frame, origin, hits, ground, bounds, offsets, step, min_slopes):  # type: ignore[no-untyped-def]
+    """Fill `min_slopes` with the largest rise over run that must lie before each hit."""
     old, near, far = bounds
     res = frame[2]
-    rows, cols = ceiling.shape
+    rows, cols = upper_bound.shape
     for i in range(len(hits)):
         x, y, z = hits[i]
         reach = np.sqrt((x - origin[0]) ** 2 + (y - origin[1]) ** 2 + (z - origin[2]) ** 2)
@@ -226,5 +236,5 @@ def steepness(ceiling, frame, origin, hits, ground, bounds, offsets, step, steep
             r, c = row + int(offsets[k, 0]), col + int(offsets[k, 1])
             if r < 0 or c < 0 or r >= rows or c >= cols:
                 continue
-            best = max(best, (z - ceiling[r, c]) / (offsets[k, 2] + res))
-        steep[i] = np.uint8(min(max(best / step, 0.0), 255.0))
+            best = max(best, (z - upper_bound[r, c]) / (offsets[k, 2] + res))
+        min_slopes[i] = np.uint8(min(max(best / step, 0.0), 255.0))

@@ -6,7 +6,7 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
-from slam_baselines.scan.leveling import ScanLeveller
+from slam_baselines.scan.leveling import ScanLeveler
 
 
 class KnownPoseMapper:
@@ -15,11 +15,11 @@ class KnownPoseMapper:
     def __init__(self, resolution: float = 0.05, config: BuilderConfig | None = None) -> None:
         """Use `config`, or the default one at `resolution`."""
         self._builder = MapBuilder(config or BuilderConfig(map_resolution=resolution, map_multi_res_levels=1))
-        self._leveller = ScanLeveller()
+        self._leveler = ScanLeveler()
 
     def update(self, scan: LaserScan, T_map_base: Pose2, imu: Imu | None) -> None:
         """Take in a scan; it changes the map where the robot has moved enough."""
-        level = self._leveller.level(scan, imu)
+        level = self._leveler.level(scan, imu)
         self._builder.follow(level, T_map_base)
         if self._builder.due(level, T_map_base):
             self._builder.enter(level, T_map_base)

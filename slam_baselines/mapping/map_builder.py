@@ -1,4 +1,4 @@
-"""The map of levelled scans at known poses: the part that every mapper and the true-pose map share."""
+"""The map of leveled scans at known poses: the part that every mapper and the true-pose map share."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, wrap_angle
-from slam_baselines.mapping.ground_filter import Relief, ReliefConfig
-from slam_baselines.mapping.occupancy_map import STEEP_STEP, OccupancyMap, UpdateConfig, bounding_box
+from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
+from slam_baselines.mapping.occupancy_map import SLOPE_STEP, OccupancyMap, UpdateConfig, bounding_box
 from slam_baselines.matching.gauss_newton import MapPyramid
-from slam_baselines.scan.leveling import LevelledScan
+from slam_baselines.scan.leveling import LeveledScan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,9 +26,9 @@ class BuilderConfig:
         map_multi_res_levels: number of levels, each twice as coarse as the one before.
         map_update_distance_thresh: metres to drive before the next update.
         map_update_angle_thresh: radians to turn before the next update.
-        map_update_tilt_thresh: radians to lean, since leaning shows other heights of the same things.
+        map_update_tilt_thresh: radians to tilt, since tilting shows other heights of the same things.
         update: how a scan changes the map.
-        relief: how ground is told from walls.
+        ground_filter: separates hits on ground from hits on walls.
 
     Raises:
         ConfigError: a resolution, threshold or number of levels that is not above 0.
@@ -40,7 +40,7 @@ class BuilderConfig:
     map_update_angle_thresh: float = 0.9
     map_update_tilt_thresh: float = math.radians(3.0)
     update: UpdateConfig = field(default_factory=UpdateConfig)
-    relief: ReliefConfig = field(default_factory=ReliefConfig)
+    ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
 
     def __post_init__(self) -> None:
         if not self.map_resolution > 0:
@@ -55,83 +55,87 @@ class BuilderConfig:
 
 
 class MapBuilder:
-    """Grows a pyramid of occupancy maps, and the relief of the ground where attitude is known."""
+    """Grows a pyramid of occupancy maps, and filters the ground out where attitude is known."""
 
     def __init__(self, config: BuilderConfig) -> None:
         self._config = config
-        self.relief = Relief(config.relief)
+        self.ground_filter = GroundFilter(config.ground_filter)
         self.updates = 0
         self._last: Pose2 | None = None
         self._entered: tuple[Pose2, tuple[float, float]] | None = None
         self.restart()
 
     def restart(self) -> None:
-        """Forget the occupancy, but not the relief."""
+        """Forget the occupancy, but not the ground."""
         c = self._config
         resolutions = [c.map_resolution * 2**level for level in range(c.map_multi_res_levels)]
         self.pyramid = MapPyramid(tuple(OccupancyMap(r, c.update) for r in resolutions))
-        self._bound = self.relief.match_bound
+        self._wall_slope = self.ground_filter.match_wall_slope
 
-    def follow(self, scan: LevelledScan, pose: Pose2) -> None:
+    def follow(self, scan: LeveledScan, pose: Pose2) -> None:
         """Take note that the base has come to `pose`; keeps the height up to date."""
-        if scan.levelled:
-            self.relief.move(Pose2() if self._last is None else self._last.inverse() @ pose, scan)
+        if scan.leveled:
+            self.ground_filter.move(Pose2() if self._last is None else self._last.inverse() @ pose, scan)
         self._last = pose
 
-    def steepness(self, scan: LevelledScan, pose: Pose2, height: float | None = None) -> ByteArray:
-        """Return (n,) what is proven of the hits by now, of the base at `height` (None: the present one)."""
+    def min_slope(self, scan: LeveledScan, pose: Pose2, height: float | None = None) -> ByteArray:
+        """Return (n,) the minimum slopes of the hits, the base at `height` (None: the present one)."""
         if self.flat:
-            return self.relief.unproven(len(scan.hits))
-        origin, hits, _ = scan.placed(pose, self.relief.height if height is None else height)
-        now = self.relief.steepness(origin, hits, pose)
-        return np.maximum(now, self.pyramid.maps[-1].steepness(hits))
+            return self.ground_filter.no_min_slope(len(scan.hits))
+        origin, hits, _ = scan.transformed(pose, self.ground_filter.height if height is None else height)
+        now = self.ground_filter.min_slope(origin, hits, pose)
+        return np.maximum(now, self.pyramid.maps[-1].min_slope(hits))
 
-    def weights(self, steep: ByteArray) -> FloatArray | None:
-        """Return (n,) how much hits say: 1 on a sheer wall, less on a slope, 0 on what may be ground.
+    def weights(self, min_slopes: ByteArray) -> FloatArray | None:
+        """Return (n,) how much hits say: 1 on a steep wall, less on a slope, 0 on what may be ground.
 
         None on a floor, where every hit is a wall.
         """
         if self.flat:
             return None
-        sheer = self.relief.config.sheer / STEEP_STEP
-        weights: FloatArray = np.minimum(1.0, (steep / sheer) ** 2) * (steep >= self._bound)
+        full_weight_slope = self.ground_filter.config.full_weight_slope / SLOPE_STEP
+        weights: FloatArray = np.minimum(1.0, (min_slopes / full_weight_slope) ** 2) * (
+            min_slopes >= self._wall_slope
+        )
         return weights
 
-    def due(self, scan: LevelledScan, pose: Pose2) -> bool:
-        """Whether the robot has moved or leaned enough since the last update."""
+    def due(self, scan: LeveledScan, pose: Pose2) -> bool:
+        """Whether the robot has moved or tilted enough since the last update."""
         if self._entered is None:
             return True
         c = self._config
         before, slope = self._entered
         if pose.distance(before) > c.map_update_distance_thresh:
             return True
-        lean = math.hypot(scan.ground_slope[0] - slope[0], scan.ground_slope[1] - slope[1])
+        tilt = math.hypot(scan.ground_slope[0] - slope[0], scan.ground_slope[1] - slope[1])
         turn = abs(wrap_angle(pose.yaw - before.yaw))
-        return turn > c.map_update_angle_thresh or lean > c.map_update_tilt_thresh
+        return turn > c.map_update_angle_thresh or tilt > c.map_update_tilt_thresh
 
-    def enter(self, scan: LevelledScan, pose: Pose2) -> ByteArray:
-        """Update the map with a scan taken at `pose`; return the proven steepness of its hits."""
-        origin, hits, free = scan.placed(pose, self.relief.height)
-        if scan.levelled:
-            steep = self.relief.observe(origin, hits, free, pose)
+    def enter(self, scan: LeveledScan, pose: Pose2) -> ByteArray:
+        """Update the map with a scan taken at `pose`; return the minimum slopes of its hits."""
+        origin, hits, free = scan.transformed(pose, self.ground_filter.height)
+        if scan.leveled:
+            min_slopes = self.ground_filter.observe(origin, hits, free, pose)
         else:
-            steep = self.relief.unproven(len(hits))
-        if self.relief.match_bound != self._bound:
-            self._bound = self.relief.match_bound
+            min_slopes = self.ground_filter.no_min_slope(len(hits))
+        if self.ground_filter.match_wall_slope != self._wall_slope:
+            self._wall_slope = self.ground_filter.match_wall_slope
             for level in self.pyramid.maps:
-                level.revalue(self._bound)
-        self._draw(origin, hits, free, steep)
+                level.revalue(self._wall_slope)
+        self._draw(origin, hits, free, min_slopes)
         self.updates += 1
         self._entered = pose, scan.ground_slope
-        return steep
+        return min_slopes
 
-    def enter_again(self, scan: LevelledScan, pose: Pose2, height: float, steep: ByteArray) -> None:
-        """Update a restarted map with a scan that has entered the relief before."""
-        self._draw(*scan.placed(pose, height), steep)
+    def enter_again(self, scan: LeveledScan, pose: Pose2, height: float, min_slopes: ByteArray) -> None:
+        """Update a restarted map with a scan that has entered the ground filter before."""
+        self._draw(*scan.transformed(pose, height), min_slopes)
 
-    def _draw(self, origin: FloatArray, hits: FloatArray, free: FloatArray, steep: ByteArray) -> None:
+    def _draw(self, origin: FloatArray, hits: FloatArray, free: FloatArray, min_slopes: ByteArray) -> None:
         box = bounding_box(origin, hits, free)
-        grew = [level.update(origin, hits, free, steep, self._bound, box) for level in self.pyramid.maps]
+        grew = [
+            level.update(origin, hits, free, min_slopes, self._wall_slope, box) for level in self.pyramid.maps
+        ]
         if any(grew):
             self.pyramid.refresh()
 
@@ -144,13 +148,13 @@ class MapBuilder:
     @property
     def flat(self) -> bool:
         """Whether the ground has always been a floor, so that every hit is a wall."""
-        return self._bound == 0
+        return self._wall_slope == 0
 
     def map(self) -> OccupancyGrid:
         """Return the finest level."""
-        return self.pyramid.maps[0].occupancy_grid(self.relief.bound)
+        return self.pyramid.maps[0].occupancy_grid(self.ground_filter.wall_slope)
 
     @property
     def memory(self) -> int:
         """Bytes of all maps."""
-        return sum(level.grid.nbytes for level in self.pyramid.maps) + self.relief.grid.nbytes
+        return sum(level.grid.nbytes for level in self.pyramid.maps) + self.ground_filter.grid.nbytes

@@ -20,10 +20,10 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.growing_grid import GrowingGrid
 
-__all__ = ["FULL", "STEEP_STEP", "STEP", "TOP_STEP", "UNKNOWN", "UNSEEN", "OccupancyMap", "UpdateConfig"]
+__all__ = ["FULL", "SLOPE_STEP", "STEP", "TOP_STEP", "UNKNOWN", "UNSEEN", "OccupancyMap", "UpdateConfig"]
 
-STEEP_STEP = 0.01
-"""Rise over run of one step of the layer `steep`."""
+SLOPE_STEP = 0.01
+"""Rise over run of one step of the layer `min_slope`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +67,7 @@ class OccupancyMap:
     """An occupancy map of one resolution that grows.
 
     Layers: `log_odds` (steps), `value` (what the matcher sees: nothing where a hit may have been ground),
-    `steep` (largest proven rise over run of what was hit there), `top` (largest height at which it was hit).
+    `min_slope` (largest minimum slope of what was hit there), `top` (largest height at which it was hit).
 
     Attributes:
         grid: the layers.
@@ -76,7 +76,7 @@ class OccupancyMap:
     """
 
     def __init__(self, resolution: float, config: UpdateConfig | None = None) -> None:
-        layers = {"log_odds": (np.int8, UNKNOWN), "value": (np.uint8, UNSEEN), "steep": (np.uint8, 0)}
+        layers = {"log_odds": (np.int8, UNKNOWN), "value": (np.uint8, UNSEEN), "min_slope": (np.uint8, 0)}
         self.grid = GrowingGrid(resolution, layers | {"top": (np.int16, -32768)})
         self._steps = (config or UpdateConfig()).steps
         self._touched: ByteArray = np.zeros(0, np.uint8)
@@ -93,8 +93,8 @@ class OccupancyMap:
         origin: FloatArray,
         hits: FloatArray,
         free: FloatArray,
-        steep: ByteArray,
-        bound: int,
+        min_slopes: ByteArray,
+        wall_slope: int,
         box: FloatArray,
     ) -> bool:
         """Enter a scan; return whether the arrays were replaced because the map grew.
@@ -103,8 +103,8 @@ class OccupancyMap:
             origin: (3,) x, y, height of the laser in the map frame, metres.
             hits: (n, 3) where beams ended.
             free: (m, 3) ends of beams that met nothing up to there.
-            steep: (n,) proven rise over run of each hit, in STEEP_STEP.
-            bound: from which step of `steep` on a cell is a wall for sure.
+            min_slopes: (n,) of each hit, SLOPE_STEP.
+            wall_slope: minimum slope from which on a cell is a wall, SLOPE_STEP.
             box: (4,) west, south, east, north of all of them, metres.
         """
         bounds = box.tolist()
@@ -123,8 +123,8 @@ class OccupancyMap:
             origin,
             hits,
             free,
-            steep,
-            bound,
+            min_slopes,
+            wall_slope,
             self._steps,
         )
         return grew
@@ -144,22 +144,22 @@ class OccupancyMap:
         self.layers = Layers(**g.layers)
         self.frame: FloatArray = np.array((g.row0, g.col0, g.resolution), dtype=np.float64)
 
-    def revalue(self, bound: int) -> None:
-        """Let the matcher see as walls only those hits that are proven to be steeper than `bound`."""
+    def revalue(self, wall_slope: int) -> None:
+        """Let the matcher see as walls only those hits whose minimum slope is at least `wall_slope`."""
         steps, value = self.layers.log_odds, self.layers.value
         np.take(VALUE, steps.astype(np.int16) + 128, out=value)
-        value[(steps > 0) & (self.layers.steep < bound)] = UNSEEN
+        value[(steps > 0) & (self.layers.min_slope < wall_slope)] = UNSEEN
 
-    def steepness(self, points: FloatArray) -> ByteArray:
-        """Return (n,) what is proven of the cells under points (n, 2 or more), in STEEP_STEP."""
+    def min_slope(self, points: FloatArray) -> ByteArray:
+        """Return (n,) the minimum slopes of the cells under points (n, 2 or more), SLOPE_STEP."""
         out = np.zeros(len(points), np.uint8)
-        look_up(self.layers.steep, self.frame, points, out)
+        look_up(self.layers.min_slope, self.frame, points, out)
         return out
 
-    def occupancy_grid(self, bound: int) -> OccupancyGrid:
-        """Return what is known; hits not proven to be steeper than `bound` are unknown, not occupied."""
-        steps, steep = self.layers.log_odds, self.layers.steep
-        known = (steps != UNKNOWN) & ~((steps > 0) & (steep < bound))
+    def occupancy_grid(self, wall_slope: int) -> OccupancyGrid:
+        """Return what is known; hits whose minimum slope is below `wall_slope` are unknown, not occupied."""
+        steps, min_slopes = self.layers.log_odds, self.layers.min_slope
+        known = (steps != UNKNOWN) & ~((steps > 0) & (min_slopes < wall_slope))
         rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
         if len(rows) == 0:
             return OccupancyGrid(np.full((1, 1), np.nan, np.float32), self.resolution)
@@ -199,13 +199,13 @@ class Layers(NamedTuple):
 
     log_odds: NDArray[np.int8]
     value: ByteArray
-    steep: ByteArray
+    min_slope: ByteArray
     top: NDArray[np.int16]
 
 
 @njit(cache=True)
 def enter_scan(  # type: ignore[no-untyped-def]
-    layers, frame, touched, mark, corner, origin, hits, free, steep, bound, steps
+    layers, frame, touched, mark, corner, origin, hits, free, min_slopes, wall_slope, steps
 ):
     """Raise the cells where beams end, then lower those that beams pass; no cell twice, a hit wins.
 
@@ -218,8 +218,8 @@ def enter_scan(  # type: ignore[no-untyped-def]
         origin: (3,) the laser, metres.
         hits: (n, 3) where beams ended.
         free: (m, 3) ends of beams that met nothing.
-        steep: (n,) proven steepness of each hit.
-        bound: steepness from which on a cell is a wall.
+        min_slopes: (n,) of each hit.
+        wall_slope: minimum slope from which on a cell is a wall.
         steps: miss, hit and limit of the log-odds.
     """
     scale = 1 / frame[2]
@@ -229,27 +229,27 @@ def enter_scan(  # type: ignore[no-untyped-def]
         row, col = int(hits[i, 1] * scale - north), int(hits[i, 0] * scale - east)
         r, c = row + corner[0], col + corner[1]
         cells[i, 0], cells[i, 1] = row, col
-        layers.steep[r, c] = max(layers.steep[r, c], steep[i])
+        layers.min_slope[r, c] = max(layers.min_slope[r, c], min_slopes[i])
         layers.top[r, c] = max(layers.top[r, c], np.int16(min(max(hits[i, 2], -300.0), 300.0) / TOP_STEP))
     for row, col in cells:
         if touched[row, col] != mark:
             touched[row, col] = mark
-            _change(layers, row + corner[0], col + corner[1], steps[1], bound, steps[2])
+            _change(layers, row + corner[0], col + corner[1], steps[1], wall_slope, steps[2])
     start = origin[1] * scale - north, origin[0] * scale - east, origin[2]
     for i in range(len(hits)):
         end = hits[i, 1] * scale - north, hits[i, 0] * scale - east, hits[i, 2]
-        _pass(layers, touched, mark, corner, start, end, -1, bound, steps)
+        _pass(layers, touched, mark, corner, start, end, -1, wall_slope, steps)
     for i in range(len(free)):
         end = free[i, 1] * scale - north, free[i, 0] * scale - east, free[i, 2]
-        _pass(layers, touched, mark, corner, start, end, 1, bound, steps)
+        _pass(layers, touched, mark, corner, start, end, 1, wall_slope, steps)
 
 
 @njit(cache=True)
-def _pass(layers, touched, mark, corner, start, end, more, bound, steps):  # type: ignore[no-untyped-def]
+def _pass(layers, touched, mark, corner, start, end, more, wall_slope, steps):  # type: ignore[no-untyped-def]
     """Lower the cells between laser and end of a beam, given in cells of the scratch.
 
     The last cell before a hit (`more` = -1) is spared: noise would wear the wall's near face away and
-    so push it back. A beam that passes above where a proven wall was hit says nothing about the wall.
+    so push it back. A beam that passes above where a wall was hit says nothing about the wall.
     """
     y, x, z = start
     dy, dx, dz = end[0] - y, end[1] - x, end[2] - z
@@ -268,23 +268,25 @@ def _pass(layers, touched, mark, corner, start, end, more, bound, steps):  # typ
         touched[row, col] = mark
         r, c = row + down, col + right
         if (
-            bound > 0
+            wall_slope > 0
             and layers.log_odds[r, c] > 0
-            and layers.steep[r, c] >= bound
+            and layers.min_slope[r, c] >= wall_slope
             and (z + k * dz) / TOP_STEP > layers.top[r, c] + ABOVE
         ):
             continue
-        _change(layers, r, c, steps[0], bound, steps[2])
+        _change(layers, r, c, steps[0], wall_slope, steps[2])
 
 
 @njit(cache=True, inline="always")
-def _change(layers, r, c, step, bound, limit):  # type: ignore[no-untyped-def]
+def _change(layers, r, c, step, wall_slope, limit):  # type: ignore[no-untyped-def]
     """Add to the log-odds of a cell and renew what the matcher sees of it."""
     before = np.int64(layers.log_odds[r, c])
     after = (0 if before == UNKNOWN else before) + step
     after = min(limit, max(-limit, after))
     layers.log_odds[r, c] = after
-    layers.value[r, c] = UNSEEN if after > 0 and layers.steep[r, c] < bound else VALUE[np.uintp(after + 128)]
+    layers.value[r, c] = (
+        UNSEEN if after > 0 and layers.min_slope[r, c] < wall_slope else VALUE[np.uintp(after + 128)]
+    )
 
 
 @njit(cache=True)

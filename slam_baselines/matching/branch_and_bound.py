@@ -97,7 +97,7 @@ def branch_and_bound(
 
     Args:
         grids: the map and its bounds.
-        points: (n, 2 or more) ends of beams in the levelled base frame, metres; n > 0.
+        points: (n, 2 or more) ends of beams in the leveled base frame, metres; n > 0.
         start: (3,) x, y, yaw in the middle of the window.
         linear: shifts up to this in x and in y, metres.
         angular: turns up to this, radians.

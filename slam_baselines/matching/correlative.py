@@ -52,7 +52,7 @@ def search(
 
     Args:
         grid: level of the map, with the layer `value`.
-        points: (n, 2 or more) ends of beams in the levelled base frame, metres.
+        points: (n, 2 or more) ends of beams in the leveled base frame, metres.
         weights: (n,) how much each counts.
         start: (3,) x, y, yaw.
         config: the window.
@@ -70,7 +70,7 @@ def search(
 
 @njit(cache=True)
 def _search(  # type: ignore[no-untyped-def]
-    value, row0, col0, res, points, weights, start, reach, turns, step, per_metre, per_radian, best
+    value, row0, col0, res, points, weights, start, reach, turns, step, per_meter, per_radian, best
 ):
     """Fill `best` (3,) with the pose of the highest mean value, less the loss for its distance."""
     rows, cols = value.shape
@@ -91,7 +91,7 @@ def _search(  # type: ignore[no-untyped-def]
                     r, q = at_row[i] + dr, at_col[i] + dc
                     if 0 <= r < rows and 0 <= q < cols:
                         score += weights[i] * value[r, q]
-                loss = per_metre * np.hypot(dr, dc) * res + per_radian * abs(k * step)
+                loss = per_meter * np.hypot(dr, dc) * res + per_radian * abs(k * step)
                 score = score / total - loss
                 if score > best_score:
                     best_score = score

@@ -104,7 +104,7 @@ class ScanMatcher:
 
         Args:
             pyramid: the map.
-            points: (n, 2 or more) ends of beams in the levelled base frame, metres.
+            points: (n, 2 or more) ends of beams in the leveled base frame, metres.
             weights: (n,) how much each counts.
             prior: (3,) expected x, y, yaw.
             information: (3, 3) inverse covariance of the prior.
@@ -128,7 +128,7 @@ class ScanMatcher:
 
         Args:
             pyramid: the map.
-            points: (n, 2 or more) ends of beams in the levelled base frame, metres.
+            points: (n, 2 or more) ends of beams in the leveled base frame, metres.
             weights: (n,) how much each counts; None: all the same.
             share: of its information that the scan adds.
             prior: (3,) expected x, y, yaw.
@@ -204,7 +204,7 @@ def match(  # type: ignore[no-untyped-def]
         cell = frames[level, 2]
         stride = 2**level  # a coarse level needs fewer beams to show the way
         for _ in range(iterations[level]):
-            score, known = linearise(values[level], frames[level], points, weights, stride, pose, H, g)
+            score, known = linearize(values[level], frames[level], points, weights, stride, pose, H, g)
             for i in range(3):
                 b[i] = g[i] * stride / variance
                 for j in range(3):
@@ -217,7 +217,7 @@ def match(  # type: ignore[no-untyped-def]
             if settled:
                 break
     if exact or not settled:
-        score, known = linearise(values[0], frames[0], points, weights, 1, pose, H, g)
+        score, known = linearize(values[0], frames[0], points, weights, 1, pose, H, g)
     out[:3] = pose
     out[3:12] = (H / variance).ravel()
     total = max(weights.sum(), 1e-9)
@@ -225,13 +225,13 @@ def match(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def linearise(value, frame, points, weights, stride, pose, H, g):  # type: ignore[no-untyped-def]
+def linearize(value, frame, points, weights, stride, pose, H, g):  # type: ignore[no-untyped-def]
     """Fill Hessian and gradient of the matching cost (eqs. 12-13); return score and known weight.
 
     Args:
         value: (rows, cols) layer of the map.
         frame: (3,) lattice row and column of its cell (0, 0), resolution in metres.
-        points: (n, 2 or more) ends of beams in the levelled base frame.
+        points: (n, 2 or more) ends of beams in the leveled base frame.
         weights: (n,) of the beams.
         stride: only every so many beams count.
         pose: (3,) x, y, yaw.

@@ -14,7 +14,7 @@ from lirs_wct.geometry.pose import Pose2, wrap_angle
 from slam_baselines.common.se2 import inverted
 from slam_baselines.matching.correlative import SearchConfig, search
 from slam_baselines.matching.gauss_newton import MapPyramid, Match, MatchConfig, ScanMatcher
-from slam_baselines.motion.dead_reckoning import Estimate
+from slam_baselines.motion.dead_reckoning import PoseEstimate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,12 +24,12 @@ class LocalMatchingConfig:
     Attributes:
         match: Gauss-Newton.
         search: the correlative search.
-        poor_score: mean occupancy at the ends of the beams below which the search begins.
-        known_share: share of beams on known cells that a score needs to be believed.
-        least_beams: fewer beams on known cells than this say nothing.
-        fresh_distance: scans closer together than this see the same cells with the same errors, so that
-            each adds only its share of information, metres.
-        least_share: ... but never less than this.
+        search_threshold: mean occupancy at the ends of the beams below which the search begins.
+        known_ratio: share of beams on known cells that a score needs to be believed.
+        min_beams: fewer beams on known cells than this say nothing.
+        decorrelation_distance: scans closer together than this see the same cells with the same errors, so
+            that each adds only its share of information, metres.
+        min_share: ... but never less than this.
 
     Raises:
         ConfigError: a share or score outside (0, 1), or a distance that is not above 0.
@@ -37,18 +37,18 @@ class LocalMatchingConfig:
 
     match: MatchConfig = field(default_factory=lambda: MatchConfig(iterations=(5, 3, 3), sigma=0.3))
     search: SearchConfig = field(default_factory=SearchConfig)
-    poor_score: float = 0.4
-    known_share: float = 0.3
-    least_beams: int = 15
-    fresh_distance: float = 0.4
-    least_share: float = 0.02
+    search_threshold: float = 0.4
+    known_ratio: float = 0.3
+    min_beams: int = 15
+    decorrelation_distance: float = 0.4
+    min_share: float = 0.02
 
     def __post_init__(self) -> None:
-        for name in ("poor_score", "known_share", "least_share"):
+        for name in ("search_threshold", "known_ratio", "min_share"):
             if not 0 < getattr(self, name) < 1:
                 raise ConfigError(f"{name} must be within (0, 1), got {getattr(self, name)}")
-        if not self.fresh_distance > 0:
-            raise ConfigError(f"fresh_distance must be above 0 m, got {self.fresh_distance}")
+        if not self.decorrelation_distance > 0:
+            raise ConfigError(f"decorrelation_distance must be above 0 m, got {self.decorrelation_distance}")
 
 
 class LocalMatcher:
@@ -64,33 +64,38 @@ class LocalMatcher:
         self._matcher = ScanMatcher(config.match)
 
     def fit(
-        self, pyramid: MapPyramid, hits: FloatArray, weights: FloatArray, expected: Estimate, before: Pose2
-    ) -> tuple[Estimate, Match | None]:
+        self,
+        pyramid: MapPyramid,
+        hits: FloatArray,
+        weights: FloatArray,
+        expected: PoseEstimate,
+        before: Pose2,
+    ) -> tuple[PoseEstimate, Match | None]:
         """Return the estimate that fits, and the match; `expected` and None where nothing can be said.
 
         Args:
             pyramid: the submap.
-            hits: (n, 2 or more) ends of beams in the levelled base frame, metres.
+            hits: (n, 2 or more) ends of beams in the leveled base frame, metres.
             weights: (n,) 1 for walls, 0 for what may be ground.
             expected: the estimate by dead reckoning.
             before: pose of the last fit.
         """
         c, start = self.config, expected.pose
-        if weights.sum() < c.least_beams:
+        if weights.sum() < c.min_beams:
             return expected, None
         moved = start.distance(before) + 0.5 * abs(wrap_angle(start.yaw - before.yaw))
-        share = min(1.0, max(c.least_share, moved / c.fresh_distance))
+        share = min(1.0, max(c.min_share, moved / c.decorrelation_distance))
         prior, information = start.as_array(), inverted(expected.covariance)
         levels = self._matcher.levels(pyramid, expected.covariance)
         fresh = weights * share
         match = self._matcher.match(pyramid, hits, fresh, prior, information, levels)
-        if match.beams < c.least_beams * share:
+        if match.beams < c.min_beams * share:
             return expected, None
-        if match.known >= c.known_share and match.score < c.poor_score:
+        if match.known >= c.known_ratio and match.score < c.search_threshold:
             self.searches += 1
             found = search(pyramid.maps[-1].grid, hits, weights, prior, c.search)
             every = len(pyramid.maps)
             wider = self._matcher.match(pyramid, hits, fresh, prior, information, every, found)
             match = max(match, wider, key=lambda m: m.score)
         x, y, yaw = match.pose.tolist()
-        return Estimate(Pose2(x, y, wrap_angle(yaw)), inverted(information + match.information)), match
+        return PoseEstimate(Pose2(x, y, wrap_angle(yaw)), inverted(information + match.information)), match

@@ -15,7 +15,7 @@ from lirs_wct.geometry.pose import Pose2, wrap_angle
 from slam_baselines.common.linalg import invert3
 from slam_baselines.matching.correlative import SearchConfig, search
 from slam_baselines.matching.gauss_newton import MapPyramid, Match, MatchConfig, ScanMatcher
-from slam_baselines.motion.dead_reckoning import Estimate
+from slam_baselines.motion.dead_reckoning import PoseEstimate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,17 +25,17 @@ class RegistrationConfig:
     Attributes:
         match: Gauss-Newton.
         search: the wider search.
-        poor_score: mean occupancy at the ends of the beams below which the wider search begins.
-        sure_score: the same from which on a fit among hills says how good dead reckoning was.
-        known_share: share of beams on known cells that a score needs to be believed.
-        least_beams: fewer beams on known cells than this say nothing.
-        least_walls: among hills, where what passes for a wall may be ground, fewer walls say nothing.
-        believable: among hills, a found pose farther than so many standard deviations from dead reckoning is
-            not believed, however well it fits.
+        search_threshold: mean occupancy at the ends of the beams below which the wider search begins.
+        sure_score: the same from which on a fit on uneven ground says how good dead reckoning was.
+        known_ratio: share of beams on known cells that a score needs to be believed.
+        min_beams: fewer beams on known cells than this say nothing.
+        min_walls: on uneven ground, where what passes for a wall may be ground, fewer walls say nothing.
+        mahalanobis_gate: on uneven ground, a pose farther than so many standard deviations from dead
+            reckoning is not believed, however well it fits.
         gain: the wider search must raise the score by this to be believed against the odometry.
-        fresh_distance: scans closer together than this see the same cells with the same errors, so that
-            each adds only its share of information, metres.
-        least_share: ... but never less than this.
+        decorrelation_distance: scans closer together than this see the same cells with the same errors, so
+            that each adds only its share of information, metres.
+        min_share: ... but never less than this.
 
     Raises:
         ConfigError: a share or score outside (0, 1), or a distance that is not above 0.
@@ -43,22 +43,22 @@ class RegistrationConfig:
 
     match: MatchConfig = field(default_factory=MatchConfig)
     search: SearchConfig = field(default_factory=SearchConfig)
-    poor_score: float = 0.4
+    search_threshold: float = 0.4
     sure_score: float = 0.6
-    known_share: float = 0.3
-    least_beams: int = 15
-    least_walls: int = 40
-    believable: float = 4.0
+    known_ratio: float = 0.3
+    min_beams: int = 15
+    min_walls: int = 40
+    mahalanobis_gate: float = 4.0
     gain: float = 0.05
-    fresh_distance: float = 0.4
-    least_share: float = 0.02
+    decorrelation_distance: float = 0.4
+    min_share: float = 0.02
 
     def __post_init__(self) -> None:
-        for name in ("poor_score", "sure_score", "known_share", "least_share"):
+        for name in ("search_threshold", "sure_score", "known_ratio", "min_share"):
             if not 0 < getattr(self, name) < 1:
                 raise ConfigError(f"{name} must be within (0, 1), got {getattr(self, name)}")
-        if not self.fresh_distance > 0:
-            raise ConfigError(f"fresh_distance must be above 0 m, got {self.fresh_distance}")
+        if not self.decorrelation_distance > 0:
+            raise ConfigError(f"decorrelation_distance must be above 0 m, got {self.decorrelation_distance}")
 
 
 class Registration:
@@ -78,15 +78,15 @@ class Registration:
         pyramid: MapPyramid,
         hits: FloatArray,
         weights: FloatArray | None,
-        expected: Estimate,
+        expected: PoseEstimate,
         before: Pose2,
         earlier: Pose2 | None = None,
-    ) -> tuple[Estimate, Match | None]:
+    ) -> tuple[PoseEstimate, Match | None]:
         """Return the estimate that fits, and the match; `expected` and None where nothing can be said.
 
         Args:
             pyramid: the map.
-            hits: (n, 2 or more) ends of beams in the levelled base frame, metres.
+            hits: (n, 2 or more) ends of beams in the leveled base frame, metres.
             weights: (n,) 1 for walls, less for what is less steep, 0 for what may be ground; None on a
                 floor, where every hit is a wall.
             expected: the estimate by dead reckoning.
@@ -96,25 +96,25 @@ class Registration:
         """
         c, start = self.config, expected.pose
         moved = start.distance(before) + 0.5 * abs(wrap_angle(start.yaw - before.yaw))
-        share = min(1.0, max(c.least_share, moved / c.fresh_distance))
-        hills, walls = weights is not None, len(hits) if weights is None else np.count_nonzero(weights)
-        if walls < (c.least_walls if hills else c.least_beams):
+        share = min(1.0, max(c.min_share, moved / c.decorrelation_distance))
+        uneven, walls = weights is not None, len(hits) if weights is None else np.count_nonzero(weights)
+        if walls < (c.min_walls if uneven else c.min_beams):
             return expected, None
         prior = start.as_array()
         match, covariance = self._matcher.fit(pyramid, hits, weights, share, prior, expected.covariance)
-        if walls * match.known < c.least_beams:
+        if walls * match.known < c.min_beams:
             return expected, None
-        if match.known >= c.known_share and match.score < c.poor_score:
+        if match.known >= c.known_ratio and match.score < c.search_threshold:
             wider, loose = self._search(pyramid, hits, weights, share, prior, _coasting(before, earlier))
-            if hills and max(match.score, wider.score) < c.poor_score:
+            if uneven and max(match.score, wider.score) < c.search_threshold:
                 # Nothing fits, near or far: dead reckoning errs less than a forced fit.
                 return expected, match
-            if hills and not self._believable(wider, expected):
+            if uneven and not self._within_gate(wider, expected):
                 return expected, match
             if wider.score > match.score + c.gain:
                 match, covariance = wider, loose
         x, y, yaw = match.pose.tolist()
-        return Estimate(Pose2(x, y, wrap_angle(yaw)), covariance), match
+        return PoseEstimate(Pose2(x, y, wrap_angle(yaw)), covariance), match
 
     def _search(
         self,
@@ -139,11 +139,11 @@ class Registration:
         ]
         return max(fits, key=lambda fit: fit[0].score)
 
-    def _believable(self, found: Match, expected: Estimate) -> bool:
+    def _within_gate(self, found: Match, expected: PoseEstimate) -> bool:
         """Whether a pose lies where dead reckoning may have led."""
         off = found.pose - expected.pose.as_array()
         off[2] = wrap_angle(off[2])
-        return bool(off @ invert3(expected.covariance) @ off <= self.config.believable**2)
+        return bool(off @ invert3(expected.covariance) @ off <= self.config.mahalanobis_gate**2)
 
 
 def _coasting(before: Pose2, earlier: Pose2 | None) -> FloatArray:

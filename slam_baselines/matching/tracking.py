@@ -9,24 +9,24 @@ class FitCounter:
     Before the first good fit nothing is known that a scan could contradict.
     """
 
-    def __init__(self, lost_score: float, known_share: float, lost_after: int) -> None:
+    def __init__(self, lost_score: float, known_ratio: float, lost_after: int) -> None:
         """Set the limits.
 
         Args:
             lost_score: share of the beams on known cells that must end at a wall ...
-            known_share: ... where at least so many of all beams end on known cells.
+            known_ratio: ... where at least so many of all beams end on known cells.
             lost_after: the mapper is lost after so many scans in a row that do not fit.
         """
-        self._limits = lost_score, known_share
+        self._limits = lost_score, known_ratio
         self._lost_after = lost_after
         self._poor_in_a_row = 0
         self._settled = False
 
-    def note(self, met: float, known: float) -> None:
+    def note(self, hit_ratio: float, known: float) -> None:
         """Take note of a scan: share of beams that met walls, of those on known cells; share of these."""
         score, share = self._limits
         tells = known > share
-        poor = tells and met < score
+        poor = tells and hit_ratio < score
         self._settled |= tells and not poor
         self._poor_in_a_row = self._poor_in_a_row + 1 if poor and self._settled else 0
 

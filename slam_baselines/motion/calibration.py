@@ -2,11 +2,11 @@
 
 Wheels of unequal size, a wrong track, a laser that is not where the log says: such errors are the same
 in every step, so a prior that is right on average needs them taken out. The correction of a step is
-linear in the way driven and the angle turned; recursive least squares with forgetting finds it from the
-poses that scan matching confirms (Haykin 2002, "Adaptive filter theory", table 9.1).
+linear in the distance traveled and the angle turned; recursive least squares with forgetting finds it from
+the poses that scan matching confirms (Haykin 2002, "Adaptive filter theory", table 9.1).
 
 Wheels that skid in a turn have spent their friction, so on a slope the robot slides downhill as well: by
-so much per radian turned and unit of slope. That is one more gain, learnt in the same way.
+so much per radian turned and unit of slope. That is one more gain, learnt likewise.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class CalibrationConfig:
         ConfigError: a value is not above 0.
     """
 
-    per_metre: float = 0.05
+    per_meter: float = 0.05
     per_radian: float = 0.05
     noise: float = 0.02
     memory: float = 500.0
@@ -62,7 +62,7 @@ class Calibration:
     def __init__(self, config: CalibrationConfig) -> None:
         self.gain = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         self.slide = 0.0
-        self._start = config.per_metre**2, config.per_radian**2
+        self._start = config.per_meter**2, config.per_radian**2
         self._P = self._start[0], 0.0, self._start[1]
         self._noise = config.noise**2
         self._keep = math.exp(-1 / config.memory)

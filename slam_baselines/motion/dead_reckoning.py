@@ -24,7 +24,7 @@ def yaw_rate(imu: Imu) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class PoseEstimate:
     """A pose and how much it is to be believed.
 
     Attributes:
@@ -38,14 +38,14 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True)
 class MotionConfig:
-    """Errors of the odometry, each as a random walk: the variance grows with way, turn and time.
+    """Errors of the odometry, each as a random walk: the variance grows with distance, turn and time.
 
     So a step in ten parts is as uncertain as the step in one, whatever the rate of the scans.
 
     Attributes:
         translation_per_metre: standard deviation after one metre, metres.
         translation_per_radian: after turning one radian, metres.
-        slide_per_radian: the same again for each radian that the robot leans, metres.
+        slide_per_radian: the same again for each radian that the robot is tilted, metres.
         translation_per_second: after one second, metres.
         rotation_per_metre: after one metre, radians.
         rotation_per_radian: after turning one radian, radians.
@@ -58,11 +58,11 @@ class MotionConfig:
         ConfigError: a value is not above 0.
     """
 
-    translation_per_metre: float = 0.04
+    translation_per_meter: float = 0.04
     translation_per_radian: float = 0.1
     slide_per_radian: float = 2.0
     translation_per_second: float = 0.005
-    rotation_per_metre: float = 0.03
+    rotation_per_meter: float = 0.03
     rotation_per_radian: float = 0.05
     rotation_per_second: float = 0.005
     gyro_per_second: float = 0.001
@@ -76,12 +76,12 @@ class MotionConfig:
 
     def predict(
         self,
-        before: Estimate,
+        before: PoseEstimate,
         delta: Pose2 | None,
         seconds: float,
         turned: float | None = None,
         tilt: float = 0.0,
-    ) -> Estimate:
+    ) -> PoseEstimate:
         """Return the estimate to expect after a step.
 
         Args:
@@ -91,7 +91,7 @@ class MotionConfig:
             seconds: duration of the step.
             turned: change of yaw by the gyro, if there is one, radians. Two witnesses that agree are
                 believed as a gyro deserves; the more they disagree, the less the odometry's yaw is.
-            tilt: how much the robot leans, radians: wheels that skid in a turn slide downhill.
+            tilt: of the robot, radians: wheels that skid in a turn slide downhill.
         """
         seconds = max(seconds, 1e-3)
         if delta is None:
@@ -100,12 +100,12 @@ class MotionConfig:
         else:
             metres, radians = math.hypot(delta.x, delta.y), abs(delta.yaw)
             shift = (
-                self.translation_per_metre**2 * metres
+                self.translation_per_meter**2 * metres
                 + (self.translation_per_radian**2 + (self.slide_per_radian * tilt) ** 2) * radians
                 + self.translation_per_second**2 * seconds
             )
             turn = (
-                self.rotation_per_metre**2 * metres
+                self.rotation_per_meter**2 * metres
                 + self.rotation_per_radian**2 * radians
                 + self.rotation_per_second**2 * seconds
             )
@@ -113,16 +113,16 @@ class MotionConfig:
             turn = min(turn, self.gyro_per_second**2 * seconds + wrap_angle(turned - delta.yaw) ** 2)
         after = before.pose @ delta
         dx, dy = after.x - before.pose.x, after.y - before.pose.y
-        return Estimate(after, moved_covariance(before.covariance, dx, dy, shift, turn))
+        return PoseEstimate(after, moved_covariance(before.covariance, dx, dy, shift, turn))
 
 
-class Move(NamedTuple):
+class OdometryIncrement(NamedTuple):
     """A step by odometry and the ground it was done on.
 
     Attributes:
         step: `T_before_now` as the odometry says.
         down: how far the ground falls per metre ahead and to the left.
-        tilt: how much the robot leaned, radians.
+        tilt: of the robot, radians.
     """
 
     step: Pose2
@@ -139,18 +139,20 @@ class DeadReckoning:
 
     Attributes:
         calibration: what the odometry always gets wrong.
-        moved: the last step; None without odometry.
+        increment: the last one; None without odometry.
     """
 
     def __init__(self, config: MotionConfig, calibration: CalibrationConfig | None = None) -> None:
         self.config = config
         self.calibration = Calibration(calibration or CalibrationConfig())
-        self.moved: Move | None = None
+        self.increment: OdometryIncrement | None = None
         self._odometry: Pose2 | None = None
         self._rate: float | None = None
         self._stamp: float | None = None
 
-    def predict(self, last: Estimate, odometry: Pose2 | None, imu: Imu | None, stamp: float) -> Estimate:
+    def predict(
+        self, last: PoseEstimate, odometry: Pose2 | None, imu: Imu | None, stamp: float
+    ) -> PoseEstimate:
         """Return what to expect at `stamp`; the first call only takes note and returns `last`.
 
         Args:
@@ -163,20 +165,22 @@ class DeadReckoning:
         rate, self._rate = self._rate, None if imu is None else yaw_rate(imu)
         then, self._stamp = self._stamp, stamp
         if before is None or odometry is None:
-            self.moved = None
+            self.increment = None
         else:
-            self.moved = Move(_between(before, odometry), *_downhill(imu))
+            self.increment = OdometryIncrement(_between(before, odometry), *_downhill(imu))
         if then is None:
             return last
-        delta = None if self.moved is None else self.moved.corrected(self.calibration)
+        delta = None if self.increment is None else self.increment.corrected(self.calibration)
         turned = None if rate is None or self._rate is None else (rate + self._rate) / 2 * (stamp - then)
-        return self.config.predict(last, delta, stamp - then, turned, self.moved.tilt if self.moved else 0.0)
+        return self.config.predict(
+            last, delta, stamp - then, turned, self.increment.tilt if self.increment else 0.0
+        )
 
     def learn(self, before: Pose2, now: Pose2) -> None:
         """Take note of where the last step truly led: from `before` to `now` in the map."""
         # A robot that stands teaches nothing, and what was learnt is not forgotten over it.
-        if self.moved is not None and abs(self.moved.step.x) + abs(self.moved.step.yaw) > STANDS:
-            self.calibration.learn(self.moved.step, _between(before, now), self.moved.down)
+        if self.increment is not None and abs(self.increment.step.x) + abs(self.increment.step.yaw) > STANDS:
+            self.calibration.learn(self.increment.step, _between(before, now), self.increment.down)
 
 
 def _between(a: Pose2, b: Pose2) -> Pose2:
@@ -186,7 +190,7 @@ def _between(a: Pose2, b: Pose2) -> Pose2:
 
 
 def _downhill(imu: Imu | None) -> tuple[Slope, float]:
-    """Return how far the ground falls ahead and to the left, and how much the robot leans, radians."""
+    """Return how far the ground falls ahead and to the left, and the robot's tilt, radians."""
     if imu is None:
         return LEVEL, 0.0
     return (math.sin(imu.pitch), -math.sin(imu.roll)), math.hypot(imu.roll, imu.pitch)

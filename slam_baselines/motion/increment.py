@@ -1,4 +1,4 @@
-"""The step since the last processed scan, by odometry and, where it can be had, corrected on the way."""
+"""The motion since the last processed scan, by odometry, gyro and matched scans."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
-from slam_baselines.motion.dead_reckoning import DeadReckoning, Estimate, MotionConfig, yaw_rate
+from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, PoseEstimate, yaw_rate
 
 GYRO = 5e-4
 """Random walk of a gyro's yaw once its bias is taken out: standard deviation after one second, radians."""
@@ -18,16 +18,16 @@ STILL = 1e-9
 """Metres and radians up to which a step is none."""
 
 
-class Step:
+class MotionIncrement:
     """How the base has moved since `begin`.
 
     Attributes:
         pose: `T_begin_now`, corrected.
         newest: (3, 3) covariance of what was added to it last.
-        reckoned: the same step by odometry and gyro as they are; its covariance is the sum over the way.
+        reckoned: the same step by odometry and gyro as they are; its covariance is the sum over all.
         bias: what the gyro says too much, rad/s; taken out of `pose`.
         seconds: spent moving.
-        way: metres driven.
+        distance: traveled, metres.
         turn: radians turned, either way.
     """
 
@@ -41,31 +41,31 @@ class Step:
         """Start a new step here."""
         self.pose = Pose2()
         self.newest: FloatArray = np.zeros((3, 3))
-        self.reckoned = Estimate(Pose2(), self.newest)
-        self.way = self.turn = self.seconds = self._disagreement = 0.0
+        self.reckoned = PoseEstimate(Pose2(), self.newest)
+        self.distance = self.turn = self.seconds = self._disagreement = 0.0
 
     def follow(self, odometry: Pose2, imu: Imu | None, stamp: float) -> Pose2:
         """Go on by odometry and gyro; return what was added, `T_before_now`."""
-        exact = Estimate(self.pose, np.zeros((3, 3)))
+        exact = PoseEstimate(self.pose, np.zeros((3, 3)))
         now = self._reckoning.predict(exact, odometry, imu, stamp)
         delta = self.pose.inverse() @ now.pose
         before, self._reading = self._reading, None if imu is None else (stamp, yaw_rate(imu))
         self.newest, seconds = now.covariance, 0.0
-        self.reckoned = Estimate(self.reckoned.pose @ delta, self.reckoned.covariance + now.covariance)
+        self.reckoned = PoseEstimate(self.reckoned.pose @ delta, self.reckoned.covariance + now.covariance)
         # While it stands the wheels hold the heading, whatever the gyro says.
         if before is not None and self._reading is not None and _moved(delta):
             seconds = stamp - before[0]
             self._compare(delta.yaw, (before[1] + self._reading[1]) / 2, seconds)
         delta = unbiased(delta, self.bias, seconds)
         self.pose = self.pose @ delta
-        self.way += math.hypot(delta.x, delta.y)
+        self.distance += math.hypot(delta.x, delta.y)
         self.turn += abs(delta.yaw)
         return delta
 
     def _compare(self, turn: float, rate: float, seconds: float) -> None:
         """Believe the heading as a gyro deserves, less what gyro and odometry disagree about since `begin`.
 
-        The noise of single readings cancels over the way.
+        The noise of single readings cancels over the distance.
         """
         self.seconds += seconds
         self._disagreement += turn - rate * seconds

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, wrap_angle
-from slam_baselines.scan.leveling import LevelledScan
+from slam_baselines.scan.leveling import LeveledScan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,9 +16,9 @@ class MotionFilterConfig:
 
     Attributes:
         max_time_seconds: a node at least so often ...
-        max_distance_meters: ... and after so much way ...
+        max_distance_meters: ... and after so much distance ...
         max_angle_radians: ... or turning ...
-        max_tilt_radians: ... or leaning, since leaning shows other heights of the same things.
+        max_tilt_radians: ... or tilting, since tilting shows other heights of the same things.
 
     Raises:
         ConfigError: a negative value.
@@ -46,7 +46,7 @@ class MotionFilter:
         self._slope = (0.0, 0.0)
         self._stamp = -math.inf
 
-    def note(self, scan: LevelledScan, pose: Pose2) -> None:
+    def note(self, scan: LeveledScan, pose: Pose2) -> None:
         """Take note of a node."""
         self._pose, self._slope, self._stamp = pose, scan.ground_slope, scan.stamp
 
@@ -54,15 +54,15 @@ class MotionFilter:
         """Take note that the last node's pose was corrected."""
         self._pose = pose
 
-    def due(self, scan: LevelledScan, pose: Pose2) -> bool:
+    def due(self, scan: LeveledScan, pose: Pose2) -> bool:
         """Whether the robot has moved enough since the last node."""
         if self._pose is None:
             return True
         c = self._config
-        lean = math.hypot(scan.ground_slope[0] - self._slope[0], scan.ground_slope[1] - self._slope[1])
+        tilt = math.hypot(scan.ground_slope[0] - self._slope[0], scan.ground_slope[1] - self._slope[1])
         return (
             pose.distance(self._pose) > c.max_distance_meters
             or abs(wrap_angle(pose.yaw - self._pose.yaw)) > c.max_angle_radians
-            or lean > c.max_tilt_radians
+            or tilt > c.max_tilt_radians
             or scan.stamp - self._stamp > c.max_time_seconds
         )

@@ -1,6 +1,6 @@
 """A scan made level: ends of beams in the gravity-aligned base frame, with their heights.
 
-The levelled frame has its origin in base_link, z against gravity and x along the robot's heading, so
+The leveled frame has its origin in base_link, z against gravity and x along the robot's heading, so
 `p_level = Ry(pitch) Rx(roll) T_base_laser p_laser`; the planar pose `T_map_base` does the rest.
 """
 
@@ -18,8 +18,8 @@ from lirs_wct.geometry.scan import Imu, LaserScan
 
 
 @dataclass(frozen=True, slots=True)
-class LevelledScan:
-    """A scan in the levelled base frame, metres.
+class LeveledScan:
+    """A scan in the leveled base frame, metres.
 
     Attributes:
         origin: (3,) the laser.
@@ -38,19 +38,19 @@ class LevelledScan:
     stamp: float
 
     @property
-    def levelled(self) -> bool:
+    def leveled(self) -> bool:
         """Whether an attitude was known."""
         return not math.isnan(self.tilt)
 
-    def placed(self, T_map_base: Pose2, height: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def transformed(self, T_map_base: Pose2, height: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return origin, hits and free ends in the map frame, the base being at `height`."""
         T = T_map_base
         origin, hits, free = np.empty(3), np.empty_like(self.hits), np.empty_like(self.free)
-        _place(self.origin, self.hits, self.free, T.x, T.y, T.yaw, height, origin, hits, free)
+        _transform(self.origin, self.hits, self.free, T.x, T.y, T.yaw, height, origin, hits, free)
         return origin, hits, free
 
 
-class ScanLeveller:
+class ScanLeveler:
     """Levels the scans of one sensor; keeps the directions of its beams and its mount."""
 
     def __init__(self, clear_range: float = 0.0, max_range: float = math.inf) -> None:
@@ -62,8 +62,8 @@ class ScanLeveller:
         self._mount = Pose3()
         self._R, self._t = self._mount.rotation, self._mount.position
 
-    def level(self, scan: LaserScan, imu: Imu | None) -> LevelledScan:
-        """Return the scan in the levelled base frame; without IMU the base counts as level."""
+    def level(self, scan: LaserScan, imu: Imu | None) -> LeveledScan:
+        """Return the scan in the leveled base frame; without IMU the base counts as level."""
         geometry = len(scan.ranges), scan.angle_min, scan.angle_increment
         if geometry != self._geometry:
             self._geometry = geometry
@@ -79,14 +79,14 @@ class ScanLeveller:
             scan.ranges, self._directions, self._R, self._t, roll, pitch,
             scan.range_min, farthest, clear, ends, origin,
         )  # fmt: skip
-        # z of the base in the levelled frame is (sin p cos r, -sin r, cos p cos r).
+        # z of the base in the leveled frame is (sin p cos r, -sin r, cos p cos r).
         slope = (-math.tan(pitch), math.tan(roll) / math.cos(pitch))
         tilt = math.nan if imu is None else math.acos(min(1.0, math.cos(roll) * math.cos(pitch)))
-        return LevelledScan(origin, ends[:hits], ends[len(ends) - free :], slope, tilt, scan.stamp)
+        return LeveledScan(origin, ends[:hits], ends[len(ends) - free :], slope, tilt, scan.stamp)
 
 
 @njit(cache=True)
-def _place(origin, hits, free, x, y, yaw, z, new_origin, new_hits, new_free):  # type: ignore[no-untyped-def]
+def _transform(origin, hits, free, x, y, yaw, z, new_origin, new_hits, new_free):  # type: ignore[no-untyped-def]
     """Fill the new arrays with the old ones turned by yaw and shifted."""
     c, s = np.cos(yaw), np.sin(yaw)
     for old, new in ((origin.reshape(1, 3), new_origin.reshape(1, 3)), (hits, new_hits), (free, new_free)):

@@ -42,9 +42,9 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def unrehearsed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without the rehearsal, which changes times only."""
-    monkeypatch.setattr("lirs_validation.logs.log_mapper.rehearse", lambda name, **config: None)
+def without_warm_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the warm-up, which changes times only."""
+    monkeypatch.setattr("lirs_validation.logs.log_mapper.warm_up", lambda name, **config: None)
 
 
 @pytest.mark.parametrize("mapper", ["hector", "gmapping", "cartographer"])
@@ -91,7 +91,7 @@ def distance_to_walls(point: np.ndarray[tuple[int], np.dtype[np.float64]]) -> fl
     return float(np.linalg.norm(a + along[:, None] * e - point, axis=1).min())
 
 
-@pytest.mark.usefixtures("unrehearsed")
+@pytest.mark.usefixtures("without_warm_up")
 def test_the_same_seed_gives_the_same_bytes(room: Path, tmp_path: Path) -> None:
     folders = [
         map_log(room / "room.clf", mapper="gmapping", particles=5, seed=3, out=tmp_path / str(k)).folder
@@ -110,7 +110,7 @@ def test_the_digest_tells_maps_apart_and_not_their_judges() -> None:
     assert len(digests) == 5
 
 
-@pytest.mark.usefixtures("unrehearsed")
+@pytest.mark.usefixtures("without_warm_up")
 def test_without_odometry_hector_maps_and_the_others_say_what_they_need(room: Path) -> None:
     mapped = map_log(room / "blind.clf", mapper="hector", reference=room / "truth.tum")
     assert mapped.record.log["odometry_length"] is None
@@ -122,7 +122,7 @@ def test_without_odometry_hector_maps_and_the_others_say_what_they_need(room: Pa
             map_log(room / "blind.clf", mapper=other)
 
 
-@pytest.mark.usefixtures("unrehearsed")
+@pytest.mark.usefixtures("without_warm_up")
 @pytest.mark.parametrize("mapper", ["hector", "gmapping", "cartographer"])
 @pytest.mark.parametrize("scans", [1, 2])
 def test_a_scan_or_two_make_a_map(tmp_path: Path, mapper: str, scans: int) -> None:
@@ -138,13 +138,13 @@ def test_a_log_in_which_nothing_was_seen_is_no_map(tmp_path: Path) -> None:
         map_log(write_log(tmp_path / "x.clf", lines))
 
 
-@pytest.mark.usefixtures("unrehearsed")
+@pytest.mark.usefixtures("without_warm_up")
 def test_the_cells_are_as_large_as_asked_for(room: Path) -> None:
     for mapper in ("hector", "gmapping", "cartographer"):
         assert map_log(room / "room.clf", mapper=mapper, resolution=0.1).grid.resolution == 0.1
 
 
-@pytest.mark.usefixtures("unrehearsed")
+@pytest.mark.usefixtures("without_warm_up")
 def test_nothing_to_compare_with_is_told_and_null(room: Path, tmp_path: Path) -> None:
     (tmp_path / "other.relations").write_text("1 2 0 0 0 0 0 0\n")
     (tmp_path / "other.tum").write_text("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n")
@@ -158,7 +158,7 @@ def test_nothing_to_compare_with_is_told_and_null(room: Path, tmp_path: Path) ->
     assert told["relations"]["translation_mean"] is told["reference"]["ate_rmse"] is None
 
 
-@pytest.mark.usefixtures("unrehearsed")
+@pytest.mark.usefixtures("without_warm_up")
 def test_an_interrupted_mapping_leaves_nothing(room: Path, tmp_path: Path) -> None:
     def stop(stage: str, share: float) -> None:
         if stage == "draw" or share > 0.5:
@@ -190,7 +190,7 @@ def test_bad_options_are_told_before_the_log_is_read(case: str) -> None:
 
 
 @pytest.mark.shared
-@pytest.mark.usefixtures("unrehearsed")
+@pytest.mark.usefixtures("without_warm_up")
 def test_a_real_log_against_its_reference(shared_data: Path) -> None:
     """ATE on the CSAIL log, from the graph poses as they are published: far better than by odometry."""
     folder = shared_data / "logs" / "csail"

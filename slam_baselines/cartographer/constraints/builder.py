@@ -146,15 +146,15 @@ class ConstraintBuilder:
         self._min_covariance = np.diag((metres**2, metres**2, radians**2))
 
     def compute_constraint(
-        self, submap: Submap, points: FloatArray, start: Pose2, travelled: float
+        self, submap: Submap, points: FloatArray, start: Pose2, distance_traveled: float
     ) -> SubmapMatch | None:
         """Match a scan to a submap; the search window grows with the distance travelled.
 
         Args:
             submap: finished.
-            points: (n, 2 or more) hits on walls in the levelled base frame, metres.
+            points: (n, 2 or more) hits on walls in the leveled base frame, metres.
             start: expected pose of the base in the submap's local frame.
-            travelled: distance from the nearest node with a constraint to the submap, metres.
+            distance_traveled: distance from the nearest node with a constraint to the submap, metres.
 
         Returns:
             The match; None where the scan fits nowhere well.
@@ -164,7 +164,7 @@ class ConstraintBuilder:
         if len(sparse) < self.config.min_points:
             self.counts.poor += 1
             return None
-        match = self._match_scan(submap, points, sparse, start.as_array(), travelled)
+        match = self._match_scan(submap, points, sparse, start.as_array(), distance_traveled)
         if match is None:
             return None
         self.counts.found += 1
@@ -173,12 +173,17 @@ class ConstraintBuilder:
         return SubmapMatch(Pose2(x, y, wrap_angle(yaw)), information, match.score * match.known)
 
     def _match_scan(
-        self, submap: Submap, points: FloatArray, sparse: FloatArray, start: FloatArray, travelled: float
+        self,
+        submap: Submap,
+        points: FloatArray,
+        sparse: FloatArray,
+        start: FloatArray,
+        distance_traveled: float,
     ) -> Match | None:
         """Match from the expected pose, if that is well known; else from the best pose of a window."""
         c = self.config
-        linear = min(c.linear_search_window, c.linear_start + c.linear_drift * travelled)
-        angular = min(c.angular_search_window, c.angular_start + c.angular_drift * travelled)
+        linear = min(c.linear_search_window, c.linear_start + c.linear_drift * distance_traveled)
+        angular = min(c.angular_search_window, c.angular_start + c.angular_drift * distance_traveled)
         if linear > c.max_refined_window:
             found = self._search_window(submap, sparse, start, linear, angular)
             if found is None:

@@ -56,13 +56,13 @@ class LoopVerification:
         return len(self._pending)
 
     def verify_loop(
-        self, loop: LoopConstraint, travelled: float, submaps: Sequence[Pose2], nodes: Sequence[Pose2]
+        self, loop: LoopConstraint, distance_traveled: float, submaps: Sequence[Pose2], nodes: Sequence[Pose2]
     ) -> list[LoopConstraint]:
         """Return the loops that are accepted now: none, the given one, or it and those that agree with it.
 
         Args:
             loop: new.
-            travelled: distance travelled until its node, metres.
+            distance_traveled: distance travelled until its node, metres.
             submaps: `T_map_submap` of all submaps at present.
             nodes: `T_map_base` of all nodes at present.
         """
@@ -73,15 +73,15 @@ class LoopVerification:
         if there.distance(here) <= c.max_translation and turn <= c.max_rotation:
             return [loop]
         agreeing = []
-        for other, other_travelled in self._pending:
-            if c.min_separation <= abs(travelled - other_travelled) <= c.max_separation:
+        for other, other_distance in self._pending:
+            if c.min_separation <= abs(distance_traveled - other_distance) <= c.max_separation:
                 correction = submaps[other.submap] @ other.T_submap_node @ nodes[other.node].inverse()
                 expected = correction @ here
                 turn = abs(wrap_angle(expected.yaw - there.yaw))
                 if expected.distance(there) <= c.linear_tolerance and turn <= c.angular_tolerance:
                     agreeing.append(other)
         if not agreeing:
-            self._pending.append((loop, travelled))
+            self._pending.append((loop, distance_traveled))
             return []
         accepted = {(o.node, o.submap) for o in agreeing}
         self._pending = deque(

@@ -17,8 +17,10 @@ def a_circle(radius: float, beams: int = 400) -> np.ndarray:
     return np.stack((radius * np.cos(angle), radius * np.sin(angle), np.zeros(beams)), axis=-1)
 
 
-def enter(maps: PatchMaps, poses: list[tuple[float, float, float]], hits: np.ndarray, bound: int = 0) -> None:
-    maps.enter(np.array(poses), np.zeros(3), hits, NO_FREE, np.zeros(len(hits), np.uint8), bound)
+def enter(
+    maps: PatchMaps, poses: list[tuple[float, float, float]], hits: np.ndarray, wall_slope: int = 0
+) -> None:
+    maps.enter(np.array(poses), np.zeros(3), hits, NO_FREE, np.zeros(len(hits), np.uint8), wall_slope)
 
 
 def cells(maps: PatchMaps, particle: int) -> tuple[np.ndarray, Pose2]:
@@ -83,10 +85,10 @@ def test_patches_of_the_dead_are_used_again() -> None:
 
 def test_memory_grows_with_the_area_not_with_time() -> None:
     maps = PatchMaps(4, 0.05)
-    way = [(x, 0.0, 0.0) for x in np.arange(0, 20, 1.0)]
+    distance_traveled = [(x, 0.0, 0.0) for x in np.arange(0, 20, 1.0)]
 
     def drive() -> int:
-        for pose in way + way[::-1]:
+        for pose in distance_traveled + distance_traveled[::-1]:
             enter(maps, [pose] * 4, a_circle(3.0))
             maps.descend(np.array([0, 0, 1, 2]))
         return maps.nbytes

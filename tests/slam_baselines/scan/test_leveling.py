@@ -1,4 +1,4 @@
-"""A levelled scan has the heights and places that geometry gives it."""
+"""A leveled scan has the heights and places that geometry gives it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
-from slam_baselines.scan.leveling import ScanLeveller
+from slam_baselines.scan.leveling import ScanLeveler
 
 ANGLE = st.floats(-0.4, 0.4)
 MOUNT = Pose3.from_rpy(0.22, -0.05, 0.32, 0.02, -0.03, 0.1)
@@ -25,7 +25,7 @@ def scan_of(ranges: list[float], mount: Pose3 = MOUNT) -> LaserScan:
 @given(ANGLE, ANGLE, st.lists(st.floats(0.2, 19.0), min_size=1, max_size=9))
 def test_equals_the_rotation_written_out(roll: float, pitch: float, ranges: list[float]) -> None:
     scan = scan_of(ranges)
-    level = ScanLeveller().level(scan, Imu(roll, pitch))
+    level = ScanLeveler().level(scan, Imu(roll, pitch))
     beams = np.stack((np.cos(scan.angles), np.sin(scan.angles), 0 * scan.angles), axis=-1)
     T = Pose3.from_rpy(0, 0, 0, roll, pitch, 0) @ MOUNT
     np.testing.assert_allclose(level.hits, T.apply(beams * scan.ranges[:, None].astype(float)), atol=1e-9)
@@ -39,7 +39,7 @@ def test_beams_that_meet_level_ground_have_its_height(roll: float, pitch: float)
     angles = -1.0 + 0.5 * np.arange(5)
     down = (np.stack((np.cos(angles), np.sin(angles), 0 * angles), axis=-1) @ T.rotation.T)[:, 2]
     ranges = np.where(down < -1e-3, -T.z / np.minimum(down, -1e-3), np.inf)
-    level = ScanLeveller(max_range=500.0).level(
+    level = ScanLeveler(max_range=500.0).level(
         LaserScan(
             ranges.astype(np.float32), -1.0, 0.5, 0.1, 500.0, 0.0, Pose3.from_rpy(0.2, 0, 0.32, 0, 0, 0)
         ),
@@ -50,7 +50,7 @@ def test_beams_that_meet_level_ground_have_its_height(roll: float, pitch: float)
 
 def test_slope_of_the_ground_is_that_of_the_plane_the_robot_stands_on() -> None:
     roll, pitch = 0.1, -0.2
-    level = ScanLeveller().level(scan_of([1.0]), Imu(roll, pitch))
+    level = ScanLeveler().level(scan_of([1.0]), Imu(roll, pitch))
     plane = Pose3.from_rpy(0, 0, 0, roll, pitch, 0).rotation
     for ahead, left in ((1.0, 0.0), (0.0, 1.0)):
         x, y, z = plane @ (ahead, left, 0.0)
@@ -58,24 +58,24 @@ def test_slope_of_the_ground_is_that_of_the_plane_the_robot_stands_on() -> None:
 
 
 def test_odd_ranges_are_no_hits() -> None:
-    level = ScanLeveller(clear_range=5.0).level(
+    level = ScanLeveler(clear_range=5.0).level(
         scan_of([math.nan, math.inf, -math.inf, 0.05, 25.0, 2.0]), None
     )
     assert (len(level.hits), len(level.free)) == (1, 2)
-    assert not level.levelled
+    assert not level.leveled
     assert np.isfinite(level.hits).all()
     np.testing.assert_allclose(np.linalg.norm(level.free - level.origin, axis=1), 5.0)
 
 
 def test_empty_scan() -> None:
-    level = ScanLeveller().level(scan_of([]), Imu())
+    level = ScanLeveler().level(scan_of([]), Imu())
     assert level.hits.shape == (0, 3)
 
 
 def test_placed_moves_by_the_planar_pose_and_the_height() -> None:
-    level = ScanLeveller().level(scan_of([1.0, 2.0]), None)
+    level = ScanLeveler().level(scan_of([1.0, 2.0]), None)
     pose = Pose2(1.0, 2.0, 0.7)
-    origin, hits, free = level.placed(pose, 0.4)
+    origin, hits, free = level.transformed(pose, 0.4)
     np.testing.assert_allclose(hits[:, :2], pose.apply(level.hits[:, :2]))
     np.testing.assert_allclose(hits[:, 2], level.hits[:, 2] + 0.4)
     assert origin[2] == pytest.approx(level.origin[2] + 0.4)

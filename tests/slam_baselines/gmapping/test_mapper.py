@@ -13,7 +13,7 @@ from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.gmapping.trajectory_tree import Lineage
+from slam_baselines.gmapping.trajectory_tree import TrajectoryTree
 from slam_baselines.mapper import Mapper, make_mapper
 
 WALLS = (
@@ -134,29 +134,29 @@ def test_illegal_configuration_is_named(name: str, value: float) -> None:
 
 def test_lineage_follows_the_survivors_and_forgets_the_dead() -> None:
     rng = np.random.default_rng(4)
-    lineage, plain = Lineage(), []
+    tree, plain = TrajectoryTree(), []
     parents = np.arange(6)
     for _ in range(40):
         poses = rng.normal(size=(6, 3))
-        lineage.add_generation(poses, parents, Pose2(1, 0, 0))
+        tree.add_generation(poses, parents, Pose2(1, 0, 0))
         plain.append((poses, parents))
         parents = np.sort(rng.integers(0, 6, 6))
     k, expected = 2, []
     for poses, parents in reversed(plain):
         expected.append(poses[k])
         k = parents[k]
-    np.testing.assert_array_equal(lineage.path(2), np.array(expected[::-1]))
-    assert sum(len(p) for p in lineage._poses) < 40 * 6 / 2
+    np.testing.assert_array_equal(tree.path(2), np.array(expected[::-1]))
+    assert sum(len(p) for p in tree._poses) < 40 * 6 / 2
 
 
 def test_between_processed_scans_the_error_is_spread_along_the_way() -> None:
-    lineage = Lineage()
-    lineage.add_generation(np.zeros((1, 3)), np.zeros(1, np.int64), Pose2())
+    tree = TrajectoryTree()
+    tree.add_generation(np.zeros((1, 3)), np.zeros(1, np.int64), Pose2())
     for i in range(4):
-        lineage.add_scan(float(i), Pose2(0.25 * i, 0, 0))
-    lineage.add_generation(np.array([[1.0, 0.4, 0.0]]), np.zeros(1, np.int64), Pose2(1, 0, 0))
-    lineage.add_scan(4.0, Pose2())
-    np.testing.assert_allclose(lineage.trajectory(0).xy[:, 1], (0, 0.1, 0.2, 0.3, 0.4), atol=1e-12)
+        tree.add_scan(float(i), Pose2(0.25 * i, 0, 0))
+    tree.add_generation(np.array([[1.0, 0.4, 0.0]]), np.zeros(1, np.int64), Pose2(1, 0, 0))
+    tree.add_scan(4.0, Pose2())
+    np.testing.assert_allclose(tree.trajectory(0).xy[:, 1], (0, 0.1, 0.2, 0.3, 0.4), atol=1e-12)
 
 
 @pytest.mark.shared

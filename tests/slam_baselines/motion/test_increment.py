@@ -1,4 +1,4 @@
-"""The first metres of gmapping on uneven ground: the gyro's bias found and taken out."""
+"""The motion increment: gyro, odometry and the gyro's bias."""
 
 from __future__ import annotations
 
@@ -7,18 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from lirs_validation import validate
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
-from slam_baselines.gmapping.bootstrap import Frame, Retrace
 from slam_baselines.motion.dead_reckoning import MotionConfig
-from slam_baselines.motion.increment import GYRO, Step, unbiased
-from slam_baselines.scan.leveling import LevelledScan
+from slam_baselines.motion.increment import GYRO, MotionIncrement, unbiased
 
 BIAS = math.radians(0.03)
 
 
-def drive(step: Step, rates: list[float], turns: list[float], speed: float) -> None:
+def drive(step: MotionIncrement, rates: list[float], turns: list[float], speed: float) -> None:
     """Feed one reading every 0.1 s; `turns` are what the odometry says, radians a reading."""
     odometry = Pose2(3, 1, 2)
     for i, (rate, turn) in enumerate(zip(rates, turns, strict=True)):
@@ -27,7 +24,7 @@ def drive(step: Step, rates: list[float], turns: list[float], speed: float) -> N
 
 
 def test_the_bias_is_taken_out_of_a_step() -> None:
-    step = Step(MotionConfig())
+    step = MotionIncrement(MotionConfig())
     step.bias = BIAS
     drive(step, [BIAS] * 101, [0.1 * BIAS] * 101, 1.0)
     assert step.seconds == pytest.approx(10)
@@ -36,7 +33,7 @@ def test_the_bias_is_taken_out_of_a_step() -> None:
 
 
 def test_a_robot_that_stands_is_not_turned_by_the_bias() -> None:
-    step = Step(MotionConfig())
+    step = MotionIncrement(MotionConfig())
     step.bias = BIAS
     drive(step, [BIAS] * 50, [0.0] * 50, 0.0)
     np.testing.assert_allclose(step.pose.as_array(), 0, atol=1e-9)
@@ -44,19 +41,19 @@ def test_a_robot_that_stands_is_not_turned_by_the_bias() -> None:
 
 
 def test_the_noise_of_single_readings_cancels_over_the_way() -> None:
-    step = Step(MotionConfig())
+    step = MotionIncrement(MotionConfig())
     drive(step, [0.0] * 101, [(-1.0) ** i * 1e-3 for i in range(101)], 1.0)
     assert math.sqrt(step.reckoned.covariance[2, 2]) == pytest.approx(GYRO * math.sqrt(10), rel=0.01)
-    doubted = Step(MotionConfig())
+    doubted = MotionIncrement(MotionConfig())
     drive(doubted, [0.0] * 101, [1e-3] * 101, 1.0)
     assert math.sqrt(doubted.reckoned.covariance[2, 2]) > 0.05
 
 
 def test_without_a_gyro_the_odometry_is_believed_as_configured() -> None:
-    step, motion = Step(MotionConfig()), MotionConfig()
+    step, motion = MotionIncrement(MotionConfig()), MotionConfig()
     for i in range(11):
         step.follow(Pose2(0.1 * i), None, 0.1 * i)
-    expected = motion.rotation_per_metre**2 + motion.rotation_per_second**2
+    expected = motion.rotation_per_meter**2 + motion.rotation_per_second**2
     assert step.reckoned.covariance[2, 2] == pytest.approx(expected, rel=1e-6)
     assert step.seconds == 0
 
@@ -67,27 +64,3 @@ def test_unbiased_undoes_a_constant_turn() -> None:
     for _ in range(1000):
         bent = bent @ Pose2(0.001, 0, 0.05 * 0.002)
     np.testing.assert_allclose(unbiased(bent, 0.05, 2.0).as_array(), (1, 0, 0), atol=1e-3)
-
-
-@pytest.mark.parametrize("bias", [BIAS, -2 * BIAS, 0.0])
-def test_the_bias_is_learnt_from_where_the_walls_put_the_scans(bias: float) -> None:
-    rng = np.random.default_rng(2)
-    nothing = np.empty((0, 3))
-    scan = LevelledScan(np.zeros(3), nothing, nothing, (0.0, 0.0), 0.01, 0.0)
-    retrace, truth = Retrace(), [Pose2()]
-    retrace.note(Frame(scan, Pose2(), np.eye(3), 0.0, 0.0, np.empty(0, np.uint8)), 0.0)
-    for _ in range(30):
-        step = Pose2(1.0, 0, float(rng.normal(0, 0.3)))
-        truth.append(truth[-1] @ step)
-        biased = unbiased(step, -bias, 1.2)
-        retrace.note(Frame(scan, biased, np.eye(3), 1.2, 0.0, np.empty(0, np.uint8)), 1.0)
-    noisy = [Pose2(p.x, p.y, p.yaw + float(rng.normal(0, math.radians(0.2)))) for p in truth]
-    retrace._learn(noisy)
-    assert retrace.bias == pytest.approx(bias, abs=math.radians(0.008))
-
-
-def test_the_map_of_a_hilly_world_is_not_turned() -> None:
-    record = validate("simple", mapper="gmapping", seconds=60, seed=6).record
-    assert record.trajectory["ate_rmse"] < 0.03
-    assert record.map["false_occupied"] <= 0.03
-    assert record.map["f1"] >= 0.98

@@ -22,13 +22,13 @@ def enter(
     *,
     origin: Array | None = None,
     free: Array = NONE,
-    steep: int = 0,
-    bound: int = 0,
+    min_slopes: int = 0,
+    wall_slope: int = 0,
 ) -> None:
     origin = np.array((0.02, 0.02, 0.4)) if origin is None else origin
     ends = np.concatenate((hits, free, origin[None]))
     box = np.concatenate((ends[:, :2].min(axis=0), ends[:, :2].max(axis=0)))
-    grid.update(origin, hits, free, np.full(len(hits), steep, np.uint8), bound, box)
+    grid.update(origin, hits, free, np.full(len(hits), min_slopes, np.uint8), wall_slope, box)
 
 
 def at(grid: OccupancyMap, x: float, y: float) -> float:
@@ -91,7 +91,7 @@ def test_log_odds_stay_within_their_limit_and_recover() -> None:
 
 def test_what_may_be_ground_is_not_known_to_be_occupied() -> None:
     grid = OccupancyMap(0.05)
-    enter(grid, np.array(((1.0, 0.02, 0.4),)), steep=20, bound=30)
+    enter(grid, np.array(((1.0, 0.02, 0.4),)), min_slopes=20, wall_slope=30)
     assert not grid.occupancy_grid(30).occupied.any()
     assert grid.occupancy_grid(30).free.any() or grid.occupancy_grid(30).known.any()
     assert grid.occupancy_grid(20).occupied.sum() == 1
@@ -103,9 +103,15 @@ def test_what_may_be_ground_is_not_known_to_be_occupied() -> None:
 def test_a_beam_high_above_a_proven_wall_leaves_it_alone() -> None:
     high, low = (OccupancyMap(0.05) for _ in range(2))
     for grid, z in ((high, 1.5), (low, 0.4)):
-        enter(grid, np.array(((1.0, 0.02, 0.4),)), steep=90, bound=50)
+        enter(grid, np.array(((1.0, 0.02, 0.4),)), min_slopes=90, wall_slope=50)
         for _ in range(9):
-            enter(grid, np.array(((2.0, 0.02, z),)), origin=np.array((0.02, 0.02, z)), steep=90, bound=50)
+            enter(
+                grid,
+                np.array(((2.0, 0.02, z),)),
+                origin=np.array((0.02, 0.02, z)),
+                min_slopes=90,
+                wall_slope=50,
+            )
     assert at(high, 1.0, 0.02) > 0 > at(low, 1.0, 0.02)
 
 

@@ -55,7 +55,7 @@ def test_a_known_offset_is_recovered(offset: tuple[float, float, float]) -> None
     np.testing.assert_allclose(got.means[:, :2], np.tile(truth[:2], (3, 1)), atol=0.01)
     np.testing.assert_allclose(got.means[:, 2], truth[2], atol=0.004)
     np.testing.assert_allclose(got.poses, got.means, atol=0.03)
-    assert np.all(got.met > 0.95)
+    assert np.all(got.hit_ratio > 0.95)
 
 
 def test_a_corridor_keeps_the_odometry_along_and_the_walls_across() -> None:

@@ -202,8 +202,8 @@ def test_a_scan_is_found_in_a_submap():
             0, np.zeros(3), lifted(pose.apply(hits)), np.empty((0, 3)), np.zeros(len(hits), np.uint8), 0
         )
     builder = ConstraintBuilder(ConstraintConfig())
-    for travelled, shift in ((0.0, Pose2(0.1, -0.1, 0.02)), (100.0, Pose2(0.9, 0.6, -0.2))):
-        found = builder.compute_constraint(submap, lifted(hits), pose @ shift, travelled)
+    for distance_traveled, shift in ((0.0, Pose2(0.1, -0.1, 0.02)), (100.0, Pose2(0.9, 0.6, -0.2))):
+        found = builder.compute_constraint(submap, lifted(hits), pose @ shift, distance_traveled)
         assert found is not None
         assert found.pose.distance(pose) < 0.05
         assert found.score > 0.4

@@ -12,8 +12,8 @@ from lirs_wct.geometry.pose import Pose2
 from slam_baselines.common.linalg import invert3, moved_covariance, solve3
 from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
 from slam_baselines.matching.correlative import SearchConfig, search
-from slam_baselines.matching.gauss_newton import MatchConfig, ScanMatcher, linearise
-from slam_baselines.scan.leveling import ScanLeveller
+from slam_baselines.matching.gauss_newton import MatchConfig, ScanMatcher, linearize
+from slam_baselines.scan.leveling import ScanLeveler
 from tests.slam_baselines.synthetic import ranges_to, room_scan
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ LOOSE = np.diag((1e-6, 1e-6, 1e-6))
 
 def room_map(pose: Pose2) -> tuple[MapBuilder, Array]:
     """The map of one scan, and the scan's points."""
-    level = ScanLeveller().level(room_scan(pose, 0.0, np.random.default_rng(0)), None)
+    level = ScanLeveler().level(room_scan(pose, 0.0, np.random.default_rng(0)), None)
     builder = MapBuilder(BuilderConfig())
     for _ in range(3):
         builder.enter(level, pose)
@@ -49,7 +49,7 @@ def test_gradient_equals_finite_differences() -> None:
     points = points[::7]
     pose = np.array((0.031, -0.017, 0.012))
     H, g = np.empty((3, 3)), np.empty(3)
-    linearise(level.layers.value, level.frame, points, np.ones(len(points)), 1, pose, H, g)
+    linearize(level.layers.value, level.frame, points, np.ones(len(points)), 1, pose, H, g)
     for k, h in enumerate((1e-7, 1e-7, 1e-8)):
         step = np.eye(3)[k] * h
         ahead, behind = (cost(level.layers.value, level.frame, points, pose + s) for s in (step, -step))
@@ -78,7 +78,7 @@ def test_in_a_corridor_the_odometry_holds_the_direction_along_it() -> None:
     angles, r = angles[np.isfinite(r)], r[np.isfinite(r)]
     points = np.stack((r * np.cos(angles), r * np.sin(angles), 0 * r), axis=-1)
     builder = MapBuilder(BuilderConfig())
-    level = ScanLeveller().level(room_scan(Pose2(), 0.0, np.random.default_rng(0)), None)
+    level = ScanLeveler().level(room_scan(Pose2(), 0.0, np.random.default_rng(0)), None)
     for shift in np.linspace(-3, 3, 13):
         moved = type(level)(
             level.origin, points + np.array((shift, 0, 0)), level.free, (0.0, 0.0), math.nan, 0.0

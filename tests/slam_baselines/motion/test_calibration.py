@@ -13,7 +13,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
 from slam_baselines.motion.calibration import Calibration, CalibrationConfig
-from slam_baselines.motion.dead_reckoning import DeadReckoning, Estimate, MotionConfig
+from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, PoseEstimate
 
 
 @settings(max_examples=25, deadline=None)
@@ -54,7 +54,7 @@ def test_a_level_floor_teaches_nothing_about_slopes() -> None:
     assert calibration.slide == 0.0
 
 
-@pytest.mark.parametrize("name", ["per_metre", "noise", "memory", "slide", "slide_noise"])
+@pytest.mark.parametrize("name", ["per_meter", "noise", "memory", "slide", "slide_noise"])
 def test_illegal_config(name: str) -> None:
     with pytest.raises(ConfigError, match=name):
         CalibrationConfig(**{name: 0.0})
@@ -63,7 +63,7 @@ def test_illegal_config(name: str) -> None:
 def test_a_turn_on_a_slope_is_reckoned_downhill_once_it_is_known_to_slide() -> None:
     """Nose down (positive pitch) it falls ahead; left side up (positive roll) it falls to the right."""
     imu = Imu(roll=0.1, pitch=0.2)
-    reckoning, at_rest = DeadReckoning(MotionConfig()), Estimate(Pose2(), np.zeros((3, 3)))
+    reckoning, at_rest = DeadReckoning(MotionConfig()), PoseEstimate(Pose2(), np.zeros((3, 3)))
     reckoning.predict(at_rest, Pose2(), imu, 0.0)
     yaw = 0.0
     for k in range(1, 400):
