@@ -30,7 +30,11 @@ from rich.table import Table
 
 from lirs_validation.logs.reference import read_reference
 from lirs_validation.metrics.accuracy import reference_errors
-from lirs_validation.metrics.relations import Relation, read_relations, relation_errors
+from lirs_validation.metrics.relative_pose_constraints import (
+    RelativePoseConstraint,
+    constraint_errors,
+    read_constraints,
+)
 from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.mapper import MAPPERS, Mapper, make_mapper
@@ -134,7 +138,7 @@ def judge(log_name: str, estimate: Trajectory, log: CarmenLog, data: Path) -> di
     if log_name == "csail":
         errors = reference_errors(estimate, read_reference(data / REFERENCE))
         return {"m": float(np.sqrt((errors.position**2).mean()))}
-    relations = read_relations(data / RELATIONS)
+    relations = read_constraints(data / RELATIONS)
     return relation_figures(estimate, relations, log) | {
         f"{key} at scans": value
         for key, value in relation_figures(estimate, at_scans(relations, log), log).items()
@@ -142,16 +146,18 @@ def judge(log_name: str, estimate: Trajectory, log: CarmenLog, data: Path) -> di
 
 
 def relation_figures(
-    estimate: Trajectory, relations: tuple[Relation, ...], log: CarmenLog
+    estimate: Trajectory, relations: tuple[RelativePoseConstraint, ...], log: CarmenLog
 ) -> dict[str, float]:
     """Return the mean absolute errors over relations; nothing where none lies within the estimate."""
-    errors = relation_errors(estimate, relations, log.track)
+    errors = constraint_errors(estimate, relations, log.track)
     if len(errors.translation) == 0:
         return {}
     return {"m": float(errors.translation.mean()), "deg": float(np.degrees(errors.rotation.mean()))}
 
 
-def at_scans(relations: tuple[Relation, ...], log: CarmenLog, within: float = 1e-3) -> tuple[Relation, ...]:
+def at_scans(
+    relations: tuple[RelativePoseConstraint, ...], log: CarmenLog, within: float = 1e-3
+) -> tuple[RelativePoseConstraint, ...]:
     """Return the relations of which both stamps are those of scans."""
     asked = np.array([(r.stamp_a, r.stamp_b) for r in relations])
     gap = np.abs(asked[..., None] - log.stamps).min(axis=-1).max(axis=-1)

@@ -15,7 +15,7 @@ import numpy as np
 
 from lirs_validation.analysis.groups import FIELDS, Cell, Entry, by_cell
 from lirs_validation.analysis.paired import Test, holm, paired_test
-from lirs_validation.record.metric_catalogue import Figure, rtf_counts
+from lirs_validation.record.catalog import Figure, rtf_counts
 from lirs_validation.record.run_record import SOUND
 from lirs_wct.errors import ConfigError, unknown_name
 

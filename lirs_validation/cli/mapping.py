@@ -95,7 +95,7 @@ def mapping_bar(log: str) -> Iterator[Callable[[str, float], None]]:
 
 def figures_table(record: MapRecord) -> Table:
     """Return the figures of a mapped log, and what was wrong with it, as a table to print."""
-    from lirs_validation.drawing.map_figures import map_lines, repair_lines
+    from lirs_validation.record.map_formatting import map_lines, repair_lines
 
     table = Table(title=record.config.log, show_header=False, title_justify="left")
     for name, value in map_lines(record):

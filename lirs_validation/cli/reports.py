@@ -31,7 +31,7 @@ def report(
     from lirs_validation.cli.console import err
     from lirs_validation.report.contents import report_of
     from lirs_validation.report.page import page
-    from lirs_validation.report.sheet import as_csv, as_markdown
+    from lirs_validation.report.tables.table import as_csv, as_markdown
 
     with err.status(f"reading {results}") as status:
         read = read_results(results)
@@ -70,8 +70,12 @@ def compare(
     """Say which differences between two results are real, and which may be chance."""
     from lirs_validation.analysis.compare import compare as compared
     from lirs_validation.analysis.result_folders import read_results
-    from lirs_validation.record.metric_catalogue import COMPARED, figures_named
-    from lirs_validation.report.compare_table import compare_table, write_compare_csv, write_compare_json
+    from lirs_validation.record.catalog import COMPARED, figures_named
+    from lirs_validation.report.tables.compare_table import (
+        compare_table,
+        write_compare_csv,
+        write_compare_json,
+    )
 
     names = (str(a), str(b))
     first, second = read_results(a), read_results(b)
@@ -109,7 +113,7 @@ def score(
     from lirs_validation.analysis.result_folders import read_run
     from lirs_validation.analysis.score import check_frame
     from lirs_validation.analysis.score import score as scored
-    from lirs_validation.report.score_table import score_table, write_score
+    from lirs_validation.report.tables.score_table import score_table, write_score
 
     if trajectory is None and map_yaml is None:
         raise ConfigError("nothing to score: give --trajectory, --map or both")

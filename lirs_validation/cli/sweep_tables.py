@@ -11,9 +11,9 @@ from rich.text import Text
 
 from lirs_validation.analysis.groups import by_cell, telling
 from lirs_validation.record.run_record import read_record
-from lirs_validation.report.sheet import Sheet
-from lirs_validation.report.sheets import failures_sheet, summary_sheet
-from lirs_validation.report.table import results_table
+from lirs_validation.report.tables.metric_tables import failures_sheet, summary_sheet
+from lirs_validation.report.tables.results_table import results_table
+from lirs_validation.report.tables.table import Sheet
 from lirs_validation.sweep.collision_cell import CollisionCell, read_verdict
 from lirs_validation.sweep.sweep import Sweep
 

@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from lirs_validation.drawing.canvas import Canvas, bounds_of
-from lirs_validation.drawing.map_figures import map_lines
 from lirs_validation.drawing.style import (
     BLACK,
     BLUE,
@@ -26,6 +25,7 @@ from lirs_validation.drawing.style import (
     title,
 )
 from lirs_validation.metrics.accuracy import Accuracy
+from lirs_validation.record.map_formatting import map_lines
 from lirs_validation.record.map_record import MapRecord
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -90,20 +90,20 @@ def _shown(grid: OccupancyGrid, estimate: Trajectory) -> tuple[float, float, flo
 def _plots(record: MapRecord, accuracy: Accuracy) -> list[tuple[str, str, FloatArray, FloatArray]]:
     """Return name, unit, stamps and errors of each plot that there is something for."""
     plots = []
-    relations, reference = accuracy.relations, accuracy.reference
+    constraints, reference = accuracy.constraints, accuracy.reference
     if reference is not None and len(reference.stamps):
         ate = record.accuracy["reference"]["ate_rmse"]
         plots.append((f"Against the reference (RMSE {ate:.3f} m)", "m", reference.stamps, reference.position))
-    if relations is not None and len(relations.stamps):
+    if constraints is not None and len(constraints.stamps):
         told = record.accuracy["relations"]
         mean, turn = told["translation_mean"], told["rotation_mean_deg"]
-        plots.append((f"Of relations (mean {mean:.3f} m)", "m", relations.stamps, relations.translation))
+        plots.append((f"Of relations (mean {mean:.3f} m)", "m", constraints.stamps, constraints.translation))
         plots.append(
             (
                 f"... and their turn (mean {turn:.2f} deg)",
                 "deg",
-                relations.stamps,
-                np.degrees(relations.rotation),
+                constraints.stamps,
+                np.degrees(constraints.rotation),
             )
         )
     return plots

@@ -16,7 +16,7 @@ from lirs_validation.logs.log_mapper import check_log, make_log_mapper, warm_up_
 from lirs_validation.logs.mapped_log import MappedLog
 from lirs_validation.logs.reference import read_reference
 from lirs_validation.metrics.accuracy import trajectory_accuracy
-from lirs_validation.metrics.relations import Relation, read_relations
+from lirs_validation.metrics.relative_pose_constraints import RelativePoseConstraint, read_constraints
 from lirs_validation.record.map_record import MapRecord, log_figures, map_figures
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import LaserFacts
@@ -100,14 +100,14 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, report: Report | 
         log=log_figures(log),
         map=map_figures(grid),
         mapper=asdict(final_stats(mapper)),
-        accuracy=accuracy.figures(),
+        accuracy=accuracy.metrics(),
         cost=cost,
     )
     mapped = MappedLog(record, log, grid, trajectory, reference, accuracy)
     return mapped if out is None else replace(mapped, folder=_write(mapped, out, tell))
 
 
-def read_truth(config: MapConfig) -> tuple[tuple[Relation, ...] | None, Trajectory | None]:
+def read_truth(config: MapConfig) -> tuple[tuple[RelativePoseConstraint, ...] | None, Trajectory | None]:
     """Read the relations and the reference trajectory, where they are given.
 
     Raises:
@@ -115,7 +115,7 @@ def read_truth(config: MapConfig) -> tuple[tuple[Relation, ...] | None, Trajecto
     """
     c = config
     return (
-        None if c.relations is None else read_relations(Path(c.relations)),
+        None if c.relations is None else read_constraints(Path(c.relations)),
         None if c.reference is None else read_reference(Path(c.reference)),
     )
 

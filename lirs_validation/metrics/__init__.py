@@ -1,4 +1,4 @@
-"""What a run is judged by: errors of the trajectory, agreement of the map."""
+"""Metrics of a run: errors of the trajectory, agreement of the map."""
 
 from lirs_validation.metrics.agreement import Agreement, CellDistance, agreement, cell_distance
 from lirs_validation.metrics.association import associated
@@ -10,16 +10,17 @@ from lirs_validation.metrics.map import (
     unknown_share,
 )
 from lirs_validation.metrics.planar import rigid_alignment
-from lirs_validation.metrics.relative import RelationError, RelativeError
+from lirs_validation.metrics.relative_pose_constraints import ConstraintErrorSummary
+from lirs_validation.metrics.relative_pose_error import RelativePoseError
 from lirs_validation.metrics.ssim import map_ssim
 from lirs_validation.metrics.trajectory import TrajectoryErrors, trajectory_errors
 
 __all__ = [
     "Agreement",
     "CellDistance",
+    "ConstraintErrorSummary",
     "MapScores",
-    "RelationError",
-    "RelativeError",
+    "RelativePoseError",
     "TrajectoryErrors",
     "agreement",
     "associated",

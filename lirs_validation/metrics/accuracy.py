@@ -1,4 +1,4 @@
-"""How right a mapped trajectory is: against relations, against a reference trajectory."""
+"""Accuracy of a mapped log's trajectory: relative-pose constraints, and a reference trajectory."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ import numpy as np
 
 from lirs_validation.metrics.association import associated
 from lirs_validation.metrics.planar import moved, planar, rigid_alignment, rms, wrapped
-from lirs_validation.metrics.relations import Relation, RelationErrors, relation_errors
+from lirs_validation.metrics.relative_pose_constraints import (
+    ConstraintErrors,
+    RelativePoseConstraint,
+    constraint_errors,
+)
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
@@ -45,13 +49,13 @@ class ReferenceErrors:
 class Accuracy:
     """What is known of a trajectory's errors; None where it was not asked for or nothing can be compared."""
 
-    relations: RelationErrors | None = None
+    constraints: ConstraintErrors | None = None
     reference: ReferenceErrors | None = None
 
-    def figures(self) -> dict[str, Any]:
-        """Return the figures of a record."""
+    def metrics(self) -> dict[str, Any]:
+        """Return the metrics as a record holds them."""
         return {
-            "relations": None if self.relations is None else _of_relations(self.relations),
+            "relations": None if self.constraints is None else _of_constraints(self.constraints),
             "reference": None if self.reference is None else _of_reference(self.reference),
         }
 
@@ -59,7 +63,7 @@ class Accuracy:
 def trajectory_accuracy(
     estimate: Trajectory,
     odometry: Trajectory,
-    relations: Sequence[Relation] | None,
+    constraints: Sequence[RelativePoseConstraint] | None,
     reference: Trajectory | None,
 ) -> Accuracy:
     """Compare an estimate in the map frame with what is known.
@@ -67,11 +71,11 @@ def trajectory_accuracy(
     Args:
         estimate: of every scan.
         odometry: raw, any frame; may be empty.
-        relations: true relations between poses.
+        constraints: true relative poses.
         reference: poses in any frame.
     """
     return Accuracy(
-        None if relations is None else relation_errors(estimate, relations, odometry),
+        None if constraints is None else constraint_errors(estimate, constraints, odometry),
         None if reference is None else reference_errors(estimate, reference),
     )
 
@@ -95,7 +99,7 @@ def reference_errors(estimate: Trajectory, reference: Trajectory) -> ReferenceEr
     )
 
 
-def _of_relations(errors: RelationErrors) -> dict[str, Any]:
+def _of_constraints(errors: ConstraintErrors) -> dict[str, Any]:
     turn = np.degrees(errors.rotation)
     some = len(turn) > 0
     return {

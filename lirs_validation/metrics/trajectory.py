@@ -1,6 +1,6 @@
 """How far an estimated trajectory lies from the true one, in the plane (x, y, yaw).
 
-The figures are those of Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems" (IROS 2012):
+The metrics are those of Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems" (IROS 2012):
 absolute trajectory error (ATE, Eq. 4) and relative pose error (RPE, Eqs. 1-3).
 """
 
@@ -12,13 +12,12 @@ import numpy as np
 
 from lirs_validation.metrics.association import MAX_GAP, associated
 from lirs_validation.metrics.planar import moved, planar, rigid_alignment, rms, wrapped
-from lirs_validation.metrics.relative import (
-    RelationError,
-    RelativeError,
+from lirs_validation.metrics.relative_pose_constraints import ConstraintErrorSummary, constraint_error_summary
+from lirs_validation.metrics.relative_pose_error import (
+    RelativePoseError,
     pairs_by_path,
     pairs_by_time,
-    relation_error,
-    relative_error,
+    relative_pose_error,
 )
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
@@ -36,7 +35,8 @@ class TrajectoryErrors:
         yaw_rmse: root mean square yaw error after alignment, radians.
         rpe_metre: relative error per metre driven; None where the path is shorter than a metre.
         rpe_second: relative error per second; None where it lasts less than a second.
-        relations: error of the relations between close poses; None where the path is shorter than a metre.
+        relations: error of the relative-pose constraints between close poses; None where the path is
+            shorter than a metre.
         final_drift: distance between the last two poses without alignment, metres.
         final_yaw_drift: absolute difference of the last two yaws without alignment, radians.
         length: length of the true path between the first and the last compared pose, metres.
@@ -47,9 +47,9 @@ class TrajectoryErrors:
     ate_max: float
     ate_rmse_unaligned: float
     yaw_rmse: float
-    rpe_metre: RelativeError | None
-    rpe_second: RelativeError | None
-    relations: RelationError | None
+    rpe_metre: RelativePoseError | None
+    rpe_second: RelativePoseError | None
+    relations: ConstraintErrorSummary | None
     final_drift: float
     final_yaw_drift: float
     length: float
@@ -85,9 +85,9 @@ def trajectory_errors(
         ate_max=float(error.max()),
         ate_rmse_unaligned=rms(raw),
         yaw_rmse=rms(wrapped(aligned[:, 2] - true[:, 2])),
-        rpe_metre=relative_error(true, est, pairs_by_path(true, 1.0)),
-        rpe_second=relative_error(true, est, pairs_by_time(truth.stamps[i], 1.0)),
-        relations=relation_error(true, est),
+        rpe_metre=relative_pose_error(true, est, pairs_by_path(true, 1.0)),
+        rpe_second=relative_pose_error(true, est, pairs_by_time(truth.stamps[i], 1.0)),
+        relations=constraint_error_summary(true, est),
         final_drift=float(raw[-1]),
         final_yaw_drift=float(abs(wrapped(est[-1:, 2] - true[-1:, 2])[0])),
         length=float(np.linalg.norm(np.diff(true[:, :2], axis=0), axis=1).sum()),

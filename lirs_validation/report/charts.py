@@ -14,9 +14,9 @@ from matplotlib.lines import Line2D
 from numpy.lib.stride_tricks import sliding_window_view
 
 from lirs_validation.analysis.groups import Cell, by_cell, telling
-from lirs_validation.record.metric_catalogue import Figure, rtf_counts
-from lirs_validation.report.sheets import sound
+from lirs_validation.record.catalog import Figure, rtf_counts
 from lirs_validation.report.svg import INK, SMALL, as_svg, colour_of, plain
+from lirs_validation.report.tables.metric_tables import sound
 from lirs_wct.arrays import FloatArray
 
 Entry = Mapping[str, Any]

@@ -12,10 +12,17 @@ from lirs_validation.collision.files import failed as failed_checks
 from lirs_validation.collision.validation import CollisionVerdict
 from lirs_validation.record.formatting import NOTHING
 from lirs_validation.report.command_line import command_of
-from lirs_validation.report.findings import Finding, findings
-from lirs_validation.report.paper import paper_sheets
-from lirs_validation.report.sheet import Sheet
-from lirs_validation.report.sheets import GROUPS, cell_sheet, failures_sheet, run_sheet, sound, summary_sheet
+from lirs_validation.report.paper.findings import Finding, findings
+from lirs_validation.report.paper.tables import paper_sheets
+from lirs_validation.report.tables.metric_tables import (
+    GROUPS,
+    cell_sheet,
+    failures_sheet,
+    run_sheet,
+    sound,
+    summary_sheet,
+)
+from lirs_validation.report.tables.table import Sheet
 from lirs_wct.errors import WctError
 
 Entry = Mapping[str, Any]

@@ -9,12 +9,12 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from lirs_validation.analysis.result_folders import RunFolder
-from lirs_validation.record.metric_catalogue import figures_named, rtf_counts, span
+from lirs_validation.record.catalog import figures_named, rtf_counts, span
 from lirs_validation.report.charts import AROUND, distribution_chart, rtf_chart
 from lirs_validation.report.contents import Report
 from lirs_validation.report.pictures import Painter
-from lirs_validation.report.sheet import Sheet
-from lirs_validation.report.sheets import sound
+from lirs_validation.report.tables.metric_tables import sound
+from lirs_validation.report.tables.table import Sheet
 
 MOST_PICTURES = 120
 """Runs that are shown in pictures; of more, the first seed of each cell."""

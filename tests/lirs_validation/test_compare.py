@@ -18,8 +18,8 @@ from scipy import stats
 from lirs_validation.analysis.compare import compare
 from lirs_validation.analysis.paired import holm, paired_test
 from lirs_validation.analysis.repeats import repeats
-from lirs_validation.record.metric_catalogue import COMPARED, figures_named
-from lirs_validation.report.compare_table import compare_table, write_compare_csv, write_compare_json
+from lirs_validation.record.catalog import COMPARED, figures_named
+from lirs_validation.report.tables.compare_table import compare_table, write_compare_csv, write_compare_json
 from lirs_wct.errors import ConfigError
 from tests.lirs_validation.records import entry
 

@@ -11,7 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lirs_validation.metrics.relations import Relation, poses_at, read_relations, relation_errors
+from lirs_validation.metrics.relative_pose_constraints import (
+    RelativePoseConstraint,
+    constraint_errors,
+    poses_at,
+    read_constraints,
+)
 from lirs_wct.errors import SourceError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
@@ -21,24 +26,29 @@ STAMPS = [0.0, 1.0, 2.0]
 
 def test_the_frame_of_the_estimate_does_not_matter() -> None:
     poses = [Pose2(), Pose2(1.0, 0.0, 0.3), Pose2(2.0, 0.5, -0.2)]
-    relations = (Relation(0.0, 2.0, poses[2]), Relation(1.0, 2.0, poses[1].inverse() @ poses[2]))
+    relations = (
+        RelativePoseConstraint(0.0, 2.0, poses[2]),
+        RelativePoseConstraint(1.0, 2.0, poses[1].inverse() @ poses[2]),
+    )
     estimate = Trajectory.from_poses(STAMPS, [Pose2(5.0, -3.0, 2.0) @ p for p in poses])
-    errors = relation_errors(estimate, relations, estimate)
+    errors = constraint_errors(estimate, relations, estimate)
     np.testing.assert_allclose(errors.translation, 0, atol=1e-12)
     np.testing.assert_allclose(errors.rotation, 0, atol=1e-12)
 
 
 def test_errors_are_those_of_the_relative_pose() -> None:
     estimate = Trajectory.from_poses(STAMPS, [Pose2(), Pose2(1.0, 0.0, 0.0), Pose2(1.0, 0.0, 0.0)])
-    errors = relation_errors(estimate, (Relation(0.0, 1.0, Pose2(0.7, 0.4, -0.1)),), estimate)
+    errors = constraint_errors(estimate, (RelativePoseConstraint(0.0, 1.0, Pose2(0.7, 0.4, -0.1)),), estimate)
     assert errors.translation[0] == pytest.approx(math.hypot(0.3, 0.4))
     assert errors.rotation[0] == pytest.approx(0.1)
 
 
 def test_relations_outside_are_counted() -> None:
     estimate = Trajectory.from_poses(STAMPS, [Pose2(float(t), 0.0, 0.0) for t in STAMPS])
-    errors = relation_errors(
-        estimate, (Relation(0.0, 60.0, Pose2()), Relation(0.0, 1.0, Pose2(1.0))), estimate
+    errors = constraint_errors(
+        estimate,
+        (RelativePoseConstraint(0.0, 60.0, Pose2()), RelativePoseConstraint(0.0, 1.0, Pose2(1.0))),
+        estimate,
     )
     assert (len(errors.translation), errors.outside) == (1, 1)
 
@@ -62,9 +72,10 @@ def test_all_at_once_is_one_after_the_other(seed: int) -> None:
 
     estimate, odometry = walk(12), walk(20)
     relations = tuple(
-        Relation(*rng.uniform(-3, 15, 2).tolist(), Pose2(*rng.normal(size=3).tolist())) for _ in range(15)
+        RelativePoseConstraint(*rng.uniform(-3, 15, 2).tolist(), Pose2(*rng.normal(size=3).tolist()))
+        for _ in range(15)
     )
-    errors = relation_errors(estimate, relations, odometry)
+    errors = constraint_errors(estimate, relations, odometry)
     low, high = estimate.stamps[0] - 2, estimate.stamps[-1] + 2
     inside = [r for r in relations if all(low <= t <= high for t in (r.stamp_a, r.stamp_b))]
     expected = [
@@ -112,11 +123,11 @@ def test_bad_relations_are_one_line(tmp_path: Path, case: str) -> None:
     path = tmp_path / "r.relations"
     path.write_bytes(content)
     with pytest.raises(SourceError, match=expected) as told:
-        read_relations(path)
+        read_constraints(path)
     assert str(told.value).startswith(str(path))
     assert "\n" not in str(told.value)
 
 
 def test_missing_relations(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match="No such file"):
-        read_relations(tmp_path / "none.relations")
+        read_constraints(tmp_path / "none.relations")

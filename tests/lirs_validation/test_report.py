@@ -20,18 +20,18 @@ from lirs_validation.analysis.repeats import repeats
 from lirs_validation.analysis.result_folders import RunFolder, read_results
 from lirs_validation.cli.build_options import with_build_options
 from lirs_validation.config import RunConfig
-from lirs_validation.record.metric_catalogue import RTF, figures_named, significant
+from lirs_validation.record.catalog import RTF, figures_named, significant
 from lirs_validation.report.charts import series_band
 from lirs_validation.report.command_line import command_of
 from lirs_validation.report.contents import Report, report_of
-from lirs_validation.report.findings import findings
 from lirs_validation.report.page import page
-from lirs_validation.report.paper import paper_sheets
+from lirs_validation.report.paper.findings import findings
+from lirs_validation.report.paper.published import VIEWS
+from lirs_validation.report.paper.tables import paper_sheets
 from lirs_validation.report.pictures import BUDGET, MOST_BYTES, Painter
-from lirs_validation.report.published import VIEWS
-from lirs_validation.report.sheet import Sheet, Spread, as_csv, as_markdown
-from lirs_validation.report.sheets import cell_sheet, summary_sheet
 from lirs_validation.report.svg import INK
+from lirs_validation.report.tables.metric_tables import cell_sheet, summary_sheet
+from lirs_validation.report.tables.table import Sheet, Spread, as_csv, as_markdown
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.tum import write_tum
 from lirs_wct.geometry.grid import OccupancyGrid

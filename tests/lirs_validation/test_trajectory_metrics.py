@@ -11,8 +11,11 @@ from hypothesis import strategies as st
 
 from lirs_validation.metrics import associated, rigid_alignment, trajectory_errors
 from lirs_validation.metrics.planar import planar
-from lirs_validation.metrics.relations import Relation, relation_errors
-from lirs_validation.metrics.relative import related_pairs
+from lirs_validation.metrics.relative_pose_constraints import (
+    RelativePoseConstraint,
+    close_pairs,
+    constraint_errors,
+)
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
@@ -108,12 +111,12 @@ def test_relations_are_kuemmerles() -> None:
         [Pose2(p.x + 0.01 * k, p.y, p.yaw + 0.002 * k) for k, p in enumerate(map(truth.pose2, range(200)))],
     )
     errors = trajectory_errors(truth, bent).relations
-    pairs = list(zip(*(k.tolist() for k in related_pairs(planar(truth))), strict=True))
+    pairs = list(zip(*(k.tolist() for k in close_pairs(planar(truth))), strict=True))
     relations = tuple(
-        Relation(truth.stamps[i], truth.stamps[j], truth.pose2(i).inverse() @ truth.pose2(j))
+        RelativePoseConstraint(truth.stamps[i], truth.stamps[j], truth.pose2(i).inverse() @ truth.pose2(j))
         for i, j in pairs
     )
-    theirs = relation_errors(bent, relations, bent)
+    theirs = constraint_errors(bent, relations, bent)
     assert errors is not None
     assert errors.relations == len(pairs)
     assert errors.translation_mean == pytest.approx(theirs.translation.mean(), abs=1e-9)
@@ -127,11 +130,11 @@ def test_places_passed_again_are_related() -> None:
     there_and_back = Trajectory.from_poses(
         (np.arange(201) * 0.1).tolist(), [Pose2(a, 0.0, 0.0 if k < 101 else math.pi) for k, a in enumerate(x)]
     )
-    i, j = related_pairs(planar(there_and_back))
+    i, j = close_pairs(planar(there_and_back))
     distance = np.abs(there_and_back.xy[i, 0] - there_and_back.xy[j, 0])
     assert distance.max() <= 2.0 + 1e-9
     assert (j - i).max() > 150
-    again = related_pairs(planar(there_and_back.moved(Pose2(5, 6, 1))))
+    again = close_pairs(planar(there_and_back.moved(Pose2(5, 6, 1))))
     assert np.array_equal(again[0], i)
 
 

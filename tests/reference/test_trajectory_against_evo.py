@@ -9,12 +9,11 @@ import pytest
 
 from lirs_validation.metrics import trajectory_errors
 from lirs_validation.metrics.planar import planar
-from lirs_validation.metrics.relative import (
+from lirs_validation.metrics.relative_pose_constraints import close_pairs, constraint_error_summary
+from lirs_validation.metrics.relative_pose_error import (
     pairs_by_path,
     pairs_by_time,
-    related_pairs,
-    relation_error,
-    relative_error,
+    relative_pose_error,
 )
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
@@ -91,7 +90,7 @@ def test_absolute_errors(case) -> None:  # type: ignore[no-untyped-def]
 def test_relative_errors_per_metre(case, delta: float) -> None:  # type: ignore[no-untyped-def]
     truth, estimate, start, pair = case
     true, est = (np.column_stack((t.positions_xyz[:, :2], yaws(t))) for t in pair)
-    ours = relative_error(true, est, pairs_by_path(true, delta))
+    ours = relative_pose_error(true, est, pairs_by_path(true, delta))
     for relation, figure in RELATIVE:
         rpe = metrics.RPE(
             metrics.PoseRelation[relation], delta, metrics.Unit.meters, pairs_from_reference=True
@@ -110,7 +109,7 @@ def test_relative_errors_per_second(case) -> None:  # type: ignore[no-untyped-de
     _, _, _, (ref, est) = case
     # Poses every 0.12 s: 8 frames (0.96 s) are nearest to a second.
     true, guess = (np.column_stack((t.positions_xyz[:, :2], yaws(t))) for t in (ref, est))
-    ours = relative_error(true, guess, pairs_by_time(ref.timestamps, 1.0))
+    ours = relative_pose_error(true, guess, pairs_by_time(ref.timestamps, 1.0))
     assert ours is not None
     for relation, figure in RELATIVE:
         rpe = metrics.RPE(metrics.PoseRelation[relation], 8, metrics.Unit.frames, all_pairs=True)
@@ -122,14 +121,14 @@ def test_relations(case) -> None:  # type: ignore[no-untyped-def]
     """evo knows no such pairs, but computes the error of any pair: the relation's E of Eq. 1."""
     truth, estimate, start, (ref, est) = case
     true, guess = (np.column_stack((t.positions_xyz[:, :2], yaws(t))) for t in (ref, est))
-    pairs = list(zip(*(k.tolist() for k in related_pairs(true)), strict=True))
+    pairs = list(zip(*(k.tolist() for k in close_pairs(true)), strict=True))
     errors = [
         metrics.RPE.rpe_base(ref.poses_se3[i], ref.poses_se3[j], est.poses_se3[i], est.poses_se3[j])
         for i, j in pairs
     ]
     shift = np.array([np.linalg.norm(E[:3, 3]) for E in errors])
     turn = np.abs([math.atan2(E[1, 0], E[0, 0]) for E in errors])
-    ours = relation_error(true, guess)
+    ours = constraint_error_summary(true, guess)
     assert ours is not None
     assert ours.relations == len(pairs) > 40
     assert ours.translation_mean == pytest.approx(shift.mean(), abs=1e-9)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation.metrics.relations import read_relations, relation_errors
+from lirs_validation.metrics.relative_pose_constraints import constraint_errors, read_constraints
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.geometry.pose import Pose2
@@ -294,14 +294,14 @@ def test_illegal_settings_are_refused(make, message):
 def test_a_slice_of_a_real_log(shared_data: Path):
     """1,500 scans. Most of what is left of the error is the log's: its stamps are rounded and delayed."""
     folder = shared_data / "logs" / "intel"
-    log, relations = read_carmen(folder / "intel.clf.gz"), read_relations(folder / "intel.relations.gz")
+    log, relations = read_carmen(folder / "intel.clf.gz"), read_constraints(folder / "intel.relations.gz")
     mapper = make_mapper("cartographer")
     for scan, odometry in zip(log.scans[:1500], log.odometry[:1500], strict=True):
         mapper.update(scan, odometry, None)
     estimate = mapper.trajectory()
     inside = tuple(r for r in relations if max(r.stamp_a, r.stamp_b) <= estimate.stamps[-1])
-    errors = relation_errors(estimate, inside, log.track)
-    raw = relation_errors(
+    errors = constraint_errors(estimate, inside, log.track)
+    raw = constraint_errors(
         Trajectory.from_poses(log.stamps[:1500].tolist(), log.odometry[:1500]), inside, log.track
     )
     assert len(errors.translation) > 200

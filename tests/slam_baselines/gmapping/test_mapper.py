@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation.metrics.relations import read_relations, relation_errors
+from lirs_validation.metrics.relative_pose_constraints import constraint_errors, read_constraints
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.geometry.pose import Pose2
@@ -163,13 +163,13 @@ def test_between_processed_scans_the_error_is_spread_along_the_way() -> None:
 def test_first_part_of_the_intel_log(shared_data: Path) -> None:
     """Twice as exact as the odometry by far: the log's first 900 scans, 10 particles."""
     log = read_carmen(shared_data / "logs" / "intel" / "intel.clf.gz")
-    relations = read_relations(shared_data / "logs" / "intel" / "intel.relations.gz")
+    relations = read_constraints(shared_data / "logs" / "intel" / "intel.relations.gz")
     mapper = make_mapper("gmapping", particles=10, seed=1)
     for scan, odometry in zip(log.scans[:900], log.odometry[:900], strict=True):
         mapper.update(scan, odometry, None)
-    error = relation_errors(mapper.trajectory(), relations, log.track)
+    error = constraint_errors(mapper.trajectory(), relations, log.track)
     raw = Trajectory.from_poses(log.stamps[:900].tolist(), list(log.odometry[:900]))
-    by_odometry = relation_errors(raw, relations, log.track)
+    by_odometry = constraint_errors(raw, relations, log.track)
     assert len(error.translation) > 100
     assert error.translation.mean() < 0.075
     assert np.degrees(error.rotation.mean()) < 2.0

@@ -13,7 +13,7 @@ from lirs_validation.logs.reference import read_reference
 from lirs_validation.metrics.accuracy import reference_errors
 from lirs_validation.metrics.agreement import agreement
 from lirs_validation.metrics.map import false_occupied
-from lirs_validation.metrics.relations import read_relations, relation_errors
+from lirs_validation.metrics.relative_pose_constraints import constraint_errors, read_constraints
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.geometry.pose import Pose2
@@ -111,7 +111,9 @@ def test_intel_beginning(shared_data: Path) -> None:
     log, mapper = read_carmen(folder / "intel.clf.gz"), HectorMapper()
     for scan, odometry in zip(log.scans[:1500], log.odometry[:1500], strict=True):
         mapper.update(scan, odometry, None)
-    errors = relation_errors(mapper.trajectory(), read_relations(folder / "intel.relations.gz"), log.track)
+    errors = constraint_errors(
+        mapper.trajectory(), read_constraints(folder / "intel.relations.gz"), log.track
+    )
     assert len(errors.translation) > 100
     assert errors.translation.mean() < 0.08
     assert math.degrees(errors.rotation.mean()) < 2.0

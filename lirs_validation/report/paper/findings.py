@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
 
-from lirs_validation.record.metric_catalogue import rtf_counts, significant, span
-from lirs_validation.report import published
-from lirs_validation.report.paper import RTF, husky_runs
-from lirs_validation.report.published import COMFORTABLE, HEIGHTMAP, MAPPERS, OURS, SOLID, VIEWS, WORLDS
-from lirs_validation.report.sheets import over_runs, sound
+from lirs_validation.record.catalog import rtf_counts, significant, span
+from lirs_validation.report.paper import published
+from lirs_validation.report.paper.published import COMFORTABLE, HEIGHTMAP, MAPPERS, OURS, SOLID, VIEWS, WORLDS
+from lirs_validation.report.paper.tables import RTF, husky_runs
+from lirs_validation.report.tables.metric_tables import over_runs, sound
 
 Entry = Mapping[str, Any]
 Means = Mapping[tuple[str, str, str], float]

@@ -7,24 +7,24 @@ from typing import Any
 
 from lirs_validation.analysis.groups import FIELDS, Cell, by_cell, telling
 from lirs_validation.analysis.repeats import repeats
-from lirs_validation.record import metric_catalogue as figures
-from lirs_validation.record.metric_catalogue import Figure, rtf_counts
+from lirs_validation.record import catalog
+from lirs_validation.record.catalog import Figure, rtf_counts
 from lirs_validation.record.run_record import SOUND
-from lirs_validation.report.sheet import Content, Sheet, Spread
+from lirs_validation.report.tables.table import Content, Sheet, Spread
 
 Entry = Mapping[str, Any]
 
 EXTRAPOLATED = "†"
 GROUPS: tuple[tuple[str, str, tuple[Figure, ...]], ...] = (
-    ("rtf", "Real-time factor", figures.RTF),
-    ("trajectory", "Trajectory", figures.TRAJECTORY),
-    ("map", "Map", figures.MAP),
-    ("contacts", "Contacts while mapping", figures.CONTACTS),
-    ("cost", "Cost", figures.COST),
+    ("rtf", "Real-time factor", catalog.RTF),
+    ("trajectory", "Trajectory", catalog.TRAJECTORY),
+    ("map", "Map", catalog.MAP),
+    ("contacts", "Contacts while mapping", catalog.CONTACTS),
+    ("cost", "Cost", catalog.COST),
 )
 SUMMARY = tuple(
     figure
-    for figure in figures.ALL
+    for figure in catalog.ALL
     if figure.place
     in ("rtf.mean", "trajectory.length", "trajectory.ate_rmse", "map.f1", "map.iou", "map.false_occupied")
 )

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from lirs_validation.record.metric_catalogue import RTF as RTF_FIGURES
-from lirs_validation.record.metric_catalogue import Figure
-from lirs_validation.report import published
-from lirs_validation.report.published import MAPPERS, OURS, SOLID, VIEWS, WORLDS
-from lirs_validation.report.sheet import Content, Sheet, Spread
-from lirs_validation.report.sheets import EXTRAPOLATED, over_runs, sound
+from lirs_validation.record.catalog import RTF as RTF_FIGURES
+from lirs_validation.record.catalog import Figure
+from lirs_validation.report.paper import published
+from lirs_validation.report.paper.published import MAPPERS, OURS, SOLID, VIEWS, WORLDS
+from lirs_validation.report.tables.metric_tables import EXTRAPOLATED, over_runs, sound
+from lirs_validation.report.tables.table import Content, Sheet, Spread
 
 Entry = Mapping[str, Any]
 

@@ -13,8 +13,8 @@ from rich.table import Table
 from rich.text import Text
 
 from lirs_validation.analysis.score import Score
+from lirs_validation.record.catalog import MAP, TRAJECTORY
 from lirs_validation.record.formatting import NOTHING
-from lirs_validation.record.metric_catalogue import MAP, TRAJECTORY
 from lirs_wct.files import atomic_write
 
 
