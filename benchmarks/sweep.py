@@ -25,7 +25,6 @@ from lirs_validation import RunRecord, validate
 from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.cli.sweep_tables import sweep_tables
 from lirs_validation.experiment.scenario import StageCache
-from lirs_validation.sweep.cell import Tell
 from lirs_validation.sweep.engines.base import Executor
 from lirs_validation.sweep.engines.processes import Processes
 from lirs_validation.sweep.engines.serial import Serial
@@ -33,6 +32,7 @@ from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.run_cell import RunCell
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.files import atomic_folder
+from lirs_wct.progress import Progress
 
 LIMIT = 0.02
 """Share of the cells' time that the suite may take."""
@@ -48,11 +48,11 @@ class QuickCell(RunCell):
     template: RunRecord | None = None
     spent: str = ""
 
-    def perform(self, out: Path, stages: StageCache, tell: Tell, *, concurrent: bool) -> Outcome:
+    def perform(self, out: Path, stages: StageCache, progress: Progress, *, concurrent: bool) -> Outcome:
         """Write the record."""
         assert self.template is not None
         for second in range(int(self.config.seconds)):
-            tell("drive", second / self.config.seconds)
+            progress("drive", second / self.config.seconds)
         begun = time.perf_counter()
         record = replace(self.template, config=self.config)
         with atomic_folder(out / self.name) as folder:

@@ -1,4 +1,4 @@
-"""How far a long piece of work has come."""
+"""Progress of a long piece of work: one callback, which every builder, writer, run and sweep takes."""
 
 from __future__ import annotations
 
@@ -7,37 +7,45 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 T = TypeVar("T")
-Tick = Callable[[float], None]
-"""Called with the share that is done, 0 to 1."""
-Report = Callable[[str, float], None]
-"""Called with what is going on and the share of the whole that is done, 0 to 1."""
+Progress = Callable[[str, float], None]
+"""Called with the name of the current step and the share of the whole work that is done, 0 to 1."""
 
 
-def ticking(items: Iterable[T], total: int, weight: Callable[[T], int], tick: Tick | None) -> Iterator[T]:
-    """Yield the items; after each, tell the share of the total weight that has passed."""
+def no_progress(step: str, share: float) -> None:
+    """Progress that nobody follows."""
+
+
+def tracked(
+    items: Iterable[T], total: int, weight: Callable[[T], int], step: str, progress: Progress = no_progress
+) -> Iterator[T]:
+    """Yield the items; after each, report the share of the total weight that has passed."""
     done = 0
     for item in items:
         yield item
         done += weight(item)
-        if tick is not None:
-            tick(min(1.0, done / max(total, 1)))
+        progress(step, min(1.0, done / max(total, 1)))
 
 
 @dataclass
 class Steps:
-    """Work in named steps of equal weight, told as one share."""
+    """Work in named steps of equal weight, reported as one share.
+
+    Attributes:
+        count: number of steps.
+        progress: of the whole work.
+        begun: number of steps that have begun.
+    """
 
     count: int
-    report: Report | None = None
+    progress: Progress = no_progress
     begun: int = 0
-    name: str = ""
 
-    def begin(self, name: str) -> None:
-        """Begin the next step."""
-        self.begun, self.name = self.begun + 1, name
-        self.tick(0.0)
+    def begin(self, name: str) -> Progress:
+        """Begin the next step; return the progress of that step alone."""
+        before, self.begun = self.begun, self.begun + 1
 
-    def tick(self, share: float) -> None:
-        """Tell the share of the current step that is done."""
-        if self.report is not None:
-            self.report(self.name, min(1.0, (self.begun - 1 + share) / self.count))
+        def progress(_: str, share: float) -> None:
+            self.progress(name, min(1.0, (before + share) / self.count))
+
+        progress(name, 0.0)
+        return progress

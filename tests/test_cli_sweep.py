@@ -36,7 +36,7 @@ def wct(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs that take no time; the one of seed 3 goes wrong."""
 
-    def perform(cell: RunCell, out: Path, stages: object, tell: object, *, concurrent: bool) -> Outcome:
+    def perform(cell: RunCell, out: Path, stages: object, progress: object, *, concurrent: bool) -> Outcome:
         if cell.config.seed == 3:
             raise MapperError("update() must return a finite pose")
         record = RunRecord(config=cell.config, world={"name": cell.world}, status="ok")

@@ -13,24 +13,25 @@ from lirs_wct.export.package import FORMATS, write_package
 from lirs_wct.formats.meshes.collada import write_collada
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.progress import Steps, ticking
+from lirs_wct.progress import Steps, tracked
 from lirs_wct.world import World
 
 
 @given(st.lists(st.integers(0, 9), max_size=8))
-def test_ticking_passes_everything_on_and_ends_at_one(weights: list[int]) -> None:
-    told: list[float] = []
-    assert list(ticking(weights, sum(weights), int, told.append)) == weights
-    assert told == sorted(told)
+def test_tracked_items_pass_and_progress_ends_at_one(weights: list[int]) -> None:
+    reported: list[tuple[str, float]] = []
+    progress = lambda step, share: reported.append((step, share))  # noqa: E731
+    assert list(tracked(weights, sum(weights), int, "a", progress)) == weights
+    assert reported == sorted(reported)
     if sum(weights):
-        assert told[-1] == 1.0
+        assert reported[-1] == ("a", 1.0)
 
 
 def test_steps_share_the_whole_evenly() -> None:
     told: list[tuple[str, float]] = []
     steps = Steps(4, lambda name, share: told.append((name, share)))
-    steps.begin("a")
-    steps.tick(0.5)
+    within = steps.begin("a")
+    within("file", 0.5)
     steps.begin("b")
     assert told == [("a", 0.0), ("a", 0.125), ("b", 0.25)]
 
@@ -40,7 +41,7 @@ def test_a_package_tells_each_file(formats: tuple[str, ...], tmp_path: Path) -> 
     z = np.random.default_rng(1).random((150, 150)).astype(np.float32)
     world = World("dunes", "terrain", HeightField(z, (0.1, 0.1), (0.0, 0.0)))
     told: list[tuple[str, float]] = []
-    write_package(world, tmp_path, formats=formats, report=lambda name, share: told.append((name, share)))
+    write_package(world, tmp_path, formats=formats, progress=lambda name, share: told.append((name, share)))
     shares = [share for _, share in told]
     assert shares == sorted(shares)
     assert shares[0] == 0.0
@@ -52,7 +53,8 @@ def test_a_package_tells_each_file(formats: tuple[str, ...], tmp_path: Path) -> 
 def test_a_streamed_file_ticks_tile_by_tile(tmp_path: Path) -> None:
     z = np.random.default_rng(2).random((200, 200)).astype(np.float32)
     told: list[float] = []
-    write_collada(tmp_path / "a.dae", solid_mesh(HeightField(z, (0.1, 0.1), (0.0, 0.0))), tick=told.append)
+    mesh = solid_mesh(HeightField(z, (0.1, 0.1), (0.0, 0.0)))
+    write_collada(tmp_path / "a.dae", mesh, progress=lambda _, share: told.append(share))
     assert len(told) > 3
     assert told == sorted(told)
     assert told[-1] == 1.0

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from lirs_validation.cli.arguments import Sources
 from lirs_validation.cli.build_options import mujoco_terrain, with_build_options
 from lirs_validation.cli.console import RUN_FAILED, err, out
+from lirs_validation.cli.progress import progress_bar
 from lirs_wct.errors import ConfigError, WctError
 from lirs_wct.sources.options import BuildOptions
 
@@ -108,29 +109,23 @@ def _checked(
     from lirs_validation.config import RunConfig
     from lirs_validation.experiment.scenario import set_stage
 
-    bar = Progress(
-        TextColumn("[bold]{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=err,
-        transient=True,
-    )
-    with bar:
-        task = bar.add_task("", total=len(sources) * len(robots) * len(terrains) * len(seeds))
+    checks = list(itertools.product(robots, terrains, seeds))
+    steps = len(sources) * len(checks)
+    done = 0
+    with progress_bar("collide", err) as progress:
         for source in sources:
-            bar.update(task, description=f"{source}: building")
+            progress(f"building {source}", done / steps)
             config = RunConfig(source=source, seconds=seconds, build=options)
             try:
                 world = set_stage(config).world
             except WctError as error:
                 yield error
+                done += len(checks)
                 continue
-            for who, where, seed in ((r, t, s) for r in robots for t in terrains for s in seeds):
-                bar.update(task, description=f"{source}: {who.name} on {where}")
+            for who, where, seed in checks:
+                progress(f"{source}, {who.name} on {where}", done / steps)
                 try:
                     yield check_collisions(world, who, terrain=where, seconds=seconds, seed=seed)
                 except WctError as error:
                     yield error
-                bar.advance(task)
+                done += 1

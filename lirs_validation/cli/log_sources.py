@@ -44,10 +44,10 @@ def _folder(output: Path | None) -> Path:
 
 def _mapped(log: str, options: BuildOptions, out: Path) -> str:
     from lirs_validation.cli.console import err
-    from lirs_validation.cli.mapping import mapping_bar
+    from lirs_validation.cli.progress import progress_bar
     from lirs_validation.logs.log_source import resolve_source
 
-    with mapping_bar(log) as tell:
-        path = resolve_source(log, options, out, tell)
+    with progress_bar(log, err) as progress:
+        path = resolve_source(log, options, out, progress)
     err.print(f"{log}: its map is {path}", soft_wrap=True, highlight=False)
     return str(path)

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from lirs_validation.cli.console import RUN_FAILED, err, out
+from lirs_validation.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from lirs_validation.record.map_record import MapRecord
-
-STAGES = {"read": "reading", "compile": "compiling", "map": "mapping", "draw": "drawing"}
 
 Log = Annotated[str, typer.Argument(metavar="LOG", help="CARMEN log: .clf or .log, gzipped or not.")]
 MapperName = Annotated[
@@ -70,27 +66,12 @@ def map_log(
         relations=relations,
         reference=reference,
     )
-    with mapping_bar(log) as tell:
-        mapped = run_mapping(config, out=output, report=tell)
+    with progress_bar(log, err) as progress:
+        mapped = run_mapping(config, out=output, progress=progress)
     out.print(figures_table(mapped.record))
     out.print(f"{mapped.folder}", soft_wrap=True, highlight=False)
     if mapped.record.status != "ok":
         raise typer.Exit(RUN_FAILED)
-
-
-@contextmanager
-def mapping_bar(log: str) -> Iterator[Callable[[str, float], None]]:
-    """Show how far the log is mapped and how long the rest will take."""
-    columns = (
-        TextColumn("[bold]{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=err, transient=True) as bar:
-        task = bar.add_task(log, total=1.0)
-        yield lambda stage, share: bar.update(task, description=f"{log}: {STAGES[stage]}", completed=share)
 
 
 def figures_table(record: MapRecord) -> Table:

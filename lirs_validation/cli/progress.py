@@ -1,26 +1,48 @@
-"""A progress bar over one or many runs."""
+"""Progress bars of the commands: one piece of work, or many runs with the time that is left."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, ProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress as ProgressBar
 
-from lirs_validation.sweep.engines.base import Executor
-from lirs_validation.sweep.outcome import Outcome
-from lirs_validation.sweep.sweep import Sweep
+from lirs_wct.progress import Progress
 
-STAGES = {
+if TYPE_CHECKING:
+    from lirs_validation.sweep.engines.base import Executor
+    from lirs_validation.sweep.outcome import Outcome
+    from lirs_validation.sweep.sweep import Sweep
+
+STEPS = {
+    "read": "reading",
     "build": "building",
     "plan": "planning",
     "compile": "compiling",
     "drive": "driving",
+    "map": "mapping",
     "judge": "judging",
+    "draw": "drawing",
     "collide": "colliding",
 }
+"""Steps as they are shown; any other stands as it is."""
 LONG = 3600.0
 """The time left is estimated from the last so many seconds: cells take minutes, and differ."""
+
+
+@contextmanager
+def progress_bar(work: str, console: Console) -> Iterator[Progress]:
+    """Show a bar with the time left while a piece of work goes on."""
+    with _bar(console) as bar:
+        task = bar.add_task(work, total=None)
+
+        def progress(step: str, share: float) -> None:
+            bar.update(task, description=f"{work}: {STEPS.get(step, step)}", total=1.0, completed=share)
+
+        yield progress
 
 
 def run_with_progress(sweep: Sweep, executor: Executor, console: Console) -> Iterator[Outcome]:
@@ -29,10 +51,35 @@ def run_with_progress(sweep: Sweep, executor: Executor, console: Console) -> Ite
     Raises:
         WctError: the only cell cannot be run as it was asked for, or not be written.
     """
-    bar = Progress(
+    many = len(sweep.pending) > 1
+    running: dict[str, float] = {}
+    done = 0
+    with _bar(console, TextColumn("{task.fields[done]}/{task.total:.0f}" if many else "")) as bar:
+        task = bar.add_task("", total=float(len(sweep.pending)), done=0)
+
+        def progress_of(name: str) -> Progress:
+            def progress(step: str, share: float) -> None:
+                running[name] = share
+                bar.update(
+                    task,
+                    description=f"{name}: {STEPS.get(step, step)}",
+                    completed=done + sum(running.values()),
+                )
+
+            return progress
+
+        for outcome in sweep.run(executor, progress_of):
+            running.pop(outcome.cell, None)
+            done += 1
+            bar.update(task, completed=done + sum(running.values()), done=done)
+            yield outcome
+
+
+def _bar(console: Console, *columns: ProgressColumn) -> ProgressBar:
+    return ProgressBar(
         TextColumn("{task.description}", style="bold", markup=False),
         BarColumn(),
-        TextColumn("{task.fields[done]}/{task.total:.0f}" if len(sweep.pending) > 1 else ""),
+        *columns,
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
@@ -40,17 +87,3 @@ def run_with_progress(sweep: Sweep, executor: Executor, console: Console) -> Ite
         transient=True,
         speed_estimate_period=LONG,
     )
-    running: dict[str, float] = {}
-    done = 0
-    with bar:
-        task = bar.add_task("", total=float(len(sweep.pending)), done=0)
-
-        def tell(name: str, stage: str, share: float) -> None:
-            running[name] = share
-            bar.update(task, description=f"{name}: {STAGES[stage]}", completed=done + sum(running.values()))
-
-        for outcome in sweep.run(executor, tell):
-            running.pop(outcome.cell, None)
-            done += 1
-            bar.update(task, completed=done + sum(running.values()), done=done)
-            yield outcome

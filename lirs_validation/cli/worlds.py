@@ -9,8 +9,9 @@ import typer
 
 from lirs_validation.cli.arguments import Source
 from lirs_validation.cli.build_options import gazebo_terrain, with_build_options
-from lirs_validation.cli.console import err, out, work_bar
+from lirs_validation.cli.console import err, out
 from lirs_validation.cli.option_help import RotateX
+from lirs_validation.cli.progress import progress_bar
 from lirs_wct.sources.options import BuildOptions
 
 if TYPE_CHECKING:
@@ -41,14 +42,15 @@ def build(
     from lirs_wct.world import build_world
 
     formats = [word.strip() for word in to.split(",") if word.strip()]
-    with work_bar(f"building {source}") as tell:
+    with progress_bar(source, err) as progress:
+        progress("build", 0.0)
         world = build_world(source, options)
         folder = write_package(
             world,
             output,
             formats=formats,
             terrain=gazebo_terrain(terrain),
-            report=lambda name, share: tell(f"{world.name}: {name}", share),
+            progress=progress,
         )
     width, depth = world.surface.size
     out.print(f"{folder}: {world.kind}, {width:g} x {depth:g} m, relief {world.surface.relief:.2f} m")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,13 +16,11 @@ from lirs_validation.record.run_record import Status
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.progress import Progress, no_progress
 from slam_baselines.mapper import Mapper
 
 LOST_SECONDS = 5.0
 """A mapper that does not know its place for so long has lost it."""
-
-Progress = Callable[[float], None]
-"""Called with the simulated seconds so far, about once a simulated second."""
 
 
 @dataclass
@@ -86,7 +83,7 @@ def drive(
     driver: CoverageDriver,
     mapper: Mapper,
     seconds: float,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
     *,
     wall_limit: float | None = None,
 ) -> DriveLog:
@@ -120,8 +117,8 @@ def drive(
         spent += log.walls[-1]
         if wall_limit is not None and spent >= wall_limit and (tick + 1) * period < seconds:
             return _ended(log, "wall limit", _over(spent, simulation.time, seconds))
-        if progress is not None and (tick + 1) * period >= next_report:
-            progress((tick + 1) * period)
+        if (tick + 1) * period >= next_report:
+            progress("drive", (tick + 1) * period / seconds)
             next_report += 1.0
     return log
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -32,12 +31,10 @@ from lirs_validation.experiment.warm_up import warm_up
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.contact.contact_parts import ContactGeometry
 from lirs_wct.errors import SimulationError
+from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.world import World
 from slam_baselines.mapper import Mapper
-
-Report = Callable[[str, float], None]
-"""Called with what is going on and the share that is done, 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +61,7 @@ def validate(
     wall_limit: float | None = None,
     options: BuildOptions | None = None,
     out: str | Path | None = None,
-    report: Report | None = None,
+    progress: Progress = no_progress,
 ) -> Run:
     """Drive a robot through a source with a mapper running, and say how well and how fast that went.
 
@@ -80,7 +77,7 @@ def validate(
         wall_limit: wall seconds after which the drive is stopped; None = never.
         options: how the source becomes a world.
         out: folder that receives the run's folder; None = nothing is written.
-        report: called with the stage and the share done.
+        progress: of the run.
 
     Raises:
         WctError: the source, a name or an option cannot be used, or results cannot be written.
@@ -97,14 +94,14 @@ def validate(
         wall_limit=wall_limit,
         build=options or BuildOptions(),
     )
-    return run(config, out=None if out is None else Path(out), report=report)
+    return run(config, out=None if out is None else Path(out), progress=progress)
 
 
 def run(
     config: RunConfig,
     *,
     out: Path | None = None,
-    report: Report | None = None,
+    progress: Progress = no_progress,
     stages: StageCache | None = None,
     concurrent: bool = False,
 ) -> Run:
@@ -113,23 +110,22 @@ def run(
     Args:
         config: what to run.
         out: folder that receives the run's folder; None = nothing is written.
-        report: called with the stage and the share done.
+        progress: of the run.
         stages: worlds that were built before.
         concurrent: whether other runs share the processor; found out beside that.
     """
-    tell = report or (lambda stage, share: None)
     robot, mapper = make_robot(config.robot), mapper_named(config.mapper, config.seed)
-    tell("build", 0.0)
+    progress("build", 0.0)
     stage = (stages or StageCache()).stage(config)
-    tell("plan", 0.0)
+    progress("plan", 0.0)
     driver = plan(stage.world, robot, config)
-    tell("compile", 0.0)
+    progress("compile", 0.0)
     compiled = {"compile_seconds": warm_up(stage, robot)}
     simulation = stage.simulation(robot)
-    log, cost = _timed_drive(simulation, driver, mapper, config, tell)
+    log, cost = _timed_drive(simulation, driver, mapper, config, progress)
     if not log.walls:
         raise SimulationError(f"{config.source}: nothing was driven: {log.reason}")
-    tell("judge", 1.0)
+    progress("judge", 1.0)
     log.final = final_trajectory(mapper)
     log.concurrent = log.concurrent or concurrent
     maps = judge_maps(stage.world, log, mapper)
@@ -139,7 +135,7 @@ def run(
 
 
 def _timed_drive(
-    simulation: Simulation, driver: CoverageDriver, mapper: Mapper, config: RunConfig, tell: Report
+    simulation: Simulation, driver: CoverageDriver, mapper: Mapper, config: RunConfig, progress: Progress
 ) -> tuple[DriveLog, dict[str, Any]]:
     """Drive; return the log and what the drive cost."""
     with company() as others:
@@ -149,7 +145,7 @@ def _timed_drive(
             driver,
             mapper,
             config.seconds,
-            lambda done: tell("drive", done / config.seconds),
+            progress,
             wall_limit=config.wall_limit,
         )
         cost = {"cpu_seconds": meter.cpu_seconds(), "peak_memory": meter.peak_memory()}

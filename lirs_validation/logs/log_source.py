@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 from lirs_validation.config import MapConfig
@@ -11,15 +10,13 @@ from lirs_validation.logs.mapping import folder_name, run_mapping
 from lirs_validation.record.provenance import versions
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
+from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.source import SourceKind, find_source
 
-Report = Callable[[str, float], None]
-"""Called with what is going on and the share that is done, 0 to 1."""
-
 
 def resolve_source(
-    source: str | Path, options: BuildOptions, out: str | Path, report: Report | None = None
+    source: str | Path, options: BuildOptions, out: str | Path, progress: Progress = no_progress
 ) -> str | Path:
     """Return the source itself; of a log the YAML of its map, which bears the log's name.
 
@@ -37,7 +34,7 @@ def resolve_source(
     folder = out / folder_name(config)
     status = _status(folder)
     if status is None:
-        status = run_mapping(config, out=out, report=report).record.status
+        status = run_mapping(config, out=out, progress=progress).record.status
     if status != "ok":
         raise SourceError(
             f"{source}: {config.mapper} lost its place in this log, its map is no world (see {folder}); "

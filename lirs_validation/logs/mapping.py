@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -22,12 +22,10 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
 from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.source import find_source
 from slam_baselines.mapper import Mapper
-
-Report = Callable[[str, float], None]
-"""Called with what is going on and the share that is done, 0 to 1."""
 
 
 def map_log(
@@ -42,7 +40,7 @@ def map_log(
     relations: str | Path | None = None,
     reference: str | Path | None = None,
     out: str | Path | None = None,
-    report: Report | None = None,
+    progress: Progress = no_progress,
 ) -> MappedLog:
     """Map a CARMEN log.
 
@@ -57,7 +55,7 @@ def map_log(
         relations: file of relations that are known to be true; the record then tells the accuracy.
         reference: file of a reference trajectory (TUM, or a CARMEN log of corrected poses); the same.
         out: folder that receives the map's folder; None = nothing is written.
-        report: called with the stage and the share done.
+        progress: of the mapping.
 
     Raises:
         WctError: a file, a name or an option cannot be used, or results cannot be written.
@@ -73,23 +71,23 @@ def map_log(
         relations=None if relations is None else str(relations),
         reference=None if reference is None else str(reference),
     )
-    return run_mapping(config, out=None if out is None else Path(out), report=report)
+    return run_mapping(config, out=None if out is None else Path(out), progress=progress)
 
 
-def run_mapping(config: MapConfig, *, out: Path | None = None, report: Report | None = None) -> MappedLog:
+def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progress = no_progress) -> MappedLog:
     """Map a log by its config (see `map_log`)."""
-    tell, meter, seconds = report or (lambda stage, share: None), CostMeter(), dict[str, float]()
+    meter, seconds = CostMeter(), dict[str, float]()
     mapper = make_log_mapper(config)
     relations, reference = read_truth(config)
-    tell("read", 0.0)
+    progress("read", 0.0)
     with _timed(seconds, "read_seconds"):
         name, log = folder_name(config), read_log(config)
         check_log(config, log)
-    tell("compile", 0.0)
+    progress("compile", 0.0)
     with _timed(seconds, "compile_seconds"):
         warm_up_log_mapper(config)
     with _timed(seconds, "map_seconds"):
-        drive(config, mapper, log, tell)
+        drive(config, mapper, log, progress)
         grid, trajectory = final_map(mapper), final_trajectory(mapper)
     accuracy = trajectory_accuracy(trajectory, log.track, relations, reference)
     cost = {**seconds, "cpu_seconds": meter.cpu_seconds(), "peak_memory": meter.peak_memory()}
@@ -104,7 +102,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, report: Report | 
         cost=cost,
     )
     mapped = MappedLog(record, log, grid, trajectory, reference, accuracy)
-    return mapped if out is None else replace(mapped, folder=_write(mapped, out, tell))
+    return mapped if out is None else replace(mapped, folder=_write(mapped, out, progress))
 
 
 def read_truth(config: MapConfig) -> tuple[tuple[RelativePoseConstraint, ...] | None, Trajectory | None]:
@@ -145,7 +143,7 @@ def folder_name(config: MapConfig) -> str:
     return f"{stem}-{config.mapper.rpartition(':')[2]}-s{config.seed}-{digest}"
 
 
-def drive(config: MapConfig, mapper: Mapper, log: CarmenLog, tell: Report) -> None:
+def drive(config: MapConfig, mapper: Mapper, log: CarmenLog, progress: Progress) -> None:
     """Feed the whole log.
 
     Raises:
@@ -159,14 +157,14 @@ def drive(config: MapConfig, mapper: Mapper, log: CarmenLog, tell: Report) -> No
         except ConfigError as error:
             raise SourceError(f"{config.log}: {error}") from error
         check_pose(estimate, scan.stamp)
-        tell("map", (k + 1) / scans)
+        progress("map", (k + 1) / scans)
 
 
-def _write(mapped: MappedLog, out: Path, tell: Report) -> Path:
+def _write(mapped: MappedLog, out: Path, progress: Progress) -> Path:
     # Drawing needs matplotlib, which the first scan should not wait for.
     from lirs_validation.logs.results import write_mapped
 
-    tell("draw", 1.0)
+    progress("draw", 1.0)
     return write_mapped(out / mapped.record.name, mapped)
 
 

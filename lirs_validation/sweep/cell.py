@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import StageCache
 from lirs_validation.sweep.outcome import Outcome, outcome_of
-
-Tell = Callable[[str, float], None]
-"""Called with the stage of the work and the share that is done, 0 to 1."""
+from lirs_wct.progress import Progress
 
 
 class Cell(Protocol):
@@ -35,7 +32,7 @@ class Cell(Protocol):
         """
         ...
 
-    def perform(self, out: Path, stages: StageCache, tell: Tell, *, concurrent: bool) -> Outcome:
+    def perform(self, out: Path, stages: StageCache, progress: Progress, *, concurrent: bool) -> Outcome:
         """Run, and write the folder whole or not at all.
 
         Raises:
@@ -60,9 +57,9 @@ class Cell(Protocol):
         ...
 
 
-def attempt(cell: Cell, out: Path, stages: StageCache, tell: Tell, *, concurrent: bool) -> Outcome:
+def attempt(cell: Cell, out: Path, stages: StageCache, progress: Progress, *, concurrent: bool) -> Outcome:
     """Perform a cell; whatever it raises becomes its outcome."""
     try:
-        return cell.perform(out, stages, tell, concurrent=concurrent)
+        return cell.perform(out, stages, progress, concurrent=concurrent)
     except Exception as error:
         return outcome_of(error, cell.name)

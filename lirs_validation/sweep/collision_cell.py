@@ -11,13 +11,13 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import RunConfig, run_name
 from lirs_validation.experiment.scenario import StageCache
 from lirs_validation.record.provenance import versions
-from lirs_validation.sweep.cell import Tell
 from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.run_cell import world_name
 from lirs_validation.sweep.staleness import is_older, same_code, world_files
 from lirs_wct.contact.contact_parts import ContactGeometry
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_folder
+from lirs_wct.progress import Progress
 
 if TYPE_CHECKING:
     from lirs_validation.collision.validation import CollisionVerdict
@@ -66,14 +66,14 @@ class CollisionCell:
         make_robot(self.robot)
         world_name(self.place)
 
-    def perform(self, out: Path, stages: StageCache, tell: Tell, *, concurrent: bool) -> Outcome:
+    def perform(self, out: Path, stages: StageCache, progress: Progress, *, concurrent: bool) -> Outcome:
         """Check the contacts; a figure over its limit is a finding, and no failure of the cell."""
         from lirs_validation.collision.files import write_verdicts
         from lirs_validation.collision.validation import check_collisions
 
-        tell("build", 0.0)
+        progress("build", 0.0)
         world = stages.stage(self.place).world
-        tell("collide", 0.0)
+        progress("collide", 0.0)
         verdict = check_collisions(
             world, make_robot(self.robot), terrain=self.terrain, seconds=self.seconds, seed=self.seed
         )

@@ -15,11 +15,11 @@ from lirs_validation.experiment.mapper_loading import mapper_named, source_file
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import StageCache
 from lirs_validation.record.run_record import RunRecord, read_record
-from lirs_validation.sweep.cell import Tell
 from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.staleness import is_older, same_code, world_files
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_folder
+from lirs_wct.progress import Progress
 from lirs_wct.sources.source import SourceKind, find_source
 
 
@@ -55,9 +55,9 @@ class RunCell:
         _check_names(self.config.robot, self.config.lidar, self.config.mapper)
         world_name(self.config)
 
-    def perform(self, out: Path, stages: StageCache, tell: Tell, *, concurrent: bool) -> Outcome:
+    def perform(self, out: Path, stages: StageCache, progress: Progress, *, concurrent: bool) -> Outcome:
         """Run the config and write its folder."""
-        record = run(self.config, out=out, report=tell, stages=stages, concurrent=concurrent).record
+        record = run(self.config, out=out, progress=progress, stages=stages, concurrent=concurrent).record
         return Outcome(cell=self.name, status=record.status, reason=record.reason, written=True)
 
     def write_failure(self, out: Path, outcome: Outcome) -> None:

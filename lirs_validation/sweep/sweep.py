@@ -7,11 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from lirs_validation.sweep.cell import Cell
-from lirs_validation.sweep.engines.base import Executor, Progress
+from lirs_validation.sweep.engines.base import Executor, ProgressOf
 from lirs_validation.sweep.manifest import Manifest
 from lirs_validation.sweep.outcome import Outcome
 from lirs_wct.errors import OutputError, WctError
 from lirs_wct.files import remove_leftovers
+from lirs_wct.progress import no_progress
 
 ROUNDS = 2
 """Times that a cell is run whose results cannot be written."""
@@ -69,7 +70,9 @@ class Sweep:
         """Whether a cell failed, or was not finished."""
         return bool(self.pending) or not all(outcome.sound for outcome in self.outcomes.values())
 
-    def run(self, executor: Executor, progress: Progress | None = None) -> Iterator[Outcome]:
+    def run(
+        self, executor: Executor, progress_of: ProgressOf = lambda name: no_progress
+    ) -> Iterator[Outcome]:
         """Run what is pending; yield each outcome once its folder is written.
 
         Raises:
@@ -80,7 +83,7 @@ class Sweep:
         for _ in range(ROUNDS):
             cells = {cell.name: cell for cell in self.pending}
             self.unwritten.clear()
-            for outcome in executor.run(list(cells.values()), self.out, progress or _quiet):
+            for outcome in executor.run(list(cells.values()), self.out, progress_of):
                 settled = self._settled(cells[outcome.cell], outcome)
                 if settled.written:
                     self.outcomes[settled.cell] = settled
@@ -112,7 +115,3 @@ class Sweep:
         except OutputError:
             return  # no room: with the next result then
         self._manifest = None
-
-
-def _quiet(name: str, stage: str, share: float) -> None:
-    """Tell nobody."""

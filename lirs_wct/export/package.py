@@ -21,7 +21,7 @@ from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.ground_texture import ground_texture
 from lirs_wct.meshing.solid import solid_triangles
 from lirs_wct.meshing.uv import cube_uv
-from lirs_wct.progress import Report, Steps
+from lirs_wct.progress import Progress, Steps, no_progress
 from lirs_wct.world import World
 
 FORMATS = ("dae", "stl", "sdf", "mjcf", "obj", "hfield")
@@ -39,7 +39,7 @@ def write_package(
     *,
     formats: Collection[str] = DEFAULT_FORMATS,
     terrain: GazeboTerrain = "solid",
-    report: Report | None = None,
+    progress: Progress = no_progress,
 ) -> Path:
     """Write `parent/NAME/`, whole or not at all, and return it.
 
@@ -48,7 +48,7 @@ def write_package(
         parent: folder for the world's folder.
         formats: of `FORMATS`.
         terrain: what Gazebo's model is: the solid mesh, or a heightmap (8 bit, as the paper compares with).
-        report: called with what is being written and the share that is done.
+        progress: called with the name of the file being written.
 
     Raises:
         ConfigError: no such format, or the world cannot be written in it.
@@ -60,7 +60,7 @@ def write_package(
         raise OutputError(
             f"{folder}: holds files that are not a built world; choose another folder or --name"
         )
-    steps = Steps(2 + len(set(formats)), report)
+    steps = Steps(2 + len(set(formats)), progress)
     with atomic_folder(folder) as temporary:
         steps.begin("world.json")
         world.save(temporary)
@@ -95,8 +95,8 @@ def _check(world: World, formats: Collection[str], terrain: str) -> None:
 def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: Steps) -> None:
     kinds = [kind for kind in ("stl", "dae", "obj") if kind in formats]
     if kinds == ["stl"] and _streams(world):
-        steps.begin("meshes")
-        write_triangles(_mesh_path(world, folder, "stl"), *solid_triangles(world.surface), steps.tick)
+        progress = steps.begin("meshes")
+        write_triangles(_mesh_path(world, folder, "stl"), *solid_triangles(world.surface), progress)
         return
     if not kinds:
         return
@@ -104,15 +104,15 @@ def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: S
     steps.begin("triangles")
     mesh = _turned(world.mesh, settings.rotate_x)
     if "stl" in kinds:
-        steps.begin(f"{world.name}.stl")
-        write_stl(_mesh_path(world, folder, "stl"), mesh, steps.tick)
+        progress = steps.begin(f"{world.name}.stl")
+        write_stl(_mesh_path(world, folder, "stl"), mesh, progress)
     if kinds == ["stl"]:
         return
     texture = f"../{write_texture(world, folder).as_posix()}"
     dressed = _turned(cube_uv(world.mesh, settings.texture_size), settings.rotate_x)
     if "dae" in kinds:
-        steps.begin(f"{world.name}.dae")
-        write_collada(_mesh_path(world, folder, "dae"), dressed, texture, tick=steps.tick)
+        progress = steps.begin(f"{world.name}.dae")
+        write_collada(_mesh_path(world, folder, "dae"), dressed, texture, progress=progress)
     if "obj" in kinds:
         steps.begin(f"{world.name}.obj")
         write_obj(_mesh_path(world, folder, "obj"), dressed, texture)

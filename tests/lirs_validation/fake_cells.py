@@ -12,9 +12,9 @@ from typing import Any, Literal
 
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import StageCache
-from lirs_validation.sweep.cell import Tell
 from lirs_validation.sweep.outcome import Outcome
 from lirs_wct.files import atomic_folder
+from lirs_wct.progress import Progress
 
 Manner = Literal[
     "good", "raises", "hangs", "leaks", "dies", "dies once", "no room once", "no room", "interrupts"
@@ -43,11 +43,11 @@ class FakeCell:
     def check(self) -> None:
         return
 
-    def perform(self, out: Path, stages: StageCache, tell: Tell, *, concurrent: bool) -> Outcome:
+    def perform(self, out: Path, stages: StageCache, progress: Progress, *, concurrent: bool) -> Outcome:
         first = not self.runs
         with (Path(self.notes) / self.name).open("a") as file:
             file.write(f"{os.getpid()}\n")
-        tell("drive", 0.5)
+        progress("drive", 0.5)
         time.sleep(self.seconds)
         with atomic_folder(out / self.name) as folder:
             (folder / "result").write_text(f"{self.name} {concurrent}")

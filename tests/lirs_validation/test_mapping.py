@@ -165,7 +165,7 @@ def test_an_interrupted_mapping_leaves_nothing(room: Path, tmp_path: Path) -> No
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        map_log(room / "room.clf", mapper="hector", out=tmp_path / "out", report=stop)
+        map_log(room / "room.clf", mapper="hector", out=tmp_path / "out", progress=stop)
     assert not (tmp_path / "out").exists()
 
 

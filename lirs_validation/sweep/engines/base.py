@@ -10,12 +10,13 @@ from typing import Protocol
 from lirs_validation.sweep.cell import Cell
 from lirs_validation.sweep.outcome import Outcome
 from lirs_wct.errors import ConfigError
+from lirs_wct.progress import Progress
 
 MOST_MEMORY = 1e18
 """Bytes that the system can be asked to keep a process below."""
 
-Progress = Callable[[str, str, float], None]
-"""Called with a cell's name, the stage of its work and the share that is done."""
+ProgressOf = Callable[[str], Progress]
+"""Gives each cell, by its name, the progress of its own work."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +49,6 @@ class Limits:
 class Executor(Protocol):
     """Runs cells, each at least once, and tells of each exactly once, as it ends."""
 
-    def run(self, cells: Sequence[Cell], out: Path, progress: Progress) -> Iterator[Outcome]:
+    def run(self, cells: Sequence[Cell], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
         """Run cells into folders of `out`; failures are outcomes too, and not written by the executor."""
         ...

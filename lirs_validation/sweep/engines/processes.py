@@ -11,7 +11,7 @@ from pathlib import Path
 
 from lirs_validation.experiment.scenario import Stage
 from lirs_validation.sweep.cell import Cell
-from lirs_validation.sweep.engines.base import Limits, Progress
+from lirs_validation.sweep.engines.base import Limits, ProgressOf
 from lirs_validation.sweep.engines.worker import Job, Worker
 from lirs_validation.sweep.outcome import Outcome
 from lirs_wct.files import remove_leftovers
@@ -43,9 +43,9 @@ class Processes:
     stage: Stage | None = None
     concurrent: bool = False
 
-    def run(self, cells: Sequence[Cell], out: Path, progress: Progress) -> Iterator[Outcome]:
+    def run(self, cells: Sequence[Cell], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
         """Run cells into folders of `out`."""
-        pool = _Pool(self, cells, out, progress)
+        pool = _Pool(self, cells, out, progress_of)
         try:
             yield from pool.outcomes()
         finally:
@@ -55,8 +55,8 @@ class Processes:
 class _Pool:
     """The workers of one sweep and what each of them is at."""
 
-    def __init__(self, engine: Processes, cells: Sequence[Cell], out: Path, progress: Progress) -> None:
-        self._engine, self._out, self._progress = engine, out, progress
+    def __init__(self, engine: Processes, cells: Sequence[Cell], out: Path, progress_of: ProgressOf) -> None:
+        self._engine, self._out, self._progress_of = engine, out, progress_of
         self._waiting = deque(cells)
         self._tries: Counter[str] = Counter()
         self._workers: list[Worker] = []
@@ -109,8 +109,8 @@ class _Pool:
         match message:
             case ("begun",):
                 worker.began()
-            case ("progress", stage, share):
-                self._progress(name, stage, share)
+            case ("progress", step, share):
+                self._progress_of(name)(step, share)
             case ("done", Outcome() as outcome):
                 worker.job = None
                 if outcome.status == "error":  # what it leaked goes with it

@@ -17,12 +17,13 @@ from typing import Any
 
 from lirs_validation.experiment.scenario import Stage, StageCache, set_stage
 from lirs_validation.sweep.cell import Cell, attempt
-from lirs_validation.sweep.engines.base import Limits, Progress
+from lirs_validation.sweep.engines.base import Limits, ProgressOf
 from lirs_validation.sweep.engines.processes import Processes, cores
 from lirs_validation.sweep.engines.worker import ONE_THREAD
 from lirs_validation.sweep.outcome import Outcome, outcome_of
 from lirs_wct.errors import ConfigError, OutputError
 from lirs_wct.files import atomic_folder
+from lirs_wct.progress import no_progress
 
 RETRIES = 3
 """Times that a cell is given to another worker when one dies."""
@@ -49,14 +50,14 @@ class RayCluster:
     jobs: int | None = None
     limits: Limits = field(default_factory=Limits)
 
-    def run(self, cells: Sequence[Cell], out: Path, progress: Progress) -> Iterator[Outcome]:
+    def run(self, cells: Sequence[Cell], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
         """Run cells into folders of `out`.
 
         Raises:
             ConfigError: Ray is not installed, or no cluster answers at the address.
         """
         with _connected(self.address, self.jobs) as ray:
-            yield from _Flight(ray, self.limits).outcomes(cells, out, progress)
+            yield from _Flight(ray, self.limits).outcomes(cells, out, progress_of)
 
 
 class _Flight:
@@ -69,7 +70,7 @@ class _Flight:
         self._stages: dict[Any, Any] = {}
         self._flying: dict[Any, Cell] = {}
 
-    def outcomes(self, cells: Sequence[Cell], out: Path, progress: Progress) -> Iterator[Outcome]:
+    def outcomes(self, cells: Sequence[Cell], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
         waiting = list(reversed(cells))
         while waiting or self._flying:
             while waiting and len(self._flying) < self._room:
@@ -81,7 +82,7 @@ class _Flight:
             for done in self._ray.wait(list(self._flying), timeout=1.0)[0]:
                 cell = self._flying.pop(done)
                 outcome = self._collected(done, cell, out)
-                progress(cell.name, "judge", 1.0)
+                progress_of(cell.name)("judge", 1.0)
                 yield outcome
 
     def _start(self, cell: Cell) -> None:
@@ -118,11 +119,11 @@ def perform_remotely(cell: Cell, stage: Stage, limits: Limits, here: str) -> tup
         out = Path(temporary)
         if limits.any:
             engine = Processes(jobs=1, limits=limits, stage=stage, concurrent=True)
-            outcome = next(engine.run([cell], out, lambda name, stage, share: None))
+            outcome = next(engine.run([cell], out, lambda name: no_progress))
         else:
             stages = StageCache()
             stages.put(stage)
-            outcome = attempt(cell, out, stages, lambda stage, share: None, concurrent=True)
+            outcome = attempt(cell, out, stages, no_progress, concurrent=True)
         folder = out / cell.name
         files = {p.name: p.read_bytes() for p in folder.iterdir()} if folder.is_dir() else {}
     return outcome, files

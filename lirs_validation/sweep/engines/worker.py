@@ -41,7 +41,7 @@ class Job:
 class Worker:
     """Another process, one job at a time.
 
-    What it says comes through `pipe`: `("begun",)`, then `("progress", stage, share)` any number of
+    What it says comes through `pipe`: `("begun",)`, then `("progress", step, share)` any number of
     times, then `("done", outcome)`.
     """
 
@@ -139,10 +139,10 @@ def _serve(pipe: Connection, memory: float | None, trace: str, parent: int) -> N
         if job.stage is not None:
             stages.put(job.stage)
 
-        def tell(stage: str, share: float) -> None:
-            pipe.send(("progress", stage, share))
+        def progress(step: str, share: float) -> None:
+            pipe.send(("progress", step, share))
 
-        pipe.send(("done", attempt(job.cell, job.out, stages, tell, concurrent=job.concurrent)))
+        pipe.send(("done", attempt(job.cell, job.out, stages, progress, concurrent=job.concurrent)))
 
 
 def _die_with(parent: int) -> None:

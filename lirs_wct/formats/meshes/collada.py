@@ -22,7 +22,7 @@ from lirs_wct.formats.meshes.collada_stream import CREATED, GROUND, stream_colla
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.tiles import split_tiles
 from lirs_wct.meshing.uv import cube_uv, projection_groups
-from lirs_wct.progress import Tick, ticking
+from lirs_wct.progress import Progress, no_progress, tracked
 
 TILE = 19_000
 """Triangles of a streamed tile: its 9,500 vertices have indices of four digits."""
@@ -39,7 +39,7 @@ def write_collada(
     texture: str | None = None,
     *,
     stream_above: int = STREAM_ABOVE,
-    tick: Tick | None = None,
+    progress: Progress = no_progress,
 ) -> None:
     """Write a mesh with its texture coordinates; missing ones are made by cube projection.
 
@@ -48,7 +48,7 @@ def write_collada(
         mesh: in the world frame.
         texture: path of the picture relative to the file, or None for a plain colour.
         stream_above: triangles above which the file is streamed in tiles.
-        tick: called with the share that is written, 0 to 1.
+        progress: of the file.
 
     Raises:
         ConfigError: the texture's path holds spaces, which Gazebo does not take.
@@ -61,7 +61,7 @@ def write_collada(
     streamed = len(mesh.faces) > stream_above
     aim = TILE if streamed else max(len(mesh.faces), 1)
     tiles = split_tiles(mesh, aim=aim, groups=projection_groups(mesh))
-    tiles = ticking(tiles, len(mesh.faces), lambda tile: len(tile.faces), tick)
+    tiles = tracked(tiles, len(mesh.faces), lambda tile: len(tile.faces), path.name, progress)
     with atomic_write(path) as temporary:
         if streamed:
             step = 2e-6 if len(mesh.faces) > BULK else 2e-7

@@ -14,31 +14,33 @@ from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.progress import Tick, ticking
+from lirs_wct.progress import Progress, no_progress, tracked
 
 _CHUNK = 1 << 14
 _RECORD = np.dtype([("floats", "<f4", 12), ("attribute", "<u2")])
 
 
-def write_stl(path: Path, mesh: TriangleMesh, tick: Tick | None = None) -> None:
-    """Write a mesh as binary STL; `tick` is called with the share that is written, 0 to 1.
+def write_stl(path: Path, mesh: TriangleMesh, progress: Progress = no_progress) -> None:
+    """Write a mesh as binary STL.
 
     Raises:
         OutputError: the file cannot be written.
     """
     starts = range(0, len(mesh.faces), _CHUNK)
     chunks = (mesh.vertices[mesh.faces[i : i + _CHUNK]] for i in starts)
-    write_triangles(path, len(mesh.faces), chunks, tick)
+    write_triangles(path, len(mesh.faces), chunks, progress)
 
 
-def write_triangles(path: Path, count: int, chunks: Iterable[FloatArray], tick: Tick | None = None) -> None:
+def write_triangles(
+    path: Path, count: int, chunks: Iterable[FloatArray], progress: Progress = no_progress
+) -> None:
     """Write triangles as they come, so that a surface larger than the memory can be written.
 
     Args:
         path: file.
         count: triangles in all, below 2**32.
         chunks: (n, 3, 3) corners in metres each.
-        tick: called with the share that is written, 0 to 1.
+        progress: of the file.
 
     Raises:
         OutputError: the file cannot be written.
@@ -46,7 +48,7 @@ def write_triangles(path: Path, count: int, chunks: Iterable[FloatArray], tick: 
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         # The header must not begin with "solid", which marks ASCII.
         file.write(struct.pack("<80sI", b"LIRS-WCT, metres, z up", count))
-        for corners in ticking(chunks, count, len, tick):
+        for corners in tracked(chunks, count, len, path.name, progress):
             record = np.zeros(len(corners), dtype=_RECORD)
             record["floats"] = _facets(np.ascontiguousarray(corners))
             file.write(record.data)
