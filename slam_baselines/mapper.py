@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import importlib
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypedDict
-
-import numpy as np
+from typing import Any, Protocol
 
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -113,33 +110,3 @@ def make_mapper(name: str, *, seed: int | None = None, **config: Any) -> Mapper:
     except TypeError as error:
         raise ConfigError(f"configuration of {name}: {error}") from error
     return mapper
-
-
-class Times(TypedDict, total=False):
-    """The times of MapperStats; empty before the first update."""
-
-    ms_p50: float
-    ms_p95: float
-    ms_max: float
-
-
-class Stopwatch:
-    """Wall times of updates, kept small: milliseconds as float32."""
-
-    def __init__(self) -> None:
-        self._ms: list[float] = []
-
-    def start(self) -> int:
-        """Return the time now, nanoseconds."""
-        return time.perf_counter_ns()
-
-    def stop(self, started: int) -> None:
-        """Note how long ago `started` was."""
-        self._ms.append((time.perf_counter_ns() - started) * 1e-6)
-
-    def summary(self) -> Times:
-        """Return the times of MapperStats."""
-        if not self._ms:
-            return {}
-        p50, p95, most = np.percentile(self._ms, (50, 95, 100))
-        return {"ms_p50": float(p50), "ms_p95": float(p95), "ms_max": float(most)}

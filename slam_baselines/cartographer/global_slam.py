@@ -27,7 +27,8 @@ from slam_baselines.cartographer.optimization import (
     start_optimization,
 )
 from slam_baselines.cartographer.trimmer import Trimmer
-from slam_baselines.common.se2 import in_axes_of, inverted
+from slam_baselines.common.linalg import inverted
+from slam_baselines.common.se2 import in_axes_of
 
 
 class GlobalSlam:

@@ -20,8 +20,9 @@ from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.cartographer.config import LocalisationConfig
 from slam_baselines.cartographer.constraints.builder import voxel_filter
 from slam_baselines.cartographer.known_map import KnownMap
-from slam_baselines.common.se2 import inverted
-from slam_baselines.mapper import MapperStats, Stopwatch
+from slam_baselines.common.linalg import inverted
+from slam_baselines.common.stopwatch import Stopwatch
+from slam_baselines.mapper import MapperStats
 from slam_baselines.matching.branch_and_bound import branch_and_bound
 from slam_baselines.matching.gauss_newton import Match, ScanMatcher
 from slam_baselines.matching.local_matching import LocalMatcher, LocalMatchingConfig

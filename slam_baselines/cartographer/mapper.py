@@ -23,7 +23,8 @@ from slam_baselines.cartographer.local_slam import LocalSlam
 from slam_baselines.cartographer.localization import Localiser
 from slam_baselines.cartographer.node_map import NodeMap
 from slam_baselines.cartographer.node_trajectory import NodeTrajectory
-from slam_baselines.mapper import Mapper, MapperStats, Stopwatch
+from slam_baselines.common.stopwatch import Stopwatch
+from slam_baselines.mapper import Mapper, MapperStats
 from slam_baselines.mapping.occupancy_map import UpdateConfig
 from slam_baselines.scan.leveling import ScanLeveler
 

@@ -19,8 +19,8 @@ from scipy.sparse.linalg import splu
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.validation import require_above
-from slam_baselines.common.linalg import block_matrix, sum_blocks, sum_vectors
-from slam_baselines.common.se2 import inverted, relative_poses, wrap
+from slam_baselines.common.linalg import block_matrix, inverted, sum_blocks, sum_vectors
+from slam_baselines.common.se2 import relative_poses, wrap
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Kernels for symmetric 3x3 matrices: NumPy's calls cost more than their arithmetic at this size."""
+"""Small matrices: kernels for symmetric 3x3 ones (NumPy's calls cost more than their arithmetic), blocks."""
 
 from __future__ import annotations
 
@@ -55,6 +55,11 @@ def moved_covariance(P: Any, dx: float, dy: float, shift: float, turn: float) ->
     R[1, 2] = R[2, 1] = b + dx * c
     R[2, 2] = c + turn
     return R
+
+
+def inverted(matrices: FloatArray) -> FloatArray:
+    """Return the inverses of (..., n, n) matrices."""
+    return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
 
 
 def sum_blocks(blocks: FloatArray, index: IntArray, n: int) -> FloatArray:

@@ -31,11 +31,6 @@ def relative_poses(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.stack((c * dx + s * dy, -s * dx + c * dy, wrap(b[..., 2] - a[..., 2])), axis=-1)
 
 
-def inverted(matrices: FloatArray) -> FloatArray:
-    """Return the inverses of (..., n, n) matrices."""
-    return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
-
-
 def in_axes_of(frame: Pose2, matrix: FloatArray) -> FloatArray:
     """Return a covariance or information (3, 3) of x, y, yaw in the axes of a frame turned by its yaw."""
     c, s = math.cos(frame.yaw), math.sin(frame.yaw)

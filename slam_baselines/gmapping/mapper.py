@@ -18,13 +18,14 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.common.stopwatch import Stopwatch
 from slam_baselines.gmapping.bootstrap import Bootstrap, Frame
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.proposal import Proposal, Proposer, propagated
 from slam_baselines.gmapping.resampling import effective_number, normalized, systematic_resample
 from slam_baselines.gmapping.trajectory_tree import TrajectoryTree
-from slam_baselines.mapper import MapperStats, Stopwatch
+from slam_baselines.mapper import MapperStats
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.matching.tracking import FitCounter
 from slam_baselines.motion.increment import MotionIncrement

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, wrap_angle
-from slam_baselines.common.se2 import inverted
+from slam_baselines.common.linalg import inverted
 from slam_baselines.matching.correlative import SearchConfig, search
 from slam_baselines.matching.gauss_newton import MapPyramid, Match, MatchConfig, ScanMatcher
 from slam_baselines.motion.dead_reckoning import PoseEstimate

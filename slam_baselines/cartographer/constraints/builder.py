@@ -16,7 +16,7 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.validation import require_above, require_within
 from slam_baselines.cartographer.submap import Submap
-from slam_baselines.common.se2 import inverted
+from slam_baselines.common.linalg import inverted
 from slam_baselines.matching.branch_and_bound import branch_and_bound
 from slam_baselines.matching.gauss_newton import Match, MatchConfig, ScanMatcher
 
