@@ -115,8 +115,8 @@ def test_intel_beginning(shared_data: Path) -> None:
         mapper.trajectory(), read_constraints(folder / "intel.relations.gz"), log.track
     )
     assert len(errors.translation) > 100
-    assert errors.translation.mean() < 0.08
-    assert math.degrees(errors.rotation.mean()) < 2.0
+    assert errors.translation.mean() < 0.025
+    assert math.degrees(errors.rotation.mean()) < 0.75
 
 
 @pytest.mark.shared
