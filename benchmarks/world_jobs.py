@@ -14,8 +14,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from lirs_wct.export.mesh_file import write_collada
 from lirs_wct.export.package import write_package
-from lirs_wct.formats.meshes.collada import write_collada
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.meshing.simplify import triangulate
 from lirs_wct.meshing.solid import solid_mesh

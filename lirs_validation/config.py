@@ -13,7 +13,7 @@ from lirs_wct.validation import require_above, require_at_least, require_within
 
 if TYPE_CHECKING:
     from lirs_envs.lidar.casters import Rays
-    from lirs_wct.contact.contact_parts import ContactGeometry
+    from lirs_wct.contact.contact_geometry import ContactGeometry
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,7 @@ class RunConfig:
     def __post_init__(self) -> None:
         # The names belong to the simulator, which who maps a log does not load.
         from lirs_envs.lidar.casters import check_rays
-        from lirs_wct.contact.contact_parts import CONTACT_GEOMETRIES
+        from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES
 
         require_above(self, 0, "seconds", finite=True)
         if self.wall_limit is not None:

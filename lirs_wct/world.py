@@ -3,31 +3,29 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 from lirs_wct.arrays import BoolArray
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.export.export_settings import ExportSettings, checked_texture, settings_from
 from lirs_wct.formats.map_server import read_map, read_map_picture
-from lirs_wct.formats.world_json import read_fields, write_world
+from lirs_wct.formats.world_json import WorldFile, checked_content, read_world, write_world
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
-from lirs_wct.meshing.simplify import simplified_solid
-from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.meshing.wall_solid import wall_mesh
+from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
+from lirs_wct.meshing.export_settings import ExportSettings, checked_texture
 from lirs_wct.navigation.spawn_poses import spawn_poses
 from lirs_wct.navigation.traversability import traversable
 from lirs_wct.sources.laser_map import level_floor, walls_of, without_small_walls
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.picture import read_terrain
 from lirs_wct.sources.source import Source, SourceKind, find_source, warn_of_useless
-from lirs_wct.sources.terrain_source import read_terrain
 from lirs_wct.sources.window import Window, cut_map, cut_nodes, cut_surface
 
 SPAWN_CLEARANCE = 0.8
@@ -43,29 +41,52 @@ class World:
 
     Attributes:
         name: fit for file names and Gazebo's URIs.
-        kind: `terrain` from a picture, `map` from a laser map, `mesh` from a closed mesh.
-        surface: the ground.
-        walls: what stands on the ground of a laser map.
-        truth: the input laser map.
+        ground: a terrain, a laser map or a closed mesh.
         spawn_poses: poses where a robot as large as a Husky can be set down, the roomiest first.
-        scale: where the metres come from, in words.
+        scale: where the metres come from, a text.
         export_settings: how the mesh files are made.
-        solid: the true mesh of a world of kind `mesh`.
-        overhangs: whether that mesh is more than its heights from above say.
-        no_ground: (rows, cols) nodes of the surface where that mesh has no ground; None = it has everywhere.
     """
 
     name: str
-    kind: Literal["terrain", "map", "mesh"]
-    surface: HeightField
-    walls: WallGrid | None = None
-    truth: OccupancyGrid | None = None
+    ground: Ground
     spawn_poses: tuple[Pose2, ...] = ()
     scale: str = "as given"
     export_settings: ExportSettings = field(default_factory=ExportSettings)
-    solid: TriangleMesh | None = None
-    overhangs: bool = False
-    no_ground: BoolArray | None = None
+
+    @property
+    def kind(self) -> Literal["terrain", "map", "mesh"]:
+        """`terrain` from a picture, `map` from a laser map, `mesh` from a closed mesh."""
+        return self.ground.kind
+
+    @property
+    def surface(self) -> HeightField:
+        """Heights of the ground from above."""
+        return self.ground.surface
+
+    @property
+    def walls(self) -> WallGrid | None:
+        """Walls of a laser map."""
+        return self.ground.walls if isinstance(self.ground, LaserMap) else None
+
+    @property
+    def truth(self) -> OccupancyGrid | None:
+        """The input laser map."""
+        return self.ground.truth if isinstance(self.ground, LaserMap) else None
+
+    @property
+    def solid(self) -> TriangleMesh | None:
+        """The closed mesh of a world of kind `mesh`."""
+        return self.ground.solid if isinstance(self.ground, ClosedMesh) else None
+
+    @property
+    def overhangs(self) -> bool:
+        """Whether the world is a closed mesh that is more than its heights from above."""
+        return isinstance(self.ground, ClosedMesh) and self.ground.overhangs
+
+    @property
+    def no_ground(self) -> BoolArray | None:
+        """(rows, cols) nodes of the surface without ground; None = no such node."""
+        return None if isinstance(self.ground, LaserMap) else self.ground.no_ground
 
     @cached_property
     def mesh(self) -> TriangleMesh:
@@ -74,21 +95,13 @@ class World:
         Raises:
             ConfigError: a laser map or a mesh with overhangs has more triangles than the budget allows.
         """
-        settings = self.export_settings
-        if self.walls is not None or self.overhangs:
-            exact = wall_mesh(self.walls) if self.walls is not None else self.solid
-            assert exact is not None
-            if settings.max_triangles is not None and len(exact.faces) > settings.max_triangles:
-                raise ConfigError(
-                    f"{self.name}: has {len(exact.faces)} triangles and is not simplified, "
-                    f"--max-triangles {settings.max_triangles} cannot be kept"
-                )
-            return exact
-        if settings.limited:
-            return simplified_solid(
-                self.surface, max_error=settings.max_error, max_triangles=settings.max_triangles
+        mesh, most = self.ground.mesh(self.export_settings), self.export_settings.max_triangles
+        if most is not None and len(mesh.faces) > most:
+            raise ConfigError(
+                f"{self.name}: has {len(mesh.faces)} triangles and is not simplified, "
+                f"--max-triangles {most} cannot be kept"
             )
-        return self.solid or solid_mesh(self.surface)
+        return mesh
 
     def traversable(self, *, clearance: float, max_slope: float, resolution: float = 0.1) -> OccupancyGrid:
         """Return a grid whose free cells are where a robot's centre may be (see `traversable`)."""
@@ -104,7 +117,20 @@ class World:
 
     def save(self, folder: str | Path) -> Path:
         """Write `world.json` and its arrays; `World.load` gives the same world back exactly."""
-        return write_world(self, Path(folder))
+        content = WorldFile(
+            name=self.name,
+            kind=self.kind,
+            scale=self.scale,
+            surface=self.surface,
+            spawn_poses=self.spawn_poses,
+            walls=self.walls,
+            truth=self.truth,
+            solid=self.solid,
+            overhangs=self.overhangs,
+            no_ground=self.no_ground,
+            export_settings=asdict(self.export_settings),
+        )
+        return write_world(content, Path(folder))
 
     @staticmethod
     def load(folder: str | Path) -> World:
@@ -113,7 +139,18 @@ class World:
         Raises:
             SourceError: the folder is not a built world, or is damaged.
         """
-        return World(**read_fields(Path(folder)))
+        content = read_world(Path(folder))
+        with checked_content(Path(folder)):
+            settings = ExportSettings(**content.export_settings)
+        return World(content.name, _ground(content), content.spawn_poses, content.scale, settings)
+
+
+def _ground(content: WorldFile) -> Ground:
+    if content.walls is not None:
+        return LaserMap(content.surface, content.walls, content.truth)
+    if content.solid is not None:
+        return ClosedMesh(content.surface, content.solid, content.overhangs, content.no_ground)
+    return Terrain(content.surface, content.no_ground)
 
 
 def build_world(source: str | Path, options: BuildOptions | None = None) -> World:
@@ -128,7 +165,7 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
     warn_of_useless(found, options)
     world = _place(found, options)
     texture = checked_texture(options.texture, options.max_pixels)
-    return replace(world, export_settings=settings_from(options, texture, world.export_settings))
+    return replace(world, export_settings=_settings(options, texture, world.export_settings))
 
 
 def _place(found: Source, options: BuildOptions) -> World:
@@ -152,31 +189,28 @@ def _loaded_world(source: Source, options: BuildOptions) -> World:
         world = replace(world, name=source.name)
     if options.window is None:
         return world
-    if world.walls is not None or world.overhangs:
+    if isinstance(world.ground, LaserMap) or world.overhangs:
         raise ConfigError(f"{source.path}: --window cuts a built terrain only; give the world's own source")
-    return _with_spawn_poses(replace(_cut(world, options.window), kind="terrain", solid=None))
+    return _with_spawn_poses(replace(world, ground=_cut(world.ground, options.window)))
 
 
 def _terrain_world(source: Source, options: BuildOptions) -> World:
     surface, scale = read_terrain(source, options)
     if options.window is not None:
         surface = cut_surface(surface, options.window)
-    return _with_spawn_poses(World(source.name, "terrain", surface, scale=scale))
+    return _with_spawn_poses(World(source.name, Terrain(surface), scale=scale))
 
 
 def _mesh_world(source: Source, options: BuildOptions) -> World:
     read = read_mesh_source(source.path, options)
     given = options.size or options.height or options.scale or options.z_scale
-    world = World(
-        source.name,
-        "terrain" if read.solid is None else "mesh",
-        read.surface,
-        scale="as given" if given else "the file's own",
-        solid=read.solid,
-        overhangs=read.overhangs and read.solid is not None,
-        no_ground=read.no_ground,
+    ground = (
+        Terrain(read.surface, read.no_ground)
+        if read.solid is None
+        else ClosedMesh(read.surface, read.solid, read.overhangs, read.no_ground)
     )
-    return _with_spawn_poses(world)
+    scale = "as given" if given else "the file's own"
+    return _with_spawn_poses(World(source.name, ground, scale=scale))
 
 
 def _map_world(source: Source, options: BuildOptions) -> World:
@@ -191,20 +225,34 @@ def _map_world(source: Source, options: BuildOptions) -> World:
     truth = without_small_walls(truth, options.speckle)
     walls = walls_of(truth, options.wall_height, options.unknown)
     scale = f"{truth.resolution:g} m a cell"
-    return _with_spawn_poses(World(source.name, "map", level_floor(walls), walls, truth, scale=scale))
+    return _with_spawn_poses(World(source.name, LaserMap(level_floor(walls), walls, truth), scale=scale))
 
 
-def _cut(world: World, window: Window) -> World:
-    surface = cut_surface(world.surface, window)
-    return replace(world, surface=surface, no_ground=cut_nodes(world.no_ground, world.surface, surface))
+def _cut(ground: Terrain | ClosedMesh, window: Window) -> Terrain:
+    surface = cut_surface(ground.surface, window)
+    return Terrain(surface, cut_nodes(ground.no_ground, ground.surface, surface))
 
 
 def _with_spawn_poses(world: World) -> World:
     """Look for spawn poses; on a terrain of kilometres in its middle only: the search is by the decimetre."""
     place = world
-    if world.kind != "map" and max(world.surface.size) > SPAWN_AREA:
+    if not isinstance(world.ground, LaserMap) and max(world.surface.size) > SPAWN_AREA:
         west, south, east, north = world.surface.bounds
         middle = ((west + east) / 2, (south + north) / 2, SPAWN_AREA)
-        place = _cut(world, middle)
+        place = replace(world, ground=_cut(world.ground, middle))
     free = place.traversable(clearance=SPAWN_CLEARANCE, max_slope=SPAWN_SLOPE)
     return replace(world, spawn_poses=spawn_poses(free))
+
+
+def _settings(options: BuildOptions, texture: Path | None, former: ExportSettings) -> ExportSettings:
+    """Return what the options ask for; of what they do not mention, the former settings stay."""
+    budget = options.max_error, options.max_triangles
+    if budget == (None, None):
+        budget = former.max_error, former.max_triangles
+    return ExportSettings(
+        max_error=budget[0],
+        max_triangles=budget[1],
+        rotate_x=options.rotate_x or former.rotate_x,
+        texture=texture or former.texture,
+        texture_size=options.texture_size or former.texture_size,
+    )

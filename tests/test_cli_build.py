@@ -13,7 +13,8 @@ import trimesh
 
 from lirs_validation import cli
 from lirs_wct import World
-from lirs_wct.formats.meshes.mesh_file import SUFFIXES, read_upright
+from lirs_wct.formats.meshes.mesh_file import read_upright
+from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.heightfield import HeightField
 
 
@@ -236,7 +237,7 @@ def test_info_says_what_the_world_is(folder: Path, capsys: pytest.CaptureFixture
     assert "exact" in told
 
 
-@pytest.mark.parametrize("source", SUFFIXES)
+@pytest.mark.parametrize("source", MESHES)
 def test_convert_keeps_shape_and_up(source: str, folder: Path) -> None:
     wedge = trimesh.Trimesh(
         [(0, 0, 0), (4, 0, 0), (4, 2, 0), (0, 2, 0), (0, 0, 1), (0, 2, 1)],
@@ -245,7 +246,7 @@ def test_convert_keeps_shape_and_up(source: str, folder: Path) -> None:
     assert wedge.is_watertight
     wedge.export("wedge.stl")
     wct("convert", "wedge.stl", f"first{source}")
-    for target in SUFFIXES:
+    for target in MESHES:
         wct("convert", f"first{source}", f"second{target}")
         mesh = read_upright(Path(f"second{target}"))
         assert mesh.is_watertight

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lirs_wct.export.mesh_file import write_collada
 from lirs_wct.export.package import FORMATS, write_package
-from lirs_wct.formats.meshes.collada import write_collada
 from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.ground import Terrain
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.progress import Steps, tracked
 from lirs_wct.world import World
@@ -39,7 +40,7 @@ def test_steps_share_the_whole_evenly() -> None:
 @pytest.mark.parametrize("formats", [("stl",), ("dae", "sdf"), FORMATS])
 def test_a_package_tells_each_file(formats: tuple[str, ...], tmp_path: Path) -> None:
     z = np.random.default_rng(1).random((150, 150)).astype(np.float32)
-    world = World("dunes", "terrain", HeightField(z, (0.1, 0.1), (0.0, 0.0)))
+    world = World("dunes", Terrain(HeightField(z, (0.1, 0.1), (0.0, 0.0))))
     told: list[tuple[str, float]] = []
     write_package(world, tmp_path, formats=formats, progress=lambda name, share: told.append((name, share)))
     shares = [share for _, share in told]

@@ -20,7 +20,7 @@ from lirs_envs.sensing.odometry import Method, OdometryConfig
 from lirs_envs.sensing.sensors import Observation, SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_wct.arrays import ByteArray, Float32Array
-from lirs_wct.contact.contact_parts import ContactGeometry
+from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.world import World, build_world
 

@@ -13,8 +13,8 @@ from lirs_envs.props import Prop, StaticRobot, add_props
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.imu import Vector
 from lirs_wct.arrays import FloatArray
+from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.contact.contact_grid import ContactGrid, contact_grid
-from lirs_wct.contact.contact_parts import ContactGeometry
 from lirs_wct.export.mjcf import world_spec
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.world import World
@@ -41,7 +41,7 @@ class RobotModel:
         period: time from scan to scan, seconds: a whole number of steps.
         control_period: longest time between control updates, seconds.
         props: what else stands there.
-        terrain: what is touched (see `lirs_wct.contact.contact_parts.CONTACT_GEOMETRIES`).
+        terrain: what is touched (see `lirs_wct.contact.contact_geometry.CONTACT_GEOMETRIES`).
         seen: whether MuJoCo's own rays are to meet the surface, where something else is touched.
     """
 

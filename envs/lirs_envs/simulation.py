@@ -22,8 +22,8 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.sensors import Observation, SensorNoise, Sensors
 from lirs_envs.timing import Replay, Timing
 from lirs_wct.arrays import FloatArray
+from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.contact.contact_grid import ContactGrid
-from lirs_wct.contact.contact_parts import ContactGeometry
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.world import World

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from lirs_validation.cli import option_help as word
 from lirs_validation.cli.log_sources import with_logs_mapped
-from lirs_wct.contact.contact_parts import CONTACT_GEOMETRIES, ContactGeometry
+from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.sources.options import DENOISE_METHODS, UNKNOWN, BuildOptions

@@ -19,7 +19,7 @@ from lirs_wct.sources.options import BuildOptions
 if TYPE_CHECKING:
     from lirs_envs.robots.robot import Robot
     from lirs_validation.collision.validation import CollisionVerdict
-    from lirs_wct.contact.contact_parts import ContactGeometry
+    from lirs_wct.contact.contact_geometry import ContactGeometry
 
 
 @with_build_options

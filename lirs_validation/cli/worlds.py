@@ -100,7 +100,8 @@ def convert(
     rotate_x: RotateX = 0.0,
 ) -> None:
     """Convert a mesh between stl, dae, obj, ply and glb; up stays up."""
-    from lirs_wct.formats.meshes.mesh_file import read_upright, write_mesh
+    from lirs_wct.export.mesh_file import write_mesh
+    from lirs_wct.formats.meshes.mesh_file import read_upright
 
     with err.status(f"converting {source}"):
         mesh = read_upright(source)

@@ -9,7 +9,8 @@ from scipy.spatial import ConvexHull
 from lirs_envs.model import RobotModel
 from lirs_validation.metrics.mesh import mesh_error
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.contact.contact_parts import PRISM_ERROR, ContactGeometry
+from lirs_wct.contact.contact_geometry import ContactGeometry
+from lirs_wct.contact.contact_parts import PRISM_ERROR
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
 

@@ -33,7 +33,7 @@ from lirs_validation.collision.contact_log import DEEP
 from lirs_validation.collision.random_drive import CONTROL_PERIOD, PERIOD, drive_at_random
 from lirs_validation.collision.slope_test import climb
 from lirs_validation.collision.touched import Touched
-from lirs_wct.contact.contact_parts import ContactGeometry
+from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.world import World
 

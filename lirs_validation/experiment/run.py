@@ -29,7 +29,7 @@ from lirs_validation.experiment.results import write_results
 from lirs_validation.experiment.scenario import Stage, StageCache
 from lirs_validation.experiment.warm_up import warm_up
 from lirs_validation.record.run_record import RunRecord
-from lirs_wct.contact.contact_parts import ContactGeometry
+from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import SimulationError
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.options import BuildOptions

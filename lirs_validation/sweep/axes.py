@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from lirs_envs.lidar.casters import Rays
 from lirs_validation.config import RunConfig
 from lirs_validation.sweep.run_cell import RunCell
-from lirs_wct.contact.contact_parts import ContactGeometry
+from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.sources.options import BuildOptions
 

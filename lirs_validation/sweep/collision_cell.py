@@ -14,7 +14,7 @@ from lirs_validation.record.provenance import versions
 from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.run_cell import world_name
 from lirs_validation.sweep.staleness import is_older, same_code, world_files
-from lirs_wct.contact.contact_parts import ContactGeometry
+from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import Progress

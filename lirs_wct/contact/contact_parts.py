@@ -4,23 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from importlib import import_module
-from typing import Any, Literal, Protocol, get_args
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.export.export_settings import ExportSettings
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.contact.contact_geometry import ContactGeometry
+from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.meshing.simplify import simplified_solid
+from lirs_wct.world import World
 
-ContactGeometry = Literal["hfield", "mesh", "prisms", "convex"]
-CONTACT_GEOMETRIES: tuple[ContactGeometry, ...] = get_args(ContactGeometry)
-"""What a physics engine touches: a height field; the same, the mesh is seen; prisms; convex parts."""
 MAX_PRISMS = 20_000
 """A step costs about 1.7 us for each thousand: with these, no robot's takes more than 60 us (measured: 46 to
 48 us at 16,447, 59 to 65 us at 26,981)."""
@@ -32,57 +28,7 @@ CONCAVITY = 0.01
 """How far a part's hull may be from the part, as CoACD measures it (Wei et al. 2022)."""
 
 
-class Ground(Protocol):
-    """What of a world can be cut into parts: `World` does."""
-
-    @property
-    def name(self) -> str:
-        """Name in errors."""
-
-    @property
-    def surface(self) -> HeightField:
-        """The ground from above."""
-
-    @property
-    def walls(self) -> WallGrid | None:
-        """Walls of a laser map."""
-
-    @property
-    def mesh(self) -> TriangleMesh:
-        """Closed mesh within its budget."""
-
-    @property
-    def solid(self) -> TriangleMesh | None:
-        """The true mesh where there is one."""
-
-    @property
-    def overhangs(self) -> bool:
-        """Whether the true mesh is more than its heights from above."""
-
-    @property
-    def export_settings(self) -> ExportSettings:
-        """The mesh's budget."""
-
-
-def check_contact_geometry(geometry: str, world: Ground) -> None:
-    """Check that a world can have a contact geometry.
-
-    Raises:
-        ConfigError: there is no such geometry, or it does not fit the world.
-    """
-    if geometry not in CONTACT_GEOMETRIES:
-        raise unknown_name("terrain for MuJoCo", geometry, CONTACT_GEOMETRIES)
-    if world.walls is not None and geometry in ("prisms", "convex"):
-        raise ConfigError(
-            f"{world.name}: a laser map's walls are convex boxes already; legal terrains: hfield, mesh"
-        )
-    if world.overhangs and geometry != "convex":
-        raise ConfigError(f"{world.name}: has overhangs, which terrain {geometry} cannot hold; take convex")
-    if geometry == "convex" and world.solid is None:
-        raise ConfigError(f"{world.name}: terrain convex is for closed meshes; take hfield, mesh or prisms")
-
-
-def contact_parts(world: Ground, geometry: ContactGeometry) -> Iterator[FloatArray]:
+def contact_parts(world: World, geometry: ContactGeometry) -> Iterator[FloatArray]:
     """Yield the convex parts of a world.
 
     Raises:
@@ -91,7 +37,7 @@ def contact_parts(world: Ground, geometry: ContactGeometry) -> Iterator[FloatArr
     return prisms(world) if geometry == "prisms" else convex_parts(world.mesh)
 
 
-def prisms(world: Ground) -> Iterator[FloatArray]:
+def prisms(world: World) -> Iterator[FloatArray]:
     """Yield one prism for each triangle of the simplified mesh that is seen from above.
 
     Raises:

@@ -13,12 +13,14 @@ import mujoco
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.contact.contact_geometry import ContactGeometry, check_contact_geometry
 from lirs_wct.contact.contact_grid import ContactGrid
-from lirs_wct.contact.contact_parts import ContactGeometry, Ground, check_contact_geometry, contact_parts
+from lirs_wct.contact.contact_parts import contact_parts
 from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.rectangles import merged_rectangles
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.meshing.tiles import MUJOCO_FACES, split_tiles
-from lirs_wct.sources.laser_map import merged_boxes, merged_rectangles
+from lirs_wct.world import World
 
 TERRAIN_GROUP = 3
 """Geom group of ground and walls in a simulation: rays for robots and props leave it out."""
@@ -31,7 +33,7 @@ WALL_COLOUR = (0.45, 0.5, 0.55, 1.0)
 
 
 def world_spec(
-    world: Ground,
+    world: World,
     *,
     contact: ContactGrid | None = None,
     robot: mujoco.MjSpec | None = None,
@@ -80,7 +82,7 @@ def world_spec(
 
 def box_geoms(walls: WallGrid) -> FloatArray:
     """Return (n, 4) the walls' boxes: centre x, y in the world, half extents along the grid's axes."""
-    return _boxes(walls, merged_boxes(walls))
+    return _boxes(walls, merged_rectangles(walls.solid))
 
 
 def _boxes(walls: WallGrid, rectangles: IntArray) -> FloatArray:
@@ -144,7 +146,7 @@ def _add_boxes(
     spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 
-def _add_parts(spec: mujoco.MjSpec, world: Ground, contact_geometry: ContactGeometry, group: int) -> None:
+def _add_parts(spec: mujoco.MjSpec, world: World, contact_geometry: ContactGeometry, group: int) -> None:
     """Add each convex part as a mesh: MuJoCo touches its hull, which is the part."""
     for k, corners in enumerate(contact_parts(world, contact_geometry)):
         name = f"ground{k}"
@@ -162,7 +164,7 @@ def _hide(spec: mujoco.MjSpec, group: int) -> None:
             geom.rgba = (*geom.rgba[:3], 0.0)
 
 
-def _add_tiles(spec: mujoco.MjSpec, world: Ground, group: int) -> None:
+def _add_tiles(spec: mujoco.MjSpec, world: World, group: int) -> None:
     """Add the world's mesh to be seen only; what is touched becomes invisible."""
     _hide(spec, group)
     for k, tile in enumerate(split_tiles(world.mesh, aim=MUJOCO_FACES // 2)):

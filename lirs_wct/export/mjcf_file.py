@@ -12,10 +12,11 @@ import mujoco
 import numpy as np
 
 from lirs_wct.arrays import ByteArray
-from lirs_wct.contact.contact_parts import ContactGeometry, Ground
+from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.export.mjcf import world_spec
 from lirs_wct.files import atomic_write
 from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.world import World
 
 GROUND_PIXELS = 2048
 """Most pixels of the longer side of a texture that is laid out for the whole ground."""
@@ -27,7 +28,7 @@ STAND_IN = "stand-in.hfield"
 
 
 def write_mjcf(
-    world: Ground, folder: str | Path, texture: Path | None = None, texture_size: float | None = None
+    world: World, folder: str | Path, texture: Path | None = None, texture_size: float | None = None
 ) -> Path:
     """Write NAME.xml and the surface's heights as float32, to the bit; return the path of NAME.xml.
 
@@ -65,7 +66,7 @@ def write_mjcf(
     return path
 
 
-def _write_heights(world: Ground, folder: Path) -> str:
+def _write_heights(world: World, folder: Path) -> str:
     """Write the height field's file and return its name."""
     name = f"{world.name}-{_checksum(world.surface):08x}.hfield"
     write_hfield(folder / name, world.surface)

@@ -9,11 +9,11 @@ from typing import Literal
 import cv2
 
 from lirs_wct.errors import ConfigError, OutputError, unknown_name
+from lirs_wct.export.mesh_file import write_collada
 from lirs_wct.export.mjcf_file import write_hfield, write_mjcf
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.gazebo.heightmap import heightmap_sdf, write_heightmap
 from lirs_wct.formats.gazebo.sdf import model_config, model_sdf, world_sdf
-from lirs_wct.formats.meshes.collada import write_collada
 from lirs_wct.formats.meshes.obj import write_obj
 from lirs_wct.formats.meshes.stl import write_stl, write_triangles
 from lirs_wct.formats.world_json import TEXTURES

@@ -15,10 +15,10 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
 from lirs_wct.formats import flat_yaml
+from lirs_wct.formats.images.header import MAX_PIXELS
 from lirs_wct.formats.images.picture import read_picture
 from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.sources.options import BuildOptions
 
 MODES = ("trinary", "scale", "raw")
 BLACK, WHITE, UNKNOWN = 0, 254, 205
@@ -42,7 +42,7 @@ class MapMetadata:
     mode: str = "trinary"
 
 
-def read_map(path: Path, max_pixels: int | None = None) -> OccupancyGrid:
+def read_map(path: Path, max_pixels: int = MAX_PIXELS) -> OccupancyGrid:
     """Read a map YAML and its picture.
 
     Raises:
@@ -55,7 +55,7 @@ def read_map(path: Path, max_pixels: int | None = None) -> OccupancyGrid:
 
 
 def read_map_picture(
-    path: Path, resolution: float, origin: Pose2 | None = None, max_pixels: int | None = None
+    path: Path, resolution: float, origin: Pose2 | None = None, max_pixels: int = MAX_PIXELS
 ) -> OccupancyGrid:
     """Read a map's picture without YAML, by map_server's default thresholds.
 
@@ -118,8 +118,8 @@ def write_map(stem: Path, grid: OccupancyGrid) -> None:
         )
 
 
-def _grid(metadata: MapMetadata, max_pixels: int | None) -> OccupancyGrid:
-    pixels = read_picture(metadata.image, max_pixels or BuildOptions().max_pixels, alpha=True).pixels
+def _grid(metadata: MapMetadata, max_pixels: int) -> OccupancyGrid:
+    pixels = read_picture(metadata.image, max_pixels, alpha=True).pixels
     p = _probability(pixels, metadata)
     return OccupancyGrid.from_probability(p[::-1], metadata.resolution, metadata.origin)
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 import zipfile
-from dataclasses import asdict, astuple
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lirs_wct.arrays import BoolArray
 from lirs_wct.errors import SourceError
-from lirs_wct.export.export_settings import ExportSettings
 from lirs_wct.files import atomic_write
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
@@ -20,16 +22,44 @@ from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 
-if TYPE_CHECKING:
-    from lirs_wct.world import World
-
 SCHEMA = 1
 JSON, ARRAYS = "world.json", "world.npz"
 TEXTURES = Path("materials") / "textures"
 """Where Gazebo looks for a model's textures."""
 
 
-def write_world(world: World, folder: Path) -> Path:
+@dataclass(frozen=True, kw_only=True)
+class WorldFile:
+    """What the two files of a world hold.
+
+    Attributes:
+        name: of the world.
+        kind: `terrain`, `map` or `mesh`.
+        scale: where the metres come from, a text.
+        surface: the ground from above.
+        spawn_poses: `T_world_base`.
+        walls: of a laser map.
+        truth: the laser map itself.
+        solid: closed mesh.
+        overhangs: whether that mesh is more than its heights from above.
+        no_ground: (rows, cols) nodes of the surface without ground.
+        export_settings: name -> value; `texture` is a path or None.
+    """
+
+    name: str
+    kind: str
+    scale: str
+    surface: HeightField
+    spawn_poses: tuple[Pose2, ...] = ()
+    walls: WallGrid | None = None
+    truth: OccupancyGrid | None = None
+    solid: TriangleMesh | None = None
+    overhangs: bool = False
+    no_ground: BoolArray | None = None
+    export_settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+def write_world(world: WorldFile, folder: Path) -> Path:
     """Write the world's two files into a folder and return it.
 
     Raises:
@@ -58,7 +88,7 @@ def write_world(world: World, folder: Path) -> Path:
     if world.solid is not None:
         arrays |= {"vertices": world.solid.vertices, "faces": world.solid.faces}
         entry["overhangs"] = world.overhangs
-    entry["finish"] = asdict(world.export_settings) | {"texture": _keep_texture(world, folder)}
+    entry["finish"] = dict(world.export_settings) | {"texture": _keep_texture(world, folder)}
     with atomic_write(folder / ARRAYS) as path:
         _write_arrays(path, arrays)
     with atomic_write(folder / JSON) as path:
@@ -76,14 +106,14 @@ def _write_arrays(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
                 np.lib.format.write_array(data, array, allow_pickle=False)
 
 
-def read_fields(folder: Path) -> dict[str, Any]:
-    """Read back the fields of a `World`.
+def read_world(folder: Path) -> WorldFile:
+    """Read a world's two files.
 
     Raises:
         SourceError: a file is missing or damaged, or of another schema.
     """
     path = folder / JSON
-    try:
+    with checked_content(folder):
         entry = json.loads(path.read_text(encoding="utf-8"))
         if entry["schema"] != SCHEMA:
             raise SourceError(
@@ -95,31 +125,38 @@ def read_fields(folder: Path) -> dict[str, Any]:
             )
             walls, truth = entry.get("walls"), entry.get("truth")
             hole = arrays.get("hole")
-            return {
-                "name": entry["name"],
-                "kind": entry["kind"],
-                "surface": surface,
-                "walls": walls and WallGrid(arrays["walls"], *_placed(walls), walls["height"], hole),
-                "truth": truth and OccupancyGrid(arrays["truth"], *_placed(truth)),
-                "spawn_poses": tuple(Pose2(*start) for start in entry["starts"]),
-                "scale": entry["scale"],
-                "export_settings": _export_settings(entry, folder),
-                "solid": TriangleMesh(arrays["vertices"], arrays["faces"]) if "faces" in arrays else None,
-                "no_ground": arrays.get("bare"),
-                "overhangs": bool(entry.get("overhangs", False)),
-            }
+            return WorldFile(
+                name=entry["name"],
+                kind=entry["kind"],
+                scale=entry["scale"],
+                surface=surface,
+                spawn_poses=tuple(Pose2(*pose) for pose in entry["starts"]),
+                walls=walls and WallGrid(arrays["walls"], *_placed(walls), walls["height"], hole),
+                truth=truth and OccupancyGrid(arrays["truth"], *_placed(truth)),
+                solid=TriangleMesh(arrays["vertices"], arrays["faces"]) if "faces" in arrays else None,
+                overhangs=bool(entry.get("overhangs", False)),
+                no_ground=arrays.get("bare"),
+                export_settings=_export_settings(entry, folder),
+            )
+
+
+@contextmanager
+def checked_content(folder: Path) -> Iterator[None]:
+    """Raise SourceError where what is done with a world's files shows that they are missing or damaged."""
+    try:
+        yield
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         reason = (
             f"{error.strerror}"
             if isinstance(error, OSError) and error.strerror
             else f"{type(error).__name__}: {error}"
         )
-        raise SourceError(f"{path}: not a built world, or damaged ({reason})") from error
+        raise SourceError(f"{folder / JSON}: not a built world, or damaged ({reason})") from error
 
 
-def _keep_texture(world: World, folder: Path) -> str | None:
+def _keep_texture(world: WorldFile, folder: Path) -> str | None:
     """Copy the user's texture into the folder, under the world's name, and return where it lies in there."""
-    given = world.export_settings.texture
+    given: Path | None = world.export_settings.get("texture")
     if given is None:
         return None
     kept = TEXTURES / f"{world.name}{given.suffix.lower()}"
@@ -128,10 +165,10 @@ def _keep_texture(world: World, folder: Path) -> str | None:
     return kept.as_posix()
 
 
-def _export_settings(entry: dict[str, Any], folder: Path) -> ExportSettings:
-    given = entry.get("finish", {})
+def _export_settings(entry: dict[str, Any], folder: Path) -> dict[str, Any]:
+    given: dict[str, Any] = entry.get("finish", {})
     texture = given.get("texture")
-    return ExportSettings(**given | {"texture": texture and folder / texture})
+    return given | {"texture": texture and folder / texture}
 
 
 def _grid_entry(grid: WallGrid | OccupancyGrid) -> dict[str, Any]:

@@ -13,8 +13,8 @@ from numba import njit
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.rectangles import merged_rectangles
 from lirs_wct.geometry.walls import WallGrid
-from lirs_wct.sources.laser_map import merged_rectangles
 
 SLAB = 0.1
 """Thickness of the floor, metres."""

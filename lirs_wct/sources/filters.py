@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from lirs_wct.arrays import Float32Array
+from lirs_wct.geometry.resampling import resized
 from lirs_wct.sources.options import BuildOptions
 
 MEDIAN_WINDOW = 5
@@ -47,29 +48,3 @@ def sharpened(values: Float32Array, amount: float, sigma: float) -> Float32Array
     """Return values after an unsharp mask: `amount` times what a blur of `sigma` pixels takes away."""
     sharp: Float32Array = values + np.float32(amount) * (values - smoothed(values, sigma))
     return sharp
-
-
-def resized(values: Float32Array, width: int, height: int) -> Float32Array:
-    """Return values sampled on another grid over the same ground: corners stay corners.
-
-    Shrinking blurs first, so that nothing finer than the new grid is folded into it.
-    """
-    rows, cols = values.shape
-    shrink_x, shrink_y = (cols - 1) / (width - 1), (rows - 1) / (height - 1)
-    if max(shrink_x, shrink_y) > 1:
-        sigma_x, sigma_y = (max(0.5 * (s - 1), 1e-3) for s in (shrink_x, shrink_y))
-        values = np.asarray(
-            cv2.GaussianBlur(values, (0, 0), sigma_x, sigmaY=sigma_y, borderType=cv2.BORDER_REPLICATE),
-            dtype=np.float32,
-        )
-    # One axis after the other: the maps stay small whatever the size.
-    return _sampled(_sampled(values, width).T, height).T.copy()
-
-
-def _sampled(values: Float32Array, n: int) -> Float32Array:
-    """Return (rows, n) values at n columns from the first to the last, linearly between pixels."""
-    at = np.linspace(0, values.shape[1] - 1, n)
-    left = np.minimum(at.astype(np.int64), values.shape[1] - 2)
-    share = (at - left).astype(np.float32)
-    out: Float32Array = values[:, left] * (1 - share) + values[:, left + 1] * share
-    return out

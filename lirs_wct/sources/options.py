@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.formats.images.header import MAX_PIXELS
 from lirs_wct.geometry.pose import Pose2
 
 DEFAULT_SIZE = 50.0
@@ -74,7 +75,7 @@ class BuildOptions:
     unknown: Unknown = "floor"
     speckle: int = 0
     window: tuple[float, float, float] | None = None
-    max_pixels: int = 5000 * 5000
+    max_pixels: int = MAX_PIXELS
     crop: tuple[int, int, int, int] | None = None
     resize: tuple[int, int] | None = None
     deterrace: bool = False

@@ -1,8 +1,9 @@
-"""A picture becomes a height field in metres."""
+"""A picture, a file or a bundled one, becomes a height field in metres."""
 
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,13 @@ from scipy import ndimage
 from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.images import tiff
-from lirs_wct.formats.images.picture import read_picture
+from lirs_wct.formats.images.picture import Picture, check_size, read_picture
 from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.sources.bundled import SIZE, bundled_picture
 from lirs_wct.sources.dequantize import dequantize
 from lirs_wct.sources.filters import apply_filters
 from lirs_wct.sources.options import DEFAULT_HEIGHT, DEFAULT_SIZE, BuildOptions
+from lirs_wct.sources.source import Source, SourceKind
 
 GRAY_TOLERANCE = 2
 """Levels of 255 by which the channels of a gray picture may differ (rounding of colour conversions)."""
@@ -25,6 +28,27 @@ LUMA = (0.114, 0.587, 0.299)
 """Weights of blue, green, red (ITU-R BT.601)."""
 UNTAGGED_NODATA = (-9999.0, -32768.0)
 """What elevation rasters hold where nothing was measured, even without a tag; below -1e30 likewise."""
+
+
+def read_terrain(source: Source, options: BuildOptions) -> tuple[HeightField, str]:
+    """Return the ground of a picture or of a bundled world, and a text that says where its metres come from.
+
+    Raises:
+        SourceError: the picture cannot be used.
+    """
+    if source.kind is not SourceKind.BUNDLED:
+        return read_scaled(source.path, options)
+    bundled = bundled_picture(source.path.name)
+    own = replace(
+        options,
+        size=options.size if options.size or options.pixel_size else SIZE,
+        height=options.height or bundled.height,
+    )
+    rows, cols = bundled.pixels.shape
+    check_size(source.path, cols, rows, options.max_pixels)
+    resized = options.size or options.pixel_size or options.height
+    scale = "as given" if resized else "as bundled"
+    return _height_field(source.path, Picture(bundled.pixels, {}), own), scale
 
 
 def read_height_field(path: Path, options: BuildOptions) -> HeightField:
@@ -46,22 +70,31 @@ def read_scaled(path: Path, options: BuildOptions) -> tuple[HeightField, str]:
             nodata.
     """
     picture = read_picture(path, options.max_pixels)
+    surface = _height_field(path, picture, options)
+    return surface, _scale_text(own=_metric_pixel(path, picture) is not None, options=options)
+
+
+def _height_field(path: Path, picture: Picture, options: BuildOptions) -> HeightField:
     pixels = _cropped(path, picture.pixels, options.crop)
     above = _above_lowest(path, pixels, tiff.nodata(picture.tags), options)
     if options.deterrace:
         above = dequantize(above, _level_step(path, pixels))
     above = apply_filters(above, options)
-    try:
-        pixel = tiff.metric_pixel(picture.tags)
-    except ValueError as error:
-        raise SourceError(f"{path}: {error}") from error
+    pixel = _metric_pixel(path, picture)
     unit = None if pixel is None else tiff.height_unit(picture.tags)
     width, depth = _extent(pixels.shape, pixel, options)
     sx, sy, sz = options.scale or (1.0, 1.0, 1.0)
     z = _heights(above, unit, options.height, sz * (options.z_scale or 1.0))
     rows, cols = z.shape
-    surface = HeightField.centred(z, (width * sx / (cols - 1), depth * sy / (rows - 1)))
-    return surface, _scale_text(own=pixel is not None, options=options)
+    return HeightField.centred(z, (width * sx / (cols - 1), depth * sy / (rows - 1)))
+
+
+def _metric_pixel(path: Path, picture: Picture) -> tuple[float, float] | None:
+    """Return a GeoTIFF's metres a pixel, None for other pictures."""
+    try:
+        return tiff.metric_pixel(picture.tags)
+    except ValueError as error:
+        raise SourceError(f"{path}: {error}") from error
 
 
 def _scale_text(*, own: bool, options: BuildOptions) -> str:

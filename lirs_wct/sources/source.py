@@ -9,6 +9,7 @@ from enum import Enum
 from pathlib import Path
 
 from lirs_wct.errors import SourceError
+from lirs_wct.formats.suffixes import LOGS, MAPS, MESHES
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.options import BuildOptions
 
@@ -25,10 +26,6 @@ class SourceKind(Enum):
     LOG = "log of a laser"
 
 
-LOGS = (".clf", ".log")
-"""Suffixes of CARMEN logs, which may end in .gz as well."""
-MESHES = (".stl", ".dae", ".obj", ".ply", ".glb")
-"""Suffixes of mesh files."""
 _ANY = {"name", "kind", "max_pixels", "rotate_x", "max_error", "max_triangles", "texture", "texture_size"}
 _PICTURE = {
     *("size", "pixel_size", "height", "grayscale", "invert", "window", "crop", "resize", "deterrace"),
@@ -97,7 +94,7 @@ def _kind(path: Path, options: BuildOptions) -> SourceKind:
         if not (path / "world.json").is_file():
             raise SourceError(f"{path}: a folder that was built holds world.json, this one does not")
         return SourceKind.FOLDER
-    if path.suffix.lower() in {".yaml", ".yml"}:
+    if path.suffix.lower() in MAPS:
         return SourceKind.MAP
     if path.suffix.lower() in MESHES:
         return SourceKind.MESH

@@ -14,18 +14,19 @@ from lirs_envs.robots.robot import Robot
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.world import World
 
 Array = NDArray[np.float64]
-Terrain = Callable[[Array, Array], Array]
+Heights = Callable[[Array, Array], Array]
 
 
-def terrain_world(z: Terrain, nodes: int = 201, cell: float = 0.1) -> World:
+def terrain_world(z: Heights, nodes: int = 201, cell: float = 0.1) -> World:
     """A square terrain of heights z(x, y) with its centre at the origin."""
     axis = (np.arange(nodes) - (nodes - 1) / 2) * cell
     x, y = np.meshgrid(axis, -axis)
     heights = np.broadcast_to(z(x, y), x.shape).astype(np.float32)
-    return World("synthetic", "terrain", HeightField.centred(heights, (cell, cell)), spawn_poses=(Pose2(),))
+    return World("synthetic", Terrain(HeightField.centred(heights, (cell, cell))), spawn_poses=(Pose2(),))
 
 
 @pytest.fixture(scope="session")
@@ -84,4 +85,4 @@ def walled(T_world_wall: Pose2) -> World:
     solid[:, 160:162] = True
     floor = HeightField.centred(np.zeros((2, 2), np.float32), (24.0, 24.0))
     walls = WallGrid(solid, 0.05, T_world_wall @ Pose2(3.0 - 8.0, -5.0), 2.0)
-    return World("walled", "map", floor, walls, spawn_poses=(Pose2(),))
+    return World("walled", LaserMap(floor, walls), spawn_poses=(Pose2(),))

@@ -14,6 +14,7 @@ from lirs_envs.robots.command import Twist
 from lirs_envs.simulation import Simulation
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.ground import Terrain
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.world import World, build_world
 
@@ -78,7 +79,7 @@ def test_a_turtlebot_on_a_narrow_barrier_stays_or_falls(name: str, nodes_wide: i
     z = np.zeros((121, 121), np.float32)
     middle = 60
     z[:, middle - nodes_wide // 2 : middle + nodes_wide // 2 + 1] = 0.5
-    world = World("barrier", "terrain", HeightField.centred(z, (0.05, 0.05)), spawn_poses=(Pose2(),))
+    world = World("barrier", Terrain(HeightField.centred(z, (0.05, 0.05))), spawn_poses=(Pose2(),))
     sim = Simulation(world, make_robot(name), lidar="lms111")
     sim.reset(Pose2(-1.5, 0.0))
     touched = sim.contact.heights(world.surface)

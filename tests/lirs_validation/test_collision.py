@@ -23,11 +23,12 @@ from lirs_validation.collision.random_drive import CONTROL_PERIOD, PERIOD, Leg, 
 from lirs_validation.collision.slope_test import climb
 from lirs_validation.collision.touched import Touched
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions
-from lirs_wct.contact.contact_parts import ContactGeometry
+from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.world import World, build_world
 
@@ -38,7 +39,7 @@ def terrain(z: Heights, nodes: int = 201, cell: float = 0.1) -> World:
     axis = (np.arange(nodes) - (nodes - 1) / 2) * cell
     x, y = np.meshgrid(axis, -axis)
     heights = np.broadcast_to(z(x, y), x.shape).astype(np.float32)
-    return World("made-up", "terrain", HeightField.centred(heights, (cell, cell)), spawn_poses=(Pose2(),))
+    return World("made-up", Terrain(HeightField.centred(heights, (cell, cell))), spawn_poses=(Pose2(),))
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +138,7 @@ def test_inside_of_walls_holes_and_floors() -> None:
     solid[20, :], hole[5, :] = True, True
     walls = WallGrid(solid, 0.1, Pose2(1.0, 2.0, 0.5), 1.5, hole)
     floor = HeightField(np.zeros((2, 2), np.float32), (8.0, 8.0), (-4.0, -1.0))
-    world = World("walled", "map", floor, walls)
+    world = World("walled", LaserMap(floor, walls))
     touched = Touched(world, body_in(world, "turtlebot2"), "hfield")
     middle = walls.origin.apply(np.array([(2.0, 2.05), (2.0, 1.0), (2.0, 0.55), (9.0, 9.0)]))
     for z, expected in ((0.5, [True, False, False, False]), (-0.1, [True, True, False, False])):

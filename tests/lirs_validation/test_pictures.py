@@ -21,6 +21,7 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.world import World
 
 
@@ -38,7 +39,7 @@ def room() -> World:
     truth = OccupancyGrid.from_probability(p, 0.1, Pose2(-1.0, -2.0))
     walls = WallGrid(truth.occupied, 0.1, truth.origin)
     floor = HeightField(np.zeros((2, 2), np.float32), (6.0, 4.0), (-1.0, -2.0))
-    return World("room", "map", floor, walls, truth, (Pose2(1, 0, 0.5),))
+    return World("room", LaserMap(floor, walls, truth), (Pose2(1, 0, 0.5),))
 
 
 def test_light_comes_from_the_north_west() -> None:
@@ -105,7 +106,7 @@ def test_oblique_view_of_a_tower() -> None:
 
 @pytest.mark.parametrize("kind", ["terrain", "map"])
 def test_a_world_becomes_a_picture(kind: str, tmp_path: Path) -> None:
-    world = room() if kind == "map" else World("hill", "terrain", hill(), spawn_poses=(Pose2(5, 5, 1),))
+    world = room() if kind == "map" else World("hill", Terrain(hill()), spawn_poses=(Pose2(5, 5, 1),))
     view_figure(world).savefig(tmp_path / "view.png")
     image = cv2.imread(str(tmp_path / "view.png"))
     assert image is not None

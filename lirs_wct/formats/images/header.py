@@ -16,6 +16,8 @@ from dataclasses import dataclass, field
 
 from lirs_wct.formats.images import tiff
 
+MAX_PIXELS = 5000 * 5000
+"""Larger pictures are refused unless the caller allows them."""
 _PNM = re.compile(rb"P[1-6fF]\s+(?:#[^\n]*\n\s*)*(\d+)\s+(?:#[^\n]*\n\s*)*(\d+)")
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.images import tiff
-from lirs_wct.formats.images.header import PictureHeader, check_complete, read_header
+from lirs_wct.formats.images.header import MAX_PIXELS, check_complete, read_header
 
 _AS_STORED = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
 """Gray stays gray, depth is kept, palettes are resolved, EXIF orientation is applied, alpha is dropped."""
@@ -39,7 +39,7 @@ class Picture:
     tags: tiff.Tags
 
 
-def read_picture(path: Path, max_pixels: int, *, alpha: bool = False) -> Picture:
+def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = False) -> Picture:
     """Decode the first page of a picture file; warns when there are more pages or bands.
 
     With `alpha` a transparent picture keeps its fourth channel, and EXIF orientation is not applied.
@@ -51,7 +51,7 @@ def read_picture(path: Path, max_pixels: int, *, alpha: bool = False) -> Picture
     data = _map_file(path)
     try:
         header = read_header(data)
-        _check_size(path, header, max_pixels)
+        check_size(path, header.width, header.height, max_pixels)
         check_complete(data)
     except struct.error as error:
         raise SourceError(f"{path}: is truncated: the file ends inside its header") from error
@@ -78,8 +78,8 @@ def _map_file(path: Path) -> mmap.mmap:
         raise SourceError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
-def _check_size(path: Path, header: PictureHeader, max_pixels: int) -> None:
-    w, h = header.width, header.height
+def check_size(path: Path, w: int, h: int, max_pixels: int) -> None:
+    """Raise SourceError unless a picture of w x h pixels is neither too small nor too large."""
     if w < 2 or h < 2:
         raise SourceError(f"{path}: image is {w}x{h} px, a terrain needs at least 2x2")
     if w * h > max_pixels:

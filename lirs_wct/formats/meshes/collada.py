@@ -16,59 +16,20 @@ from collada import asset, geometry, material, scene, source
 from collada.common import E, tag
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError
-from lirs_wct.files import atomic_write
-from lirs_wct.formats.meshes.collada_stream import CREATED, GROUND, stream_collada
+from lirs_wct.formats.meshes.collada_stream import CREATED, GROUND
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.meshing.tiles import split_tiles
-from lirs_wct.meshing.uv import cube_uv, projection_groups
-from lirs_wct.progress import Progress, no_progress, tracked
-
-TILE = 19_000
-"""Triangles of a streamed tile: its 9,500 vertices have indices of four digits."""
-STREAM_ABOVE = 20_000
-"""Triangles above which the file is streamed: pycollada needs 20 s and 500 MB for each million."""
-
-BULK = 500_000
-"""Triangles above which positions are written to 2e-6 of the world's width instead of 2e-7: fewer digits."""
 
 
-def write_collada(
-    path: Path,
-    mesh: TriangleMesh,
-    texture: str | None = None,
-    *,
-    stream_above: int = STREAM_ABOVE,
-    progress: Progress = no_progress,
-) -> None:
-    """Write a mesh with its texture coordinates; missing ones are made by cube projection.
+def write_document(path: Path, tiles: Iterable[TriangleMesh], texture: str | None = None) -> None:
+    """Write tiles that have texture coordinates and normals, as one document in memory.
 
     Args:
         path: file.
-        mesh: in the world frame.
+        tiles: in the world frame.
         texture: path of the picture relative to the file, or None for a plain colour.
-        stream_above: triangles above which the file is streamed in tiles.
-        progress: of the file.
-
-    Raises:
-        ConfigError: the texture's path holds spaces, which Gazebo does not take.
-        OutputError: the file cannot be written.
     """
-    if texture is not None and any(c.isspace() for c in texture):
-        raise ConfigError(f"path of a texture must not hold spaces, got {texture!r}")
-    if mesh.uv is None or mesh.normals is None:
-        mesh = cube_uv(mesh)
-    streamed = len(mesh.faces) > stream_above
-    aim = TILE if streamed else max(len(mesh.faces), 1)
-    tiles = split_tiles(mesh, aim=aim, groups=projection_groups(mesh))
-    tiles = tracked(tiles, len(mesh.faces), lambda tile: len(tile.faces), path.name, progress)
-    with atomic_write(path) as temporary:
-        if streamed:
-            step = 2e-6 if len(mesh.faces) > BULK else 2e-7
-            stream_collada(temporary, tiles, np.ptp(mesh.bounds, axis=0), texture, step)
-        else:
-            with temporary.open("wb") as file:
-                _document(tiles, texture).write(file)
+    with path.open("wb") as file:
+        _document(tiles, texture).write(file)
 
 
 def _document(tiles: Iterable[TriangleMesh], texture: str | None) -> collada.Collada:

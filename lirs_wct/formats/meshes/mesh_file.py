@@ -1,22 +1,17 @@
-"""Mesh files of any common format, read and written upright: z up, metres."""
+"""Mesh files of any common format, read upright: z up, metres."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
-from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.files import atomic_write
-from lirs_wct.formats.meshes.collada import write_collada
-from lirs_wct.formats.meshes.obj import write_obj
-from lirs_wct.formats.meshes.stl import read_mesh, write_stl
+from lirs_wct.errors import SourceError
+from lirs_wct.formats.meshes.stl import read_mesh
+from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.sources.source import MESHES as SUFFIXES
 
 _HEAD = 1 << 16
 """Bytes of a COLLADA file in which its <asset> stands."""
@@ -31,8 +26,8 @@ def read_upright(path: Path) -> TriangleMesh:
     Raises:
         SourceError: the file is missing, damaged, of a format that is not read, or without triangles.
     """
-    if path.suffix.lower() not in SUFFIXES:
-        raise SourceError(f"{path}: not a mesh that is read; legal: {', '.join(SUFFIXES)}")
+    if path.suffix.lower() not in MESHES:
+        raise SourceError(f"{path}: not a mesh that is read; legal: {', '.join(MESHES)}")
     mesh = _merged(read_mesh(path))
     if path.suffix.lower() == ".glb":
         return mesh.rotated_x(90.0)
@@ -42,37 +37,6 @@ def read_upright(path: Path) -> TriangleMesh:
         mesh = mesh.rotated_x(90.0) if turn is None else TriangleMesh(mesh.vertices @ turn, mesh.faces)
         return TriangleMesh(mesh.vertices * unit, mesh.faces)
     return mesh
-
-
-def write_mesh(path: Path, mesh: TriangleMesh) -> None:
-    """Write a mesh in the format of the file's suffix; a GLB with y up, as its readers expect.
-
-    Raises:
-        ConfigError: the suffix is none that is written.
-        OutputError: the file cannot be written.
-    """
-    writers: dict[str, Callable[[Path, TriangleMesh], None]] = {
-        ".stl": write_stl,
-        ".dae": write_collada,
-        ".obj": write_obj,
-        ".ply": _write_ply,
-        ".glb": _write_glb,
-    }
-    suffix = path.suffix.lower()
-    if suffix not in writers:
-        raise ConfigError(f"{path}: not a mesh that is written; legal: {', '.join(SUFFIXES)}")
-    writers[suffix](path, mesh)
-
-
-def _write_ply(path: Path, mesh: TriangleMesh) -> None:
-    with atomic_write(path) as temporary:
-        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary)
-
-
-def _write_glb(path: Path, mesh: TriangleMesh) -> None:
-    turned = mesh.rotated_x(-90.0)
-    with atomic_write(path) as temporary:
-        trimesh.Trimesh(turned.vertices, turned.faces, process=False).export(temporary)
 
 
 def _merged(mesh: TriangleMesh) -> TriangleMesh:

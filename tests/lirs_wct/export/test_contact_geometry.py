@@ -16,15 +16,17 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_envs.simulation import Simulation
 from lirs_validation import validate
 from lirs_wct import BuildOptions, World, build_world
+from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
 from lirs_wct.contact.contact_grid import ContactGrid, contact_grid, steep_nodes
-from lirs_wct.contact.contact_parts import CONTACT_GEOMETRIES, ContactGeometry, contact_parts, prisms
+from lirs_wct.contact.contact_parts import contact_parts, prisms
 from lirs_wct.errors import ConfigError
-from lirs_wct.export.export_settings import ExportSettings
 from lirs_wct.export.mjcf import SEEN_GROUP, TERRAIN_GROUP, world_spec
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.ground import ClosedMesh, LaserMap, Terrain
+from lirs_wct.meshing.export_settings import ExportSettings
 
 RADIUS, SPHERES = 0.3, 100
 
@@ -39,8 +41,7 @@ def hills() -> World:
     z += 3 * np.maximum(axis[:, None], axis) ** 8
     return World(
         "hills",
-        "terrain",
-        HeightField.centred(z, (0.1, 0.1)),
+        Terrain(HeightField.centred(z, (0.1, 0.1))),
         export_settings=ExportSettings(max_error=0.004),
     )
 
@@ -56,7 +57,7 @@ def arch() -> World:
     assert solid.is_watertight
     top = np.zeros((81, 81), np.float32)
     top[30:51, 10:71] = 3.0
-    return World("arch", "mesh", HeightField.centred(top, (0.1, 0.1)), solid=solid, overhangs=True)
+    return World("arch", ClosedMesh(HeightField.centred(top, (0.1, 0.1)), solid, overhangs=True))
 
 
 def blocks(cells: np.ndarray, edge: float, corner: np.ndarray) -> TriangleMesh:
@@ -126,7 +127,7 @@ def gaps(mesh: TriangleMesh, centres: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("terrain", ["hfield", "mesh", "prisms"])
 def test_spheres_rest_on_the_true_surface(terrain: ContactGeometry, hills: World) -> None:
-    exact = World("hills", "terrain", hills.surface).mesh
+    exact = World("hills", Terrain(hills.surface)).mesh
     rng = np.random.default_rng(1)
     xy = rng.uniform(-7.0, 7.0, (SPHERES, 2))
     z = np.array([hills.surface.height_at(x + np.linspace(-0.3, 0.3, 13)[:, None],
@@ -215,7 +216,7 @@ def test_a_prism_for_each_triangle_and_no_more_than_are_legal(hills: World) -> N
     edges = np.array([(p[1] - p[0], p[2] - p[0]) for p in parts])
     area = 0.5 * np.abs(np.cross(edges[:, 0], edges[:, 1])[:, 2]).sum()
     assert area == pytest.approx(16.0**2, rel=1e-9)
-    full = World("full", "terrain", hills.surface, export_settings=ExportSettings(max_error=1e-5))
+    full = World("full", Terrain(hills.surface), export_settings=ExportSettings(max_error=1e-5))
     with pytest.raises(ConfigError, match=r"at most 20000 are legal; give --max-error or --max-triangles"):
         list(prisms(full))
 
@@ -223,7 +224,7 @@ def test_a_prism_for_each_triangle_and_no_more_than_are_legal(hills: World) -> N
 def test_a_terrain_that_does_not_fit_is_refused(
     hills: World, arch: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    walls = World("room", "map", hills.surface, WallGrid(np.eye(4, dtype=np.bool_), 0.1))
+    walls = World("room", LaserMap(hills.surface, WallGrid(np.eye(4, dtype=np.bool_), 0.1)))
     for world, terrain, says in (
         (hills, "voxels", "legal: convex, hfield, mesh, prisms"),
         (hills, "convex", "closed meshes"),
@@ -260,7 +261,7 @@ def test_a_robot_falls_into_no_hole_and_drives_on_the_floor_beside() -> None:
     hole = kind.copy()
     hole[20:40, 20:40] = True
     floor = HeightField(np.zeros((2, 2), np.float32), (6.0, 6.0), (0.0, 0.0))
-    world = World("pit", "map", floor, WallGrid(kind, 0.1, hole=hole))
+    world = World("pit", LaserMap(floor, WallGrid(kind, 0.1, hole=hole)))
     spec = world_spec(world)
     for x, y in ((3.0, 3.0), (1.0, 1.0)):
         ball = spec.worldbody.add_body(pos=(x, y, 0.2))

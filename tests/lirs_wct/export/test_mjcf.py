@@ -15,6 +15,7 @@ from lirs_wct.export.mjcf_file import write_mjcf
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.world import World
 
 
@@ -23,7 +24,7 @@ def slanted() -> World:
     """Higher in the north-east, lowest in the south-west, and nowhere 0: nothing in it is symmetrical."""
     rng = np.random.default_rng(3)
     z = rng.random((7, 11)) + 0.5 * np.arange(11)[None, :] + 2.0 * np.arange(7)[::-1, None] - 4.3
-    return World("slanted", "terrain", HeightField(z.astype(np.float32), (0.5, 0.25), (100.0, -30.0)))
+    return World("slanted", Terrain(HeightField(z.astype(np.float32), (0.5, 0.25), (100.0, -30.0))))
 
 
 @pytest.fixture
@@ -32,7 +33,7 @@ def walled() -> World:
     solid[0, :] = solid[3:9, 5:7] = solid[11, 3] = True
     walls = WallGrid(solid, 0.1, Pose2(-1.5, 2.25, 0.7), 1.7)
     floor = HeightField(np.zeros((2, 2), np.float32), (8.0, 8.0), (-4.0, -1.0))
-    return World("walled", "map", floor, walls)
+    return World("walled", LaserMap(floor, walls))
 
 
 def height_under(model: mujoco.MjModel, x: float, y: float) -> float:
@@ -74,16 +75,14 @@ def test_upright_and_in_place(slanted: World, tmp_path: Path) -> None:
 
 
 def test_same_name_other_world_is_not_taken_from_the_cache(slanted: World, tmp_path: Path) -> None:
-    flipped = World(
-        "slanted", "terrain", HeightField(slanted.surface.z[::-1].copy(), (0.5, 0.25), (0.0, 0.0))
-    )
+    flipped = World("slanted", Terrain(HeightField(slanted.surface.z[::-1].copy(), (0.5, 0.25), (0.0, 0.0))))
     for world in (slanted, flipped):
         model = mujoco.MjModel.from_xml_path(str(write_mjcf(world, tmp_path)))
         np.testing.assert_allclose(heights(model), world.surface.z[::-1], atol=2e-6)
 
 
 def test_a_flat_field_keeps_its_height(tmp_path: Path) -> None:
-    flat = World("flat", "terrain", HeightField(np.full((5, 5), 3.25, np.float32), (1.0, 1.0), (0.0, 0.0)))
+    flat = World("flat", Terrain(HeightField(np.full((5, 5), 3.25, np.float32), (1.0, 1.0), (0.0, 0.0))))
     for model in (
         world_spec(flat).compile(),
         world_spec(flat, contact=contact_grid(flat.surface)).compile(),
@@ -95,7 +94,7 @@ def test_a_flat_field_keeps_its_height(tmp_path: Path) -> None:
 def test_a_contact_grid_is_what_is_touched(slanted: World) -> None:
     axis = np.linspace(0, 3, 61)
     surface = HeightField.centred(np.sin(axis)[None, :].repeat(61, axis=0).astype(np.float32), (0.05, 0.05))
-    smooth = World("smooth", "terrain", surface)
+    smooth = World("smooth", Terrain(surface))
     grid = contact_grid(surface)
     model = world_spec(smooth, contact=grid).compile()
     assert grid.stride > 1

@@ -17,9 +17,10 @@ from lirs_wct.formats import flat_yaml
 from lirs_wct.formats.map_server import read_map, read_map_picture, write_map
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.rectangles import merged_rectangles
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.meshing.wall_solid import SLAB, wall_mesh
-from lirs_wct.sources.laser_map import merged_boxes, walls_of, without_small_walls
+from lirs_wct.sources.laser_map import walls_of, without_small_walls
 
 masks = hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9))
 KEYS = "resolution: 0.5\norigin: [1.0, -2.0, 0.5]\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
@@ -120,7 +121,7 @@ def test_flat_yaml_takes_quotes_comments_and_block_lists() -> None:
 @given(masks)
 def test_boxes_cover_every_wall_cell_once(solid: np.ndarray) -> None:
     covered = np.zeros(solid.shape, int)
-    for r0, c0, r1, c1 in merged_boxes(WallGrid(solid, 1.0)):
+    for r0, c0, r1, c1 in merged_rectangles(solid):
         covered[r0:r1, c0:c1] += 1
     assert np.array_equal(covered, solid.astype(int))
 
@@ -217,7 +218,7 @@ def test_real_maps_become_closed_solids_of_few_boxes(shared_data: Path) -> None:
             continue
         read += 1
         walls = walls_of(grid, 2.5)
-        assert len(merged_boxes(walls)) <= most.get(path.stem, len(walls.solid) ** 2)
+        assert len(merged_rectangles(walls.solid)) <= most.get(path.stem, len(walls.solid) ** 2)
         mesh = wall_mesh(walls)
         assert mesh.is_watertight
         assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).is_watertight

@@ -11,7 +11,9 @@ import trimesh
 
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.meshes.mesh_file import SUFFIXES, read_upright, write_mesh
+from lirs_wct.export.mesh_file import write_mesh
+from lirs_wct.formats.meshes.mesh_file import read_upright
+from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh
@@ -36,7 +38,7 @@ def test_draping_gives_the_nodes_back(hill: TriangleMesh) -> None:
     assert np.isfinite(outside[:, 2:]).all()
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", MESHES)
 def test_a_closed_terrain_of_any_format(suffix: str, hill: TriangleMesh, tmp_path: Path) -> None:
     write_mesh(tmp_path / f"hill{suffix}", hill)
     world = build_world(tmp_path / f"hill{suffix}", BuildOptions(resolution=0.1))

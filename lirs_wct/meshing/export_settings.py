@@ -8,7 +8,6 @@ from pathlib import Path
 
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.images.picture import read_picture
-from lirs_wct.sources.options import BuildOptions
 
 TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 """What Gazebo and MuJoCo viewers alike can show."""
@@ -49,20 +48,6 @@ class ExportSettings:
     def limited(self) -> bool:
         """Whether the mesh has a budget."""
         return self.max_error is not None or self.max_triangles is not None
-
-
-def settings_from(options: BuildOptions, texture: Path | None, former: ExportSettings) -> ExportSettings:
-    """Return what the options ask for; of what they do not mention, the former settings stay."""
-    budget = options.max_error, options.max_triangles
-    if budget == (None, None):
-        budget = former.max_error, former.max_triangles
-    return ExportSettings(
-        max_error=budget[0],
-        max_triangles=budget[1],
-        rotate_x=options.rotate_x or former.rotate_x,
-        texture=texture or former.texture,
-        texture_size=options.texture_size or former.texture_size,
-    )
 
 
 def checked_texture(path: Path | None, max_pixels: int) -> Path | None:

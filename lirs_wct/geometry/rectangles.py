@@ -1,0 +1,60 @@
+"""A mask of cells covered by few rectangles."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from lirs_wct.arrays import BoolArray, IntArray
+
+
+def merged_rectangles(mask: BoolArray) -> IntArray:
+    """Return (n, 4) rectangles row0, col0, row1, col1 (ends exclusive) that cover a mask once.
+
+    Greedy: at the first cell that is left, the larger of two rectangles, one grown along the row
+    first, one along the column first. The better of the mask and its transpose is taken.
+    """
+    straight = _cover(mask)
+    turned = _cover(np.ascontiguousarray(mask.T))[:, [1, 0, 3, 2]]
+    return straight if len(straight) <= len(turned) else turned
+
+
+def _cover(solid: BoolArray) -> IntArray:
+    boxes: IntArray = _rectangles(solid.copy())
+    return boxes
+
+
+@njit(cache=True)
+def _rectangles(left: BoolArray) -> IntArray:
+    """Take rectangles out of a mask (which is emptied) in the order of its rows."""
+    rows, cols = left.shape
+    boxes = np.empty((max(1, left.sum()), 4), np.int64)
+    count = 0
+    for r in range(rows):
+        for c in range(cols):
+            if not left[r, c]:
+                continue
+            wide = _grown(left, r, c, True)
+            tall = _grown(left, r, c, False)
+            if (wide[0] - r) * (wide[1] - c) >= (tall[0] - r) * (tall[1] - c):
+                r1, c1 = wide
+            else:
+                r1, c1 = tall
+            left[r:r1, c:c1] = False
+            boxes[count, 0], boxes[count, 1], boxes[count, 2], boxes[count, 3] = r, c, r1, c1
+            count += 1
+    return boxes[:count].copy()
+
+
+@njit(cache=True)
+def _grown(left: BoolArray, r: int, c: int, along_row: bool) -> tuple[int, int]:
+    """Return the far corner of the rectangle at (r, c), grown along one axis first."""
+    r1, c1 = r + 1, c + 1
+    for axis in range(2):
+        if (axis == 0) == along_row:
+            while c1 < left.shape[1] and left[r:r1, c1].all():
+                c1 += 1
+        else:
+            while r1 < left.shape[0] and left[r1, c:c1].all():
+                r1 += 1
+    return r1, c1
