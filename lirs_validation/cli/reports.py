@@ -26,7 +26,7 @@ def report(
         typer.Option("--markdown", metavar="FILE", help="Write the tables there as Markdown, too."),
     ] = None,
 ) -> None:
-    """Tell a folder of results as one HTML page that opens anywhere, offline."""
+    """Report on a folder of results: one HTML page that opens anywhere, offline."""
     from lirs_validation.analysis.result_folders import read_results
     from lirs_validation.cli.console import err
     from lirs_validation.report.contents import report_of
@@ -36,17 +36,19 @@ def report(
     with err.status(f"reading {results}") as status:
         read = read_results(results)
         _tell_skipped(read.skipped)
-        told = report_of(read)
+        contents = report_of(read)
         status.update("drawing")
-        html = page(told, shlex.join(["lirs-wct", "report", str(results), "-o", str(output)]))
+        html = page(contents, shlex.join(["lirs-wct", "report", str(results), "-o", str(output)]))
     _write(output, html)
     if csv is not None:
-        for sheet in told.sheets:
-            _write(csv / f"{sheet.key}.csv", as_csv(sheet))
+        for table in contents.tables:
+            _write(csv / f"{table.key}.csv", as_csv(table))
     if markdown is not None:
-        _write(markdown, f"# {told.title}\n\n" + "\n".join(map(as_markdown, told.sheets)))
+        _write(markdown, f"# {contents.title}\n\n" + "\n".join(map(as_markdown, contents.tables)))
     out.print(
-        f"{output}: {len(told.runs)} runs, {len(html.encode()) / 1e6:.1f} MB", soft_wrap=True, highlight=False
+        f"{output}: {len(contents.runs)} runs, {len(html.encode()) / 1e6:.1f} MB",
+        soft_wrap=True,
+        highlight=False,
     )
 
 
@@ -67,10 +69,10 @@ def compare(
     csv: CsvFile = None,
     json: JsonFile = None,
 ) -> None:
-    """Say which differences between two results are real, and which may be chance."""
+    """Compare two results: which differences are statistically significant (Holm)."""
     from lirs_validation.analysis.compare import compare as compared
     from lirs_validation.analysis.result_folders import read_results
-    from lirs_validation.record.catalog import COMPARED, figures_named
+    from lirs_validation.record.catalog import metrics_named, metrics_shown
     from lirs_validation.report.tables.compare_table import (
         compare_table,
         write_compare_csv,
@@ -83,7 +85,7 @@ def compare(
     comparison = compared(
         [run.entry for run in first.runs],
         [run.entry for run in second.runs],
-        figures_named(_words(figures)) if figures else COMPARED,
+        metrics_named(_words(figures)) if figures else metrics_shown("compared"),
         _words(across),
     )
     out.print(compare_table(comparison, names))

@@ -9,27 +9,27 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from lirs_validation.analysis.groups import by_cell, telling
+from lirs_validation.analysis.groups import by_group, distinguishing_fields
 from lirs_validation.record.run_record import read_record
-from lirs_validation.report.tables.metric_tables import failures_sheet, summary_sheet
+from lirs_validation.report.tables.metric_tables import failures_table, summary_table
 from lirs_validation.report.tables.results_table import results_table
-from lirs_validation.report.tables.table import Sheet
+from lirs_validation.report.tables.table import ReportTable
 from lirs_validation.sweep.collision_cell import CollisionCell, read_verdict
 from lirs_validation.sweep.sweep import Sweep
 
-TOLD = {"world", "robot", "mapper"}
+FIELDS = {"world", "robot", "mapper"}
 """Fields that the table of single runs has columns for, beside the seed."""
 
 
 def sweep_tables(sweep: Sweep) -> Iterator[Table]:
-    """Yield the tables of what is finished: means of cells, or single runs, and verdicts."""
+    """Yield the tables of what is finished: means of groups, or single runs, and verdicts."""
     from lirs_validation.collision.files import verdicts_table
 
     finished = [cell for cell in sweep.cells if cell.name in sweep.outcomes]
     entries = [_entry(sweep, cell.name) for cell in finished if not isinstance(cell, CollisionCell)]
-    cells = by_cell(entries)
-    if len(cells) < len(entries) or not set(telling(cells)) <= TOLD:
-        yield from _by_cell(entries)
+    groups = by_group(entries)
+    if len(groups) < len(entries) or not set(distinguishing_fields(groups)) <= FIELDS:
+        yield from _by_group(entries)
     elif entries:
         yield results_table(entries)
     checks = [cell for cell in finished if isinstance(cell, CollisionCell)]
@@ -38,25 +38,27 @@ def sweep_tables(sweep: Sweep) -> Iterator[Table]:
         yield verdicts_table(verdicts)
 
 
-def _by_cell(entries: Sequence[dict[str, Any]]) -> Iterator[Table]:
-    """Yield the failures, if any, and the means of each cell."""
-    failures = failures_sheet(entries)
+def _by_group(entries: Sequence[dict[str, Any]]) -> Iterator[Table]:
+    """Yield the failures, if any, and the means of each group."""
+    failures = failures_table(entries)
     if failures.rows:
         yield _shown(failures, style="bold red")
-    yield _shown(summary_sheet(entries))
+    yield _shown(summary_table(entries))
 
 
-def _shown(sheet: Sheet, style: str = "") -> Table:
+def _shown(shown: ReportTable, style: str = "") -> Table:
     table = Table(
         box=box.SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
         pad_edge=False,
-        caption=Text(sheet.caption),
+        caption=Text(shown.caption),
         caption_justify="left",
     )
-    for k, heading in enumerate(sheet.headings):
-        table.add_column(Text(heading), justify="left" if k < sheet.words else "right", overflow="fold")
-    for row in sheet.texts():
+    for k, heading in enumerate(shown.headings):
+        table.add_column(
+            Text(heading), justify="left" if k < shown.text_columns else "right", overflow="fold"
+        )
+    for row in shown.texts():
         table.add_row(*map(Text, row), style=style)
     return table
 

@@ -1,4 +1,4 @@
-"""The picture of a run: terrain with both paths, speed and figures, true-pose map, built map."""
+"""The picture of a run: terrain with both paths, speed and metrics, true-pose map, built map."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from lirs_validation.drawing.style import (
     title,
 )
 from lirs_validation.metrics.agreement import contradicted
-from lirs_validation.record.formatting import key_figures
-from lirs_validation.record.run_record import SOUND, RunRecord
+from lirs_validation.record.catalog import picture_lines
+from lirs_validation.record.run_record import SUCCEEDED, RunRecord
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.world import World
@@ -50,7 +50,7 @@ def overview_figure(
 
     Args:
         world: where it took place.
-        record: its figures.
+        record: its metrics.
         truth: true poses, world frame.
         estimate: estimated poses, world frame (moved by the true start pose).
         true_pose: map made with the true poses, world frame.
@@ -67,7 +67,7 @@ def overview_figure(
     _terrain(figure.add_subplot(grid[0, 0]), world, canvas, truth, estimate)
     speed = grid[0, 1].subgridspec(2, 1, height_ratios=(1.0, 1.05))
     _rtf(figure.add_subplot(speed[0]), record.rtf)
-    _figures(figure.add_subplot(speed[1]), record)
+    _metrics(figure.add_subplot(speed[1]), record)
     _reference(figure.add_subplot(grid[1, 0]), canvas, true_pose)
     _built(figure.add_subplot(grid[1, 1]), canvas, built, true_pose)
     return figure
@@ -103,7 +103,7 @@ def _headline(record: RunRecord) -> str:
     text = f"{record.world['name']}: {c.robot} maps with {c.mapper}, seed {c.seed}"
     if record.status == "ok":
         return text
-    return f"{text} ({'' if record.status in SOUND else 'failed: '}{record.reason or record.status})"
+    return f"{text} ({'' if record.status in SUCCEEDED else 'failed: '}{record.reason or record.status})"
 
 
 def _terrain(axes: Axes, world: World, canvas: Canvas, truth: Trajectory, estimate: Trajectory) -> None:
@@ -165,12 +165,12 @@ def _rtf(axes: Axes, rtf: Mapping[str, Any]) -> None:
     legend(axes, [Line2D([], [], color=GREEN, linewidth=1.2, label=f"mean {mean:.1f}, std {std:.1f}")])
 
 
-def _figures(axes: Axes, record: RunRecord) -> None:
-    """Write the key figures, name to the left and value to the right."""
+def _metrics(axes: Axes, record: RunRecord) -> None:
+    """Write the metrics, name to the left and value to the right."""
     axes.set_axis_off()
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1)
-    lines = key_figures(record)
+    lines = picture_lines(record)
     step = 1.0 / max(len(lines), 10)
     for k, (name, value) in enumerate(lines):
         y = 0.94 - k * step

@@ -1,152 +1,172 @@
-"""The figures of a record: what each is called, where it stands, in which unit it is told."""
+"""The catalog of metrics: where each stands in a record, its name, unit and digits, which way is better.
+
+Tables on the screen, pictures, the report, comparisons and CSV select from it: a metric is added here, and
+in the JSON schema of records.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
-from lirs_validation.record.formatting import NOTHING, figure_at
+from lirs_validation.record.formatting import NOTHING, Entry, as_entry, significant, value_at
+from lirs_validation.record.run_record import RunRecord
 from lirs_wct.errors import unknown_name
 
 Better = Literal["more", "less"] | None
+Section = Literal["rtf", "trajectory", "map", "contacts", "cost"]
+View = Literal["picture", "runs", "summary", "compared", "distribution", "headline"]
+"""Where a metric is shown beside its section of the report: a run's picture, the table of runs on the screen,
+the summary of groups, comparisons unless told otherwise, the report's distributions, its median on top."""
 MS, MM, DEGREES, MEGABYTE = 1e3, 1e3, math.degrees(1.0), 1e-6
 
 
 @dataclass(frozen=True)
-class Figure:
-    """A figure of a record.
+class Metric:
+    """A metric of a run.
 
     Attributes:
-        place: dotted place in the record.
-        name: what tables call it.
+        key: dotted place in the record.
+        name: heading in tables, without the unit.
+        section: section of the report.
         unit: empty for a pure number.
-        digits: behind the point; None = three that count.
-        scale: from the record's unit to this one.
-        better: which way is good, if any.
+        digits: behind the point; None = three significant digits.
+        scale: factor from the record's unit to this one.
+        better: direction that is good, if any.
+        views: other places where it is shown.
+        title: name in a run's picture; empty = the same.
+        short: heading of a narrow column; empty = the same.
+        optional: whether the table of runs leaves it out where no run has it.
     """
 
-    place: str
+    key: str
     name: str
+    section: Section
     unit: str = ""
     digits: int | None = 3
     scale: float = 1.0
     better: Better = None
+    views: tuple[View, ...] = ()
+    title: str = ""
+    short: str = ""
+    optional: bool = False
 
     @property
     def heading(self) -> str:
         """Name with unit."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
-    def of(self, entry: Mapping[str, Any]) -> float | None:
-        """Return the figure in its unit; None where the record has none."""
-        value = figure_at(entry, self.place)
+    def of(self, entry: Entry) -> float | None:
+        """Return the value in this unit; None where the record has none."""
+        value = value_at(entry, self.key)
         return None if value is None else float(value) * self.scale
 
-    def told(self, value: float | None) -> str:
-        """Return a value in this figure's unit with this figure's digits."""
+    def comparable(self, entry: Entry) -> float | None:
+        """Return the value in this unit; None also for the RTF of a run that shared the processor."""
+        return self.of(entry) if self.section != "rtf" or rtf_counts(entry) else None
+
+    def formatted(self, value: float | None) -> str:
+        """Return a value in this unit with this metric's digits."""
         if value is None:
             return NOTHING
         return f"{value:.{self.digits}f}" if self.digits is not None else significant(value)
 
 
-def significant(value: float, digits: int = 3) -> str:
-    """Return a number with so many digits that count, and no exponent.
-
-    >>> significant(0.01094), significant(41.27), significant(1234.5)
-    ('0.0109', '41.3', '1234')
-    """
-    if value == 0 or not math.isfinite(value):
-        return f"{value:g}"
-    return f"{value:.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"
-
-
-def span(values: Sequence[float]) -> str:
-    """Return the smallest and the largest of numbers, or the one number."""
-    low, high = significant(min(values)), significant(max(values))
-    return low if low == high else f"{low} to {high}"
-
-
-RTF = (
-    Figure("rtf.mean", "RTF", digits=None, better="more"),
-    Figure("rtf.std", "std over time", digits=None),
-    Figure("rtf.min", "least", digits=None, better="more"),
-    Figure("rtf.parts.physics", "physics", "ms/s", None, MS, "less"),
-    Figure("rtf.parts.sensors", "sensors", "ms/s", None, MS, "less"),
-    Figure("rtf.parts.mapper", "mapper", "ms/s", None, MS, "less"),
-    Figure("rtf.parts.rest", "rest", "ms/s", None, MS, "less"),
-    Figure("rtf.physics_only", "physics only", digits=None, better="more"),
-)
-TRAJECTORY = (
-    Figure("trajectory.length", "driven", "m", 1),
-    Figure("trajectory.ate_rmse", "ATE", "m", better="less"),
-    Figure("trajectory.ate_rmse_unaligned", "ATE unaligned", "m", better="less"),
-    Figure("trajectory.odometry_ate_rmse", "ATE of odometry", "m", better="less"),
-    Figure("trajectory.rpe_metre.translation_rmse", "RPE per m", "mm", 1, MM, "less"),
-    Figure("trajectory.rpe_metre.rotation_rmse", "RPE per m", "deg", 3, DEGREES, "less"),
-    Figure("trajectory.rpe_second.translation_rmse", "RPE per s", "mm", 1, MM, "less"),
-    Figure("trajectory.rpe_second.rotation_rmse", "RPE per s", "deg", 3, DEGREES, "less"),
-    Figure("trajectory.relations.translation_mean", "relations", "mm", 1, MM, "less"),
-    Figure("trajectory.relations.rotation_mean", "relations", "deg", 3, DEGREES, "less"),
-    Figure("trajectory.final_drift", "final drift", "m", better="less"),
-)
-MAP = (
-    Figure("map.f1", "F1", better="more"),
-    Figure("map.precision", "precision", better="more"),
-    Figure("map.recall", "recall", better="more"),
-    Figure("map.iou", "IoU", better="more"),
-    Figure("map.ssim", "SSIM", better="more"),
-    Figure("map.f1_input", "F1 input map", better="more"),
-    Figure("map.false_occupied", "false occupied", better="less"),
-    Figure("map.to_reference.mean", "to true, mean", "mm", 1, MM, "less"),
-    Figure("map.to_reference.p95", "to true, 95 %", "mm", 1, MM, "less"),
-    Figure("map.from_reference.mean", "from true, mean", "mm", 1, MM, "less"),
-    Figure("map.from_reference.p95", "from true, 95 %", "mm", 1, MM, "less"),
-    Figure("map.unknown", "unknown", better="less"),
-)
-CONTACTS = (
-    Figure("collisions.max_penetration", "deepest", "mm", 2, MM, "less"),
-    Figure("collisions.penetration_p999", "99.9 %", "mm", 2, MM, "less"),
-    Figure("collisions.body_contacts", "body contacts", digits=0, better="less"),
-    Figure("collisions.body_contact_seconds", "for", "s", 2, better="less"),
-)
-COST = (
-    Figure("cost.cpu_seconds", "CPU time", "s", 1, better="less"),
-    Figure("cost.peak_memory", "peak memory", "MB", 0, MEGABYTE, "less"),
-    Figure("cost.compile_seconds", "JIT", "s", 1, better="less"),
-    Figure("cost.scans_dropped", "scans dropped", digits=0, better="less"),
-    Figure("mapper.ms_p50", "scan, median", "ms", 2, better="less"),
-    Figure("mapper.ms_p95", "scan, 95 %", "ms", 2, better="less"),
-)
-ALL = (*RTF, *TRAJECTORY, *MAP, *CONTACTS, *COST)
-COMPARED = tuple(
-    figure
-    for figure in ALL
-    if figure.place
-    in {
-        "rtf.mean", "trajectory.ate_rmse", "trajectory.rpe_metre.translation_rmse",
-        "trajectory.relations.translation_mean", "trajectory.final_drift", "map.f1", "map.iou",
-        "map.ssim", "map.false_occupied", "collisions.max_penetration", "cost.cpu_seconds",
-        "cost.peak_memory",
-    }
+METRICS: tuple[Metric, ...] = (
+    Metric("rtf.mean", "RTF", "rtf", digits=None, better="more",
+           views=("runs", "summary", "compared", "distribution")),
+    Metric("rtf.std", "std over time", "rtf", digits=None),
+    Metric("rtf.min", "least", "rtf", digits=None, better="more"),
+    Metric("rtf.parts.physics", "physics", "rtf", "ms/s", None, MS, "less"),
+    Metric("rtf.parts.sensors", "sensors", "rtf", "ms/s", None, MS, "less"),
+    Metric("rtf.parts.mapper", "mapper", "rtf", "ms/s", None, MS, "less"),
+    Metric("rtf.parts.rest", "rest", "rtf", "ms/s", None, MS, "less"),
+    Metric("rtf.physics_only", "physics only", "rtf", digits=None, better="more"),
+    Metric("trajectory.length", "driven", "trajectory", "m", 1,
+           views=("picture", "runs", "summary"), title="distance driven"),
+    Metric("trajectory.ate_rmse", "ATE", "trajectory", "m", better="less", title="ATE (RMSE, aligned)",
+           views=("picture", "runs", "summary", "compared", "distribution", "headline")),
+    Metric("trajectory.ate_rmse_unaligned", "ATE unaligned", "trajectory", "m", better="less",
+           views=("picture",), title="ATE (RMSE, unaligned)"),
+    Metric("trajectory.odometry_ate_rmse", "ATE of odometry", "trajectory", "m", better="less",
+           views=("picture",), title="ATE of the odometry"),
+    Metric("trajectory.rpe_metre.translation_rmse", "RPE per m", "trajectory", "mm", 1, MM, "less",
+           views=("compared",)),
+    Metric("trajectory.rpe_metre.rotation_rmse", "RPE per m", "trajectory", "deg", 3, DEGREES, "less"),
+    Metric("trajectory.rpe_second.translation_rmse", "RPE per s", "trajectory", "mm", 1, MM, "less"),
+    Metric("trajectory.rpe_second.rotation_rmse", "RPE per s", "trajectory", "deg", 3, DEGREES, "less"),
+    Metric("trajectory.relations.translation_mean", "relations", "trajectory", "mm", 1, MM, "less",
+           views=("compared",)),
+    Metric("trajectory.relations.rotation_mean", "relations", "trajectory", "deg", 3, DEGREES, "less"),
+    Metric("trajectory.final_drift", "final drift", "trajectory", "m", better="less", views=("compared",)),
+    Metric("map.f1", "F1", "map", better="more", title="F1 against the true-pose map",
+           views=("picture", "runs", "summary", "compared", "distribution", "headline")),
+    Metric("map.precision", "precision", "map", better="more"),
+    Metric("map.recall", "recall", "map", better="more"),
+    Metric("map.iou", "IoU", "map", better="more", views=("picture", "summary", "compared")),
+    Metric("map.ssim", "SSIM", "map", better="more", views=("compared",)),
+    Metric("map.f1_input", "F1 input map", "map", better="more", views=("picture", "runs"),
+           title="F1 against the input map", short="F1 input", optional=True),
+    Metric("map.false_occupied", "false occupied", "map", better="less", short="false occ.",
+           views=("picture", "runs", "summary", "compared", "distribution")),
+    Metric("map.to_reference.mean", "to true, mean", "map", "mm", 1, MM, "less"),
+    Metric("map.to_reference.p95", "to true, 95 %", "map", "mm", 1, MM, "less"),
+    Metric("map.from_reference.mean", "from true, mean", "map", "mm", 1, MM, "less"),
+    Metric("map.from_reference.p95", "from true, 95 %", "map", "mm", 1, MM, "less"),
+    Metric("map.unknown", "unknown", "map", better="less", views=("picture",),
+           title="unknown of what could be seen"),
+    Metric("collisions.max_penetration", "deepest", "contacts", "mm", 2, MM, "less",
+           views=("picture", "compared"), title="deepest penetration"),
+    Metric("collisions.penetration_p999", "99.9 %", "contacts", "mm", 2, MM, "less"),
+    Metric("collisions.body_contacts", "body contacts", "contacts", digits=0, better="less"),
+    Metric("collisions.body_contact_seconds", "for", "contacts", "s", 2, better="less"),
+    Metric("cost.cpu_seconds", "CPU time", "cost", "s", 1, better="less", views=("compared",)),
+    Metric("cost.peak_memory", "peak memory", "cost", "MB", 0, MEGABYTE, "less", views=("compared",)),
+    Metric("cost.compile_seconds", "JIT", "cost", "s", 1, better="less"),
+    Metric("cost.scans_dropped", "scans dropped", "cost", digits=0, better="less"),
+    Metric("mapper.ms_p50", "scan, median", "cost", "ms", 2, better="less"),
+    Metric("mapper.ms_p95", "scan, 95 %", "cost", "ms", 2, better="less"),
 )  # fmt: skip
-"""What two results are compared by, unless told otherwise."""
+"""Every metric of a run, in the order of its tables."""
 
 
-def figures_named(places: Sequence[str]) -> tuple[Figure, ...]:
-    """Return figures by their places in the record.
+def metrics_in(*sections: Section) -> tuple[Metric, ...]:
+    """Return the metrics of sections of the report."""
+    return tuple(metric for metric in METRICS if metric.section in sections)
+
+
+def metrics_shown(view: View) -> tuple[Metric, ...]:
+    """Return the metrics that a view shows."""
+    return tuple(metric for metric in METRICS if view in metric.views)
+
+
+def metrics_named(keys: Sequence[str]) -> tuple[Metric, ...]:
+    """Return metrics by their keys.
 
     Raises:
-        ConfigError: there is no such figure.
+        ConfigError: there is no such metric.
     """
-    known = {figure.place: figure for figure in ALL}
-    for place in places:
-        if place not in known:
-            raise unknown_name("figure", place, known)
-    return tuple(known[place] for place in places)
+    known = {metric.key: metric for metric in METRICS}
+    for key in keys:
+        if key not in known:
+            raise unknown_name("metric", key, known)
+    return tuple(known[key] for key in keys)
 
 
-def rtf_counts(entry: Mapping[str, Any]) -> bool:
-    """Whether a run's RTF is one: with anything running beside it, it tells of the other runs."""
+def rtf_counts(entry: Entry) -> bool:
+    """Whether a run's RTF counts: one of a run that shared the processor depends on the other runs."""
     return bool(entry["rtf"]) and not entry["rtf"]["concurrent"]
+
+
+def picture_lines(record: RunRecord | Entry) -> list[tuple[str, str]]:
+    """Return the names and formatted values of a run's picture, the status first; what exists alone."""
+    entry = as_entry(record)
+    lines = [("status", str(entry["status"]))]
+    for metric in metrics_shown("picture"):
+        value = metric.of(entry)
+        if value is not None:
+            unit = f" {metric.unit}" if metric.unit else ""
+            lines.append((metric.title or metric.name, metric.formatted(value) + unit))
+    return lines

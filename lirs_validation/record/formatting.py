@@ -1,8 +1,9 @@
-"""Figures in words: one name, one unit and one number of digits for each, in every table and picture."""
+"""Records and numbers as text: one number of digits for each value, in every table and picture."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,23 +11,10 @@ if TYPE_CHECKING:
     from lirs_validation.record.run_record import RunRecord
 
 NOTHING = "-"
-"""What stands where a figure does not exist."""
+"""Text of a value that does not exist."""
 
 Entry = Mapping[str, Any]
-
-FIGURES: tuple[tuple[str, str, str], ...] = (
-    ("distance driven", "trajectory.length", "{:.1f} m"),
-    ("ATE (RMSE, aligned)", "trajectory.ate_rmse", "{:.3f} m"),
-    ("ATE (RMSE, unaligned)", "trajectory.ate_rmse_unaligned", "{:.3f} m"),
-    ("ATE of the odometry", "trajectory.odometry_ate_rmse", "{:.3f} m"),
-    ("F1 against the true-pose map", "map.f1", "{:.3f}"),
-    ("F1 against the input map", "map.f1_input", "{:.3f}"),
-    ("IoU", "map.iou", "{:.3f}"),
-    ("false occupied", "map.false_occupied", "{:.3f}"),
-    ("unknown of what could be seen", "map.unknown", "{:.3f}"),
-    ("deepest penetration", "collisions.max_penetration", "{:.4f} m"),
-)
-"""Name, place in the record, format."""
+"""A record as nested dicts."""
 
 
 def as_entry(record: RunRecord | Entry) -> Entry:
@@ -38,28 +26,32 @@ def as_entry(record: RunRecord | Entry) -> Entry:
     return asdict(record)
 
 
-def figure_at(entry: Entry, place: str) -> Any:
-    """Return the figure at a dotted place; None where it does not exist."""
+def value_at(entry: Entry, key: str) -> Any:
+    """Return the value at a dotted key; None where it does not exist."""
     found: Any = entry
-    for part in place.split("."):
+    for part in key.split("."):
         found = found.get(part) if isinstance(found, Mapping) else None
     return found
 
 
-def told(entry: Entry, place: str, form: str) -> str:
-    """Return the figure at a dotted place in its format."""
-    value = figure_at(entry, place)
-    return NOTHING if value is None else form.format(value)
+def text_at(entry: Entry, key: str) -> str:
+    """Return the text at a dotted key."""
+    value = value_at(entry, key)
+    return NOTHING if value is None else str(value)
 
 
-def key_figures(record: RunRecord | Entry) -> list[tuple[str, str]]:
-    """Return names and values of the figures that exist, the status first."""
-    entry = as_entry(record)
-    lines = [("status", status_of(entry))]
-    lines += [(name, told(entry, place, form)) for name, place, form in FIGURES]
-    return [line for line in lines if line[1] != NOTHING]
+def significant(value: float, digits: int = 3) -> str:
+    """Return a number with so many significant digits, and no exponent.
+
+    >>> significant(0.01094), significant(41.27), significant(1234.5)
+    ('0.0109', '41.3', '1234')
+    """
+    if value == 0 or not math.isfinite(value):
+        return f"{value:g}"
+    return f"{value:.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"
 
 
-def status_of(entry: Entry) -> str:
-    """Return `ok`, or how the run failed."""
-    return str(entry["status"])
+def span(values: Sequence[float]) -> str:
+    """Return the smallest and the largest of numbers, or the one number."""
+    low, high = significant(min(values)), significant(max(values))
+    return low if low == high else f"{low} to {high}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -17,15 +18,20 @@ from lirs_wct.files import atomic_write
 SCHEMA = 2
 
 Status = Literal["ok", "wall limit", "tipped", "stuck", "off world", "diverged", "lost", "error", "timeout"]
-SOUND: tuple[Status, ...] = ("ok", "wall limit")
+SUCCEEDED: tuple[Status, ...] = ("ok", "wall limit")
 """A run that ended so did not fail: it drove its time, or as much of it as it was allowed."""
+
+
+def succeeded(entry: Mapping[str, Any]) -> bool:
+    """Whether a run, its record as nested dicts, did not fail."""
+    return entry["status"] in SUCCEEDED
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunRecord:
-    """What came of a run; the groups of figures mean what the design's definitions say.
+    """What came of a run; its metrics mean what the design's definitions say.
 
-    A run that came to nothing (`error`, `timeout`) has empty groups.
+    A run that came to nothing (`error`, `timeout`) has no metrics.
 
     Attributes:
         world: name, kind, size, relief, contact grid, scale, window.
@@ -57,7 +63,7 @@ class RunRecord:
         return run_name(self.config, self.world["name"])
 
     def to_json(self) -> str:
-        """Return the record as JSON; figures that do not exist are null."""
+        """Return the record as JSON; values that do not exist are null."""
         entry = {"schema": SCHEMA, "seed": self.config.seed, "name": self.name} | asdict(self)
         return json.dumps(entry, indent=1, default=plain, allow_nan=False) + "\n"
 

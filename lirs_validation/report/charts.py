@@ -1,4 +1,4 @@
-"""The charts of a report: RTF over time as in the paper's Fig. 13, and how figures are distributed."""
+"""The charts of a report: RTF over time as in the paper's Fig. 13, and distributions of metrics."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure as Drawing
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.lib.stride_tricks import sliding_window_view
 
-from lirs_validation.analysis.groups import Cell, by_cell, telling
-from lirs_validation.record.catalog import Figure, rtf_counts
+from lirs_validation.analysis.groups import Group, by_group, distinguishing_fields
+from lirs_validation.record.catalog import Metric, rtf_counts
+from lirs_validation.record.formatting import Entry
+from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.svg import INK, SMALL, as_svg, colour_of, plain
-from lirs_validation.report.tables.metric_tables import sound
 from lirs_wct.arrays import FloatArray
-
-Entry = Mapping[str, Any]
 
 ACROSS = 3
 AROUND = 4
@@ -35,29 +34,29 @@ def rtf_chart(entries: Sequence[Entry]) -> tuple[str, int] | None:
     A panel for each world, robot and representation; in it the methods, each with mean and a band of one
     standard deviation (see `series_band`).
     """
-    runs = [e for e in entries if sound(e) and rtf_counts(e)]
-    panels: dict[Cell, dict[str, list[Entry]]] = {}
-    for cell, held in by_cell(runs).items():
-        panels.setdefault(replace(cell, mapper=""), {})[cell.mapper] = held
+    runs = [e for e in entries if succeeded(e) and rtf_counts(e)]
+    panels: dict[Group, dict[str, list[Entry]]] = {}
+    for group, held in by_group(runs).items():
+        panels.setdefault(replace(group, mapper=""), {})[group.mapper] = held
     panels = _together(panels)
     if not panels:
         return None
     shown = dict(list(panels.items())[:MOST_PANELS])
     across = min(ACROSS, len(shown))
     rows = math.ceil(len(shown) / across)
-    drawing = Drawing(figsize=(3.4 * across + 0.3, 2.1 * rows + 0.5), layout="constrained")
+    figure = Figure(figsize=(3.4 * across + 0.3, 2.1 * rows + 0.5), layout="constrained")
     mappers = sorted({mapper for held in shown.values() for mapper in held})
-    for k, (cell, methods) in enumerate(shown.items()):
-        axes = drawing.add_subplot(rows, across, k + 1)
+    for k, (group, methods) in enumerate(shown.items()):
+        axes = figure.add_subplot(rows, across, k + 1)
         _rtf_panel(axes, methods, mappers)
-        plain(axes, _title(cell, shown))
+        plain(axes, _title(group, shown))
         if k % across == 0:
             axes.set_ylabel("RTF")
         if k + across >= len(shown):
             axes.set_xlabel("simulated time [s]")
-    _legend(drawing, mappers)
+    _legend(figure, mappers)
     label = "Real-time factor over simulated time, one panel a world and representation, one line a mapper"
-    return as_svg(drawing, label, "rtf"), len(panels) - len(shown)
+    return as_svg(figure, label, "rtf"), len(panels) - len(shown)
 
 
 def series_band(runs: Sequence[Entry]) -> tuple[FloatArray, FloatArray]:
@@ -74,41 +73,41 @@ def series_band(runs: Sequence[Entry]) -> tuple[FloatArray, FloatArray]:
     return np.nanmean(table, axis=0), np.nanstd(table, axis=0)
 
 
-def distribution_chart(entries: Sequence[Entry], wanted: Sequence[Figure]) -> tuple[str, int] | None:
-    """Return every run as a dot, cell by cell and figure by figure, as SVG; None without sound runs.
+def distribution_chart(entries: Sequence[Entry], metrics: Sequence[Metric]) -> tuple[str, int] | None:
+    """Return every run as a dot, group by group and metric by metric, as SVG; None where none succeeded.
 
-    The bar is the median. Also returned is how many cells were left out.
+    The bar is the median. Also returned is how many groups were left out.
     """
-    cells = by_cell([e for e in entries if sound(e)])
-    shown = dict(list(cells.items())[:MOST_ROWS])
-    kept = [f for f in wanted if any(_values(f, runs) for runs in shown.values())]
+    groups = by_group([e for e in entries if succeeded(e)])
+    shown = dict(list(groups.items())[:MOST_ROWS])
+    kept = [m for m in metrics if any(_values(m, runs) for runs in shown.values())]
     if not shown or not kept:
         return None
-    mappers = sorted({cell.mapper for cell in shown})
-    fields = telling(shown)
-    drawing = Drawing(figsize=(10.5, 0.9 + 0.2 * len(shown)), layout="constrained")
-    columns = drawing.subplots(1, len(kept), sharey=True, squeeze=False)[0]
-    for axes, figure in zip(columns, kept, strict=True):
-        plain(axes, figure.heading)
-        _strip(axes, figure, shown, mappers)
-    columns[0].set_yticks(range(len(shown)), [cell.named(fields) for cell in shown])
+    mappers = sorted({group.mapper for group in shown})
+    fields = distinguishing_fields(shown)
+    figure = Figure(figsize=(10.5, 0.9 + 0.2 * len(shown)), layout="constrained")
+    columns = figure.subplots(1, len(kept), sharey=True, squeeze=False)[0]
+    for axes, metric in zip(columns, kept, strict=True):
+        plain(axes, metric.heading)
+        _strip(axes, metric, shown, mappers)
+    columns[0].set_yticks(range(len(shown)), [group.named(fields) for group in shown])
     columns[0].set_ylim(len(shown) - 0.5, -0.5)
-    label = "Figures of every run as dots, one row a cell, medians as bars; the numbers stand in the tables"
-    return as_svg(drawing, label, "spread"), len(cells) - len(shown)
+    label = "Metrics of every run as dots, one row a group, medians as bars; the numbers stand in the tables"
+    return as_svg(figure, label, "spread"), len(groups) - len(shown)
 
 
-def _strip(axes: Axes, figure: Figure, cells: Mapping[Cell, Sequence[Entry]], mappers: list[str]) -> None:
-    for row, (cell, runs) in enumerate(cells.items()):
-        values = _values(figure, runs)
+def _strip(axes: Axes, metric: Metric, groups: Mapping[Group, Sequence[Entry]], mappers: list[str]) -> None:
+    for row, (group, runs) in enumerate(groups.items()):
+        values = _values(metric, runs)
         if not values:
             continue
-        colour = colour_of(cell.mapper, mappers)
+        colour = colour_of(group.mapper, mappers)
         axes.plot(
             values, [row] * len(values), "o", color=colour, markersize=3.5, alpha=0.75, markeredgewidth=0
         )
         axes.plot([float(np.median(values))] * 2, (row - 0.33, row + 0.33), color=INK, linewidth=1.1)
-    if figure.place.startswith("rtf."):
-        values = [v for runs in cells.values() for v in _values(figure, runs)]
+    if metric.section == "rtf":
+        values = [v for runs in groups.values() for v in _values(metric, runs)]
         if min(values) > 0 and max(values) / min(values) > WIDE:
             axes.set_xscale("log")
     axes.grid(axis="x", color=INK, alpha=0.12, linewidth=0.6)
@@ -116,9 +115,8 @@ def _strip(axes: Axes, figure: Figure, cells: Mapping[Cell, Sequence[Entry]], ma
         axes.locator_params(axis="x", nbins=4)
 
 
-def _values(figure: Figure, runs: Sequence[Entry]) -> list[float]:
-    counted = [r for r in runs if not figure.place.startswith("rtf.") or rtf_counts(r)]
-    return [v for r in counted if (v := figure.of(r)) is not None]
+def _values(metric: Metric, runs: Sequence[Entry]) -> list[float]:
+    return [v for run in runs if (v := metric.comparable(run)) is not None]
 
 
 def _rtf_panel(axes: Axes, held: Mapping[str, Sequence[Entry]], mappers: list[str]) -> None:
@@ -138,22 +136,22 @@ def _rtf_panel(axes: Axes, held: Mapping[str, Sequence[Entry]], mappers: list[st
     axes.set_xlim(left=0)
 
 
-def _together(panels: dict[Cell, Any]) -> dict[Cell, Any]:
+def _together(panels: dict[Group, Any]) -> dict[Group, Any]:
     """Return the panels with those of one world and robot side by side, else in their order."""
-    first = list(dict.fromkeys((cell.world, cell.robot) for cell in panels))
-    worlds = list(dict.fromkeys(cell.world for cell in panels))
+    first = list(dict.fromkeys((group.world, group.robot) for group in panels))
+    worlds = list(dict.fromkeys(group.world for group in panels))
     order = sorted(panels, key=lambda c: (worlds.index(c.world), first.index((c.world, c.robot))))
-    return {cell: panels[cell] for cell in order}
+    return {group: panels[group] for group in order}
 
 
-def _title(cell: Cell, cells: Mapping[Cell, Any]) -> str:
-    """Return what tells a panel from the others, its world first."""
-    return cell.named({"world", *telling(cells)})
+def _title(group: Group, groups: Mapping[Group, Any]) -> str:
+    """Return what distinguishes a panel from the others, its world first."""
+    return group.named({"world", *distinguishing_fields(groups)})
 
 
-def _legend(drawing: Drawing, mappers: Sequence[str]) -> None:
+def _legend(figure: Figure, mappers: Sequence[str]) -> None:
     lines = [Line2D([], [], color=colour_of(m, list(mappers)), linewidth=2, label=m) for m in mappers]
-    drawing.legend(
+    figure.legend(
         handles=lines,
         loc="outside upper left",
         ncols=len(lines),

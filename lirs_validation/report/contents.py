@@ -1,31 +1,30 @@
-"""What a report tells, before it is HTML, Markdown or CSV."""
+"""The contents of a report, before it is HTML, Markdown or CSV."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
+from lirs_validation.analysis.groups import by_group
 from lirs_validation.analysis.recorded import recorded_config
 from lirs_validation.analysis.result_folders import ResultFolder, RunFolder
 from lirs_validation.collision.files import failed as failed_checks
 from lirs_validation.collision.validation import CollisionVerdict
-from lirs_validation.record.formatting import NOTHING
+from lirs_validation.record.catalog import Section
+from lirs_validation.record.formatting import NOTHING, Entry
+from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.command_line import command_of
 from lirs_validation.report.paper.findings import Finding, findings
-from lirs_validation.report.paper.tables import paper_sheets
+from lirs_validation.report.paper.tables import paper_tables
 from lirs_validation.report.tables.metric_tables import (
-    GROUPS,
-    cell_sheet,
-    failures_sheet,
-    run_sheet,
-    sound,
-    summary_sheet,
+    SECTIONS,
+    failures_table,
+    section_by_group,
+    section_by_run,
+    summary_table,
 )
-from lirs_validation.report.tables.table import Sheet
+from lirs_validation.report.tables.table import ReportTable
 from lirs_wct.errors import WctError
-
-Entry = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class Paper:
     """The paper's tables beside ours, and its findings."""
 
     intro: str
-    sheets: tuple[Sheet, ...]
+    tables: tuple[ReportTable, ...]
     findings: tuple[Finding, ...]
 
 
@@ -48,31 +47,31 @@ class Origin:
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """A folder of results, told.
+    """The contents of a report on a folder of results.
 
     Attributes:
         runs: in the order in which they were asked for.
-        groups: key, table by cell and table by run of each group of figures.
+        sections: key, table by group and table by run of each section of metrics.
         checks: collision validations that passed, and all.
         paper: only of the paper's suite.
-        seeds: most sound seeds of a cell.
+        seeds: fewest and most seeds that succeeded, over the groups; (0, 0) where none did.
     """
 
     title: str
     subtitle: str
     runs: tuple[RunFolder, ...]
-    failures: Sheet
-    checks_failed: Sheet
-    skipped: Sheet
-    summary: Sheet
-    groups: tuple[tuple[str, Sheet, Sheet], ...]
-    collisions: Sheet
+    failures: ReportTable
+    checks_failed: ReportTable
+    skipped: ReportTable
+    summary: ReportTable
+    sections: tuple[tuple[Section, ReportTable, ReportTable], ...]
+    collisions: ReportTable
     checks: tuple[int, int]
     paper: Paper | None
     command: str
     origins: tuple[Origin, ...]
-    commands: Sheet
-    seeds: int
+    commands: ReportTable
+    seeds: tuple[int, int]
 
     @property
     def entries(self) -> list[Entry]:
@@ -80,21 +79,21 @@ class Report:
         return [run.entry for run in self.runs]
 
     @property
-    def sheets(self) -> list[Sheet]:
+    def tables(self) -> list[ReportTable]:
         """Every table that has rows."""
         tables = [self.failures, self.checks_failed, self.skipped, self.summary]
-        tables += self.paper.sheets if self.paper else ()
-        tables += [sheet for _, cells, runs in self.groups for sheet in (cells, runs)]
-        return [sheet for sheet in (*tables, self.collisions, self.commands) if sheet.rows]
+        tables += self.paper.tables if self.paper else ()
+        tables += [table for _, groups, runs in self.sections for table in (groups, runs)]
+        return [table for table in (*tables, self.collisions, self.commands) if table.rows]
 
 
 def report_of(results: ResultFolder) -> Report:
-    """Tell a folder of results."""
+    """Return the contents of a report on a folder of results."""
     manifest = results.manifest or {}
     runs = _ordered(results.runs, manifest)
     entries = [run.entry for run in runs]
     suite = manifest.get("suite")
-    seeds = len({entry["seed"] for entry in entries if sound(entry)})
+    seeds = _seeds(entries)
     failed = [verdict for verdict in results.collisions if not verdict.passed]
     asked = len(manifest.get("cells", ())) or len(entries) + len(results.collisions)
     missing = asked - len(entries) - len(results.collisions) - len(results.broken)
@@ -103,19 +102,20 @@ def report_of(results: ResultFolder) -> Report:
         title="The paper's experiment, repeated" if suite == "paper" else title,
         subtitle=_subtitle(entries, seeds, missing),
         runs=runs,
-        failures=failures_sheet(entries),
+        failures=failures_table(entries),
         checks_failed=_checks_failed(failed, results.broken),
-        skipped=Sheet(
-            "skipped", "Not read", "Folders that are damaged or of another version: in no figure below.",
+        skipped=ReportTable(
+            "skipped", "Not read", "Folders that are damaged or of another version: in no table below.",
             ("folder", "reason"), results.skipped, 2,
         ),
-        summary=summary_sheet(entries),
-        groups=tuple(
-            (key, cells, run_sheet(key, title, wanted, entries))
-            for key, title, wanted in GROUPS
-            if (cells := cell_sheet(key, title, wanted, entries)).rows and len(cells.headings) > cells.words
+        summary=summary_table(entries),
+        sections=tuple(
+            (section, groups, section_by_run(section, entries))
+            for section in SECTIONS
+            if (groups := section_by_group(section, entries)).rows
+            and len(groups.headings) > groups.text_columns
         ),
-        collisions=_collision_sheet(results.collisions),
+        collisions=_collision_table(results.collisions),
         checks=(len(results.collisions) - len(failed), len(results.collisions) + len(results.broken)),
         paper=_paper(entries) if suite == "paper" else None,
         command=str(manifest.get("command", "")),
@@ -130,26 +130,39 @@ def _ordered(runs: Sequence[RunFolder], manifest: Entry) -> tuple[RunFolder, ...
     return tuple(sorted(runs, key=lambda run: place.get(run.entry["name"], len(place))))
 
 
-def _subtitle(entries: Sequence[Entry], seeds: int, missing: int) -> str:
-    told = [f"{len(entries)} runs"]
-    told.append("one seed: nothing is said of chance" if seeds <= 1 else f"{seeds} seeds")
+def _seeds(entries: Sequence[Entry]) -> tuple[int, int]:
+    """Return the fewest and the most seeds that succeeded, over the groups in which one did."""
+    counts = [len({e["seed"] for e in runs if succeeded(e)}) for runs in by_group(entries).values()]
+    kept = [count for count in counts if count] or [0]
+    return min(kept), max(kept)
+
+
+def seeds_text(seeds: tuple[int, int]) -> str:
+    """Return fewest and most seeds as text."""
+    low, high = seeds
+    return str(high) if low == high else f"{low} to {high}"
+
+
+def _subtitle(entries: Sequence[Entry], seeds: tuple[int, int], missing: int) -> str:
+    parts = [f"{len(entries)} runs"]
+    parts.append("one seed: nothing is said of chance" if seeds[1] <= 1 else f"{seeds_text(seeds)} seeds")
     if missing > 0:
-        told.append(f"{missing} that were asked for are not there (yet)")
-    return "; ".join(told) + "."
+        parts.append(f"{missing} that were asked for are not there (yet)")
+    return "; ".join(parts) + "."
 
 
 def _paper(entries: Sequence[Entry]) -> Paper:
     intro = (
         "LIRS-WCT's paper compared SLAM methods on three terrains, each as a heightmap and as a solid model, "
-        "by the real-time factor of a Husky. Here the same in MuJoCo, the paper's figures beside it."
+        "by the real-time factor of a Husky. Here the same in MuJoCo, the paper's values beside it."
     )
-    return Paper(intro, paper_sheets(entries), findings(entries))
+    return Paper(intro, paper_tables(entries), findings(entries))
 
 
-def _checks_failed(failed: Sequence[CollisionVerdict], broken: Sequence[tuple[str, str]]) -> Sheet:
+def _checks_failed(failed: Sequence[CollisionVerdict], broken: Sequence[tuple[str, str]]) -> ReportTable:
     rows = [(v.world, v.robot, line) for v in failed for line in failed_checks(v)]
     rows += [(name, NOTHING, reason) for name, reason in broken]
-    return Sheet(
+    return ReportTable(
         "checks-failed",
         "Collision checks over their limits",
         "",
@@ -159,7 +172,7 @@ def _checks_failed(failed: Sequence[CollisionVerdict], broken: Sequence[tuple[st
     )
 
 
-def _collision_sheet(verdicts: Sequence[CollisionVerdict]) -> Sheet:
+def _collision_table(verdicts: Sequence[CollisionVerdict]) -> ReportTable:
     rows = []
     for v in sorted(verdicts, key=lambda verdict: verdict.passed):
         slope = NOTHING if v.slope is None else f"{v.slope:.0f}"
@@ -176,7 +189,7 @@ def _collision_sheet(verdicts: Sequence[CollisionVerdict]) -> Sheet:
         "slope [deg]", "slid [m]", "climbed", "tip-overs", "stuck [s]", "driven [m]",
     )  # fmt: skip
     caption = "Limits are explained in docs/results.md; tip-overs and stuck time have none."
-    return Sheet("collisions", "Collision validation", caption, headings, tuple(rows), 4)
+    return ReportTable("collisions", "Collision validation", caption, headings, tuple(rows), 4)
 
 
 def _origins(entries: Sequence[Entry]) -> tuple[Origin, ...]:
@@ -184,12 +197,12 @@ def _origins(entries: Sequence[Entry]) -> tuple[Origin, ...]:
     for entry in entries:
         versions = ", ".join(f"{name} {version}" for name, version in entry["versions"].items())
         machine = entry["machine"]
-        told = f"{machine['processor']}, {machine['cores']} cores, {machine['system']}"
-        found[(versions, told)] = found.get((versions, told), 0) + 1
+        text = f"{machine['processor']}, {machine['cores']} cores, {machine['system']}"
+        found[(versions, text)] = found.get((versions, text), 0) + 1
     return tuple(Origin(n, versions, machine) for (versions, machine), n in found.items())
 
 
-def _commands(entries: Sequence[Entry]) -> Sheet:
+def _commands(entries: Sequence[Entry]) -> ReportTable:
     rows = []
     for entry in entries:
         try:
@@ -197,4 +210,4 @@ def _commands(entries: Sequence[Entry]) -> Sheet:
         except WctError as error:
             command = f"not known: {error}"
         rows.append((str(entry["name"]), command))
-    return Sheet("commands", "The command of every run", "", ("run", "command"), tuple(rows), 2)
+    return ReportTable("commands", "The command of every run", "", ("run", "command"), tuple(rows), 2)

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import median
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from lirs_validation.analysis.groups import Group
 from lirs_validation.analysis.result_folders import RunFolder
-from lirs_validation.record.catalog import figures_named, rtf_counts, span
+from lirs_validation.record.catalog import Section, metrics_shown, rtf_counts
+from lirs_validation.record.formatting import span
+from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.charts import AROUND, distribution_chart, rtf_chart
-from lirs_validation.report.contents import Report
+from lirs_validation.report.contents import Report, seeds_text
 from lirs_validation.report.pictures import Painter
-from lirs_validation.report.tables.metric_tables import sound
-from lirs_validation.report.tables.table import Sheet
+from lirs_validation.report.tables.table import ReportTable
 
 MOST_PICTURES = 120
-"""Runs that are shown in pictures; of more, the first seed of each cell."""
-SPREAD = ("rtf.mean", "trajectory.ate_rmse", "map.f1", "map.false_occupied")
-INTROS = {
+"""Runs that are shown in pictures; of more, the first seed of each group."""
+INTROS: dict[Section, str] = {
     "rtf": "Simulated seconds per wall second of the whole loop, compilation left out; its parts in wall "
     "milliseconds per simulated second; and the same drive replayed through MuJoCo's step alone.",
     "trajectory": "Errors of the mapper's final trajectory in the plane, against the simulator's truth.",
@@ -45,7 +47,7 @@ def page(report: Report, command: str) -> str:
     """Return the report as HTML.
 
     Args:
-        report: what it tells.
+        report: its contents.
         command: the command line that makes it.
     """
     environment = Environment(
@@ -67,12 +69,12 @@ def page(report: Report, command: str) -> str:
         "skipped": report.skipped if report.skipped.rows else None,
         "summary": report.summary,
         "paper": report.paper,
-        "groups": [_group(report, key, cells, runs) for key, cells, runs in report.groups],
+        "sections": [_section(report, key, groups, runs) for key, groups, runs in report.sections],
         "collisions": report.collisions if report.collisions.rows else None,
         "spread": _spread(report),
         "pictures": pictures,
         "pictures_note": note,
-        "sound": sum(map(sound, report.entries)),
+        "succeeded": sum(map(succeeded, report.entries)),
         "command": report.command,
         "report_command": command,
         "origins": report.origins,
@@ -82,7 +84,7 @@ def page(report: Report, command: str) -> str:
     return environment.get_template("report.html.j2").render(context)
 
 
-def _group(report: Report, key: str, cells: Sheet, runs: Sheet) -> dict[str, Any]:
+def _section(report: Report, key: Section, groups: ReportTable, runs: ReportTable) -> dict[str, Any]:
     made = rtf_chart(report.entries) if key == "rtf" else None
     svg, left_out = made or ("", 0)
     caption = (
@@ -93,9 +95,9 @@ def _group(report: Report, key: str, cells: Sheet, runs: Sheet) -> dict[str, Any
         caption += f" {left_out} more panels are left out; their figures stand in the table."
     return {
         "key": key,
-        "title": cells.title,
+        "title": groups.title,
         "intro": INTROS[key],
-        "cells": cells,
+        "groups": groups,
         "runs": runs,
         "chart": svg,
         "chart_caption": caption,
@@ -103,24 +105,22 @@ def _group(report: Report, key: str, cells: Sheet, runs: Sheet) -> dict[str, Any
 
 
 def _spread(report: Report) -> dict[str, str] | None:
-    made = distribution_chart(report.entries, figures_named(SPREAD))
+    made = distribution_chart(report.entries, metrics_shown("distribution"))
     if made is None:
         return None
-    caption = "Every sound run is a dot, the bar their median; one row a cell."
+    caption = "Every run that succeeded is a dot, the bar their median; one row a group."
     if made[1]:
-        caption += f" {made[1]} more cells are left out; their figures stand in the tables."
+        caption += f" {made[1]} more groups are left out; their figures stand in the tables."
     return {"svg": made[0], "caption": caption}
 
 
 def _pictures(runs: Sequence[RunFolder]) -> tuple[list[Picture], str]:
     """Return the pictures of runs that have maps, failures included, and which are shown."""
     drawn = [run for run in runs if run.entry["map"]]
-    note = ""
-    chosen = drawn
+    chosen, note = drawn, ""
     if len(drawn) > MOST_PICTURES:
-        first = min((int(run.entry["seed"]) for run in drawn), default=0)
-        chosen = [run for run in drawn if int(run.entry["seed"]) == first][:MOST_PICTURES]
-        note = f"Shown are {len(chosen)} of {len(drawn)} runs: seed {first} of each cell."
+        chosen = first_seeds(drawn)[:MOST_PICTURES]
+        note = f"Shown are {len(chosen)} of {len(drawn)} runs: the first seed of each group."
     painter = Painter(len(chosen))
     pictures = []
     for run in chosen:
@@ -133,22 +133,35 @@ def _pictures(runs: Sequence[RunFolder]) -> tuple[list[Picture], str]:
     return pictures, note
 
 
+def first_seeds(runs: Sequence[RunFolder]) -> list[RunFolder]:
+    """Return of each group the run with the smallest seed, in the order of the runs."""
+    first: dict[Group, RunFolder] = {}
+    for run in sorted(runs, key=lambda r: int(r.entry["seed"])):
+        first.setdefault(Group.of(run.entry), run)
+    return [run for run in runs if first[Group.of(run.entry)] is run]
+
+
 def _tiles(report: Report) -> list[dict[str, Any]]:
     entries = report.entries
-    good = [entry for entry in entries if sound(entry)]
+    good = [entry for entry in entries if succeeded(entry)]
     failed = len(entries) - len(good)
+    seeds = "seed" if report.seeds[1] == 1 else "seeds"
     tiles: list[dict[str, Any]] = [
-        {"value": f"{len(good)} of {len(entries)}", "name": "runs are sound", "bad": failed > 0},
-        {"value": str(report.seeds), "name": "seed" if report.seeds == 1 else "seeds", "bad": False},
+        {"value": f"{len(good)} of {len(entries)}", "name": "runs succeeded", "bad": failed > 0},
+        {
+            "value": seeds_text(report.seeds),
+            "name": seeds,
+            "bad": False,
+        },
     ]
-    ate, f1 = (figures_named([place])[0] for place in ("trajectory.ate_rmse", "map.f1"))
     alone = [float(e["rtf"]["mean"]) for e in good if rtf_counts(e) and not e["rtf"]["extrapolated"]]
     if alone:
         tiles.append({"value": span(alone), "name": "RTF", "bad": False})
-    for figure, name in ((ate, "median ATE [m]"), (f1, "median F1")):
-        values = sorted(v for e in good if (v := figure.of(e)) is not None)
+    for metric in metrics_shown("headline"):
+        values = [v for e in good if (v := metric.of(e)) is not None]
         if values:
-            tiles.append({"value": figure.told(values[len(values) // 2]), "name": name, "bad": False})
+            name = f"median {metric.heading}"
+            tiles.append({"value": metric.formatted(median(values)), "name": name, "bad": False})
     if report.collisions.rows:
         passed, of = report.checks
         tiles.append({"value": f"{passed} of {of}", "name": "collision checks passed", "bad": passed < of})
@@ -162,7 +175,7 @@ def _contents(context: dict[str, Any]) -> list[tuple[str, str]]:
         ("failed", "Failures", failed),
         ("overview", "Summary", context["summary"].rows),
         ("paper", "The paper", context["paper"]),
-        *((f"{g['key']}-section", g["title"], True) for g in context["groups"]),
+        *((f"{g['key']}-section", g["title"], True) for g in context["sections"]),
         ("collisions", "Collisions", context["collisions"]),
         ("distributions", "Distributions", context["spread"]),
         ("pictures", "Maps and paths", context["pictures"]),

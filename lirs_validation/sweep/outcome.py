@@ -5,7 +5,7 @@ from __future__ import annotations
 import traceback
 from dataclasses import dataclass
 
-from lirs_validation.record.run_record import SOUND, Status
+from lirs_validation.record.run_record import SUCCEEDED, Status
 from lirs_validation.sweep.interrupts import is_interrupt
 from lirs_wct.errors import MapperError, OutputError, WctError
 
@@ -35,7 +35,7 @@ class Outcome:
     @property
     def sound(self) -> bool:
         """Whether nothing failed."""
-        return self.status in SOUND
+        return self.status in SUCCEEDED
 
 
 def outcome_of(error: Exception, cell: str) -> Outcome:

@@ -1,4 +1,4 @@
-"""Which differences are real: against SciPy's tests, on differences that are known."""
+"""Which differences are significant: against SciPy's tests, on differences that are known."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from scipy import stats
 from lirs_validation.analysis.compare import compare
 from lirs_validation.analysis.paired import holm, paired_test
 from lirs_validation.analysis.repeats import repeats
-from lirs_validation.record.catalog import COMPARED, figures_named
+from lirs_validation.record.catalog import metrics_named, metrics_shown
 from lirs_validation.report.tables.compare_table import compare_table, write_compare_csv, write_compare_json
 from lirs_wct.errors import ConfigError
 from tests.lirs_validation.records import entry
 
-ATE = figures_named(["trajectory.ate_rmse"])
+ATE = metrics_named(["trajectory.ate_rmse"])
 
 
 @given(arrays(np.float64, st.integers(1, 12), elements=st.floats(0, 1)))
@@ -89,7 +89,7 @@ def results(shift: float, noise: float, seeds: int = 5, **more: object) -> list[
 def test_a_small_steady_difference_is_found_in_the_noise_between_seeds() -> None:
     found = compare(results(0, 0.0001), results(0.002, 0.0001), ATE).differences
     assert len(found) == 1
-    assert found[0].real is True
+    assert found[0].significant is True
     assert found[0].low is not None
     assert found[0].high is not None
     assert found[0].low < 0.002 < found[0].high + 1e-3
@@ -98,22 +98,22 @@ def test_a_small_steady_difference_is_found_in_the_noise_between_seeds() -> None
     assert stats.ttest_ind(a, b).pvalue > 0.5
 
 
-def test_what_may_be_chance_is_not_called_real() -> None:
+def test_what_may_be_chance_is_not_called_significant() -> None:
     found = compare(results(0, 0.02), results(0.0, 0.021), ATE).differences
-    assert found[0].real is False
+    assert found[0].significant is False
 
 
 def test_one_seed_says_nothing() -> None:
-    comparison = compare(results(0, 0.01, 1), results(0.5, 0.01, 1), COMPARED)
-    assert all(d.real is None and d.p is None and d.low is None for d in comparison.differences)
+    comparison = compare(results(0, 0.01, 1), results(0.5, 0.01, 1), metrics_shown("compared"))
+    assert all(d.significant is None and d.p is None and d.low is None for d in comparison.differences)
     assert "nothing can be said" in shown(comparison)
 
 
 def test_failed_runs_and_shared_processors_are_left_out() -> None:
     a = [entry(seed=s) for s in (1, 2, 3)]
     b = [entry(seed=1, status="tipped", ate=9.0), entry(seed=2, concurrent=True), entry(seed=3)]
-    comparison = compare(a, b, figures_named(["trajectory.ate_rmse", "rtf.mean"]))
-    pairs = {d.figure.place: d.pairs for d in comparison.differences}
+    comparison = compare(a, b, metrics_named(["trajectory.ate_rmse", "rtf.mean"]))
+    pairs = {d.metric.key: d.pairs for d in comparison.differences}
     assert pairs == {"trajectory.ate_rmse": 2, "rtf.mean": 1}
     assert "1 of 3 in b" in " ".join(shown(comparison).split())
 
@@ -123,21 +123,21 @@ def test_another_mapper_is_paired_when_asked() -> None:
     with pytest.raises(ConfigError, match=r"differ in mapper \(hector and gmapping\); --across mapper"):
         compare(a, b, ATE)
     assert compare(a, b, ATE, ("mapper",)).differences[0].pairs == 5
-    with pytest.raises(ConfigError, match="unknown field of a cell 'maper'"):
+    with pytest.raises(ConfigError, match="unknown field of a group 'maper'"):
         compare(a, b, ATE, ("maper",))
-    with pytest.raises(ConfigError, match="two runs of one cell and seed"):
+    with pytest.raises(ConfigError, match="two runs of one group and seed"):
         compare(a + b, a, ATE, ("mapper",))
 
 
 def test_what_only_one_has_is_named() -> None:
     a = [*results(0, 0.01), entry("medium", 1)]
     comparison = compare(a, results(0, 0.02), ATE)
-    assert [cell.world for cell in comparison.only_a] == ["medium"]
+    assert [group.world for group in comparison.only_a] == ["medium"]
     assert "Only in a: medium" in shown(comparison)
 
 
 def test_files(tmp_path: Path) -> None:
-    comparison = compare(results(0, 0.001), results(0.01, 0.001), COMPARED)
+    comparison = compare(results(0, 0.001), results(0.01, 0.001), metrics_shown("compared"))
     write_compare_csv(tmp_path / "d.csv", comparison)
     write_compare_json(tmp_path / "d.json", comparison, ("a", "b"))
     rows = list(csv.DictReader((tmp_path / "d.csv").open()))
@@ -149,9 +149,9 @@ def test_files(tmp_path: Path) -> None:
     assert float(next(r for r in rows if r["figure"] == "trajectory.ate_rmse")["p"]) == ate["p"]
 
 
-def test_no_such_figure() -> None:
-    with pytest.raises(ConfigError, match=r"unknown figure 'map\.f2'"):
-        figures_named(["map.f2"])
+def test_no_such_metric() -> None:
+    with pytest.raises(ConfigError, match=r"unknown metric 'map\.f2'"):
+        metrics_named(["map.f2"])
 
 
 def shown(comparison: object) -> str:

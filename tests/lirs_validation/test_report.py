@@ -15,23 +15,24 @@ import typer
 from typer.testing import CliRunner
 
 from lirs_validation import cli
-from lirs_validation.analysis.groups import Cell, by_cell
+from lirs_validation.analysis.groups import Group, by_group
 from lirs_validation.analysis.repeats import repeats
 from lirs_validation.analysis.result_folders import RunFolder, read_results
 from lirs_validation.cli.build_options import with_build_options
 from lirs_validation.config import RunConfig
-from lirs_validation.record.catalog import RTF, figures_named, significant
+from lirs_validation.record.catalog import metrics_in, metrics_named
+from lirs_validation.record.formatting import significant
 from lirs_validation.report.charts import series_band
 from lirs_validation.report.command_line import command_of
 from lirs_validation.report.contents import Report, report_of
 from lirs_validation.report.page import page
 from lirs_validation.report.paper.findings import findings
 from lirs_validation.report.paper.published import VIEWS
-from lirs_validation.report.paper.tables import paper_sheets
+from lirs_validation.report.paper.tables import paper_tables
 from lirs_validation.report.pictures import BUDGET, MOST_BYTES, Painter
 from lirs_validation.report.svg import INK
-from lirs_validation.report.tables.metric_tables import cell_sheet, summary_sheet
-from lirs_validation.report.tables.table import Sheet, Spread, as_csv, as_markdown
+from lirs_validation.report.tables.metric_tables import group_table, summary_table
+from lirs_validation.report.tables.table import ReportTable, Spread, as_csv, as_markdown
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.tum import write_tum
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -41,7 +42,7 @@ from lirs_wct.sources.options import BuildOptions
 from tests.lirs_validation.records import entry, saved
 
 
-def told(root: Path) -> tuple[Report, str]:
+def reported(root: Path) -> tuple[Report, str]:
     report = report_of(read_results(root))
     return report, page(report, "lirs-wct report out -o report.html")
 
@@ -88,7 +89,7 @@ def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_page_is_whole_and_needs_nothing_else(mixed: Path) -> None:
-    _, html = told(mixed)
+    _, html = reported(mixed)
     reader = Reader(html)
     assert not any(tag in ("script", "link", "iframe", "object") for tag, _ in reader.seen)
     for tag, attributes in reader.seen:
@@ -111,7 +112,7 @@ def test_the_page_is_whole_and_needs_nothing_else(mixed: Path) -> None:
 
 
 def test_failures_come_first_and_are_in_no_mean(mixed: Path) -> None:
-    report, html = told(mixed)
+    report, html = reported(mixed)
     assert html.index("it ended: tipped") < html.index(">Summary</h2>")
     assert "ValueError: broken" in html
     assert "my&lt;b&gt;.mapper:Own" in html
@@ -123,29 +124,29 @@ def test_failures_come_first_and_are_in_no_mean(mixed: Path) -> None:
 
 
 def test_means_and_intervals_are_those_of_the_records(mixed: Path) -> None:
-    report, _ = told(mixed)
-    (ate,) = figures_named(["trajectory.ate_rmse"])
-    runs = by_cell(report.entries)[Cell.of(entry("simple", mapper="gmapping"))]
+    report, _ = reported(mixed)
+    (ate,) = metrics_named(["trajectory.ate_rmse"])
+    runs = by_group(report.entries)[Group.of(entry("simple", mapper="gmapping"))]
     expected = repeats([run["trajectory"]["ate_rmse"] for run in runs])
     assert expected is not None
-    sheet = cell_sheet("t", "T", [ate], report.entries)
-    row = next(r for r in sheet.rows if r[:2] == ("simple", "gmapping"))
+    table = group_table("t", "T", [ate], report.entries)
+    row = next(r for r in table.rows if r[:2] == ("simple", "gmapping"))
     spread = row[-1]
     assert isinstance(spread, Spread)
     assert spread.values == expected
     assert spread.text == f"{expected.mean:.3f} ± {expected.half_width:.3f}"
-    rows = list(csv.DictReader(io.StringIO(as_csv(sheet))))
+    rows = list(csv.DictReader(io.StringIO(as_csv(table))))
     line = next(r for r in rows if r["world"] == "simple" and r["mapper"] == "gmapping")
     assert float(line["ATE [m]"]) == expected.mean
     assert float(line["ATE [m] std"]) == expected.std
     assert line["ATE [m] n"] == "3"
-    assert spread.text in as_markdown(sheet)
+    assert spread.text in as_markdown(table)
     assert "3 seeds" in report.subtitle
 
 
 def test_one_seed_says_that_it_is_one(tmp_path: Path) -> None:
     saved(tmp_path)
-    report, html = told(tmp_path)
+    report, html = reported(tmp_path)
     assert "One seed: one run&#39;s figures, without any interval." in html
     assert "one seed" in report.subtitle
     assert "±" not in as_markdown(report.summary)
@@ -154,32 +155,32 @@ def test_one_seed_says_that_it_is_one(tmp_path: Path) -> None:
 def test_what_ran_beside_others_has_no_rtf_and_what_was_stopped_is_marked() -> None:
     runs = [entry(seed=1, rtf=40.0), entry(seed=2, rtf=4.0, concurrent=True), entry(seed=3, rtf=42.0)]
     stopped = [entry("medium", 1, rtf=0.02, extrapolated=True, status="wall limit")]
-    sheet = summary_sheet(runs + stopped)
-    column = sheet.headings.index("RTF")
-    here, there = (row[column] for row in sheet.rows)
+    table = summary_table(runs + stopped)
+    column = table.headings.index("RTF")
+    here, there = (row[column] for row in table.rows)
     assert isinstance(here, Spread)
     assert here.values == repeats([40.0, 42.0])
     assert isinstance(there, Spread)
     assert there.text == "0.0200†"
-    assert "1 run with something running beside has no RTF here." in sheet.caption
-    assert "† extrapolated" in sheet.caption
-    assert sheet.rows[0][column + 1].values.count == 3  # type: ignore[union-attr]
+    assert "1 run with something running beside has no RTF here." in table.caption
+    assert "† extrapolated" in table.caption
+    assert table.rows[0][column + 1].values.count == 3  # type: ignore[union-attr]
 
 
 def test_a_page_without_any_rtf_is_a_page(tmp_path: Path) -> None:
     for seed in (1, 2):
         saved(tmp_path, seed=seed, concurrent=True)
-    _, html = told(tmp_path)
+    _, html = reported(tmp_path)
     Reader(html)
     assert "2 runs with something running beside have no RTF here." in html
 
 
 def test_a_page_of_failures_alone_is_a_page(tmp_path: Path) -> None:
     saved(tmp_path, status="timeout")
-    report, html = told(tmp_path)
+    report, html = reported(tmp_path)
     Reader(html)
     assert "0 of 1" in html
-    assert [sheet.key for sheet in report.sheets] == ["failures", "summary", "commands"]
+    assert [table.key for table in report.tables] == ["failures", "summary", "commands"]
 
 
 def test_the_band_is_of_the_seeds() -> None:
@@ -244,12 +245,12 @@ def test_findings_need_runs() -> None:
 
 
 def test_the_papers_tables_stand_beside_ours() -> None:
-    sheets = {s.key: s for s in paper_sheets(suite(0.05, 0.6, ("hector", "cartographer", "gmapping")))}
-    texts = {key: sheet.texts() for key, sheet in sheets.items()}
+    tables = {s.key: s for s in paper_tables(suite(0.05, 0.6, ("hector", "cartographer", "gmapping")))}
+    texts = {key: table.texts() for key, table in tables.items()}
     assert texts["table-III"][0] == ["GMapping", "0.04", "0.0200", "0.46", "0.480", "32.0"]
     assert texts["table-IV"][1][:4] == ["HectorSLAM", "0.012", "0.0167", "0.60"]
     assert [row[1] for row in texts["table-II"]] == ["lost"] * 3
-    assert "Table II is lost" in sheets["table-II"].caption
+    assert "Table II is lost" in tables["table-II"].caption
     means = {row[0]: row[1:] for row in texts["robots"]}
     assert means["husky"] == ["0.38", significant(0.6 * 0.9), "36.0"]
     assert means["turtlebot2"] == ["0.52", "-", "-"]
@@ -261,7 +262,7 @@ def test_a_suites_page_tells_of_the_paper(tmp_path: Path) -> None:
     (tmp_path / "sweep.json").write_text(
         json.dumps({"suite": "paper", "command": "lirs-wct validate --suite paper"})
     )
-    report, html = told(tmp_path)
+    report, html = reported(tmp_path)
     assert report.paper is not None
     for words in ("Table II: simple map", "Table IV: advanced map", "Average RTF by robot", "lost"):
         assert words in html
@@ -346,7 +347,7 @@ def test_a_hundred_runs_stay_under_five_megabytes(tmp_path: Path) -> None:
         for world in ("simple", "medium", "advanced", "depot", "dune"):
             for mapper in ("hector", "gmapping", "cartographer", "mine:Own"):
                 saved(tmp_path, world, seed, mapper=mapper, rtf=30 + seed)
-    report, html = told(tmp_path)
+    report, html = reported(tmp_path)
     assert len(report.runs) == 100
     assert len(html.encode()) < 5_000_000 - BUDGET
 
@@ -384,5 +385,5 @@ def test_numbers_have_three_digits_that_count() -> None:
         "0",
         "10.00",
     ]
-    assert Spread(RTF[0], None).text == "-"
-    assert as_markdown(Sheet("k", "T", "c", ("a|b",), (("x|y",),))).count("x\\|y") == 1
+    assert Spread(metrics_in("rtf")[0], None).text == "-"
+    assert as_markdown(ReportTable("k", "T", "c", ("a|b",), (("x|y",),))).count("x\\|y") == 1

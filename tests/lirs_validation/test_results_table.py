@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from lirs_validation.record.formatting import key_figures
+from lirs_validation.record.catalog import picture_lines
 from lirs_validation.report.tables.results_table import markdown_table, results_table
 
 
@@ -65,7 +65,7 @@ def test_what_does_not_exist_is_a_dash_and_never_a_number() -> None:
     assert line.split("|")[9].strip() == "-"
     empty = {"world": {"name": "x"}, "config": {}, "status": "diverged", "reason": "", "trajectory": {}}
     assert "| x | - | - | - | diverged | - | - | - | - | - |" in markdown_table([empty])
-    assert key_figures(empty) == [("status", "diverged")]
+    assert picture_lines(empty) == [("status", "diverged")]
 
 
 def test_an_input_map_adds_its_column() -> None:

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Literal
 
-from lirs_validation.record.catalog import rtf_counts, significant, span
+from lirs_validation.record.formatting import Entry, significant, span
+from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.paper import published
 from lirs_validation.report.paper.published import COMFORTABLE, HEIGHTMAP, MAPPERS, OURS, SOLID, VIEWS, WORLDS
 from lirs_validation.report.paper.tables import RTF, husky_runs
-from lirs_validation.report.tables.metric_tables import over_runs, sound
+from lirs_validation.report.tables.metric_tables import over_runs
 
-Entry = Mapping[str, Any]
 Means = Mapping[tuple[str, str, str], float]
 Answer = Literal["holds", "holds in part", "does not hold", "cannot be said"]
 
@@ -23,7 +23,7 @@ COLLAPSE = 10.0
 
 @dataclass(frozen=True)
 class Finding:
-    """A finding of the paper, and what the figures here say of it."""
+    """A finding of the paper, and what the runs here say of it."""
 
     claim: str
     answer: Answer
@@ -32,7 +32,7 @@ class Finding:
 
 def findings(entries: Sequence[Entry]) -> tuple[Finding, ...]:
     """Return the paper's findings, each with whether it holds here, computed from the runs."""
-    means = _means([entry for entry in entries if sound(entry)])
+    means = _means([entry for entry in entries if succeeded(entry)])
     return (
         _collapse(means),
         _worse_with_terrain(means),
@@ -48,9 +48,7 @@ def _means(entries: Sequence[Entry]) -> Means:
     for world in WORLDS:
         for mapper in MAPPERS:
             for view in VIEWS:
-                values = over_runs(
-                    RTF, [e for e in husky_runs(entries, world, mapper, view) if rtf_counts(e)]
-                ).values
+                values = over_runs(RTF, husky_runs(entries, world, mapper, view)).values
                 if values is not None:
                     found[(world, mapper, view)] = values.mean
     return found
@@ -78,7 +76,7 @@ def _collapse(means: Means) -> Finding:
         ratio >= COLLAPSE and means[(*key, HEIGHTMAP)] < COMFORTABLE for key, ratio in ratios.items()
     )
     because = (
-        f"{collapsed} of {len(ratios)} heightmap-based cells are below RTF {COMFORTABLE:g} and at least "
+        f"{collapsed} of {len(ratios)} heightmap-based groups are below RTF {COMFORTABLE:g} and at least "
         f"{COLLAPSE:g} times as slow as their solid-based twin; RTF {span(slow)}, solid-based "
         f"{span(list(ratios.values()))} times as fast (paper: {span(_published_ratios())} times)."
     )
@@ -93,9 +91,9 @@ def _worse_with_terrain(means: Means) -> Finding:
     whole = {m: [v for v in values if v is not None] for m, values in found.items()}
     asked = {m: values for m, values in whole.items() if len(values) == len(worlds)}
     falling = sum(all(a > b for a, b in pairwise(v)) for v in asked.values())
-    told = "; ".join(f"{MAPPERS[m]} {', '.join(map(significant, v))}" for m, v in asked.items())
+    series = "; ".join(f"{MAPPERS[m]} {', '.join(map(significant, v))}" for m, v in asked.items())
     return Finding(
-        claim, _answer(falling, len(asked)), f"{told}." if told else "not all worlds have such runs."
+        claim, _answer(falling, len(asked)), f"{series}." if series else "not all worlds have such runs."
     )
 
 
@@ -126,7 +124,9 @@ def _comfortable(means: Means) -> Finding:
     values = [rtf for key, rtf in means.items() if key[2] == SOLID]
     ours = [rtf for key, rtf in means.items() if key[2] == OURS]
     enough = sum(rtf >= COMFORTABLE for rtf in values)
-    because = f"{enough} of {len(values)} solid-based cells, RTF {span(values)}" if values else "no such runs"
+    because = (
+        f"{enough} of {len(values)} solid-based groups, RTF {span(values)}" if values else "no such runs"
+    )
     because += f"; ours {span(ours)}." if ours else "."
     return Finding(claim, _answer(enough, len(values)), because)
 

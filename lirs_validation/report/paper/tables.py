@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-from lirs_validation.record.catalog import RTF as RTF_FIGURES
-from lirs_validation.record.catalog import Figure
+from lirs_validation.record.catalog import Metric, metrics_named
+from lirs_validation.record.formatting import Entry
+from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.paper import published
 from lirs_validation.report.paper.published import MAPPERS, OURS, SOLID, VIEWS, WORLDS
-from lirs_validation.report.tables.metric_tables import EXTRAPOLATED, over_runs, sound
-from lirs_validation.report.tables.table import Content, Sheet, Spread
+from lirs_validation.report.tables.metric_tables import EXTRAPOLATED, over_runs
+from lirs_validation.report.tables.table import Content, ReportTable, Spread
 
-Entry = Mapping[str, Any]
-
-RTF: Figure = RTF_FIGURES[0]
+RTF: Metric = metrics_named(["rtf.mean"])[0]
 
 
-def paper_sheets(entries: Sequence[Entry]) -> tuple[Sheet, ...]:
-    """Return Tables II to IV and the means by robot, each with the paper's figures beside ours."""
-    good = [entry for entry in entries if sound(entry)]
-    return (*(_world_sheet(world, good) for world in WORLDS), _robot_sheet(good))
+def paper_tables(entries: Sequence[Entry]) -> tuple[ReportTable, ...]:
+    """Return Tables II to IV and the means by robot, each with the paper's values beside ours."""
+    good = [entry for entry in entries if succeeded(entry)]
+    return (*(_world_table(world, good) for world in WORLDS), _robot_table(good))
 
 
-def _world_sheet(world: str, entries: Sequence[Entry]) -> Sheet:
+def _world_table(world: str, entries: Sequence[Entry]) -> ReportTable:
     """Return one of Tables II to IV."""
     rows: list[tuple[Content, ...]] = []
     for mapper, name in MAPPERS.items():
@@ -44,10 +42,10 @@ def _world_sheet(world: str, entries: Sequence[Entry]) -> Sheet:
         "paper: Gazebo with ODE. Here: MuJoCo's height field with its own rays, the mesh with MuJoCo's rays, "
         f"and our rays on the height field. {EXTRAPOLATED} stopped at the wall limit and extrapolated."
     )
-    return Sheet(f"table-{table}", f"Table {table}: {world} map", caption, headings, tuple(rows))
+    return ReportTable(f"table-{table}", f"Table {table}: {world} map", caption, headings, tuple(rows))
 
 
-def _robot_sheet(entries: Sequence[Entry]) -> Sheet:
+def _robot_table(entries: Sequence[Entry]) -> ReportTable:
     """Return the average RTF by robot."""
     rows = []
     for robot, value in published.ROBOT_MEANS.items():
@@ -59,11 +57,11 @@ def _robot_sheet(entries: Sequence[Entry]) -> Sheet:
         "repeats. The paper's are means on its solid worlds (Section III-D)."
     )
     headings = ("robot", "paper", "solid-based, here", "ours")
-    return Sheet("robots", "Average RTF by robot", caption, headings, tuple(rows))
+    return ReportTable("robots", "Average RTF by robot", caption, headings, tuple(rows))
 
 
 def _without_interval(spread: Spread) -> Content:
-    return RTF.told(None if spread.values is None else spread.values.mean) + spread.mark
+    return RTF.formatted(None if spread.values is None else spread.values.mean) + spread.mark
 
 
 def _published(value: float | None) -> str:

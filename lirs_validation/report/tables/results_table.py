@@ -2,43 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 
 from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from lirs_validation.record.formatting import NOTHING, Entry, as_entry, figure_at, status_of, told
-from lirs_validation.record.run_record import SOUND, RunRecord
+from lirs_validation.record.catalog import Metric, metrics_shown
+from lirs_validation.record.formatting import Entry, as_entry, text_at
+from lirs_validation.record.run_record import RunRecord, succeeded
 
-COLUMNS: tuple[tuple[str, str, str], ...] = (
-    ("world", "world.name", "{}"),
-    ("robot", "config.robot", "{}"),
-    ("mapper", "config.mapper", "{}"),
-    ("seed", "config.seed", "{}"),
-    ("status", "status", "{}"),
-    ("RTF", "rtf.mean", "{:.3g}"),
-    ("driven [m]", "trajectory.length", "{:.1f}"),
-    ("ATE [m]", "trajectory.ate_rmse", "{:.3f}"),
-    ("F1", "map.f1", "{:.3f}"),
-    ("F1 input", "map.f1_input", "{:.3f}"),
-    ("false occ.", "map.false_occupied", "{:.3f}"),
-)
-"""Heading, place in the record, format."""
-WORDS = ("world", "robot", "mapper", "status")
-"""Columns that are aligned to the left."""
+FACTS = {
+    "world": "world.name",
+    "robot": "config.robot",
+    "mapper": "config.mapper",
+    "seed": "config.seed",
+    "status": "status",
+}
+"""Columns before the metrics, and their places in the record."""
 COMMON = ("robot", "mapper", "seed")
 """Columns that move into the title where all runs have the same."""
 
 
+@dataclass(frozen=True)
+class Column:
+    """A column: its heading, the text of a run in it, whether it is aligned to the left."""
+
+    heading: str
+    text: Callable[[Entry], str]
+    left: bool = False
+
+
 def results_table(records: Sequence[RunRecord | Entry]) -> Table:
-    """Return the runs as a rich table; below it, in words, why runs failed.
+    """Return the runs as a rich table; below it why runs failed.
 
     What all runs have in common stands above it, so that the table fits a terminal of 80 characters.
     """
     entries = ordered(records)
     reasons = _reasons(entries)
-    common = [c for c in COLUMNS if c[0] in COMMON and len({told(e, c[1], c[2]) for e in entries}) == 1]
+    shown = _columns(entries)
+    common = [c for c in shown if c.heading in COMMON and len({c.text(e) for e in entries}) == 1]
     table = Table(
         box=box.SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
@@ -48,32 +53,32 @@ def results_table(records: Sequence[RunRecord | Entry]) -> Table:
         caption=None if reasons is None else Text(reasons),
         caption_justify="left",
     )
-    columns = [c for c in _shown(entries) if c not in common]
-    for heading, place, form in columns:
-        width = max(len(told(entry, place, form)) for entry in entries)
+    columns = [c for c in shown if c not in common]
+    for column in columns:
+        width = max(len(column.text(entry)) for entry in entries)
         table.add_column(
-            Text(heading.replace(" ", "\n")),
-            justify="left" if heading in WORDS else "right",
+            Text(column.heading.replace(" ", "\n")),
+            justify="left" if column.left else "right",
             min_width=min(width, 10),
             overflow="fold",
         )
     for entry in entries:
-        failed = status_of(entry) not in SOUND
         # As plain text: a name may hold brackets, which rich would take for its markup.
-        table.add_row(*(Text(told(entry, c[1], c[2])) for c in columns), style="bold red" if failed else "")
+        cells = (Text(column.text(entry)) for column in columns)
+        table.add_row(*cells, style="" if succeeded(entry) else "bold red")
     return table
 
 
 def markdown_table(records: Sequence[RunRecord | Entry]) -> str:
     """Return the same table as Markdown, as it stands in a README."""
     entries = ordered(records)
-    columns = _shown(entries)
+    columns = _columns(entries)
     lines = [
-        "| " + " | ".join(heading for heading, _, _ in columns) + " |",
-        "|" + "|".join("---" if heading in WORDS else "---:" for heading, _, _ in columns) + "|",
+        "| " + " | ".join(c.heading for c in columns) + " |",
+        "|" + "|".join("---" if c.left else "---:" for c in columns) + "|",
     ]
     for entry in entries:
-        cells = (told(entry, place, form).replace("|", "\\|") for _, place, form in columns)
+        cells = (c.text(entry).replace("|", "\\|") for c in columns)
         lines.append("| " + " | ".join(cells) + " |")
     reasons = _reasons(entries)
     return "\n".join(lines) + "\n" + (f"\n{reasons}\n" if reasons else "")
@@ -81,31 +86,37 @@ def markdown_table(records: Sequence[RunRecord | Entry]) -> str:
 
 def ordered(records: Sequence[RunRecord | Entry]) -> list[Entry]:
     """Return the records as nested dicts: failures first, else as they came."""
-    return sorted((as_entry(r) for r in records), key=lambda entry: status_of(entry) in SOUND)
+    return sorted((as_entry(r) for r in records), key=succeeded)
 
 
-def _named(entry: Entry, column: tuple[str, str, str]) -> str:
-    value = told(entry, column[1], column[2])
-    return f"seed {value}" if column[0] == "seed" else value
+def _columns(entries: Sequence[Entry]) -> list[Column]:
+    facts = [Column(name, partial(text_at, key=key), name != "seed") for name, key in FACTS.items()]
+    metrics = [
+        m
+        for m in metrics_shown("runs")
+        if not m.optional or any(m.of(entry) is not None for entry in entries)
+    ]
+    return facts + [_metric_column(metric) for metric in metrics]
 
 
-def _shown(entries: Sequence[Entry]) -> list[tuple[str, str, str]]:
-    """Leave out the comparison with an input map where no run had one."""
-    with_input = any(figure_at(entry, "map.f1_input") is not None for entry in entries)
-    return [c for c in COLUMNS if c[0] != "F1 input" or with_input]
+def _metric_column(metric: Metric) -> Column:
+    return Column(metric.short or metric.heading, lambda entry: metric.formatted(metric.of(entry)))
+
+
+def _named(entry: Entry, column: Column) -> str:
+    return f"seed {column.text(entry)}" if column.heading == "seed" else column.text(entry)
 
 
 def _reasons(entries: Sequence[Entry]) -> str | None:
-    """Say in words what failed or was stopped and why, one line each; None where nothing was."""
-    ended = [entry for entry in entries if status_of(entry) != "ok"]
+    """Return what failed or was stopped and why, one line each; None where nothing was."""
+    ended = [entry for entry in entries if entry["status"] != "ok"]
     if not ended:
         return None
-    return "\n".join(
-        f"{told(e, 'world.name', '{}')}, {told(e, 'config.robot', '{}')}, {told(e, 'config.mapper', '{}')}, "
-        f"seed {told(e, 'config.seed', '{}')}{_failed(e)}: {e.get('reason') or status_of(e) or NOTHING}"
-        for e in ended
-    )
-
-
-def _failed(entry: Entry) -> str:
-    return "" if status_of(entry) in SOUND else " failed"
+    lines = []
+    for entry in ended:
+        who = [text_at(entry, FACTS[fact]) for fact in ("world", "robot", "mapper")]
+        run = f"{', '.join(who)}, seed {text_at(entry, FACTS['seed'])}"
+        lines.append(
+            f"{run}{'' if succeeded(entry) else ' failed'}: {entry.get('reason') or entry['status']}"
+        )
+    return "\n".join(lines)

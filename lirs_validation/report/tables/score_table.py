@@ -13,22 +13,22 @@ from rich.table import Table
 from rich.text import Text
 
 from lirs_validation.analysis.score import Score
-from lirs_validation.record.catalog import MAP, TRAJECTORY
+from lirs_validation.record.catalog import metrics_in
 from lirs_validation.record.formatting import NOTHING
 from lirs_wct.files import atomic_write
 
 
 def score_table(score: Score, record: Mapping[str, Any]) -> Table:
-    """Return the figures of the score beside those of the run's own mapper."""
+    """Return the metrics of the score beside those of the run's own mapper."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, caption_justify="left")
     table.title, table.title_justify = Text(score.run), "left"
-    table.add_column("figure")
+    table.add_column("metric")
     for heading in ("scored", str(record["config"]["mapper"])):
         table.add_column(Text(heading), justify="right")
-    for figure in (*TRAJECTORY, *MAP):
-        scored = figure.told(figure.of(asdict(score)))
+    for metric in metrics_in("trajectory", "map"):
+        scored = metric.formatted(metric.of(asdict(score)))
         if scored != NOTHING:
-            table.add_row(*map(Text, (figure.heading, scored, figure.told(figure.of(record)))))
+            table.add_row(*map(Text, (metric.heading, scored, metric.formatted(metric.of(record)))))
     lines = [f"read in the {score.frame} frame"]
     if score.trajectory:
         lines.append(f"{score.trajectory['poses']} of {score.given} poses lie at stamps of the run's scans")
@@ -37,7 +37,7 @@ def score_table(score: Score, record: Mapping[str, Any]) -> Table:
 
 
 def write_score(path: Path, score: Score, trajectory: Path | None, map_yaml: Path | None) -> None:
-    """Write the score as JSON: groups and figures as in record.json.
+    """Write the score as JSON: sections and metrics as in record.json.
 
     Raises:
         OutputError: the file cannot be written.

@@ -8,21 +8,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from lirs_validation.analysis.repeats import Repeats
-from lirs_validation.record.catalog import Figure
+from lirs_validation.record.catalog import Metric
 from lirs_validation.record.formatting import NOTHING
 
 
 @dataclass(frozen=True)
 class Spread:
-    """A figure over the repeats of a cell, or of one run.
+    """A metric over the repeats of a group, or of one run.
 
     Attributes:
-        figure: which, in whose unit the values are.
+        metric: which, in whose unit the values are.
         values: None where no run has it.
         mark: a sign that the caption explains.
     """
 
-    figure: Figure
+    metric: Metric
     values: Repeats | None
     mark: str = ""
 
@@ -31,17 +31,17 @@ class Spread:
         """Mean and, of several repeats, the half width of its 95 % interval."""
         if self.values is None:
             return NOTHING
-        mean = self.figure.told(self.values.mean)
+        mean = self.metric.formatted(self.values.mean)
         reach = self.values.half_width
-        return (mean if reach is None else f"{mean} ± {self.figure.told(reach)}") + self.mark
+        return (mean if reach is None else f"{mean} ± {self.metric.formatted(reach)}") + self.mark
 
 
 Content = str | Spread
 
 
 @dataclass(frozen=True)
-class Sheet:
-    """A table.
+class ReportTable:
+    """A table of the report.
 
     Attributes:
         key: short name, for links and files.
@@ -49,7 +49,7 @@ class Sheet:
         caption: how to read it.
         headings: of the columns.
         rows: contents, as many a row as there are headings.
-        words: how many leading columns hold words; the first is the row's heading.
+        text_columns: number of leading columns that hold text; the first is the row's heading.
     """
 
     key: str
@@ -57,39 +57,34 @@ class Sheet:
     caption: str
     headings: tuple[str, ...]
     rows: tuple[tuple[Content, ...], ...]
-    words: int = 1
+    text_columns: int = 1
 
     def texts(self) -> list[list[str]]:
         """Return the rows as they are read."""
-        return [[told(content) for content in row] for row in self.rows]
+        return [[c if isinstance(c, str) else c.text for c in row] for row in self.rows]
 
 
-def told(content: Content) -> str:
-    """Return a content as it is read."""
-    return content if isinstance(content, str) else content.text
-
-
-def as_markdown(sheet: Sheet) -> str:
+def as_markdown(table: ReportTable) -> str:
     """Return the table as Markdown, its title above and its caption below."""
-    rule = ["---" if k < sheet.words else "---:" for k in range(len(sheet.headings))]
-    lines = [sheet.headings, rule, *sheet.texts()]
+    rule = ["---" if k < table.text_columns else "---:" for k in range(len(table.headings))]
+    lines = [table.headings, rule, *table.texts()]
     body = "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
-    return f"## {sheet.title}\n\n{body}\n\n{sheet.caption}\n"
+    return f"## {table.title}\n\n{body}\n\n{table.caption}\n"
 
 
-def as_csv(sheet: Sheet) -> str:
-    """Return the table as CSV with all digits: of repeated figures mean, std, half width and count."""
-    columns = [_expanded(h, [row[k] for row in sheet.rows]) for k, h in enumerate(sheet.headings)]
+def as_csv(table: ReportTable) -> str:
+    """Return the table as CSV with all digits: of repeated metrics mean, std, half width and count."""
+    columns = [_expanded(h, [row[k] for row in table.rows]) for k, h in enumerate(table.headings)]
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow([heading for headings, _ in columns for heading in headings])
-    for k in range(len(sheet.rows)):
+    for k in range(len(table.rows)):
         writer.writerow([value for _, rows in columns for value in rows[k]])
     return file.getvalue()
 
 
 def _expanded(heading: str, contents: Sequence[Content]) -> tuple[list[str], list[list[str]]]:
-    """Return the headings of a column and its rows; several of a figure with repeats."""
+    """Return the headings of a column and its rows; several of a metric with repeats."""
     spreads = [c for c in contents if isinstance(c, Spread)]
     if not any(s.values is not None and s.values.count > 1 for s in spreads):
         return [heading], [
