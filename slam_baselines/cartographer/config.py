@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from lirs_wct.errors import ConfigError
@@ -12,9 +13,21 @@ from slam_baselines.cartographer.optimization import OptimizationConfig
 from slam_baselines.cartographer.submap import SubmapConfig
 from slam_baselines.cartographer.trimmer import TrimmingConfig
 from slam_baselines.mapping.ground_filter import GroundFilterConfig
-from slam_baselines.matching.local_matching import LocalMatchingConfig
+from slam_baselines.matching.gauss_newton import MatchConfig
+from slam_baselines.matching.registration import RegistrationConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
 from slam_baselines.motion.motion_filter import MotionFilterConfig
+
+SUBMAP_REGISTRATION = RegistrationConfig(
+    match=MatchConfig(exact=True),
+    min_walls=15,
+    min_gain=0.0,
+    search_prior=True,
+    coasting=False,
+    reject_poor=False,
+    mahalanobis_gate=math.inf,
+)
+"""Registration in a submap: the pose graph corrects what a wrong match of local SLAM costs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +74,7 @@ class LocalConfig:
         submaps: how submaps are drawn.
         motion_filter: which scans enter them.
         motion: confidence in the odometry.
-        matching: how a scan is fitted into a submap.
+        registration: of a scan in the matching submap.
         ground_filter: separates hits on ground from hits on walls.
         slip_speed: on uneven ground, a match is not believed that lies farther from where odometry puts the
             robot than this allows in the time since the last scan, m/s and rad/s ...
@@ -70,13 +83,13 @@ class LocalConfig:
         lost_after: ... and after so many of them in a row the mapper is lost.
 
     Raises:
-        ConfigError: lost_score above the matching's search_threshold.
+        ConfigError: lost_score above the registration's search_threshold.
     """
 
     submaps: SubmapConfig = field(default_factory=SubmapConfig)
     motion_filter: MotionFilterConfig = field(default_factory=MotionFilterConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
-    matching: LocalMatchingConfig = field(default_factory=LocalMatchingConfig)
+    registration: RegistrationConfig = SUBMAP_REGISTRATION
     ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
     slip_speed: float = 1.0
     slip_deviations: float = 4.0
@@ -84,10 +97,10 @@ class LocalConfig:
     lost_after: int = 10
 
     def __post_init__(self) -> None:
-        if not 0 < self.lost_score <= self.matching.search_threshold:
+        if not 0 < self.lost_score <= self.registration.search_threshold:
             raise ConfigError(
                 "lost_score must be above 0 and at most "
-                f"search_threshold = {self.matching.search_threshold}, got {self.lost_score}"
+                f"search_threshold = {self.registration.search_threshold}, got {self.lost_score}"
             )
 
 

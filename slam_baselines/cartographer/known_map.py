@@ -15,8 +15,8 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.geometry.grid import OccupancyGrid
 from slam_baselines.mapping.occupancy_map import OccupancyMap, UpdateConfig
+from slam_baselines.mapping.pyramid import MapPyramid
 from slam_baselines.matching.branch_and_bound import BoundGrids
-from slam_baselines.matching.gauss_newton import MapPyramid
 
 DEPTH = 6
 """How often four cells become one in the search."""

@@ -19,7 +19,7 @@ from slam_baselines.cartographer.node import NOWHERE, Node, composed
 from slam_baselines.cartographer.submap import Submaps
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.matching.gauss_newton import Match
-from slam_baselines.matching.local_matching import LocalMatcher
+from slam_baselines.matching.registration import Registration
 from slam_baselines.motion.dead_reckoning import DeadReckoning, PoseEstimate
 from slam_baselines.motion.motion_filter import MotionFilter
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
@@ -31,7 +31,7 @@ class LocalSlam:
     Attributes:
         submaps: all of them.
         ground_filter: in the local frame.
-        matcher: with the count of its searches.
+        registration: of scans in the matching submap.
         estimate: `T_local_base`.
         received: scans so far.
         matched: of these, fitted into a submap.
@@ -44,7 +44,7 @@ class LocalSlam:
         self.config = config
         self.submaps = Submaps(config.submaps)
         self.ground_filter = GroundFilter(config.ground_filter)
-        self.matcher = LocalMatcher(config.matching)
+        self.registration = Registration(config.registration)
         self.estimate = PoseEstimate(Pose2(), np.zeros((3, 3)))
         self.received = self.matched = self.lost_scans = self.implausible = self.nodes = 0
         self._stamp = -math.inf
@@ -104,7 +104,7 @@ class LocalSlam:
         weights = self.walls(scan, expected.pose, self.ground_filter.height, None)
         front = self.submaps.front
         front.revalue(self.ground_filter.match_wall_slope)
-        fitted, match = self.matcher.fit(front.pyramid, scan.hits, weights, expected, before)
+        fitted, match = self.registration.register(front.pyramid, scan.hits, weights, expected, before)
         if self.ground_filter.match_wall_slope > 0 and not self._plausible(expected, fitted.pose, seconds):
             self.implausible += 1
             return None
@@ -127,7 +127,7 @@ class LocalSlam:
 
     def _count(self, match: Match | None) -> bool:
         """Keep count of poor matches; return whether the scan may enter the submaps."""
-        known = self.config.matching.known_ratio
+        known = self.config.registration.known_ratio
         fits = match is None or match.known < known or match.score >= self.config.lost_score
         self._poor_in_a_row = 0 if fits else self._poor_in_a_row + 1
         self.lost_scans += self.lost
@@ -219,5 +219,7 @@ class LocalSlam:
         weights = self.walls(node.scan, expected.pose, node.height, None)
         front = self.submaps.front
         front.revalue(self.ground_filter.match_wall_slope)
-        fitted, _ = self.matcher.fit(front.pyramid, node.scan.hits, weights, expected, expected.pose)
+        fitted, _ = self.registration.register(
+            front.pyramid, node.scan.hits, weights, expected, expected.pose
+        )
         return fitted

@@ -20,12 +20,11 @@ from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.cartographer.config import LocalisationConfig
 from slam_baselines.cartographer.constraints.builder import voxel_filter
 from slam_baselines.cartographer.known_map import KnownMap
-from slam_baselines.common.linalg import inverted
 from slam_baselines.common.stopwatch import Stopwatch
 from slam_baselines.mapper import MapperStats
-from slam_baselines.matching.branch_and_bound import branch_and_bound
-from slam_baselines.matching.gauss_newton import Match, ScanMatcher
-from slam_baselines.matching.local_matching import LocalMatcher, LocalMatchingConfig
+from slam_baselines.matching.branch_and_bound import Exclusion, Window, branch_and_bound
+from slam_baselines.matching.gauss_newton import Match, Prior, ScanMatcher
+from slam_baselines.matching.registration import Registration, RegistrationConfig
 from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, PoseEstimate
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
 
@@ -61,14 +60,14 @@ class Localiser:
         known: KnownMap,
         start: Pose2 | None,
         config: LocalisationConfig,
-        matching: LocalMatchingConfig,
+        registration: RegistrationConfig,
         motion: MotionConfig,
         leveler: ScanLeveler,
     ) -> None:
         """Begin at `start` (`T_map_base`); None: anywhere in the map."""
         self.config = config
         self._known = known
-        self._matcher, self._refiner = LocalMatcher(matching), ScanMatcher(matching.match)
+        self._registration, self._refiner = Registration(registration), ScanMatcher(registration.match)
         self._reckoning = DeadReckoning(motion)
         self._leveler = leveler
         metres, radians = config.start
@@ -126,19 +125,18 @@ class Localiser:
             counts={
                 "global_searches": c.searches,
                 "global_searches_ambiguous": c.ambiguous,
-                "searches": self._matcher.searches,
+                "searches": self._registration.searches,
             },
             **self._stopwatch.summary(),
         )
 
     def _fit(self, scan: LeveledScan, before: Pose2) -> None:
-        weights = np.ones(len(scan.hits))
-        self._estimate, match = self._matcher.fit(
-            self._known.pyramid, scan.hits, weights, self._estimate, before
+        self._estimate, match = self._registration.register(
+            self._known.pyramid, scan.hits, None, self._estimate, before
         )
         counts, c = self._counts, self.config
         counts.matched += match is not None
-        known = match is not None and match.known >= self._matcher.config.known_ratio
+        known = match is not None and match.known >= self._registration.config.known_ratio
         poor = match is not None and known and match.score < c.lost_score
         counts.poor_in_a_row = counts.poor_in_a_row + 1 if poor else 0
         if counts.poor_in_a_row >= c.lost_after:
@@ -157,12 +155,14 @@ class Localiser:
             return
         self._counts.searches += 1
         self._searched = self._distance_traveled, scan.stamp
-        start, window = np.array((*known.centre, 0.0)), (known.reach, math.pi)
-        found = branch_and_bound(known.bounds, sparse, start, *window, c.min_score, c.bounded)
+        start, window = np.array((*known.centre, 0.0)), Window(known.reach, math.pi)
+        found = branch_and_bound(known.bounds, sparse, start, window, c.min_score, c.bounded)
         if found.score < 0:
             return
         least = c.rival * found.score
-        other = branch_and_bound(known.bounds, sparse, start, *window, least, c.bounded, found.pose, c.apart)
+        other = branch_and_bound(
+            known.bounds, sparse, start, window, least, c.bounded, Exclusion(found.pose, c.apart)
+        )
         best, second = self._refined(scan, found.pose), None
         if other.score >= 0:
             best, second = sorted((best, self._refined(scan, other.pose)), key=lambda match: -match.score)
@@ -173,8 +173,7 @@ class Localiser:
 
     def _refined(self, scan: LeveledScan, pose: FloatArray) -> Match:
         """Return where the scan fits on the finest level near a pose of the search."""
-        weights, loose = np.ones(len(scan.hits)), inverted(self._loose)
-        return self._refiner.match(self._known.pyramid, scan.hits, weights, pose, loose, 3)
+        return self._refiner.match(self._known.pyramid, scan.hits, None, Prior(pose, self._loose), levels=3)
 
     def _locate(self, pose: Pose2) -> None:
         if not self._anchored:

@@ -79,7 +79,9 @@ def make_cartographer(config: CartographerConfig) -> Mapper:
     if c.map is None:
         return CartographerMapper(c)
     leveler = ScanLeveler(c.clear_range, c.max_range)
-    return Localiser(KnownMap.of(c.map), c.start, c.localisation, c.local.matching, c.local.motion, leveler)
+    return Localiser(
+        KnownMap.of(c.map), c.start, c.localisation, c.local.registration, c.local.motion, leveler
+    )
 
 
 class CartographerMapper:
@@ -174,7 +176,7 @@ class CartographerMapper:
                 "loop_searches_dropped": graph.candidates.dropped,
                 "optimizations": graph.optimizations,
                 "second_looks": self._refinements,
-                "searches": local.matcher.searches,
+                "searches": local.registration.searches,
                 "matches_implausible": local.implausible,
             },
             **self._stopwatch.summary(),

@@ -15,8 +15,8 @@ from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.occupancy_map import UNKNOWN, OccupancyMap, UpdateConfig
+from slam_baselines.mapping.pyramid import MapPyramid
 from slam_baselines.matching.branch_and_bound import BoundGrids
-from slam_baselines.matching.gauss_newton import MapPyramid
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,9 +12,9 @@ import numpy as np
 from numba import njit
 
 from lirs_wct.arrays import FloatArray
+from slam_baselines.common.linalg import solve3
 from slam_baselines.gmapping.copy_on_write_map import ABSENT, BITS, MASK, MEAN_STEPS
 from slam_baselines.mapping.occupancy_map import UNKNOWN
-from slam_baselines.matching.gauss_newton import solve3
 
 NOTHING = 0.5
 """Loss of log-likelihood of a beam that ends where nothing is."""

@@ -84,7 +84,7 @@ class Bootstrap:
             )
             if before is not None:
                 weights = builder.weights(min_slopes)
-                estimate, _ = registration.fit(builder.pyramid, frame.scan.hits, weights, estimate, last)
+                estimate, _ = registration.register(builder.pyramid, frame.scan.hits, weights, estimate, last)
             builder.enter_again(frame.scan, estimate.pose, frame.height, min_slopes)
             frames.append(replace(frame, pose=estimate.pose, min_slopes=min_slopes))
             before = frame

@@ -36,7 +36,9 @@ class HectorConfig(BuilderConfig):
     Attributes:
         motion: confidence in the odometry.
         calibration: how fast the odometry's constant errors are learnt.
-        registration: how a scan is fitted into the map.
+        registration: of a scan in the map.
+        calibration_score: mean occupancy at the ends of the beams from which on a match on uneven ground
+            calibrates the odometry.
         bootstrap: when the map is built again.
         laser_max_dist: hits farther away are not used, metres.
         laser_clear_dist: a beam without return is believed to be free up to here, metres.
@@ -51,6 +53,7 @@ class HectorConfig(BuilderConfig):
     motion: MotionConfig = field(default_factory=lambda: MotionConfig(slide_per_radian=1.0))
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
+    calibration_score: float = 0.6
     bootstrap: BootstrapConfig = field(default_factory=BootstrapConfig)
     laser_max_dist: float = math.inf
     laser_clear_dist: float = 0.0
@@ -141,7 +144,7 @@ class HectorMapper:
         if self._builder.updates == 0:
             return None
         weights = self._builder.weights(self._builder.min_slope(scan, expected.pose))
-        self._estimate, match = self._registration.fit(
+        self._estimate, match = self._registration.register(
             self._builder.pyramid, scan.hits, weights, expected, before, self._earlier
         )
         self._earlier = before
@@ -149,7 +152,7 @@ class HectorMapper:
             self._unmatched += 1
         else:
             self._matched += 1
-            if match.score >= (r.search_threshold if self._builder.flat else r.sure_score):
+            if match.score >= (r.search_threshold if self._builder.flat else self.config.calibration_score):
                 self._reckoning.learn(before, self._estimate.pose)
         return match
 

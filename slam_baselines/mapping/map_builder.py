@@ -13,7 +13,7 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
 from slam_baselines.mapping.occupancy_map import SLOPE_STEP, OccupancyMap, UpdateConfig, bounding_box
-from slam_baselines.matching.gauss_newton import MapPyramid
+from slam_baselines.mapping.pyramid import MapPyramid
 from slam_baselines.scan.leveling import LeveledScan
 
 

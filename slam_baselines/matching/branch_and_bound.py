@@ -1,4 +1,4 @@
-"""The best of all poses in a window, without trying all: branch and bound over a scan's place in a map.
+"""Branch and bound: the best of all poses of a scan in a window, without trying all.
 
 Hess et al. 2016, "Real-time loop closure in 2D LIDAR SLAM", Algorithm 3. A node of the tree is a turn
 and a square of 2^h x 2^h shifts; the map in which each cell holds the highest value of the 2^h x 2^h
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -66,21 +67,71 @@ def _pool(level: ByteArray, step: int, out: ByteArray) -> None:
     np.maximum(out[:-step], wide[step:], out=out[:-step])
 
 
-@dataclass(frozen=True, slots=True)
-class Found:
-    """What a search has found.
+class Window(NamedTuple):
+    """Poses around a start.
 
     Attributes:
-        pose: (3,) x, y, yaw of the best pose; the start where none has the least score.
-        score: mean value at the ends of the beams, 0 to 1; below the least score where there is none.
-        bounded: nodes of the tree that were looked at.
-        complete: whether the search came to its end within the limit of nodes.
+        linear: largest shift in x and in y, metres.
+        angular: largest turn, radians.
+    """
+
+    linear: float
+    angular: float
+
+
+class Exclusion(NamedTuple):
+    """Disc of positions that a search leaves out.
+
+    Attributes:
+        center: (2 or more,) x, y, metres.
+        radius: metres.
+    """
+
+    center: FloatArray
+    radius: float
+
+
+@dataclass(frozen=True, slots=True)
+class SearchResult:
+    """Best pose of a search.
+
+    Attributes:
+        pose: (3,) x, y, yaw; the start where no pose has the minimum score.
+        score: mean value at the ends of the beams, 0 to 1; -1 where no pose has the minimum score.
+        nodes: number of nodes of the tree that were evaluated.
+        complete: whether the search ended within the limit of nodes.
     """
 
     pose: FloatArray
     score: float
-    bounded: int
+    nodes: int
     complete: bool
+
+
+class _Lattice(NamedTuple):
+    """BoundGrids for the kernels."""
+
+    levels: ByteArray
+    row0: int
+    col0: int
+    resolution: float
+
+
+class _Tree(NamedTuple):
+    """Shifts of -reach ... reach cells and turns of -turns ... turns steps (radians) around a start."""
+
+    start: FloatArray
+    reach: int
+    turns: int
+    step: float
+
+
+class _Limits(NamedTuple):
+    """Minimum score, nodes after which to give up, (3,) row, column and radius of the exclusion in cells."""
+
+    min_score: float
+    max_nodes: int
+    excluded: FloatArray
 
 
 def angular_step(points: FloatArray, resolution: float) -> float:
@@ -90,48 +141,46 @@ def angular_step(points: FloatArray, resolution: float) -> float:
 
 
 def branch_and_bound(
-    grids: BoundGrids, points: FloatArray, start: FloatArray, linear: float, angular: float,
-    min_score: float, limit: int = 1 << 20, apart_from: FloatArray | None = None, apart: float = 0.0,
-) -> Found:  # fmt: skip
+    grids: BoundGrids, points: FloatArray, start: FloatArray, window: Window, min_score: float,
+    max_nodes: int = 1 << 20, excluded: Exclusion | None = None,
+) -> SearchResult:  # fmt: skip
     """Find the pose of the best score around `start`.
 
     Args:
         grids: the map and its bounds.
         points: (n, 2 or more) ends of beams in the leveled base frame, metres; n > 0.
         start: (3,) x, y, yaw in the middle of the window.
-        linear: shifts up to this in x and in y, metres.
-        angular: turns up to this, radians.
-        min_score: poses of a lower score are not looked for.
-        limit: the search is given up after so many nodes of the tree.
-        apart_from: (2 or more,) x, y of a place whose neighbourhood is left out ...
-        apart: ... up to this distance, metres.
+        window: of the search.
+        min_score: poses of a lower score are not found.
+        max_nodes: the search is given up after so many nodes of the tree.
+        excluded: positions that are left out.
     """
-    step = angular_step(points, grids.resolution)
-    turns = math.ceil(angular / step)
-    reach = math.ceil(linear / grids.resolution)
+    resolution, step = grids.resolution, angular_step(points, grids.resolution)
+    reach, turns = math.ceil(window.linear / resolution), math.ceil(window.angular / step)
+    disc = np.full(3, -1.0)
+    if excluded is not None:
+        disc[:2] = (excluded.center[:2] - start[:2])[::-1] / resolution
+        disc[2] = excluded.radius / resolution
     out = np.empty(6)
-    left_out = np.full(3, -1.0)
-    if apart_from is not None:
-        left_out[:2] = (apart_from[:2] - start[:2])[::-1] / grids.resolution
-        left_out[2] = apart / grids.resolution
     _search(
-        grids.levels, grids.row0, grids.col0, grids.resolution, points, start, reach, turns, step,
-        min_score, limit, left_out, out,
+        _Lattice(grids.levels, grids.row0, grids.col0, resolution), points,
+        _Tree(start, reach, turns, step), _Limits(min_score, max_nodes, disc), out,
     )  # fmt: skip
-    return Found(out[:3].copy(), float(out[3]), int(out[4]), bool(out[5]))
+    return SearchResult(out[:3].copy(), float(out[3]), int(out[4]), bool(out[5]))
 
 
 @njit(cache=True)
-def _turned(points, start, yaw, res, row0, col0, rows, cols):  # type: ignore[no-untyped-def]
-    """Fill the cells of the points at one turn and no shift."""
+def _rotated_cells(points: Any, start: Any, yaw: float, lattice: _Lattice, rows: Any, cols: Any) -> None:
+    """Fill the cells of the points at one yaw and no shift."""
     c, s = np.cos(yaw), np.sin(yaw)
     for i in range(len(points)):
-        cols[i] = int(np.floor((start[0] + c * points[i, 0] - s * points[i, 1]) / res)) - col0
-        rows[i] = int(np.floor((start[1] + s * points[i, 0] + c * points[i, 1]) / res)) - row0
+        x, y = start[0] + c * points[i, 0] - s * points[i, 1], start[1] + s * points[i, 0] + c * points[i, 1]
+        cols[i] = int(np.floor(x / lattice.resolution)) - lattice.col0
+        rows[i] = int(np.floor(y / lattice.resolution)) - lattice.row0
 
 
 @njit(cache=True)
-def _sum(level, rows, cols, dr, dc):  # type: ignore[no-untyped-def]
+def _sum(level: Any, rows: Any, cols: Any, dr: int, dc: int) -> int:
     """Add up a level at shifted cells."""
     height, width = level.shape
     total = 0
@@ -143,70 +192,85 @@ def _sum(level, rows, cols, dr, dc):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _put(row, score, level, turn, dr, dc):  # type: ignore[no-untyped-def]
+def _put(row: Any, score: int, level: int, turn: int, dr: int, dc: int) -> None:
     row[0], row[1], row[2], row[3], row[4] = score, level, turn, dr, dc
 
 
 @njit(cache=True)
-def _search(levels, row0, col0, res, points, start, reach, turns, step, min_score, limit, left_out, out):  # type: ignore[no-untyped-def]
-    """Depth-first search, the most promising branch first; fill `out` (6,)."""
-    n, depth = len(points), len(levels) - 1
-    count = 2 * turns + 1
-    rows, cols = np.empty((count, n), np.int32), np.empty((count, n), np.int32)
+def _roots(lattice: _Lattice, points: Any, tree: _Tree, rows: Any, cols: Any) -> Any:
+    """Fill the cells of every turn; return the (k, 5) roots: score, level, turn, row, column."""
+    depth, count = len(lattice.levels) - 1, 2 * tree.turns + 1
     side = 1 << depth
-    across = 2 * reach // side + 1
-    roots = np.empty((count * across * across, 5), np.int32)  # score, level, turn, row, col
+    across = 2 * tree.reach // side + 1
+    roots = np.empty((count * across * across, 5), np.int32)
     k = 0
     for t in range(count):
-        _turned(points, start, start[2] + (t - turns) * step, res, row0, col0, rows[t], cols[t])
+        yaw = tree.start[2] + (t - tree.turns) * tree.step
+        _rotated_cells(points, tree.start, yaw, lattice, rows[t], cols[t])
         for i in range(across):
             for j in range(across):
-                dr, dc = i * side - reach, j * side - reach
-                _put(roots[k], _sum(levels[depth], rows[t], cols[t], dr, dc), depth, t, dr, dc)
+                dr, dc = i * side - tree.reach, j * side - tree.reach
+                _put(roots[k], _sum(lattice.levels[depth], rows[t], cols[t], dr, dc), depth, t, dr, dc)
                 k += 1
+    return roots
+
+
+@njit(cache=True)
+def _branch(levels: Any, rows: Any, cols: Any, node: Any, reach: int, children: Any) -> int:
+    """Fill the up to four children of a node (5,), in ascending order of their scores; return how many."""
+    h, t, dr, dc = node[1], node[2], node[3], node[4]
+    half, m = 1 << (h - 1), 0
+    for q in range(4):
+        r, c = dr + half * (q >> 1), dc + half * (q & 1)
+        if r > reach or c > reach:
+            continue
+        score = _sum(levels[h - 1], rows[t], cols[t], r, c)
+        p = m
+        while p > 0 and children[p - 1, 0] > score:
+            children[p] = children[p - 1]
+            p -= 1
+        _put(children[p], score, h - 1, t, r, c)
+        m += 1
+    return m
+
+
+@njit(cache=True)
+def _search(lattice: _Lattice, points: Any, tree: _Tree, limits: _Limits, out: Any) -> None:
+    """Depth-first search, the most promising branch first; fill `out` (6,)."""
+    levels, start, excluded, res = lattice.levels, tree.start, limits.excluded, lattice.resolution
+    n, depth, count = len(points), len(levels) - 1, 2 * tree.turns + 1
+    rows, cols = np.empty((count, n), np.int32), np.empty((count, n), np.int32)
+    roots = _roots(lattice, points, tree, rows, cols)
     # Of equal scores the smaller index wins: the sort must be stable for the same answer everywhere.
     order = np.argsort(-roots[:, 0], kind="mergesort")
-    best = int(np.ceil(min_score * n * FULL)) - 1
+    best = int(np.ceil(limits.min_score * n * FULL)) - 1
     out[0], out[1], out[2], out[3] = start[0], start[1], start[2], -1.0
-    looked = k
+    evaluated = len(roots)
     stack = np.empty((4 * depth + 4, 5), np.int32)
-    children = np.empty((4, 5), np.int32)
+    node, children = np.empty(5, np.int32), np.empty((4, 5), np.int32)
     for o in order:
-        if roots[o, 0] <= best or looked > limit:
+        if roots[o, 0] <= best or evaluated > limits.max_nodes:
             break
         stack[0] = roots[o]
         top = 1
-        while top > 0 and looked <= limit:
+        while top > 0 and evaluated <= limits.max_nodes:
             top -= 1
-            score, h, t, dr, dc = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3], stack[top, 4]
+            node[:] = stack[top]
+            score, h, t, dr, dc = node[0], node[1], node[2], node[3], node[4]
             if score <= best:
                 continue
             if h == 0:
-                if (dr - left_out[0]) ** 2 + (dc - left_out[1]) ** 2 < left_out[2] * abs(left_out[2]):
+                if (dr - excluded[0]) ** 2 + (dc - excluded[1]) ** 2 < excluded[2] * abs(excluded[2]):
                     continue
                 best = score
-                out[0], out[1], out[2] = (
-                    start[0] + dc * res,
-                    start[1] + dr * res,
-                    start[2] + (t - turns) * step,
-                )
+                out[0], out[1] = start[0] + dc * res, start[1] + dr * res
+                out[2] = start[2] + (t - tree.turns) * tree.step
                 out[3] = score / (n * FULL)
                 continue
-            half, m = 1 << (h - 1), 0
-            for q in range(4):
-                r, c = dr + half * (q >> 1), dc + half * (q & 1)
-                if r > reach or c > reach:
-                    continue
-                value = _sum(levels[h - 1], rows[t], cols[t], r, c)
-                looked += 1
-                p = m
-                while p > 0 and children[p - 1, 0] > value:  # ascending: the best comes off the stack first
-                    children[p] = children[p - 1]
-                    p -= 1
-                _put(children[p], value, h - 1, t, r, c)
-                m += 1
-            for q in range(m):
+            m = _branch(levels, rows, cols, node, tree.reach, children)
+            evaluated += m
+            for q in range(m):  # ascending: the best comes off the stack first
                 if children[q, 0] > best:
                     stack[top] = children[q]
                     top += 1
-    out[4], out[5] = looked, looked <= limit
+    out[4], out[5] = evaluated, evaluated <= limits.max_nodes

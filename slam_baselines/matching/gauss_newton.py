@@ -11,26 +11,30 @@ so that a direction in which the map says nothing (a long corridor, open terrain
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import FloatArray, IntArray
 from lirs_wct.errors import ConfigError
-from slam_baselines.common.linalg import invert3
-from slam_baselines.common.linalg import solve3 as solve3
-from slam_baselines.mapping.occupancy_map import FULL, UNSEEN, OccupancyMap
+from lirs_wct.validation import require_above
+from slam_baselines.common.linalg import invert3, solve3
+from slam_baselines.mapping.occupancy_map import FULL, UNSEEN
+from slam_baselines.mapping.pyramid import Levels, MapPyramid
 
 
 @dataclass(frozen=True, kw_only=True)
 class MatchConfig:
-    """How hard the matcher tries, and what it believes of its own result.
+    """Effort of the matcher, and the noise of a beam.
 
     Attributes:
         iterations: most Gauss-Newton steps on each level, finest first.
         sigma: standard deviation of one beam's 1 - M, with the correlation between beams in it.
-        converged: a level ends when a step is shorter than this many of its cells (and radians / 10).
+        converged: length of a step below which a level ends, cells (and tenths of a radian).
         lever: distance at which an error of yaw is felt, metres.
+        exact: whether score and information are those of the final pose; else of a pose one last, tiny step
+            away, which saves a pass over the scan.
 
     Raises:
         ConfigError: a value that is not above 0.
@@ -40,129 +44,107 @@ class MatchConfig:
     sigma: float = 0.3
     converged: float = 0.02
     lever: float = 3.0
+    exact: bool = False
 
     def __post_init__(self) -> None:
         if min(self.iterations) < 1:
             raise ConfigError(f"iterations must be at least 1 on every level, got {self.iterations}")
-        if not (self.sigma > 0 and self.converged > 0):
-            raise ConfigError(f"sigma and converged must be above 0, got {self.sigma} and {self.converged}")
+        require_above(self, 0, "sigma", "converged", of="the scan matcher")
 
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """Where a scan fits into a map.
+    """A scan matched to a map.
 
     Attributes:
         pose: (3,) x, y, yaw of `T_map_base`.
+        covariance: (3, 3) of the pose, by scan and prior.
         information: (3, 3) of the scan alone at that pose.
         score: mean occupancy at the ends of beams that fall on known cells; 0 where none does.
-        beams: sum of the weights of beams on known cells.
         known: share of the beams that fall on known cells.
     """
 
     pose: FloatArray
+    covariance: FloatArray
     information: FloatArray
     score: float
-    beams: float
     known: float
 
 
-class MapPyramid:
-    """Occupancy maps of growing cell size, finest first, laid out for the matcher's kernel."""
+class Prior(NamedTuple):
+    """Pose to expect.
 
-    def __init__(self, maps: tuple[OccupancyMap, ...]) -> None:
-        self.maps = maps
-        self.refresh()
+    Attributes:
+        pose: (3,) x, y, yaw.
+        covariance: (3, 3).
+    """
 
-    def refresh(self) -> None:
-        """Take over the maps' arrays; needed whenever one of them grew."""
-        self.values = tuple(m.layers.value for m in self.maps)
-        self.frames: FloatArray = np.array([m.frame for m in self.maps])
-        self.cells = tuple(m.resolution for m in self.maps)
+    pose: FloatArray
+    covariance: FloatArray
+
+
+class _Settings(NamedTuple):
+    """MatchConfig for the kernels; `variance` is that of a beam."""
+
+    iterations: IntArray
+    variance: float
+    converged: float
+    lever: float
+    exact: bool
 
 
 class ScanMatcher:
     """Gauss-Newton matching against a pyramid."""
 
     def __init__(self, config: MatchConfig) -> None:
-        self._iterations = np.array(config.iterations)
         self._config = config
+        self._iterations = np.array(config.iterations)
         self._ones: FloatArray = np.ones(0)
-        self._out = np.zeros(15)
 
     def match(
-        self,
-        pyramid: MapPyramid,
-        points: FloatArray,
-        weights: FloatArray,
-        prior: FloatArray,
-        information: FloatArray,
-        levels: int,
-        start: FloatArray | None = None,
-    ) -> Match:
-        """Fit the scan into the map.
+        self, pyramid: MapPyramid, points: FloatArray, weights: FloatArray | None, prior: Prior, *,
+        start: FloatArray | None = None, levels: int = 0, information_share: float = 1.0,
+    ) -> Match:  # fmt: skip
+        """Match the scan to the map.
 
         Args:
             pyramid: the map.
             points: (n, 2 or more) ends of beams in the leveled base frame, metres.
-            weights: (n,) how much each counts.
-            prior: (3,) expected x, y, yaw.
-            information: (3, 3) inverse covariance of the prior.
-            levels: how many levels to use, the finest last.
-            start: (3,) where to begin, if not at the prior.
-        """
-        out = self._out
-        c = self._config
-        match(
-            pyramid.values, pyramid.frames, points, weights,
-            prior, information, prior if start is None else start,
-            self._iterations[:levels], c.sigma**2, c.converged, True, out,
-        )  # fmt: skip
-        return Match(out[:3].copy(), out[3:12].reshape(3, 3).copy(), *out[12:].tolist())
-
-    def fit(
-        self, pyramid: MapPyramid, points: FloatArray, weights: FloatArray | None, share: float,
-        prior: FloatArray, covariance: FloatArray, start: FloatArray | None = None,
-    ) -> tuple[Match, FloatArray]:  # fmt: skip
-        """Fit the scan into the map; return the match and the (3, 3) covariance with the prior's in it.
-
-        Args:
-            pyramid: the map.
-            points: (n, 2 or more) ends of beams in the leveled base frame, metres.
-            weights: (n,) how much each counts; None: all the same.
-            share: of its information that the scan adds.
-            prior: (3,) expected x, y, yaw.
-            covariance: (3, 3) of the prior.
-            start: (3,) where to begin on all levels; None: at the prior, on as many levels as it takes.
+            weights: (n,) of the beams; None: all the same.
+            prior: pose to expect.
+            start: (3,) first pose; None: the prior's.
+            levels: number of levels, of which the finest comes last; 0: as many as it takes to catch an error
+                of two standard deviations of the prior.
+            information_share: share of its information that the scan adds.
         """
         c, n = self._config, len(points)
         if weights is None:
             if len(self._ones) < n:
                 self._ones = np.ones(n)
             weights = self._ones[:n]
-        levels = 0 if start is None else len(pyramid.maps)
-        out = np.empty(24)
-        fit(
-            pyramid.values, pyramid.frames, points, weights, prior, covariance,
-            prior if start is None else start, levels, self._iterations,
-            c.sigma**2 / share, c.converged, c.lever, out,
-        )  # fmt: skip
-        score, known, total = out[12:15].tolist()
-        match = Match(out[:3], out[3:12].reshape(3, 3), score, known, total)
-        return match, out[15:].reshape(3, 3)
-
-    def levels(self, pyramid: MapPyramid, covariance: FloatArray) -> int:
-        """Return how many levels it takes to catch an error of two standard deviations.
-
-        A level is needed where the error exceeds the cell of the next finer one; coarse levels that are
-        not needed would only carry the estimate away from a good start.
-        """
-        return int(levels_for(pyramid.frames, covariance, self._config.lever))
+        settings = _Settings(self._iterations, c.sigma**2 / information_share, c.converged, c.lever, c.exact)
+        out = np.empty(23)
+        _match(
+            pyramid.levels,
+            points,
+            weights,
+            prior,
+            prior.pose if start is None else start,
+            levels,
+            settings,
+            out,
+        )
+        score, known = out[21:].tolist()
+        return Match(out[:3], out[3:12].reshape(3, 3), out[12:21].reshape(3, 3), score, known)
 
 
 @njit(cache=True)
-def levels_for(frames, covariance, lever):  # type: ignore[no-untyped-def]
-    """Return how many levels it takes to catch an error of two standard deviations."""
+def levels_for(frames: Any, covariance: Any, lever: float) -> int:
+    """Return how many levels it takes to catch an error of two standard deviations.
+
+    A level is needed where the error exceeds the cell of the next finer one; coarse levels that are not
+    needed would only carry the estimate away from a good start.
+    """
     error = np.sqrt(max(covariance[0, 0], covariance[1, 1])) + lever * np.sqrt(covariance[2, 2])
     levels = 1
     while levels < len(frames) and 2 * error > frames[levels - 1, 2]:
@@ -171,40 +153,41 @@ def levels_for(frames, covariance, lever):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def fit(  # type: ignore[no-untyped-def]
-    values, frames, points, weights, prior, covariance, start, levels, iterations,
-    variance, converged, lever, out,
-):  # fmt: skip
-    """Match, on as many levels as it takes where `levels` is 0; fill `out` (24,), covariance last."""
-    information = invert3(covariance)
+def _match(
+    pyramid: Levels, points: Any, weights: Any, prior: Prior, start: Any, levels: int, settings: Any, out: Any
+) -> None:
+    """Match, and fill `out` (23,): pose, covariance with the prior's, information, score, known share."""
+    information = invert3(prior.covariance)
     if levels == 0:
-        levels = levels_for(frames, covariance, lever)
-    used = iterations[:levels]
-    match(values, frames, points, weights, prior, information, start, used, variance, converged, False, out)
-    for i in range(3):
-        for j in range(3):
-            information[i, j] += out[3 + 3 * i + j]
-    out[15:] = invert3(information).ravel()
+        levels = levels_for(pyramid.frames, prior.covariance, settings.lever)
+    pose, H = start.copy(), np.empty((3, 3))
+    score, known = _iterate(pyramid, points, weights, prior.pose, information, levels, settings, pose, H)
+    H /= settings.variance
+    out[:3] = pose
+    out[3:12] = invert3(information + H).ravel()
+    out[12:21] = H.ravel()
+    out[21], out[22] = score / max(known, 1e-9), known / max(weights.sum(), 1e-9)
 
 
 @njit(cache=True)
-def match(  # type: ignore[no-untyped-def]
-    values, frames, points, weights, prior, information, start, iterations, variance, converged, exact, out
-):
-    """Run Gauss-Newton from the coarsest level to the finest; fill `out` (15 or more).
+def _iterate(
+    pyramid: Levels, points: Any, weights: Any, prior: Any, information: Any, levels: int, settings: Any,
+    pose: Any, H: Any,
+) -> tuple[float, float]:  # fmt: skip
+    """Run Gauss-Newton from the coarsest level to the finest; return score and known weight.
 
-    Unless it is to be exact, score and information may be those of a pose one last, tiny step away.
+    `pose` (3,) is moved, and `H` (3, 3) filled with the Hessian of the cost there.
     """
-    pose = start.copy()
-    H, g = np.empty((3, 3)), np.empty(3)
-    A, b = np.empty((3, 3)), np.empty(3)
+    g, A, b = np.empty(3), np.empty((3, 3)), np.empty(3)
     score = known = 0.0
     settled = False
-    for level in range(len(iterations) - 1, -1, -1):
-        cell = frames[level, 2]
+    variance, converged = settings.variance, settings.converged
+    for level in range(min(levels, len(settings.iterations)) - 1, -1, -1):
+        value, frame = pyramid.values[level], pyramid.frames[level]
+        cell = frame[2]
         stride = 2**level  # a coarse level needs fewer beams to show the way
-        for _ in range(iterations[level]):
-            score, known = linearize(values[level], frames[level], points, weights, stride, pose, H, g)
+        for _ in range(settings.iterations[level]):
+            score, known = linearize(value, frame, points, weights, stride, pose, H, g)
             for i in range(3):
                 b[i] = g[i] * stride / variance
                 for j in range(3):
@@ -216,16 +199,15 @@ def match(  # type: ignore[no-untyped-def]
             settled = length < converged * cell and abs(step[2]) < converged * 0.1
             if settled:
                 break
-    if exact or not settled:
-        score, known = linearize(values[0], frames[0], points, weights, 1, pose, H, g)
-    out[:3] = pose
-    out[3:12] = (H / variance).ravel()
-    total = max(weights.sum(), 1e-9)
-    out[12], out[13], out[14] = score / max(known, 1e-9), known, known / total
+    if settings.exact or not settled:
+        score, known = linearize(pyramid.values[0], pyramid.frames[0], points, weights, 1, pose, H, g)
+    return score, known
 
 
 @njit(cache=True)
-def linearize(value, frame, points, weights, stride, pose, H, g):  # type: ignore[no-untyped-def]
+def linearize(
+    value: Any, frame: Any, points: Any, weights: Any, stride: int, pose: Any, H: Any, g: Any
+) -> tuple[float, float]:
     """Fill Hessian and gradient of the matching cost (eqs. 12-13); return score and known weight.
 
     Args:

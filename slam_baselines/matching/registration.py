@@ -1,6 +1,8 @@
-"""A scan laid into the map: from the estimate to expect to the estimate that fits.
+"""Scan registration: from the estimate to expect to the estimate at which the scan fits the map.
 
-Gauss-Newton from the expected pose first; a wider, correlative search where that fits poorly.
+Gauss-Newton from the expected pose, which is a prior, so that a direction in which the map says nothing
+follows the odometry; a wider, correlative search where that fits poorly (Hess et al. 2016, section IV-C:
+ceres_scan_matcher and real_time_correlative_scan_matcher).
 """
 
 from __future__ import annotations
@@ -10,62 +12,68 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.validation import require_above, require_at_least, require_within
 from slam_baselines.common.linalg import invert3
-from slam_baselines.matching.correlative import SearchConfig, search
-from slam_baselines.matching.gauss_newton import MapPyramid, Match, MatchConfig, ScanMatcher
+from slam_baselines.mapping.pyramid import MapPyramid
+from slam_baselines.matching.correlative import SearchConfig, correlative_search
+from slam_baselines.matching.gauss_newton import Match, MatchConfig, Prior, ScanMatcher
 from slam_baselines.motion.dead_reckoning import PoseEstimate
 
 
 @dataclass(frozen=True, kw_only=True)
 class RegistrationConfig:
-    """When a fit is believed, and when it is searched for.
+    """When the wider search is needed, and which matches are accepted.
 
     Attributes:
         match: Gauss-Newton.
         search: the wider search.
         search_threshold: mean occupancy at the ends of the beams below which the wider search begins.
-        sure_score: the same from which on a fit on uneven ground says how good dead reckoning was.
-        known_ratio: share of beams on known cells that a score needs to be believed.
-        min_beams: fewer beams on known cells than this say nothing.
-        min_walls: on uneven ground, where what passes for a wall may be ground, fewer walls say nothing.
-        mahalanobis_gate: on uneven ground, a pose farther than so many standard deviations from dead
-            reckoning is not believed, however well it fits.
-        gain: the wider search must raise the score by this to be believed against the odometry.
-        decorrelation_distance: scans closer together than this see the same cells with the same errors, so
-            that each adds only its share of information, metres.
-        min_share: ... but never less than this.
+        min_gain: gain of the score that the wider search needs to be preferred.
+        search_prior: whether the fit after the wider search keeps the prior of dead reckoning; else its prior
+            is as wide as the window.
+        coasting: whether the wider search also starts where the last motion repeated would lead.
+        known_ratio: share of beams on known cells that a score needs to count.
+        min_beams: fewest beams on known cells for a match.
+        min_walls: fewest hits on walls for a match on uneven ground, where a wall may be ground.
+        reject_poor: whether a match on uneven ground is rejected where even the wider search stays below the
+            search threshold: dead reckoning errs less than a forced fit.
+        mahalanobis_gate: largest Mahalanobis distance from dead reckoning at which the wider search is
+            accepted on uneven ground.
+        decorrelation_distance: distance between scans below which they see the same cells with the same
+            errors, so that each adds only its share of information, metres.
+        min_information_share: smallest share of information that a scan adds.
 
     Raises:
-        ConfigError: a share or score outside (0, 1), or a distance that is not above 0.
+        ConfigError: a ratio, share or threshold outside (0, 1), or a distance that is not above 0.
     """
 
     match: MatchConfig = field(default_factory=MatchConfig)
     search: SearchConfig = field(default_factory=SearchConfig)
     search_threshold: float = 0.4
-    sure_score: float = 0.6
+    min_gain: float = 0.05
+    search_prior: bool = False
+    coasting: bool = True
     known_ratio: float = 0.3
     min_beams: int = 15
     min_walls: int = 40
+    reject_poor: bool = True
     mahalanobis_gate: float = 4.0
-    gain: float = 0.05
     decorrelation_distance: float = 0.4
-    min_share: float = 0.02
+    min_information_share: float = 0.02
 
     def __post_init__(self) -> None:
-        for name in ("search_threshold", "sure_score", "known_ratio", "min_share"):
-            if not 0 < getattr(self, name) < 1:
-                raise ConfigError(f"{name} must be within (0, 1), got {getattr(self, name)}")
-        if not self.decorrelation_distance > 0:
-            raise ConfigError(f"decorrelation_distance must be above 0 m, got {self.decorrelation_distance}")
+        ratios = ("search_threshold", "known_ratio", "min_information_share")
+        require_within(self, "(0, 1)", *ratios, of="the registration")
+        require_above(self, 0, "decorrelation_distance", "mahalanobis_gate", of="the registration")
+        require_at_least(self, 0, "min_gain", "min_beams", "min_walls", of="the registration")
 
 
 class Registration:
-    """Fits scans into a map.
+    """Registers scans in a map.
 
     Attributes:
-        searches: how often the wider search was needed.
+        searches: number of wider searches.
     """
 
     def __init__(self, config: RegistrationConfig) -> None:
@@ -73,7 +81,7 @@ class Registration:
         self.searches = 0
         self._matcher = ScanMatcher(config.match)
 
-    def fit(
+    def register(
         self,
         pyramid: MapPyramid,
         hits: FloatArray,
@@ -82,39 +90,40 @@ class Registration:
         before: Pose2,
         earlier: Pose2 | None = None,
     ) -> tuple[PoseEstimate, Match | None]:
-        """Return the estimate that fits, and the match; `expected` and None where nothing can be said.
+        """Return the estimate by the scan, and its match; `expected` and None where the scan says nothing.
 
         Args:
             pyramid: the map.
             hits: (n, 2 or more) ends of beams in the leveled base frame, metres.
-            weights: (n,) 1 for walls, less for what is less steep, 0 for what may be ground; None on a
-                floor, where every hit is a wall.
+            weights: (n,) 1 for walls, less for slopes, 0 for possible ground; None on flat ground, where
+                every hit is a wall.
             expected: the estimate by dead reckoning.
-            before: pose of the last fit.
-            earlier: pose of the fit before that one; a robot of which the odometry says nothing sensible may
-                simply have gone on as it went from there.
+            before: pose of the last registration.
+            earlier: pose of the registration before that one, for coasting.
         """
-        c, start = self.config, expected.pose
-        moved = start.distance(before) + 0.5 * abs(wrap_angle(start.yaw - before.yaw))
-        share = min(1.0, max(c.min_share, moved / c.decorrelation_distance))
+        c = self.config
         uneven, walls = weights is not None, len(hits) if weights is None else np.count_nonzero(weights)
         if walls < (c.min_walls if uneven else c.min_beams):
             return expected, None
-        prior = start.as_array()
-        match, covariance = self._matcher.fit(pyramid, hits, weights, share, prior, expected.covariance)
+        share = self._information_share(expected.pose, before)
+        prior = Prior(expected.pose.as_array(), expected.covariance)
+        match = self._matcher.match(pyramid, hits, weights, prior, information_share=share)
         if walls * match.known < c.min_beams:
             return expected, None
         if match.known >= c.known_ratio and match.score < c.search_threshold:
-            wider, loose = self._search(pyramid, hits, weights, share, prior, _coasting(before, earlier))
-            if uneven and max(match.score, wider.score) < c.search_threshold:
-                # Nothing fits, near or far: dead reckoning errs less than a forced fit.
+            wider = self._search(pyramid, hits, weights, share, prior, _coasting(before, earlier))
+            if uneven and self._rejected(match, wider, prior):
                 return expected, match
-            if uneven and not self._within_gate(wider, expected):
-                return expected, match
-            if wider.score > match.score + c.gain:
-                match, covariance = wider, loose
+            if wider.score > match.score + c.min_gain:
+                match = wider
         x, y, yaw = match.pose.tolist()
-        return PoseEstimate(Pose2(x, y, wrap_angle(yaw)), covariance), match
+        return PoseEstimate(Pose2(x, y, wrap_angle(yaw)), match.covariance), match
+
+    def _information_share(self, pose: Pose2, before: Pose2) -> float:
+        """Return the share of its information that a scan at `pose` adds to that at `before`."""
+        c = self.config
+        moved = pose.distance(before) + 0.5 * abs(wrap_angle(pose.yaw - before.yaw))
+        return min(1.0, max(c.min_information_share, moved / c.decorrelation_distance))
 
     def _search(
         self,
@@ -122,28 +131,33 @@ class Registration:
         hits: FloatArray,
         weights: FloatArray | None,
         share: float,
-        prior: FloatArray,
+        prior: Prior,
         coasting: FloatArray,
-    ) -> tuple[Match, FloatArray]:
-        """Fit from the best place in the wider window, and from where the robot would have coasted to."""
+    ) -> Match:
+        """Match from the best place in the wider window, and from where the robot would have coasted to."""
         self.searches += 1
-        c = self.config.search
-        linear, angular = c.linear_search_window**2, c.angular_search_window**2
-        loose = np.diag((linear, linear, angular))
-        found = search(
-            pyramid.maps[-1].grid, hits, np.ones(len(hits)) if weights is None else weights, prior, c
-        )
-        fits = [
-            self._matcher.fit(pyramid, hits, weights, share, prior, loose, start)
-            for start in (found, coasting)
+        c = self.config
+        points_weights = np.ones(len(hits)) if weights is None else weights
+        start = correlative_search(pyramid.maps[-1].grid, hits, points_weights, prior.pose, c.search)
+        if not c.search_prior:
+            linear, angular = c.search.linear_search_window**2, c.search.angular_search_window**2
+            prior = Prior(prior.pose, np.diag((linear, linear, angular)))
+        matches = [
+            self._matcher.match(
+                pyramid, hits, weights, prior, start=first, levels=len(pyramid.maps), information_share=share
+            )
+            for first in ((start, coasting) if c.coasting else (start,))
         ]
-        return max(fits, key=lambda fit: fit[0].score)
+        return max(matches, key=lambda match: match.score)
 
-    def _within_gate(self, found: Match, expected: PoseEstimate) -> bool:
-        """Whether a pose lies where dead reckoning may have led."""
-        off = found.pose - expected.pose.as_array()
+    def _rejected(self, match: Match, wider: Match, prior: Prior) -> bool:
+        """Whether nothing fits near or far, or only where dead reckoning cannot have led."""
+        c = self.config
+        if c.reject_poor and max(match.score, wider.score) < c.search_threshold:
+            return True
+        off = wider.pose - prior.pose
         off[2] = wrap_angle(off[2])
-        return bool(off @ invert3(expected.covariance) @ off <= self.config.mahalanobis_gate**2)
+        return not off @ invert3(prior.covariance) @ off <= c.mahalanobis_gate**2
 
 
 def _coasting(before: Pose2, earlier: Pose2 | None) -> FloatArray:

@@ -17,8 +17,8 @@ from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.validation import require_above, require_within
 from slam_baselines.cartographer.submap import Submap
 from slam_baselines.common.linalg import inverted
-from slam_baselines.matching.branch_and_bound import branch_and_bound
-from slam_baselines.matching.gauss_newton import Match, MatchConfig, ScanMatcher
+from slam_baselines.matching.branch_and_bound import Exclusion, Window, branch_and_bound
+from slam_baselines.matching.gauss_newton import Match, MatchConfig, Prior, ScanMatcher
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,7 @@ class ConstraintConfig:
     min_points: int = 20
     voxel_size: float = 0.1
     max_search_nodes: int = 60000
-    match: MatchConfig = field(default_factory=lambda: MatchConfig(iterations=(8, 5, 5)))
+    match: MatchConfig = field(default_factory=lambda: MatchConfig(iterations=(8, 5, 5), exact=True))
     search_deviation: tuple[float, float] = (0.2, 0.05)
     min_deviation: tuple[float, float] = (0.02, 0.003)
 
@@ -185,33 +185,31 @@ class ConstraintBuilder:
         linear = min(c.linear_search_window, c.linear_start + c.linear_drift * distance_traveled)
         angular = min(c.angular_search_window, c.angular_start + c.angular_drift * distance_traveled)
         if linear > c.max_refined_window:
-            found = self._search_window(submap, sparse, start, linear, angular)
+            found = self._search_window(submap, sparse, start, Window(linear, angular))
             if found is None:
                 return None
             start, linear, angular = found, *c.search_deviation
-        information = np.diag((linear**-2, linear**-2, angular**-2))
-        match = self._matcher.match(
-            submap.pyramid, points, np.ones(len(points)), start, information, len(c.match.iterations)
-        )
+        prior = Prior(start, np.diag((linear**2, linear**2, angular**2)))
+        match = self._matcher.match(submap.pyramid, points, None, prior, levels=len(c.match.iterations))
         if match.score < c.min_refined_score or match.known < c.min_known_ratio:
             self.counts.poor += 1
             return None
         return match
 
     def _search_window(
-        self, submap: Submap, points: FloatArray, start: FloatArray, linear: float, angular: float
+        self, submap: Submap, points: FloatArray, start: FloatArray, window: Window
     ) -> FloatArray | None:
         """Search a window; None where nothing fits or, as along a corridor, two places fit equally well."""
         c = self.config
-        min_score = c.min_score + (c.global_min_score - c.min_score) * linear / c.linear_search_window
-        best = branch_and_bound(submap.bounds, points, start, linear, angular, min_score, c.max_search_nodes)
+        min_score = c.min_score + (c.global_min_score - c.min_score) * window.linear / c.linear_search_window
+        best = branch_and_bound(submap.bounds, points, start, window, min_score, c.max_search_nodes)
         self.counts.given_up += not best.complete
         if best.score < 0:
             self.counts.poor += 1
             return None
         second = branch_and_bound(
-            submap.bounds, points, start, linear, angular, c.ambiguity_ratio * best.score,
-            c.max_search_nodes, best.pose, c.min_separation,
+            submap.bounds, points, start, window, c.ambiguity_ratio * best.score, c.max_search_nodes,
+            Exclusion(best.pose, c.min_separation),
         )  # fmt: skip
         if second.score >= 0 or not second.complete:
             self.counts.ambiguous += 1

@@ -171,7 +171,7 @@ def test_a_map_written_and_read_is_the_same_place(tmp_path: Path) -> None:
     grid = room_map()
     write_map(tmp_path / "room", grid)
     of_file, of_grid = KnownMap.of(tmp_path / "room.yaml"), KnownMap.of(grid)
-    for a, b in zip(of_file.pyramid.values, of_grid.pyramid.values, strict=True):
+    for a, b in zip(of_file.pyramid.levels.values, of_grid.pyramid.levels.values, strict=True):
         np.testing.assert_array_equal(a, b)
 
 
