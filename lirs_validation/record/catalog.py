@@ -39,6 +39,7 @@ class Metric:
         title: name in a run's picture; empty = the same.
         short: heading of a narrow column; empty = the same.
         optional: whether the table of runs leaves it out where no run has it.
+        detail: whether the report's tables leave it out; comparisons take it by its key.
     """
 
     key: str
@@ -52,6 +53,7 @@ class Metric:
     title: str = ""
     short: str = ""
     optional: bool = False
+    detail: bool = False
 
     @property
     def heading(self) -> str:
@@ -101,6 +103,14 @@ METRICS: tuple[Metric, ...] = (
            views=("compared",)),
     Metric("trajectory.relations.rotation_mean", "relations", "trajectory", "deg", 3, DEGREES, "less"),
     Metric("trajectory.final_drift", "final drift", "trajectory", "m", better="less", views=("compared",)),
+    Metric("trajectory.ate_max", "ATE, largest", "trajectory", "m", better="less", detail=True),
+    Metric("trajectory.ate_rmse_online", "ATE online", "trajectory", "m", better="less", detail=True),
+    Metric("trajectory.yaw_rmse", "yaw error", "trajectory", "deg", 3, DEGREES, "less", detail=True),
+    Metric("trajectory.final_yaw_drift", "final yaw drift", "trajectory", "deg", 3, DEGREES, "less",
+           detail=True),
+    Metric("trajectory.relations.translation_std", "relations, std", "trajectory", "mm", 1, MM, detail=True),
+    Metric("trajectory.relations.rotation_std", "relations, std", "trajectory", "deg", 3, DEGREES,
+           detail=True),
     Metric("map.f1", "F1", "map", better="more", title="F1 against the true-pose map",
            views=("picture", "runs", "summary", "compared", "distribution", "headline")),
     Metric("map.precision", "precision", "map", better="more"),
@@ -109,6 +119,8 @@ METRICS: tuple[Metric, ...] = (
     Metric("map.ssim", "SSIM", "map", better="more", views=("compared",)),
     Metric("map.f1_input", "F1 input map", "map", better="more", views=("picture", "runs"),
            title="F1 against the input map", short="F1 input", optional=True),
+    Metric("map.precision_input", "precision input map", "map", better="more", detail=True),
+    Metric("map.recall_input", "recall input map", "map", better="more", detail=True),
     Metric("map.false_occupied", "false occupied", "map", better="less", short="false occ.",
            views=("picture", "runs", "summary", "compared", "distribution")),
     Metric("map.to_reference.mean", "to true, mean", "map", "mm", 1, MM, "less"),
@@ -133,8 +145,8 @@ METRICS: tuple[Metric, ...] = (
 
 
 def metrics_in(*sections: Section) -> tuple[Metric, ...]:
-    """Return the metrics of sections of the report."""
-    return tuple(metric for metric in METRICS if metric.section in sections)
+    """Return the metrics of sections of the report, details left out."""
+    return tuple(metric for metric in METRICS if metric.section in sections and not metric.detail)
 
 
 def metrics_shown(view: View) -> tuple[Metric, ...]:

@@ -67,7 +67,5 @@ def test_a_bundled_picture_is_not_sent_through_a_file(monkeypatch: pytest.Monkey
 
 
 def test_a_bundled_picture_may_be_too_large() -> None:
-    with pytest.raises(
-        SourceError, match=r"^simple: image is 1025x1025 px = 1050625 pixels, at most 1000"
-    ):
+    with pytest.raises(SourceError, match=r"^simple: image is 1025x1025 px = 1050625 pixels, at most 1000"):
         build_world("simple", BuildOptions(max_pixels=1000))

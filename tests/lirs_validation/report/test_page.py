@@ -5,30 +5,21 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from lirs_validation import cli
 from lirs_validation.analysis.groups import Group, by_group
 from lirs_validation.analysis.repeats import repeats
 from lirs_validation.analysis.result_folders import RunFolder, read_results
-from lirs_validation.cli.build_options import with_build_options
-from lirs_validation.config import RunConfig
 from lirs_validation.record.catalog import metrics_in, metrics_named
 from lirs_validation.record.formatting import significant
-from lirs_validation.report.charts import series_band
-from lirs_validation.report.command_line import command_of
 from lirs_validation.report.contents import Report, report_of
 from lirs_validation.report.page import page
-from lirs_validation.report.paper.findings import findings
-from lirs_validation.report.paper.published import VIEWS
-from lirs_validation.report.paper.tables import paper_tables
 from lirs_validation.report.pictures import BUDGET, MOST_BYTES, Painter
 from lirs_validation.report.svg import INK
 from lirs_validation.report.tables.metric_tables import group_table, summary_table
@@ -38,7 +29,6 @@ from lirs_wct.formats.tum import write_tum
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
-from lirs_wct.sources.options import BuildOptions
 from tests.lirs_validation.records import entry, saved
 
 
@@ -152,6 +142,42 @@ def test_one_seed_says_that_it_is_one(tmp_path: Path) -> None:
     assert "±" not in as_markdown(report.summary)
 
 
+def test_seeds_are_counted_in_each_group(tmp_path: Path) -> None:
+    """Two worlds with one seed each are no two seeds; groups of two and three seeds are told apart."""
+    for world, seed in (("simple", 1), ("medium", 2)):
+        saved(tmp_path / "one", world, seed)
+    report, html = reported(tmp_path / "one")
+    assert report.seeds == (1, 1)
+    assert "one seed: nothing is said of chance" in report.subtitle
+    assert "<b>1</b><span>seed</span>" in html
+    for world, seed in (("simple", 1), ("simple", 2), ("simple", 3), ("medium", 2), ("medium", 9)):
+        saved(tmp_path / "more", world, seed)
+    saved(tmp_path / "more", "medium", 4, status="error")
+    report, html = reported(tmp_path / "more")
+    assert report.seeds == (2, 3)
+    assert "6 runs; 2 to 3 seeds." in report.subtitle
+    assert "<b>2 to 3</b><span>seeds</span>" in html
+
+
+def test_each_group_is_shown_where_not_all_pictures_fit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for world, seed in (("simple", 1), ("simple", 2), ("medium", 2), ("medium", 3)):
+        saved(tmp_path, world, seed)
+    monkeypatch.setattr("lirs_validation.report.page.MOST_PICTURES", 3)
+    _, html = reported(tmp_path)
+    assert "Shown are 2 of 4 runs: the first seed of each group." in html
+    named = re.findall(r"<figcaption>(\w+), .* seed (\d)", html)
+    assert sorted(named) == [("medium", "2"), ("simple", "1")]
+
+
+def test_the_median_of_an_even_number_lies_between(tmp_path: Path) -> None:
+    for seed, ate in ((1, 0.010), (2, 0.020), (3, 0.040), (4, 0.090)):
+        saved(tmp_path, seed=seed, ate=ate)
+    _, html = reported(tmp_path)
+    assert "<b>0.030</b><span>median ATE [m]</span>" in html
+
+
 def test_what_ran_beside_others_has_no_rtf_and_what_was_stopped_is_marked() -> None:
     runs = [entry(seed=1, rtf=40.0), entry(seed=2, rtf=4.0, concurrent=True), entry(seed=3, rtf=42.0)]
     stopped = [entry("medium", 1, rtf=0.02, extrapolated=True, status="wall limit")]
@@ -183,80 +209,6 @@ def test_a_page_of_failures_alone_is_a_page(tmp_path: Path) -> None:
     assert [table.key for table in report.tables] == ["failures", "summary", "commands"]
 
 
-def test_the_band_is_of_the_seeds() -> None:
-    runs = [entry(seed=1, rtf=10.0), entry(seed=2, rtf=20.0)]
-    runs[1]["rtf"]["series"] = runs[1]["rtf"]["series"][:10]
-    mean, std = series_band(runs)
-    a, b = (run["rtf"]["series"] for run in runs)
-    assert len(mean) == 30
-    assert mean[0] == pytest.approx((a[0] + b[0]) / 2)
-    assert std[0] == pytest.approx(abs(a[0] - b[0]) / 2)
-    assert (mean[20], std[20]) == (a[20], 0.0)
-
-
-def test_the_band_of_one_seed_is_over_time() -> None:
-    run = entry(rtf=10.0)
-    series = np.array(run["rtf"]["series"])
-    mean, std = series_band([run])
-    assert mean[15] == pytest.approx(series[11:20].mean())
-    assert std[15] == pytest.approx(series[11:20].std())
-    assert mean[0] == pytest.approx(series[:5].mean())
-    assert len(mean) == 30
-
-
-# ---- the paper
-
-
-def suite(heightmap: float, solid: float, order: tuple[str, ...]) -> list[dict[str, Any]]:
-    """Runs of the paper's suite: the first method in `order` fastest; heightmaps slower world by world."""
-    runs = []
-    for k, world in enumerate(("simple", "medium", "advanced")):
-        for rank, mapper in enumerate(order):
-            for view, (terrain, rays) in VIEWS.items():
-                base = {"heightmap-based": heightmap / (k + 1), "solid-based": solid, "ours": 40.0}[view]
-                rtf = base * (1 - 0.1 * rank)
-                runs.append(entry(world, rtf=rtf, mapper=mapper, terrain=terrain, rays=rays))
-    return runs
-
-
-def answers(runs: list[dict[str, Any]]) -> list[str]:
-    return [finding.answer for finding in findings(runs)]
-
-
-def test_the_papers_findings_where_they_hold() -> None:
-    assert answers(suite(0.05, 0.6, ("hector", "cartographer", "gmapping"))) == ["holds"] * 5
-
-
-def test_the_papers_findings_where_they_do_not() -> None:
-    found = findings(suite(2.0, 0.2, ("gmapping", "cartographer", "hector")))
-    assert [f.answer for f in found] == ["does not hold", "holds", *["does not hold"] * 3]
-    assert "in 0 of 9 comparisons" in found[2].because
-    assert "else GMapping (simple heightmap-based, simple solid-based, simple ours, " in found[2].because
-
-
-def test_findings_need_runs() -> None:
-    assert answers([]) == ["cannot be said"] * 5
-    some = [
-        r for r in suite(0.05, 0.6, ("hector", "cartographer", "gmapping")) if r["world"]["name"] == "medium"
-    ]
-    assert answers(some) == ["holds", "cannot be said", "holds", "holds", "holds"]
-    shared = [entry(r["world"]["name"], rtf=0.05, concurrent=True) for r in some]
-    assert answers(shared) == ["cannot be said"] * 5
-
-
-def test_the_papers_tables_stand_beside_ours() -> None:
-    tables = {s.key: s for s in paper_tables(suite(0.05, 0.6, ("hector", "cartographer", "gmapping")))}
-    texts = {key: table.texts() for key, table in tables.items()}
-    assert texts["table-III"][0] == ["GMapping", "0.04", "0.0200", "0.46", "0.480", "32.0"]
-    assert texts["table-IV"][1][:4] == ["HectorSLAM", "0.012", "0.0167", "0.60"]
-    assert [row[1] for row in texts["table-II"]] == ["lost"] * 3
-    assert "Table II is lost" in tables["table-II"].caption
-    means = {row[0]: row[1:] for row in texts["robots"]}
-    assert means["husky"] == ["0.38", significant(0.6 * 0.9), "36.0"]
-    assert means["turtlebot2"] == ["0.52", "-", "-"]
-    assert means["jackal"][0] == "0.47"
-
-
 def test_a_suites_page_tells_of_the_paper(tmp_path: Path) -> None:
     saved(tmp_path, "medium", 1, terrain="mesh", rays="mujoco")
     (tmp_path / "sweep.json").write_text(
@@ -267,48 +219,6 @@ def test_a_suites_page_tells_of_the_paper(tmp_path: Path) -> None:
     for words in ("Table II: simple map", "Table IV: advanced map", "Average RTF by robot", "lost"):
         assert words in html
     assert "lirs-wct validate --suite paper" in html
-
-
-# ---- commands, pictures, size
-
-
-@pytest.mark.parametrize(
-    "config",
-    [
-        RunConfig(source="simple"),
-        RunConfig(source="a b.png", robot="jackal", mapper="m:X", lidar="lds01", terrain="mesh",
-                  rays="mujoco", seconds=33.5, seed=7, wall_limit=60.0),
-        RunConfig(source="x.png", build=BuildOptions(
-            name="n", kind="map", size=(30.0, 20.5), window=(1.0, -2.0, 10.0), crop=(1, 2, 30, 40),
-            resize=(100, 90), deterrace=True, denoise="bilateral", invert=True, grayscale=True,
-            origin=Pose2(1.0, -2.0, 0.1), scale=(1.0, 2.0, 3.0), texture=Path("t x.png"), max_error=0.02,
-            unknown="hole", wall_height=1.25, speckle=4, rotate_x=-90.0, max_pixels=1000)),
-    ],
-)  # fmt: skip
-def test_the_command_of_a_run_is_that_run(config: RunConfig) -> None:
-    """The words go through the command line's own reading of options, and give the config back."""
-    import shlex
-
-    heard: dict[str, Any] = {}
-    app = typer.Typer()
-
-    @app.command()
-    @with_build_options
-    def probe(
-        source: str, robot: str = "", mapper: str = "", lidar: str | None = None, terrain: str = "hfield",
-        rays: str = "ours", seconds: float = 120.0, seed: int = 0, wall_limit: float | None = None,
-        *, options: BuildOptions,
-    ) -> None:  # fmt: skip
-        heard.update(
-            source=source, robot=robot, mapper=mapper, lidar=lidar, terrain=terrain, rays=rays,
-            seconds=seconds, seed=seed, wall_limit=wall_limit, build=options,
-        )  # fmt: skip
-
-    words = shlex.split(command_of(config))
-    assert words[:2] == ["lirs-wct", "validate"]
-    result = CliRunner().invoke(app, words[2:], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    assert RunConfig(**heard) == config
 
 
 def with_files(folder: Path, seed: int) -> RunFolder:

@@ -1,0 +1,121 @@
+"""One catalog of metrics: what it holds, records hold; what is added to it, every table shows."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+from rich.table import Table
+
+from lirs_validation.analysis.compare import compare
+from lirs_validation.analysis.result_folders import read_results
+from lirs_validation.record import catalog
+from lirs_validation.record.catalog import METRICS, Metric, metrics_named, metrics_shown, picture_lines
+from lirs_validation.record.schema import record_schema
+from lirs_validation.report.contents import report_of
+from lirs_validation.report.page import page
+from lirs_validation.report.tables.compare_table import compare_table, write_compare_csv, write_compare_json
+from lirs_validation.report.tables.results_table import markdown_table, results_table
+from lirs_validation.report.tables.table import as_csv, as_markdown
+from slam_baselines.mapper import MapperStats
+from tests.lirs_validation.records import entry
+
+COUNTS = {
+    "rtf.simulated_seconds", "rtf.wall_seconds", "trajectory.poses", "trajectory.rpe_metre.pairs",
+    "trajectory.rpe_second.pairs", "trajectory.relations.relations", "map.occupied_cells",
+    "collisions.samples",
+}  # fmt: skip
+"""Numbers of a record that are no metrics: over how much the metrics were taken."""
+
+
+def numbers(node: dict[str, Any], place: str) -> Iterator[str]:
+    """Yield the places of the numbers that a part of the schema describes."""
+    if "$ref" in node:
+        node = record_schema()["$defs"][node["$ref"].rpartition("/")[2]]
+    for choice in node.get("anyOf", ()):
+        yield from numbers(choice, place)
+    for name, held in node.get("properties", {}).items():
+        yield from numbers(held, f"{place}.{name}")
+    types = node.get("type")
+    if {"number", "integer"} & set(types if isinstance(types, list) else [types]):
+        yield place
+
+
+def test_the_schema_describes_the_metrics_and_no_others() -> None:
+    described = {
+        place
+        for part in ("rtf", "trajectory", "map", "collisions", "cost")
+        for place in numbers(record_schema()["properties"][part], part)
+    }
+    described |= {f"mapper.{field.name}" for field in fields(MapperStats)}
+    keys = [metric.key for metric in METRICS]
+    assert len(keys) == len(set(keys))
+    assert set(keys) <= described
+    assert {place for place in described if not place.startswith("mapper.")} - set(keys) == COUNTS
+
+
+def test_records_hold_the_metrics() -> None:
+    run = entry()
+    missing = {m.key for m in METRICS if m.of(run) is None}
+    assert missing == {"map.f1_input", "map.precision_input", "map.recall_input"}  # without an input map
+
+
+def shown(table: Table) -> str:
+    console = Console(width=160, record=True, file=io.StringIO())
+    console.print(table)
+    return console.export_text()
+
+
+def runs_with(**values: float) -> list[dict[str, Any]]:
+    runs = [entry(seed=seed) for seed in (1, 2)]
+    for run in runs:
+        run["map"] |= values
+    return runs
+
+
+def test_a_metric_is_added_in_one_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The table on the screen, Markdown, CSV, the report's page, comparison and picture all have it."""
+    views = ("picture", "runs", "summary", "compared", "distribution", "headline")
+    new = Metric("map.blur", "blur", "map", "cm", 2, 100.0, "less", views)
+    monkeypatch.setattr(catalog, "METRICS", (*METRICS, new))
+    runs = runs_with(blur=0.0123)
+    for run in runs:
+        (tmp_path / run["name"]).mkdir()
+        (tmp_path / run["name"] / "record.json").write_text(json.dumps(run))
+    assert "1.23" in shown(results_table(runs))
+    assert "| blur [cm] |" in markdown_table(runs)
+    assert ("blur", "1.23 cm") in picture_lines(runs[0])
+    report = report_of(read_results(tmp_path))
+    tables = {table.key: table for table in report.tables}
+    for key in ("summary", "map", "map-runs"):
+        row = next(csv.DictReader(io.StringIO(as_csv(tables[key]))))
+        assert float(row["blur [cm]"]) == pytest.approx(1.23)
+        assert "blur [cm]" in as_markdown(tables[key])
+    html = page(report, "lirs-wct report out")
+    assert "median blur [cm]" in html
+    assert html.count("blur [cm]") >= 5  # tile, summary, section by group and by run, distributions
+    comparison = compare(runs, runs_with(blur=0.0100), metrics_shown("compared"))
+    assert "blur [cm]" in shown(compare_table(comparison, ("a", "b")))
+    write_compare_csv(tmp_path / "d.csv", comparison)
+    write_compare_json(tmp_path / "d.json", comparison, ("a", "b"))
+    assert "map.blur" in (tmp_path / "d.csv").read_text()
+    assert "map.blur" in (tmp_path / "d.json").read_text()
+    assert metrics_named(["map.blur"]) == (new,)
+
+
+def test_a_value_reads_alike_everywhere() -> None:
+    """The RTF was 1.23e+03 on the screen and 1234 in the report; the penetration 0.0012 m and 1.23 mm."""
+    run = entry(rtf=1234.0)
+    run["collisions"]["max_penetration"] = 0.001234
+    rtf, depth = metrics_named(["rtf.mean", "collisions.max_penetration"])
+    assert rtf.formatted(rtf.of(run)) == "1234"
+    assert "| 1234 |" in markdown_table([run])
+    assert depth.formatted(depth.of(run)) == "1.23"
+    assert dict(picture_lines(run))["deepest penetration"] == "1.23 mm"

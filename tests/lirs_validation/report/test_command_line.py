@@ -1,0 +1,55 @@
+"""The command that repeats a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from lirs_validation.cli.build_options import with_build_options
+from lirs_validation.config import RunConfig
+from lirs_validation.report.command_line import command_of
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.sources.options import BuildOptions
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        RunConfig(source="simple"),
+        RunConfig(source="a b.png", robot="jackal", mapper="m:X", lidar="lds01", terrain="mesh",
+                  rays="mujoco", seconds=33.5, seed=7, wall_limit=60.0),
+        RunConfig(source="x.png", build=BuildOptions(
+            name="n", kind="map", size=(30.0, 20.5), window=(1.0, -2.0, 10.0), crop=(1, 2, 30, 40),
+            resize=(100, 90), deterrace=True, denoise="bilateral", invert=True, grayscale=True,
+            origin=Pose2(1.0, -2.0, 0.1), scale=(1.0, 2.0, 3.0), texture=Path("t x.png"), max_error=0.02,
+            unknown="hole", wall_height=1.25, speckle=4, rotate_x=-90.0, max_pixels=1000)),
+    ],
+)  # fmt: skip
+def test_the_command_of_a_run_is_that_run(config: RunConfig) -> None:
+    """The words go through the command line's own reading of options, and give the config back."""
+    import shlex
+
+    heard: dict[str, Any] = {}
+    app = typer.Typer()
+
+    @app.command()
+    @with_build_options
+    def probe(
+        source: str, robot: str = "", mapper: str = "", lidar: str | None = None, terrain: str = "hfield",
+        rays: str = "ours", seconds: float = 120.0, seed: int = 0, wall_limit: float | None = None,
+        *, options: BuildOptions,
+    ) -> None:  # fmt: skip
+        heard.update(
+            source=source, robot=robot, mapper=mapper, lidar=lidar, terrain=terrain, rays=rays,
+            seconds=seconds, seed=seed, wall_limit=wall_limit, build=options,
+        )  # fmt: skip
+
+    words = shlex.split(command_of(config))
+    assert words[:2] == ["lirs-wct", "validate"]
+    result = CliRunner().invoke(app, words[2:], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    assert RunConfig(**heard) == config
