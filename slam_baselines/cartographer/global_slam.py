@@ -138,7 +138,7 @@ class GlobalSlam:
             own = set(submaps[first].nodes)
             stride = max(1, round(1 / self.config.candidates.sampling_ratio))
             for j in range(0, index, stride):
-                if j not in own and not self.nodes[j].bare:
+                if j not in own and not self.nodes[j].trimmed:
                     self._add_candidate_if_near(j, first, new_node=False)
 
     def _add_candidate_if_near(self, node: int, submap: int, *, new_node: bool) -> None:
@@ -150,9 +150,9 @@ class GlobalSlam:
     def _search_loop(self, index: int, submap_index: int) -> None:
         """Search for a node in a submap; where it is found and verified, add the constraint."""
         node, submap = self.nodes[index], self._local.submaps.all[submap_index]
-        if node.bare or submap_index not in self._finished:
+        if node.trimmed or submap_index not in self._finished:
             return
-        submap.revalue(self._local.ground_filter.match_wall_slope)
+        submap.set_wall_slope(self._local.ground_filter.match_wall_slope)
         walls = self._local.walls(node.scan, node.pose, node.height, node.min_slopes) > 0
         expected = submap.pose @ self.submap_poses[submap_index].inverse() @ self.poses[index]
         match = self.builder.compute_constraint(
@@ -192,10 +192,10 @@ class GlobalSlam:
         for index in self._trimmer.pop_redundant(self.submap_poses):
             self.trimmed += 1
             self._finished.remove(index)
-            submaps[index].trim()
+            submaps[index].drop_grids()
             for i in submaps[index].nodes:
                 if not any(k in self._finished or not submaps[k].finished for k in self.nodes[i].submaps):
-                    self.nodes[i] = self.nodes[i].trimmed()
+                    self.nodes[i] = self.nodes[i].without_points()
 
     def _optimization_due(self) -> bool:
         nodes, loops = self._optimized_at

@@ -1,4 +1,4 @@
-"""Local SLAM: each scan is matched to the submap in front of it; drift is left to the pose graph.
+"""Local SLAM: each scan is matched to the matching submap; drift is left to the pose graph.
 
 Hess et al. 2016, section IV. The local frame is continuous: what is added to it never moves again.
 """
@@ -61,7 +61,7 @@ class LocalSlam:
         """Whether so many scans in a row fit nowhere that the pose is not to be believed."""
         return self._poor_in_a_row >= self.config.lost_after
 
-    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Node | None:
+    def add_range_data(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Node | None:
         """Match a scan and move the estimate; return the node where it entered the submaps."""
         level = self._leveler.level(scan, imu)
         before = self.estimate.pose
@@ -73,7 +73,7 @@ class LocalSlam:
         if level.leveled:
             self.ground_filter.move(before.inverse() @ self.estimate.pose, level)
         due = fits and self._filter.due(level, self.estimate.pose)
-        return self._enter(level) if due else None
+        return self._insert_into_submaps(level) if due else None
 
     def walls(
         self, scan: LeveledScan, pose: Pose2, height: float, min_slopes: ByteArray | None
@@ -84,13 +84,13 @@ class LocalSlam:
             scan: leveled.
             pose: `T_local_base`.
             height: of the base in the local frame, metres.
-            min_slopes: (n,) known before, SLOPE_STEP; None: as the front submap knows them.
+            min_slopes: (n,) known before, SLOPE_STEP; None: as the matching submap knows them.
         """
         wall_slope = self.ground_filter.match_wall_slope
         if wall_slope == 0:
             return np.ones(len(scan.hits))
         origin, hits, _ = scan.transformed(pose, height)
-        known = self.submaps.front.min_slope(hits) if min_slopes is None else min_slopes
+        known = self.submaps.matching_submap.min_slope(hits) if min_slopes is None else min_slopes
         return (np.maximum(self.ground_filter.min_slope(origin, hits, pose), known) >= wall_slope).astype(
             np.float64
         )
@@ -102,9 +102,9 @@ class LocalSlam:
         if len(scan.hits) == 0 or not self.submaps.all:
             return None
         weights = self.walls(scan, expected.pose, self.ground_filter.height, None)
-        front = self.submaps.front
-        front.revalue(self.ground_filter.match_wall_slope)
-        fitted, match = self.registration.register(front.pyramid, scan.hits, weights, expected, before)
+        submap = self.submaps.matching_submap
+        submap.set_wall_slope(self.ground_filter.match_wall_slope)
+        fitted, match = self.registration.register(submap.pyramid, scan.hits, weights, expected, before)
         if self.ground_filter.match_wall_slope > 0 and not self._plausible(expected, fitted.pose, seconds):
             self.implausible += 1
             return None
@@ -133,7 +133,7 @@ class LocalSlam:
         self.lost_scans += self.lost
         return fits
 
-    def _enter(self, scan: LeveledScan) -> Node:
+    def _insert_into_submaps(self, scan: LeveledScan) -> Node:
         """Draw the scan into the submaps."""
         pose, height, ground_filter = self.estimate.pose, self.ground_filter.height, self.ground_filter
         origin, hits, free = scan.transformed(pose, height)
@@ -142,7 +142,7 @@ class LocalSlam:
             if scan.leveled
             else ground_filter.no_min_slope(len(hits))
         )
-        entered = self.submaps.insert(
+        entered = self.submaps.insert_range_data(
             self.nodes, pose, origin, hits, free, min_slopes, ground_filter.match_wall_slope
         )
         step, self._increment = self._increment, NOWHERE
@@ -174,7 +174,7 @@ class LocalSlam:
             min_slopes = np.maximum(
                 node.min_slopes, self.ground_filter.min_slope(origin, hits, estimate.pose)
             )
-            entered = self.submaps.insert(
+            entered = self.submaps.insert_range_data(
                 len(again), estimate.pose, origin, hits, free, min_slopes, self.ground_filter.match_wall_slope
             )
             again.append(
@@ -208,7 +208,7 @@ class LocalSlam:
             min_slopes = np.maximum(
                 node.min_slopes, self.ground_filter.min_slope(origin, hits, estimate.pose)
             )
-            self.submaps.insert(
+            self.submaps.insert_range_data(
                 i, estimate.pose, origin, hits, free, min_slopes, self.ground_filter.match_wall_slope
             )
         found.reverse()
@@ -217,9 +217,9 @@ class LocalSlam:
 
     def _refit(self, node: Node, expected: PoseEstimate) -> PoseEstimate:
         weights = self.walls(node.scan, expected.pose, node.height, None)
-        front = self.submaps.front
-        front.revalue(self.ground_filter.match_wall_slope)
+        submap = self.submaps.matching_submap
+        submap.set_wall_slope(self.ground_filter.match_wall_slope)
         fitted, _ = self.registration.register(
-            front.pyramid, node.scan.hits, weights, expected, expected.pose
+            submap.pyramid, node.scan.hits, weights, expected, expected.pose
         )
         return fitted

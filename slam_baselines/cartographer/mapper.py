@@ -108,7 +108,7 @@ class CartographerMapper:
                 f"cartographer needs odometry, the scan at {scan.stamp} s has none; hector maps without"
             )
         started = self._stopwatch.start()
-        node = self._local.update(scan, odometry, imu)
+        node = self._local.add_range_data(scan, odometry, imu)
         if node is not None:
             self._graph.add_node(node)
             if self._refine_at <= node.distance_traveled:
@@ -135,7 +135,7 @@ class CartographerMapper:
     def map(self) -> OccupancyGrid:
         """Return the map, drawn from all nodes where they are believed to be now."""
         poses, _ = self._graph.optimized_poses()
-        return self._map.draw(self._graph.nodes, poses)
+        return self._map.render(self._graph.nodes, poses)
 
     def trajectory(self) -> Trajectory:
         """Return the pose of every scan, by stamp."""

@@ -23,7 +23,7 @@ class Node:
     Attributes:
         scan: leveled.
         pose: `T_local_base`.
-        covariance: (3, 3) of x, y, yaw in the local frame, given the submap in front.
+        covariance: (3, 3) of x, y, yaw in the local frame, given the matching submap.
         height: of the base in the local frame, metres.
         min_slopes: (n,) minimum slopes of its hits as known when it entered, SLOPE_STEP.
         submaps: indices of the submaps that it entered.
@@ -45,11 +45,11 @@ class Node:
     distance_traveled: float
 
     @property
-    def bare(self) -> bool:
-        """Whether its scan was forgotten."""
+    def trimmed(self) -> bool:
+        """Whether its scan's points were dropped."""
         return len(self.scan.hits) == 0
 
-    def trimmed(self) -> Node:
+    def without_points(self) -> Node:
         """Return the node without its scan's points."""
         nothing = np.empty((0, 3))
         scan = replace(self.scan, hits=nothing, free=nothing)

@@ -20,25 +20,25 @@ class NodeMap:
         self._update = update
         self._ground_filter_config = ground_filter
         self._drawn: list[tuple[Pose2, bool]] = []
-        self._restart()
+        self._clear()
 
-    def draw(self, nodes: Sequence[Node], poses: Sequence[Pose2]) -> OccupancyGrid:
+    def render(self, nodes: Sequence[Node], poses: Sequence[Pose2]) -> OccupancyGrid:
         """Return the map of nodes at their poses `T_map_base`."""
-        state = [(pose, node.bare) for node, pose in zip(nodes, poses, strict=True)]
+        state = [(pose, node.trimmed) for node, pose in zip(nodes, poses, strict=True)]
         if state[: len(self._drawn)] != self._drawn:
-            self._restart()
-        for node, (pose, bare) in zip(nodes[len(self._drawn) :], state[len(self._drawn) :], strict=True):
-            if not bare:
-                self._enter(node, pose)
-            self._drawn.append((pose, bare))
+            self._clear()
+        for node, (pose, trimmed) in zip(nodes[len(self._drawn) :], state[len(self._drawn) :], strict=True):
+            if not trimmed:
+                self._draw_node(node, pose)
+            self._drawn.append((pose, trimmed))
         return self._map.occupancy_grid(self._ground_filter.wall_slope)
 
-    def _restart(self) -> None:
+    def _clear(self) -> None:
         self._map = OccupancyMap(self._resolution, self._update)
         self._ground_filter = GroundFilter(self._ground_filter_config)
         self._drawn.clear()
 
-    def _enter(self, node: Node, pose: Pose2) -> None:
+    def _draw_node(self, node: Node, pose: Pose2) -> None:
         ground_filter = self._ground_filter
         ground_filter.height, ground_filter.distance_traveled, ground_filter.tilt = (
             node.height,

@@ -72,8 +72,8 @@ class Submap:
         sizes = [config.resolution * 2**level for level in range(config.levels)]
         self.pyramid = MapPyramid(tuple(OccupancyMap(size, config.update) for size in sizes))
 
-    def trim(self) -> None:
-        """Forget what was drawn; pose and nodes stay."""
+    def drop_grids(self) -> None:
+        """Drop what was drawn; pose and nodes stay."""
         empty = (OccupancyMap(level.resolution) for level in self.pyramid.maps)
         self.pyramid, self._bounds = MapPyramid(tuple(empty)), None
 
@@ -84,7 +84,7 @@ class Submap:
         cells = np.argwhere(grid.layers["log_odds"] != UNKNOWN)[:, ::-1] + (grid.col0, grid.row0)
         return np.asarray((cells + 0.5) * grid.resolution, dtype=np.float64)
 
-    def insert(
+    def draw_range_data(
         self,
         node: int,
         origin: FloatArray,
@@ -94,14 +94,14 @@ class Submap:
         wall_slope: int,
     ) -> None:
         """Draw a scan, given in the local frame (see OccupancyMap.update)."""
-        self.revalue(wall_slope)
+        self.set_wall_slope(wall_slope)
         self.nodes.append(node)
         box = bounding_box(origin, hits, free)
         grew = [level.update(origin, hits, free, min_slopes, wall_slope, box) for level in self.pyramid.maps]
         if any(grew):
             self.pyramid.refresh()
 
-    def revalue(self, wall_slope: int) -> None:
+    def set_wall_slope(self, wall_slope: int) -> None:
         """Let matchers see as walls only what has a minimum slope of `wall_slope`."""
         if wall_slope == self._wall_slope:
             return
@@ -143,7 +143,7 @@ class Submaps:
         self.all: list[Submap] = []
 
     @property
-    def front(self) -> Submap:
+    def matching_submap(self) -> Submap:
         """The submap that scans are matched against."""
         return self.all[self.active[0]]
 
@@ -155,7 +155,7 @@ class Submaps:
             first -= 1
         return range(first, len(self.all))
 
-    def insert(
+    def insert_range_data(
         self, node: int, pose: Pose2, origin: FloatArray, hits: FloatArray, free: FloatArray,
         min_slopes: ByteArray, wall_slope: int,
     ) -> range:  # fmt: skip
@@ -164,9 +164,9 @@ class Submaps:
             self.all.append(Submap(self._config, pose))
         entered = self.active
         for i in entered:
-            self.all[i].insert(node, origin, hits, free, min_slopes, wall_slope)
-        front = self.all[entered[0]]
-        front.finished = len(front.nodes) >= 2 * self._config.num_range_data
+            self.all[i].draw_range_data(node, origin, hits, free, min_slopes, wall_slope)
+        older = self.all[entered[0]]
+        older.finished = len(older.nodes) >= 2 * self._config.num_range_data
         return entered
 
 

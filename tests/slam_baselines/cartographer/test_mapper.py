@@ -173,7 +173,7 @@ def test_the_map_grows_as_if_drawn_at_once():
         mapper.update(corridor_scan(pose, 0.2 * i, rng), pose, None)
         if i == len(truth) // 2:
             mapper.map()
-    again, _ = mapper.map(), mapper._map._restart()
+    again, _ = mapper.map(), mapper._map._clear()
     np.testing.assert_array_equal(again.log_odds, mapper.map().log_odds)
 
 
@@ -181,14 +181,18 @@ def test_submaps_overlap_and_finish():
     submaps = Submaps(SubmapConfig(num_range_data=3))
     hits = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     entered = [
-        list(submaps.insert(i, Pose2(i, 0), np.zeros(3), hits, np.empty((0, 3)), np.zeros(2, np.uint8), 0))
+        list(
+            submaps.insert_range_data(
+                i, Pose2(i, 0), np.zeros(3), hits, np.empty((0, 3)), np.zeros(2, np.uint8), 0
+            )
+        )
         for i in range(10)
     ]
     assert entered == [[0]] * 3 + [[0, 1]] * 3 + [[1, 2]] * 3 + [[2, 3]]
     assert [s.finished for s in submaps.all] == [True, True, False, False]
     assert submaps.all[1].nodes == [3, 4, 5, 6, 7, 8]
     assert submaps.all[1].pose == Pose2(3, 0)
-    assert submaps.front is submaps.all[2]
+    assert submaps.matching_submap is submaps.all[2]
 
 
 def test_a_scan_is_found_in_a_submap():
@@ -198,7 +202,7 @@ def test_a_scan_is_found_in_a_submap():
     scan = corridor_scan(pose, 0.0, rng)
     hits = ends(scan)
     for _ in range(4):
-        submap.insert(
+        submap.draw_range_data(
             0, np.zeros(3), lifted(pose.apply(hits)), np.empty((0, 3)), np.zeros(len(hits), np.uint8), 0
         )
     builder = ConstraintBuilder(ConstraintConfig())

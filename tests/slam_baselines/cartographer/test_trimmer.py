@@ -24,7 +24,7 @@ def submap_at(x: float, size: float = 4.0) -> Submap:
     angle = np.linspace(0, 2 * np.pi, 2000)
     reach = size / 2 / np.maximum(abs(np.cos(angle)), abs(np.sin(angle)))
     hits = np.stack((x + reach * np.cos(angle), reach * np.sin(angle), 0 * angle), axis=-1)
-    submap.insert(0, np.array((x, 0, 0)), hits, np.empty((0, 3)), np.zeros(2000, np.uint8), 0)
+    submap.draw_range_data(0, np.array((x, 0, 0)), hits, np.empty((0, 3)), np.zeros(2000, np.uint8), 0)
     return submap
 
 
@@ -65,7 +65,7 @@ def test_a_trimmed_submap_holds_nothing() -> None:
     assert submap.nbytes > 10000
     assert len(submap.known_points) > 300
     assert abs(submap.known_points).max() < 2.4
-    submap.trim()
+    submap.drop_grids()
     assert submap.nbytes == 0
     assert len(submap.known_points) == 0
     assert submap.pose == Pose2(0, 0, 0.3)
