@@ -40,6 +40,7 @@ from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.sources.bundled import RECIPES
@@ -110,7 +111,7 @@ def sensors_ms(seconds: int) -> float:
     """Return milliseconds a simulated second for all sensors of a Husky, in the worst bundled world."""
     worst = 0.0
     for name in RECIPES:
-        sim = Simulation(build_world(name), make_robot("husky"))
+        sim = Simulation(build_world(name), SimulationConfig(robot=make_robot("husky")))
         sim.reset()
         for k in range(round((seconds + 1) / sim.period)):
             sim.advance(Twist(0.5, 0.3 * math.sin(k / 10)))

@@ -22,6 +22,7 @@ from rich.table import Table
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.export.mjcf import TERRAIN_GROUP
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.world import build_world
@@ -48,7 +49,7 @@ def wander(sim: Simulation, seconds: float, seed: int = 0) -> float:
 
 def measure(source: str, robot: str, seconds: float, repeats: int) -> dict[str, object]:
     world = build_world(source)
-    sim = Simulation(world, make_robot(robot), seed=1)
+    sim = Simulation(world, SimulationConfig(robot=make_robot(robot)), seed=1)
     driven = wander(sim, seconds)
     replays = [sim.replay() for _ in range(repeats)]
     best = min(r.seconds for r in replays)

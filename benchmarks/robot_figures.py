@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull
 from lirs_envs.robots.command import Twist, Waypoint
 from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import Terrain
@@ -40,7 +41,7 @@ def within(what: str, value: float, low: float, high: float, unit: str = "") -> 
 
 
 def at_rest(robot: Robot) -> list[Row]:
-    sim = Simulation(flat(), robot, lidar=LIDAR)
+    sim = Simulation(flat(), SimulationConfig(robot=robot, lidar=LIDAR))
     sim.reset()
     start = sim.T_world_base
     for _ in range(250):
@@ -56,7 +57,7 @@ def at_rest(robot: Robot) -> list[Row]:
 
 def driven(robot: Robot, command: Twist, start: Pose2) -> tuple[float, float, float]:
     """Speed and turn rate once it is up to them, then the hardest braking (m/s^2) to a stop."""
-    sim = Simulation(flat(), robot, lidar=LIDAR)
+    sim = Simulation(flat(), SimulationConfig(robot=robot, lidar=LIDAR))
     sim.reset(start)
     ramp = abs(command.v) / robot.max_acceleration + (1.5 if command.omega else 0.0)
     for _ in range(math.ceil((ramp + (0.4 if robot.flies else 1.2)) / sim.period)):
@@ -89,7 +90,7 @@ def on_the_level(robot: Robot) -> list[Row]:
 
 def climbed(robot: Robot) -> list[Row]:
     degrees = CLIMBS.get(robot.name, 10.0)
-    sim = Simulation(flat(degrees), robot, lidar=LIDAR)
+    sim = Simulation(flat(degrees), SimulationConfig(robot=robot, lidar=LIDAR))
     sim.reset(Pose2(-5.0 - 2 * robot.radius, 0.0))
     while sim.time < 30 and sim.T_world_base.x < -1.5:
         sim.advance(Twist(min(0.3, robot.max_speed)))
@@ -100,7 +101,7 @@ def slides(robot: Robot) -> list[Row]:
     """The first whole degree at which gravity, leaned sideways, takes a standing robot away."""
     expected = math.degrees(math.atan(robot.friction))
     for degrees in range(math.floor(expected) - 5, math.ceil(expected) + 6):
-        sim = Simulation(flat(), robot, lidar=LIDAR)
+        sim = Simulation(flat(), SimulationConfig(robot=robot, lidar=LIDAR))
         sim.reset()
         angle = math.radians(degrees)
         sim.body.model.opt.gravity[:] = (0.0, -9.81 * math.sin(angle), -9.81 * math.cos(angle))
@@ -113,7 +114,7 @@ def slides(robot: Robot) -> list[Row]:
 
 def tips(robot: Robot) -> list[Row]:
     """The first whole degree at which a robot that cannot slide falls over sideways."""
-    sim = Simulation(flat(), robot, lidar=LIDAR)
+    sim = Simulation(flat(), SimulationConfig(robot=robot, lidar=LIDAR))
     sim.reset()
     model, data = sim.body.model, sim.body.data
     mujoco.mj_forward(model, data)
@@ -139,7 +140,7 @@ def tips(robot: Robot) -> list[Row]:
 
 def flight(robot: Robot) -> list[Row]:
     """A step of 2 m, and 3 m/s over hills of 1.5 m."""
-    sim = Simulation(flat(), robot, lidar=LIDAR)
+    sim = Simulation(flat(), SimulationConfig(robot=robot, lidar=LIDAR))
     sim.reset()
     way = []
     for _ in range(75):
@@ -148,7 +149,7 @@ def flight(robot: Robot) -> list[Row]:
     hills, axis = flat(), (np.arange(201) - 100) * 0.1
     z = 1.5 * np.sin(axis / 1.5)[None, :] * np.cos(axis / 2)[:, None]
     hills = replace(hills, ground=Terrain(HeightField.centred(z.astype(np.float32), (0.1, 0.1))))
-    sim = Simulation(hills, robot, lidar=LIDAR)
+    sim = Simulation(hills, SimulationConfig(robot=robot, lidar=LIDAR))
     sim.reset(Pose2(-8.0, 0.0))
     gaps = []
     for _ in range(125):

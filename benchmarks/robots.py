@@ -26,6 +26,7 @@ from lirs_envs.robots.catalog import ROBOTS, make_robot
 from lirs_envs.robots.command import Twist
 from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.collision.files import verdicts_table
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions
 from lirs_validation.config import RunConfig
@@ -40,7 +41,7 @@ DEAREST = 60.0
 
 def cost(world: World, robot: Robot, terrain: str, seconds: float) -> tuple[float, float]:
     """Microseconds a step and real-time factor of MuJoCo's stepping alone."""
-    sim = Simulation(world, robot, lidar=LIDAR, terrain=terrain)  # type: ignore[arg-type]
+    sim = Simulation(world, SimulationConfig(robot=robot, lidar=LIDAR, contact_geometry=terrain))  # type: ignore[arg-type]
     rng, command = np.random.default_rng(0), Twist()
     sim.reset()
     for k in range(math.ceil(seconds / sim.period)):

@@ -12,8 +12,10 @@ from lirs_wct.sources.options import BuildOptions
 from lirs_wct.validation import require_above, require_at_least, require_within
 
 if TYPE_CHECKING:
-    from lirs_envs.lidar.casters import Rays
     from lirs_wct.contact.contact_geometry import ContactGeometry
+
+RECORDED_RAYS = {"builtin": "ours", "mujoco": "mujoco"}
+"""Rays as records name them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,9 +26,9 @@ class RunConfig:
         source: a bundled world's name, a built folder, a picture or a map YAML.
         robot: name of a robot.
         mapper: name of a mapper, or `module:name` of your own.
-        lidar: name of an LRF preset; None = the robot's own.
+        lidar: name of a lidar preset; None = the robot's own.
         terrain: what MuJoCo touches.
-        rays: whose rays the LRF takes: `ours`, or `mujoco` for comparison.
+        rays: whose rays the lidar takes: `builtin`, which records name `ours`, or `mujoco` for comparison.
         seconds: simulated time to drive.
         seed: of every random number in the run.
         wall_limit: wall seconds after which the drive is stopped; None = never.
@@ -42,7 +44,7 @@ class RunConfig:
     mapper: str = "hector"
     lidar: str | None = None
     terrain: ContactGeometry = "hfield"
-    rays: Rays = "ours"
+    rays: str = "ours"
     seconds: float = 120.0
     seed: int = 1
     wall_limit: float | None = None
@@ -50,7 +52,7 @@ class RunConfig:
 
     def __post_init__(self) -> None:
         # The names belong to the simulator, which who maps a log does not load.
-        from lirs_envs.lidar.casters import check_rays
+        from lirs_envs.lidar.casters import resolve_rays
         from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES
 
         require_above(self, 0, "seconds", finite=True)
@@ -59,7 +61,7 @@ class RunConfig:
         require_at_least(self, 0, "seed")
         if self.terrain not in CONTACT_GEOMETRIES:
             raise unknown_name("terrain for MuJoCo", self.terrain, CONTACT_GEOMETRIES)
-        check_rays(self.rays)
+        object.__setattr__(self, "rays", RECORDED_RAYS[resolve_rays(self.rays)])
 
     @property
     def digest(self) -> str:

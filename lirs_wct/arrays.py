@@ -11,3 +11,6 @@ IntArray = NDArray[np.int64]
 Int32Array = NDArray[np.int32]
 ByteArray = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
+
+Vector3 = tuple[float, float, float]
+"""x, y, z as plain numbers: in a hot loop a small array costs more than the arithmetic."""

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+from types import UnionType
 from typing import Any
+
+import numpy as np
 
 from lirs_wct.errors import ConfigError
 
@@ -40,6 +43,29 @@ def require_within(config: Any, legal: str, *names: str, of: str = "", unit: str
         return above and (value <= high if legal[-1] == "]" else value < high)
 
     _require(config, names, of, f"within {legal}{_space(unit)}", False, inside)
+
+
+def require_type(config: Any, kind: type | UnionType, *names: str, of: str = "") -> None:
+    """Raise ConfigError unless every named field is of a type."""
+    for name in names:
+        value = getattr(config, name)
+        if not isinstance(value, kind):
+            owner = f" of {of}" if of else ""
+            legal = getattr(kind, "__name__", str(kind))
+            raise ConfigError(f"{name}{owner} must be of type {legal}, got {value!r}")
+
+
+def require_seed(seed: Any) -> None:
+    """Raise ConfigError unless a seed is a whole number from 0 up."""
+    if not isinstance(seed, int | np.integer) or isinstance(seed, bool):
+        raise ConfigError(f"seed must be a whole number, got {seed!r}")
+    if seed < 0:
+        raise ConfigError(f"seed must be 0 or above, got {seed}")
+
+
+def is_finite(value: object) -> bool:
+    """Whether a value is a number, and finite."""
+    return isinstance(value, float | int | np.floating | np.integer) and math.isfinite(value)
 
 
 def _require(config: Any, names: tuple[str, ...], of: str, legal: str, finite: bool, holds: Any) -> None:

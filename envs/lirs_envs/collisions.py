@@ -1,4 +1,4 @@
-"""What a simulation notes about contacts, and how it tells that it has diverged."""
+"""Contact statistics of a simulation, and the check for divergence."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from lirs_wct.errors import SimulationError
 
-BAD = {
+DIVERGENCE_WARNINGS = {
     mujoco.mjtWarning.mjWARN_BADQPOS: "a position is not finite or too large",
     mujoco.mjtWarning.mjWARN_BADQVEL: "a velocity is not finite or too large",
     mujoco.mjtWarning.mjWARN_BADQACC: "an acceleration is not finite or too large",
@@ -21,14 +21,14 @@ BAD = {
 
 @dataclass(frozen=True, kw_only=True)
 class Collisions:
-    """Contacts of a run in figures.
+    """Contact statistics of a run.
 
     Attributes:
         max_penetration: deepest that the robot was in ground or walls, metres; a loaded tyre's 1 mm counts.
         penetration_p999: what it stayed below in 99.9 % of the samples, metres.
         body_contacts: times that the body (not a wheel) came to touch something.
         body_contact_seconds: time that it touched.
-        samples: number of looks at the contacts, one each control update.
+        samples: number of samples, one each control update.
     """
 
     max_penetration: float
@@ -40,18 +40,18 @@ class Collisions:
 
 @dataclass
 class ContactMonitor:
-    """Looks at the contacts of a model after each control update."""
+    """Statistics of the contacts after each control update."""
 
     wheel_geoms: frozenset[int]
     own_geoms: frozenset[int] | None = None
-    """Geoms of the robot, where others have contacts, too; None = all contacts are its."""
+    """The robot's geoms, where props have contacts as well; None = all contacts are the robot's."""
     penetrations: list[float] = field(default_factory=list)
     body_contacts: int = 0
     body_seconds: float = 0.0
     _touching: bool = False
 
-    def look(self, data: mujoco.MjData, dt: float) -> None:
-        """Note the deepest contact, and whether the body touches."""
+    def record(self, data: mujoco.MjData, dt: float) -> None:
+        """Record the deepest contact, and whether the body touches."""
         if data.ncon == 0:
             self.penetrations.append(0.0)
             self._touching = False
@@ -68,8 +68,8 @@ class ContactMonitor:
         self.body_seconds += dt * touching
         self._touching = touching
 
-    def summary(self) -> Collisions:
-        """Return the figures so far."""
+    def statistics(self) -> Collisions:
+        """Return the statistics so far."""
         depths = np.array(self.penetrations or (0.0,))
         return Collisions(
             max_penetration=float(depths.max()),
@@ -86,7 +86,7 @@ def check_divergence(data: mujoco.MjData) -> None:
     Raises:
         SimulationError: MuJoCo warned, or the state is not finite.
     """
-    for warning, reason in BAD.items():
+    for warning, reason in DIVERGENCE_WARNINGS.items():
         if data.warning[warning].number:
             raise SimulationError(f"the simulation diverged at {data.time:.3f} s: {reason}")
     if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):

@@ -1,4 +1,4 @@
-"""Which ground a laser has seen: the reward of mapping."""
+"""Coverage: the ground that a lidar has observed, the reward of mapping."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
+from lirs_envs.lidar.presets import planar_directions
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose3
@@ -14,7 +15,7 @@ from lirs_wct.geometry.scan import LaserScan
 
 
 class CoverageGrid:
-    """Cells of the world that some beam has passed over or ended in, from true poses.
+    """Grid of the world's cells that a beam has passed over or ended in, from true poses.
 
     Args:
         surface: its bounds are the grid's.
@@ -26,38 +27,37 @@ class CoverageGrid:
         self.resolution = resolution
         self._corner = (west, south)
         shape = math.ceil((north - south) / resolution), math.ceil((east - west) / resolution)
-        self.seen: BoolArray = np.zeros(shape, np.bool_)
+        self.observed: BoolArray = np.zeros(shape, np.bool_)
 
     @property
     def area(self) -> float:
-        """Square metres seen so far."""
-        return float(self.seen.sum()) * self.resolution**2
+        """Observed area so far, square metres."""
+        return float(self.observed.sum()) * self.resolution**2
 
     def add(self, scan: LaserScan, T_world_base: Pose3) -> float:
-        """Mark what a scan saw; return the area that was new, square metres.
+        """Mark the cells under a scan; return the newly observed area, square metres.
 
-        A beam without return has seen its whole range; one that is too near or invalid nothing.
+        A beam without return observes its whole range; one that is too near or invalid nothing.
         """
         ranges = np.where(np.isposinf(scan.ranges), np.float32(scan.range_max), scan.ranges)
         ranges = np.where(np.isfinite(ranges), ranges, np.float32(0)).astype(np.float64)
         T = T_world_base @ scan.T_base_laser
-        angles = scan.angles
-        beams = np.stack((np.cos(angles), np.sin(angles), np.zeros_like(angles)), axis=1) @ T.rotation.T
+        beams = planar_directions(scan.angles) @ T.rotation.T
         start = (T.x - self._corner[0], T.y - self._corner[1])
-        new = _mark(self.seen, beams, ranges, start, self.resolution)
+        new = _mark(self.observed, beams, ranges, start, self.resolution)
         return float(new) * self.resolution**2
 
 
 @njit(cache=True)
 def _mark(
-    seen: BoolArray,
+    observed: BoolArray,
     beams: FloatArray,
     ranges: FloatArray,
     start: tuple[float, float],
     resolution: float,
 ) -> int:
     """Mark cells along beams at steps of half a cell; return how many were new."""
-    rows, cols = seen.shape
+    rows, cols = observed.shape
     new = 0
     for k in range(len(ranges)):
         steps = int(2 * ranges[k] / resolution) + 1 if ranges[k] > 0 else 0
@@ -67,7 +67,7 @@ def _mark(
             r = math.floor((start[1] + t * beams[k, 1]) / resolution)
             if r < 0 or c < 0 or r >= rows or c >= cols:
                 break
-            if not seen[r, c]:
-                seen[r, c] = True
+            if not observed[r, c]:
+                observed[r, c] = True
                 new += 1
     return new

@@ -1,4 +1,4 @@
-"""LIRS/Mapping-v0: drive so that the laser sees as much of the world as possible."""
+"""LIRS/Mapping-v0: drive so that the lidar observes as much of the world as possible."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ import numpy as np
 from gymnasium import spaces
 
 from lirs_envs.coverage import CoverageGrid
-from lirs_envs.lidar.casters import Rays
+from lirs_envs.lidar.casters import resolve_rays
 from lirs_envs.lidar.noise import NoiseLevel
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.odometry import Method, OdometryConfig
 from lirs_envs.sensing.sensors import Observation, SensorNoise
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.arrays import ByteArray, Float32Array
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError, SimulationError
@@ -30,7 +31,7 @@ PICTURE = (480, 640)
 
 
 class MappingEnv(gym.Env[Observed, Float32Array]):
-    """One robot that maps one world; a step is one period of its laser range finder (LRF).
+    """One robot that maps one world; a step is one period of its lidar.
 
     Observation:
         scan: (beams,) float32 metres. The space is a finite box: nothing in range (+inf in the LaserScan) is
@@ -48,12 +49,12 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
     Args:
         world: a bundled name, any other source's path, or a `World`.
         robot: name of the robot.
-        lidar: name of an LRF preset; default: the robot's own.
-        terrain: what MuJoCo touches: `hfield`, `mesh`, `prisms` or `convex` (see `Simulation`).
+        lidar: name of a lidar preset; default: the robot's own.
+        terrain: contact geometry: `hfield`, `mesh`, `prisms` or `convex` (see `SimulationConfig`).
         odometry: `gyro` or `ekf` (see `OdometryConfig`).
-        noise: of the LRF: `none`, `simulated` or `datasheet`.
-        sweep: whether a scan is spread over the time that it takes.
-        rays: whose rays meet the world: `ours` or `mujoco` (see `Simulation`).
+        noise: of the lidar: `none`, `simulated` or `datasheet`.
+        sweep: whether scans are rolling (see `SensorNoise.rolling_scan`).
+        rays: whose rays meet the world: `builtin` (also `ours`) or `mujoco` (see `SimulationConfig`).
         render_mode: `rgb_array` or None.
 
     A reset sets the robot on one of the world's start poses, drawn at random.
@@ -71,17 +72,21 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
         odometry: Method = "gyro",
         noise: NoiseLevel = "simulated",
         sweep: bool = False,
-        rays: Rays = "ours",
+        rays: str = "builtin",
         render_mode: str | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"unknown render mode {render_mode!r}; legal: rgb_array, None")
         self.render_mode = render_mode
         place = world if isinstance(world, World) else _built(str(world), _stamp(str(world)))
-        errors = SensorNoise(odometry=OdometryConfig(method=odometry), lidar=noise, sweep=sweep)
-        self.simulation = Simulation(
-            place, make_robot(robot), lidar=lidar, noise=errors, terrain=terrain, rays=rays
+        config = SimulationConfig(
+            robot=make_robot(robot),
+            lidar=lidar,
+            noise=SensorNoise(odometry=OdometryConfig(method=odometry), lidar=noise, rolling_scan=sweep),
+            contact_geometry=terrain,
+            rays=resolve_rays(rays),
         )
+        self.simulation = Simulation(place, config)
         preset, limit = self.simulation.preset, np.inf
         self.metadata = self.metadata | {"render_fps": round(preset.rate)}
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
@@ -104,13 +109,13 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
         if start is None and starts:
             start = starts[int(self.np_random.integers(len(starts)))]
         observation = self.simulation.reset(start, seed=int(self.np_random.integers(2**31)))
-        self._seen = CoverageGrid(self.simulation.world.surface)
-        self._seen.add(observation.scan, self.simulation.T_world_base)
+        self._coverage = CoverageGrid(self.simulation.world.surface)
+        self._coverage.add(observation.scan, self.simulation.T_world_base)
         self._last = observation
         return _arrays(observation), self._info()
 
     def step(self, action: Float32Array) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
-        """Drive for one LRF period."""
+        """Drive for one lidar period."""
         robot = self.simulation.robot
         ahead, turn = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0).tolist()
         command = Twist(ahead * robot.max_speed, turn * robot.max_turn_rate)
@@ -119,7 +124,7 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
         except SimulationError as error:
             # The last sane observation: a diverged state has none.
             return _arrays(self._last), 0.0, True, False, self._info(str(error))
-        reward = self._seen.add(observation.scan, self.simulation.T_world_base)
+        reward = self._coverage.add(observation.scan, self.simulation.T_world_base)
         reason = self._reason()
         self._last = observation
         return _arrays(observation), reward, bool(reason), False, self._info(reason)
@@ -151,7 +156,7 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
 
     def _info(self, reason: str = "") -> dict[str, Any]:
         T = self.simulation.T_world_base.to_pose2()
-        return {"T_world_base": T.as_array(), "seen_area": self._seen.area, "reason": reason}
+        return {"T_world_base": T.as_array(), "seen_area": self._coverage.area, "reason": reason}
 
 
 def _renderer(model: mujoco.MjModel) -> mujoco.Renderer:

@@ -1,4 +1,4 @@
-"""A robot and a world as one compiled MuJoCo model, and its state in our own values."""
+"""A robot and a world as one compiled MuJoCo model, and its state as values of the world frame."""
 
 from __future__ import annotations
 
@@ -9,18 +9,21 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from lirs_envs.props import Prop, StaticRobot, add_props
+from lirs_envs.props import STATIC_ROBOT, Prop, StaticRobot, add_props
 from lirs_envs.robots.robot import Robot
-from lirs_envs.sensing.imu import Vector
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import FloatArray, Vector3
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.contact.contact_grid import ContactGrid, contact_grid
 from lirs_wct.export.mjcf import world_spec
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.world import World
 
-FULL = mujoco.mjtState.mjSTATE_INTEGRATION
+FULL_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 """All that the next step depends on, warm start included."""
+CONTROL_PERIOD = 0.008
+"""Longest time between two control updates, seconds."""
+SETTLING_TIME = 0.6
+"""Time that a robot is given to come to rest after it was set down, seconds."""
 
 
 class RobotModel:
@@ -31,7 +34,7 @@ class RobotModel:
         data: its state.
         contact: the grid that wheels touch.
         timestep: seconds; the largest part of the period that is at most the robot's own.
-        pieces: steps between control updates, over one period.
+        substeps: steps of each control update of one period.
         wheel_geoms: ids of the geoms that are meant to touch the ground.
         own_geoms: ids of all of the robot's geoms; None where nobody else has any.
 
@@ -39,10 +42,9 @@ class RobotModel:
         world: ground and walls.
         robot: its MJCF file and figures.
         period: time from scan to scan, seconds: a whole number of steps.
-        control_period: longest time between control updates, seconds.
         props: what else stands there.
-        terrain: what is touched (see `lirs_wct.contact.contact_geometry.CONTACT_GEOMETRIES`).
-        seen: whether MuJoCo's own rays are to meet the surface, where something else is touched.
+        contact_geometry: what is touched (see `lirs_wct.contact.contact_geometry.CONTACT_GEOMETRIES`).
+        mujoco_rays: whether MuJoCo's own rays are to meet the surface, where something else is touched.
     """
 
     def __init__(
@@ -50,10 +52,10 @@ class RobotModel:
         world: World,
         robot: Robot,
         period: float,
-        control_period: float,
+        *,
         props: Sequence[Prop | StaticRobot] = (),
-        terrain: ContactGeometry = "hfield",
-        seen: bool = False,
+        contact_geometry: ContactGeometry = "hfield",
+        mujoco_rays: bool = False,
     ) -> None:
         self.contact: ContactGrid = contact_grid(world.surface)
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
@@ -62,11 +64,15 @@ class RobotModel:
         spec.option.timestep = self.timestep
         add_props(spec, world, props)
         self.model = world_spec(
-            world, contact=self.contact, robot=spec, contact_geometry=terrain, seen=seen
+            world,
+            contact=self.contact,
+            robot=spec,
+            contact_geometry=contact_geometry,
+            ray_surface=mujoco_rays,
         ).compile()
         self.data = mujoco.MjData(self.model)
-        piece = max(1, int(control_period / self.timestep + 1e-9))
-        self.substeps = tuple(min(piece, steps - done) for done in range(0, steps, piece))
+        most = max(1, int(CONTROL_PERIOD / self.timestep + 1e-9))
+        self.substeps = tuple(min(most, steps - done) for done in range(0, steps, most))
         wheel_sides: list[tuple[str, ...]] = [robot.left_wheels, robot.right_wheels]
         sides = [(rotor,) for rotor in robot.rotors] or wheel_sides
         self._actuators = [[self.model.actuator(name).id for name in side] for side in sides]
@@ -81,7 +87,7 @@ class RobotModel:
             g
             for g in range(self.model.ngeom)
             if int(self.model.geom_bodyid[g]) in bodies
-            or ((name := self.model.geom(g).name).endswith("caster") and not name.startswith("parked"))
+            or ((name := self.model.geom(g).name).endswith("caster") and not name.startswith(STATIC_ROBOT))
         )
         base = self.model.body("base_link").id
         self.own_geoms = (
@@ -93,13 +99,18 @@ class RobotModel:
         # Views into the data, made once: making one costs as much as reading it.
         self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
 
+    @property
+    def gravity(self) -> float:
+        """Gravity along -z, m/s^2."""
+        return -float(self.model.opt.gravity[2])
+
     def pose(self) -> Pose3:
         """Return `T_world_base`."""
         x, y, z, qw, qx, qy, qz = self._qpos[:7].tolist()
         norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
         return Pose3(x, y, z, qw / norm, qx / norm, qy / norm, qz / norm)
 
-    def rates(self) -> Vector:
+    def rates(self) -> Vector3:
         """Return the true rates about x, y, z of the base, rad/s.
 
         From the state, as the pose is: MuJoCo's sensors lie one step behind it.
@@ -107,12 +118,12 @@ class RobotModel:
         x, y, z = self._qvel[3:6].tolist()
         return x, y, z
 
-    def velocity(self) -> Vector:
+    def velocity(self) -> Vector3:
         """Return the true velocity of base_link along x, y, z of the base, m/s."""
         x, y, z = (self._qvel[:3] @ self.pose().rotation).tolist()
         return x, y, z
 
-    def specific_force(self) -> Vector:
+    def specific_force(self) -> Vector3:
         """Return the accelerometer's true reading along x, y, z of the base, m/s^2."""
         x, y, z = self._force.tolist()
         return x, y, z
@@ -132,7 +143,7 @@ class RobotModel:
                 ctrl[i] = value
         mujoco.mj_step(self.model, self.data, steps)
 
-    def settle(self, T_world_base: Pose3, seconds: float) -> None:
+    def settle(self, T_world_base: Pose3, seconds: float = SETTLING_TIME) -> None:
         """Let the robot go in a pose with its wheels held, and wait; the time then is 0.
 
         A robot that flies begins in the air, with the thrust that carries it.
@@ -140,7 +151,7 @@ class RobotModel:
         mujoco.mj_resetData(self.model, self.data)
         self._qpos[:7] = (*T_world_base.position, *T_world_base.quaternion)
         if self._flies:
-            weight = float(self.model.body("base_link").subtreemass[0]) * -float(self.model.opt.gravity[2])
+            weight = float(self.model.body("base_link").subtreemass[0]) * self.gravity
             self._ctrl[[i for side in self._actuators for i in side]] = weight / len(self._actuators)
             mujoco.mj_forward(self.model, self.data)
         else:
@@ -149,8 +160,8 @@ class RobotModel:
 
     def state(self) -> FloatArray:
         """Return the whole state."""
-        state = np.empty(mujoco.mj_stateSize(self.model, FULL))
-        mujoco.mj_getState(self.model, self.data, state, FULL)
+        state = np.empty(mujoco.mj_stateSize(self.model, FULL_STATE))
+        mujoco.mj_getState(self.model, self.data, state, FULL_STATE)
         return state
 
     def replay(self, initial: FloatArray, controls: Sequence[tuple[float, ...]]) -> tuple[float, Pose3]:
@@ -160,11 +171,11 @@ class RobotModel:
             Wall-clock seconds, and the last pose.
         """
         present = self.state()
-        mujoco.mj_setState(self.model, self.data, initial, FULL)
+        mujoco.mj_setState(self.model, self.data, initial, FULL_STATE)
         begun = time.perf_counter()
         for k, control in enumerate(controls):
             self.step(control, self.substeps[k % len(self.substeps)])
         seconds = time.perf_counter() - begun
         pose = self.pose()
-        mujoco.mj_setState(self.model, self.data, present, FULL)
+        mujoco.mj_setState(self.model, self.data, present, FULL_STATE)
         return seconds, pose

@@ -1,4 +1,4 @@
-"""Where a robot can be set down, and how it then stands."""
+"""Start poses: where a robot can be set down, and how it then stands."""
 
 from __future__ import annotations
 
@@ -11,28 +11,56 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.validation import is_finite
 from lirs_wct.world import World
 
 SLACK = math.radians(2)
-"""By so much more than its steepest a start may slope: plans measure slopes over a shorter way."""
+"""Margin of a start's slope above the robot's `max_slope`: plans measure slopes over a shorter distance."""
 CLEARANCE = 0.01
 """Metres between the robot and the highest ground under it when it is let go."""
 
 
 def resolve_start(world: World, start: Pose2 | None) -> Pose2:
-    """Return the pose where a robot is to start: the one given, or the world's first.
+    """Return the start pose: the one given, or the world's first.
 
     Raises:
-        ConfigError: the pose is not finite.
+        ConfigError: the pose is no Pose2, or not finite.
         SimulationError: none is given and the world has none.
     """
     if start is None:
         if not world.spawn_poses:
             raise SimulationError(f"world {world.name!r} has no free place to start from; give a start pose")
         return world.spawn_poses[0]
-    if not all(math.isfinite(v) for v in (start.x, start.y, start.yaw)):
-        raise ConfigError(f"a start pose must be finite, got {start}")
+    check_start(start)
     return start
+
+
+def check_start(start: object) -> None:
+    """Check a start pose.
+
+    Raises:
+        ConfigError: it is no Pose2, or not finite.
+    """
+    if not isinstance(start, Pose2):
+        raise ConfigError(f"a start must be a Pose2 or None, got {start!r}")
+    if not all(is_finite(v) for v in (start.x, start.y, start.yaw)):
+        raise ConfigError(f"a start pose must be finite, got {start}")
+
+
+def check_fit(world: object, robot: Robot) -> None:
+    """Check that a robot fits into a world.
+
+    Raises:
+        ConfigError: it is no world, or smaller than the robot.
+    """
+    if not isinstance(world, World):
+        raise ConfigError(f"world must be of type World, got {world!r}")
+    if min(world.surface.size) < 2 * robot.radius:
+        width, depth = world.surface.size
+        raise ConfigError(
+            f"{robot.name} is {2 * robot.radius:g} m wide: "
+            f"too large for {world.name!r} of {width:g} x {depth:g} m"
+        )
 
 
 def standing_pose(world: World, robot: Robot, start: Pose2) -> Pose3:
@@ -70,8 +98,8 @@ def standing_pose(world: World, robot: Robot, start: Pose2) -> Pose3:
     left = b * math.cos(start.yaw) - a * math.sin(start.yaw)
     pitch = -math.atan(ahead)
     roll = math.atan(left * math.cos(pitch))
-    lift = robot.base_height / math.cos(slope) + max(rough, 0.0) + CLEARANCE
-    return Pose3.from_rpy(start.x, start.y, height + lift, roll, pitch, start.yaw)
+    height += robot.base_height / math.cos(slope) + max(rough, 0.0) + CLEARANCE
+    return Pose3.from_rpy(start.x, start.y, height, roll, pitch, start.yaw)
 
 
 def _disc(centre: Pose2, radius: float) -> tuple[FloatArray, FloatArray]:

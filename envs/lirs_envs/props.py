@@ -1,4 +1,4 @@
-"""What else stands in a world: boxes, posts, balls, and robots that are parked there."""
+"""Props: boxes, cylinders, spheres and static robots that stand in a world."""
 
 from __future__ import annotations
 
@@ -12,22 +12,25 @@ import mujoco
 from lirs_envs.robots.robot import Robot
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.validation import is_finite
 from lirs_wct.world import World
 
 PROP_GROUP = 1
-"""Geom group of all that the LRF sees through MuJoCo's rays; no robot uses it for itself."""
+"""Geom group of what the lidar sees through MuJoCo's rays; no robot uses it for itself."""
+STATIC_ROBOT = "static_robot"
+"""Prefix of the names of a static robot's bodies and geoms."""
 SHAPES = {
     "box": (mujoco.mjtGeom.mjGEOM_BOX, 3),
     "cylinder": (mujoco.mjtGeom.mjGEOM_CYLINDER, 2),
     "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, 1),
 }
 DROP = 0.005
-"""Metres above the ground at which things are let go."""
+"""Metres above the ground at which props are let go."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prop:
-    """A thing that stands on the ground.
+    """A body that stands on the ground.
 
     Attributes:
         shape: `box`, `cylinder` (upright) or `sphere`.
@@ -72,18 +75,16 @@ class StaticRobot:
 
 
 def add_props(spec: mujoco.MjSpec, world: World, props: Sequence[Prop | StaticRobot]) -> None:
-    """Add things and robots to a specification, on the world's ground.
+    """Add props to a specification, on the world's ground.
 
     Raises:
-        ConfigError: one is of another type, or stands beyond the world's border.
+        ConfigError: one stands beyond the world's border.
     """
     for k, prop in enumerate(props):
-        if not isinstance(prop, Prop | StaticRobot):
-            raise ConfigError(f"props must be Prop or StaticRobot, got {prop!r}")
         height = prop.height if isinstance(prop, Prop) else prop.robot.base_height
         T = _standing(world, prop.place, height)
         if isinstance(prop, StaticRobot):
-            _add_robot(spec, prop.robot, T, f"parked{k}_")
+            _add_robot(spec, prop.robot, T, f"{STATIC_ROBOT}{k}_")
             continue
         body = spec.worldbody.add_body(name=f"prop{k}", pos=T.position, quat=T.quaternion)
         if prop.mass:
@@ -119,5 +120,5 @@ def _standing(world: World, place: Pose2, height: float) -> Pose3:
 
 
 def _check(place: Pose2) -> None:
-    if not all(math.isfinite(v) for v in (place.x, place.y, place.yaw)):
+    if not all(is_finite(v) for v in (place.x, place.y, place.yaw)):
         raise ConfigError(f"a prop's place must be finite, got {place}")

@@ -1,155 +1,132 @@
-"""One robot in one world, stepped from laser scan to laser scan. No Gymnasium in here."""
+"""One robot in one world, stepped from lidar scan to lidar scan, without Gymnasium."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
 
 import numpy as np
 
-from lirs_envs.checks import check_arguments, check_command, check_seed, check_start
 from lirs_envs.collisions import Collisions, ContactMonitor, check_divergence
-from lirs_envs.lidar.casters import Rays, check_rays, make_casters
-from lirs_envs.lidar.presets import make_lidar_preset
+from lirs_envs.lidar.casters import make_caster
 from lirs_envs.model import RobotModel
-from lirs_envs.placement import resolve_start, standing_pose
-from lirs_envs.props import Prop, StaticRobot
-from lirs_envs.robots.command import Twist, Waypoint
-from lirs_envs.robots.drive import Drive
-from lirs_envs.robots.flight import QuadrotorController
-from lirs_envs.robots.robot import Robot
-from lirs_envs.sensing.sensors import Observation, SensorNoise, Sensors
-from lirs_envs.timing import Replay, Timing
+from lirs_envs.placement import check_fit, resolve_start, standing_pose
+from lirs_envs.robots.command import Twist, Waypoint, check_command
+from lirs_envs.robots.controller import make_controller
+from lirs_envs.sensing.sensors import Observation, Sensors
+from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.timing import PhysicsReplay, Timing
 from lirs_wct.arrays import FloatArray
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.contact.contact_grid import ContactGrid
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.validation import require_seed
 from lirs_wct.world import World
 
-CONTROL_PERIOD = 0.008
-"""Longest time between two updates of the wheel speeds, seconds."""
-SETTLING = 0.6
-"""Time that a robot is given to come to rest after it was set down, seconds."""
-STAYS = 0.1
+MAX_SETTLING_DISTANCE = 0.1
 """A robot that moves farther than this while it settles cannot stand there, metres."""
+MAX_TILT = math.radians(60)
+"""Tilt beyond which a robot counts as tipped, radians."""
 
 
 class Simulation:
     """A robot with its sensors in a world; `reset` comes first.
 
     Attributes:
+        world: the world.
+        config: robot, sensors and props.
+        robot: the config's.
+        preset: figures of the lidar.
         period: time between two scans, seconds; one `advance`.
-        preset: figures of the LRF.
-        terrain: what MuJoCo touches.
         body: MuJoCo's model of robot and world.
-        casters: what the LRF sees of the world, and of what else stands there; for sensors of your own.
+        caster: what the lidar sees of the world and of the props; for sensors of your own.
         timing: wall-clock seconds since the reset.
 
     Args:
-        world: where.
-        robot: who.
-        lidar: name of an LRF preset; default: the robot's own.
+        world: the world.
+        config: robot, sensors and props.
         seed: of every random number; same seed and same commands, same bytes.
-        noise: of all sensors.
-        props: things and parked robots that stand in the world; touched, and seen by the LRF.
-        terrain: what MuJoCo touches: `hfield`, `mesh` (the same, and the mesh is seen), `prisms` or `convex`.
-        rays: whose rays meet the world: `ours`, or `mujoco` for comparison: those of its hfield, or with
-            terrain `mesh` those of its mesh. Noise and all else are the same.
 
     Raises:
-        ConfigError: no LRF or rays of that name, a negative seed, or a terrain that does not fit the world.
+        ConfigError: the seed is no whole number from 0 up, or robot, props or contact geometry do not fit the
+            world.
     """
 
-    def __init__(
-        self,
-        world: World,
-        robot: Robot,
-        *,
-        lidar: str | None = None,
-        seed: int = 0,
-        noise: SensorNoise | None = None,
-        props: Sequence[Prop | StaticRobot] = (),
-        terrain: ContactGeometry = "hfield",
-        rays: Rays = "ours",
-    ) -> None:
-        self._noise = SensorNoise() if noise is None else noise
-        check_arguments(world, robot, seed, self._noise)
-        check_rays(rays)
+    def __init__(self, world: World, config: SimulationConfig, *, seed: int = 0) -> None:
+        check_fit(world, config.robot)
+        require_seed(seed)
         self.world = world
-        self.robot = robot
-        self.preset = make_lidar_preset(lidar or robot.lidar)
+        self.config = config
+        self.robot = config.robot
+        self.preset = config.preset
         self.period = self.preset.period
-        self.terrain = terrain
-        self.body = body = RobotModel(
-            world, robot, self.period, CONTROL_PERIOD, props, terrain, rays == "mujoco"
+        self.body = RobotModel(
+            world,
+            config.robot,
+            self.period,
+            props=config.props,
+            contact_geometry=config.contact_geometry,
+            mujoco_rays=config.rays == "mujoco",
         )
-        self.casters = make_casters(world, rays, bool(props), body.model, body.data)
+        self.caster = make_caster(world, config.rays, bool(config.props), self.body.model, self.body.data)
         self._seed = seed
-        self._start_over(None)
+        self._begin()
 
-    def _start_over(self, seed: int | None) -> None:
-        """Forget all that was recorded; draw noise anew."""
-        self._seed = self._seed if seed is None else seed
-        self._sensors = Sensors(self.robot, self.body, self.preset, self.casters, self._noise, self._seed)
-        robot, body = self.robot, self.body
-        self._drive = QuadrotorController(robot, body, self.world.surface) if robot.flies else Drive(robot)
-        self._watch = ContactMonitor(self.body.wheel_geoms, self.body.own_geoms)
+    def _begin(self) -> None:
+        """Begin records, noise and odometry anew, where the robot stands."""
+        body, config = self.body, self.config
+        self._sensors = Sensors(self.robot, body, self.preset, self.caster, config.noise, self._seed)
+        self._controller = make_controller(self.robot, body, self.world.surface)
+        self._contacts = ContactMonitor(body.wheel_geoms, body.own_geoms)
         self._controls: list[tuple[float, ...]] = []
-        self._initial: FloatArray | None = None
+        self._initial_state: FloatArray | None = None
         self.timing = Timing()
 
     def reset(self, start: Pose2 | None = None, *, seed: int | None = None) -> Observation:
         """Set the robot at rest on the ground; time, records and odometry begin anew.
 
         Args:
-            start: where; None = the world's first start pose.
+            start: start pose; None = the config's, or else the world's first.
             seed: of the noise; None = as before, so that the same run comes again.
 
         Raises:
             ConfigError: the pose is not finite, or the seed no whole number from 0 up.
             SimulationError: the robot cannot stand there.
         """
-        self._initial = None
-        check_start(start)
-        check_seed(self._seed if seed is None else seed)
-        start = resolve_start(self.world, start)
-        self.body.settle(standing_pose(self.world, self.robot, start), SETTLING)
-        there = self.body.pose()
+        self._initial_state = None
+        start = resolve_start(self.world, self.config.start if start is None else start)
+        require_seed(self._seed if seed is None else seed)
+        self.body.settle(standing_pose(self.world, self.robot, start))
         check_divergence(self.body.data)
-        if math.hypot(there.x - start.x, there.y - start.y) > STAYS or self.tipped:
-            raise SimulationError(
-                f"{self.robot.name} does not stay at ({start.x:.2f}, {start.y:.2f}): "
-                f"it slid or tipped to ({there.x:.2f}, {there.y:.2f})"
-            )
-        self._start_over(seed)
-        self._initial = self.body.state()
+        self._check_settled(start)
+        self._seed = self._seed if seed is None else seed
+        self._begin()
+        self._initial_state = self.body.state()
         return self._sensors.observe(0.0, self.period)
 
     def advance(self, command: Twist | Waypoint) -> Observation:
-        """Drive for one LRF period; return what the robot then knows.
+        """Drive for one lidar period; return what the sensors then read.
 
         Raises:
             ConfigError: the command is not finite.
             SimulationError: the simulation diverged, or was never reset.
         """
-        if self._initial is None:
+        if self._initial_state is None:
             raise SimulationError("a simulation must be reset before it is advanced")
         check_command(self.robot, command)
         body, clock, physics, sensors = self.body, time.perf_counter, 0.0, 0.0
         for steps in body.substeps:
             dt = steps * body.timestep
-            control = self._drive.update(command, self._sensors.yaw_rate, dt)
+            control = self._controller.update(command, self._sensors.yaw_rate, dt)
             self._controls.append(control)
             begun = clock()
             body.step(control, steps)
-            stepped = clock()
-            self._watch.look(body.data, dt)
-            watched = clock()
-            self._sensors.dead_reckon(dt)
-            physics += stepped - begun
-            sensors += clock() - watched
+            physics += clock() - begun
+            self._contacts.record(body.data, dt)
+            begun = clock()
+            self._sensors.integrate_odometry(dt)
+            sensors += clock() - begun
         check_divergence(body.data)
         begun = clock()
         observation = self._sensors.observe(self.time, self.period)
@@ -169,9 +146,9 @@ class Simulation:
 
     @property
     def tipped(self) -> bool:
-        """Whether the robot leans by more than 60 deg or lies on its back."""
+        """Whether the robot tilts by more than 60 deg or lies on its back."""
         p = self.body.pose()
-        return 1 - 2 * (p.qx * p.qx + p.qy * p.qy) < 0.5
+        return 1 - 2 * (p.qx * p.qx + p.qy * p.qy) < math.cos(MAX_TILT)
 
     @property
     def off_world(self) -> bool:
@@ -182,13 +159,13 @@ class Simulation:
 
     @property
     def contact(self) -> ContactGrid:
-        """The grid that wheels touch, and by how much it differs from the surface that the LRF sees."""
+        """The grid that wheels touch, and by how much it differs from the surface that the lidar sees."""
         return self.body.contact
 
     @property
     def collisions(self) -> Collisions:
         """Contacts since the reset."""
-        return self._watch.summary()
+        return self._contacts.statistics()
 
     @property
     def controls(self) -> FloatArray:
@@ -196,18 +173,21 @@ class Simulation:
         width = len(self.robot.rotors) or 2
         return np.array(self._controls, dtype=np.float64).reshape(-1, width)
 
-    def replay(self) -> Replay:
+    def replay(self) -> PhysicsReplay:
         """Send the recorded controls through MuJoCo's step alone; the simulation stays as it is.
 
         Raises:
             SimulationError: nothing was driven since the reset.
         """
-        if self._initial is None or not self._controls:
+        if self._initial_state is None or not self._controls:
             raise SimulationError("nothing was driven since the reset: there is nothing to replay")
-        seconds, pose = self.body.replay(self._initial, self._controls)
-        return Replay(seconds, self.time, pose)
+        seconds, pose = self.body.replay(self._initial_state, self._controls)
+        return PhysicsReplay(seconds, self.time, pose)
 
-    def replay_rtf(self) -> float:
-        """Return simulated seconds over wall-clock seconds of the replay."""
-        replay = self.replay()
-        return replay.simulated / replay.seconds
+    def _check_settled(self, start: Pose2) -> None:
+        there = self.body.pose()
+        if math.hypot(there.x - start.x, there.y - start.y) > MAX_SETTLING_DISTANCE or self.tipped:
+            raise SimulationError(
+                f"{self.robot.name} does not stay at ({start.x:.2f}, {start.y:.2f}): "
+                f"it slid or tipped to ({there.x:.2f}, {there.y:.2f})"
+            )

@@ -16,9 +16,20 @@ class Timing:
 
 
 @dataclass(frozen=True)
-class Replay:
-    """The recorded controls through MuJoCo's step alone, in `seconds` of wall clock."""
+class PhysicsReplay:
+    """The recorded controls through MuJoCo's step alone.
+
+    Attributes:
+        seconds: wall-clock time.
+        simulated: simulated time, seconds.
+        T_world_base: last pose.
+    """
 
     seconds: float
     simulated: float
     T_world_base: Pose3
+
+    @property
+    def rtf(self) -> float:
+        """Simulated seconds over wall-clock seconds."""
+        return self.simulated / self.seconds

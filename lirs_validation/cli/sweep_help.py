@@ -43,9 +43,9 @@ RayKinds = Annotated[
     str | None,
     typer.Option(
         "--rays",
-        metavar="ours|mujoco",
-        show_default="ours",
-        help="Whose rays the LRF takes; MuJoCo's for comparison.",
+        metavar="builtin|mujoco",
+        show_default="builtin",
+        help="Whose rays the lidar takes (builtin = ours); MuJoCo's for comparison.",
         rich_help_panel=AXES,
     ),
 ]

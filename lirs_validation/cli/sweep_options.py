@@ -63,13 +63,12 @@ def axes_cells(
     Raises:
         ConfigError: an axis is empty or holds what is not legal.
     """
-    from lirs_envs.lidar.casters import RAYS, Rays
+    from lirs_envs.lidar.casters import ALIASES, RAYS
     from lirs_validation.sweep.axes import Axes, View
 
     terrains = [mujoco_terrain(word) for word in listed(given["terrain"], "--terrain", "hfield")]
-    wanted = listed(given["rays"], "--rays", "ours")
-    rays: list[Rays] = [ray for word in wanted for ray in RAYS if ray == word]
-    if len(rays) < len(wanted):
+    rays = listed(given["rays"], "--rays", "builtin")
+    if not set(rays) <= {*RAYS, *ALIASES}:
         raise ConfigError(f"--rays must be {' or '.join(RAYS)}, got {given['rays']!r}")
     return Axes(
         sources=tuple(sources),

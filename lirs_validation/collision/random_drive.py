@@ -14,8 +14,7 @@ from lirs_envs.collisions import check_divergence
 from lirs_envs.model import RobotModel
 from lirs_envs.placement import standing_pose
 from lirs_envs.robots.command import Twist
-from lirs_envs.robots.drive import Drive
-from lirs_envs.robots.flight import QuadrotorController
+from lirs_envs.robots.controller import make_controller
 from lirs_envs.robots.robot import Robot
 from lirs_validation.collision.contact_log import ContactLog, ContactRecorder
 from lirs_wct.errors import ConfigError, SimulationError
@@ -24,10 +23,8 @@ from lirs_wct.navigation.spawn_poses import spawn_poses
 from lirs_wct.navigation.traversability import largest_area
 from lirs_wct.world import World
 
-PERIOD, CONTROL_PERIOD = 0.04, 0.008
-"""Seconds: a whole number of steps, and the longest time between two updates of the wheel speeds."""
-SETTLING = 0.6
-"""Seconds that a robot is given to come to rest after it was set down."""
+PERIOD = 0.04
+"""Seconds between two looks at the robot's state: a whole number of steps."""
 HELD = 1.6
 """Seconds for which a command is held."""
 FLIGHT = 3.0
@@ -97,7 +94,7 @@ def drive_at_random(
     starts = places(world, robot, rng)
     left, longest = math.ceil(seconds / body.timestep), round(LONGEST / body.timestep)
     for start in cycle(starts):
-        body.settle(standing_pose(world, robot, start), SETTLING)
+        body.settle(standing_pose(world, robot, start))
         leg = _leg(body, world, robot, min(left, longest), rng)
         yield leg
         left -= len(leg.commanded)
@@ -114,7 +111,7 @@ def _stands(world: World, robot: Robot, start: Pose2) -> bool:
 
 
 def _leg(body: RobotModel, world: World, robot: Robot, steps: int, rng: np.random.Generator) -> Leg:
-    drive = QuadrotorController(robot, body, world.surface) if robot.flies else Drive(robot)
+    controller = make_controller(robot, body, world.surface)
     recorder, commanded = ContactRecorder(body), list[float]()
     every, tipped, diverged = round(HELD / body.timestep), False, ""
     command, rest = Twist(), steps
@@ -122,7 +119,7 @@ def _leg(body: RobotModel, world: World, robot: Robot, steps: int, rng: np.rando
         for piece in body.substeps:
             if len(commanded) % every < piece:
                 command = _command(robot, rng)
-            control = drive.update(command, body.rates()[2], piece * body.timestep)
+            control = controller.update(command, body.rates()[2], piece * body.timestep)
             for _ in range(piece):
                 recorder.step(control)
             commanded += [command.v] * piece

@@ -10,9 +10,9 @@ import numpy as np
 from lirs_envs.model import RobotModel
 from lirs_envs.placement import standing_pose
 from lirs_envs.robots.command import Twist
-from lirs_envs.robots.drive import Drive
+from lirs_envs.robots.drive import DifferentialDrive
 from lirs_envs.robots.robot import Robot
-from lirs_validation.collision.random_drive import MARGIN, SETTLING
+from lirs_validation.collision.random_drive import MARGIN
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
@@ -46,7 +46,7 @@ def climb(body: RobotModel, world: World, robot: Robot) -> Climb | None:
     """Hold and climb at the steepest drivable place, one robot's length; None where it can stand nowhere."""
     for slope, start in _steepest(world, robot):
         try:
-            body.settle(standing_pose(world, robot, start), SETTLING)
+            body.settle(standing_pose(world, robot, start))
         except SimulationError:
             continue
         before = body.pose().position
@@ -58,7 +58,7 @@ def climb(body: RobotModel, world: World, robot: Robot) -> Climb | None:
 
 def _climbed(body: RobotModel, robot: Robot, uphill: float) -> float:
     """Return the share of the commanded way; both counted once the robot is up to speed."""
-    drive, v = Drive(robot), min(SPEED, robot.max_speed)
+    drive, v = DifferentialDrive(robot), min(SPEED, robot.max_speed)
     ramp, way = v / robot.max_acceleration + 0.2, 2 * robot.radius
     axis = np.array((math.cos(uphill), math.sin(uphill)))
     before, time = body.pose().position, 0.0

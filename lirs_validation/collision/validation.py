@@ -24,17 +24,17 @@ from typing import Any
 
 import numpy as np
 
-from lirs_envs.checks import check_arguments
 from lirs_envs.model import RobotModel
+from lirs_envs.placement import check_fit
 from lirs_envs.robots.robot import Robot
-from lirs_envs.sensing.sensors import SensorNoise
 from lirs_validation.collision import figures
 from lirs_validation.collision.contact_log import DEEP
-from lirs_validation.collision.random_drive import CONTROL_PERIOD, PERIOD, drive_at_random
+from lirs_validation.collision.random_drive import PERIOD, drive_at_random
 from lirs_validation.collision.slope_test import climb
 from lirs_validation.collision.touched import Touched
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError
+from lirs_wct.validation import require_seed
 from lirs_wct.world import World
 
 STREAM = 21
@@ -148,12 +148,11 @@ def check_collisions(
     Raises:
         ConfigError: an argument is not legal, or the robot can stand nowhere in this world.
     """
-    check_arguments(world, robot, seed, SensorNoise())
-    if seed < 0:
-        raise ConfigError(f"seed must be 0 or above, got {seed}")
+    check_fit(world, robot)
+    require_seed(seed)
     if not 0 < seconds < float("inf"):
         raise ConfigError(f"seconds must be a finite number above 0, got {seconds:g}")
-    body = RobotModel(world, robot, PERIOD, CONTROL_PERIOD, terrain=terrain)
+    body = RobotModel(world, robot, PERIOD, contact_geometry=terrain)
     legs = list(drive_at_random(body, world, robot, seconds, np.random.default_rng((seed, STREAM))))
     slope = None if robot.flies or legs[-1].diverged else climb(body, world, robot)
     p999, peak = figures.penetrations(legs)

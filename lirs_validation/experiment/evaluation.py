@@ -69,7 +69,7 @@ def judge_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
         "std": float(np.std(series)),
         "min": float(series.min()),
         "parts": parts | {"rest": total - sum(parts.values())},
-        "physics_only": simulation.replay_rtf(),
+        "physics_only": simulation.replay().rtf,
         "simulated_seconds": len(log.walls) * period,
         "wall_seconds": sum(log.walls),
         "concurrent": log.concurrent,
@@ -80,8 +80,8 @@ def judge_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
 
 def judge_contact(simulation: Simulation) -> dict[str, Any]:
     """Return what is touched, and by how much it differs from the surface or of how many parts it is."""
-    terrain = {"terrain": simulation.terrain}
-    if simulation.terrain in ("hfield", "mesh"):
+    terrain = {"terrain": simulation.config.contact_geometry}
+    if simulation.config.contact_geometry in ("hfield", "mesh"):
         return terrain | asdict(simulation.contact)
     model = simulation.body.model
     return terrain | {"parts": sum(model.geom(g).name.startswith("ground") for g in range(model.ngeom))}

@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from lirs_envs.lidar.casters import Rays
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.simulation import Simulation
 from lirs_validation.config import RunConfig
@@ -55,7 +54,7 @@ def validate(
     mapper: str = "hector",
     lidar: str | None = None,
     terrain: ContactGeometry = "hfield",
-    rays: Rays = "ours",
+    rays: str = "builtin",
     seconds: float = 120.0,
     seed: int = 1,
     wall_limit: float | None = None,
@@ -71,7 +70,7 @@ def validate(
         mapper: name of the mapper, or `module:name` of your own.
         lidar: name of an LRF preset; None = the robot's own.
         terrain: what MuJoCo touches: `hfield`, `mesh`, `prisms` or `convex`.
-        rays: whose rays the LRF takes: `ours`, or `mujoco` for comparison.
+        rays: whose rays the lidar takes: `builtin` (also `ours`), or `mujoco` for comparison.
         seconds: simulated time to drive.
         seed: of every random number in the run; same seed, same bytes.
         wall_limit: wall seconds after which the drive is stopped; None = never.

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import dataclass, replace
 
+from lirs_envs.lidar.casters import resolve_rays
 from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.config import RunConfig
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.window import Window
@@ -30,7 +32,10 @@ class Stage:
     def simulation(self, robot: Robot) -> Simulation:
         """Put the robot into the world."""
         c = self.config
-        return Simulation(self.world, robot, lidar=c.lidar, seed=c.seed, terrain=c.terrain, rays=c.rays)
+        config = SimulationConfig(
+            robot=robot, lidar=c.lidar, contact_geometry=c.terrain, rays=resolve_rays(c.rays)
+        )
+        return Simulation(self.world, config, seed=c.seed)
 
 
 def set_stage(config: RunConfig) -> Stage:

@@ -6,7 +6,6 @@ import itertools
 import re
 from dataclasses import dataclass, field
 
-from lirs_envs.lidar.casters import Rays
 from lirs_validation.config import RunConfig
 from lirs_validation.sweep.run_cell import RunCell
 from lirs_wct.contact.contact_geometry import ContactGeometry
@@ -21,7 +20,7 @@ class View:
     """A way to represent a world: what is touched, and whose rays see it."""
 
     terrain: ContactGeometry = "hfield"
-    rays: Rays = "ours"
+    rays: str = "ours"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,7 +26,7 @@ TERRAIN_GROUP = 3
 """Geom group of ground and walls in a simulation: rays for robots and props leave it out."""
 BASE = 1.0
 """Metres that the ground reaches below its lowest point; contacts push out the shorter way: up."""
-SEEN_GROUP = 5
+RAY_GROUP = 5
 """Geom group of a true mesh that MuJoCo's rays see, since no height field can hold it; no robot uses it."""
 GROUND_COLOUR = (0.62, 0.57, 0.48, 1.0)
 WALL_COLOUR = (0.45, 0.5, 0.55, 1.0)
@@ -39,7 +39,7 @@ def world_spec(
     robot: mujoco.MjSpec | None = None,
     group: int = TERRAIN_GROUP,
     contact_geometry: ContactGeometry = "hfield",
-    seen: bool = False,
+    ray_surface: bool = False,
     heights: bool = True,
 ) -> mujoco.MjSpec:
     """Return the world as a specification to compile.
@@ -50,7 +50,7 @@ def world_spec(
         robot: specification that the world is added to; its options and defaults stay as they are.
         group: geom group of ground and walls.
         contact_geometry: what is touched (see `CONTACT_GEOMETRIES`).
-        seen: whether MuJoCo's own rays are to meet the surface itself, where something else is touched.
+        ray_surface: whether to add the surface itself for MuJoCo's own rays, where something else is touched.
         heights: whether the height field holds its heights; without, they are to come from a file.
 
     Raises:
@@ -69,8 +69,8 @@ def world_spec(
     if world.walls is not None:
         _add_boxes(spec, world.walls, world.walls.solid, (0.0, world.walls.height), group, WALL_COLOUR)
     if contact_geometry == "mesh" or world.overhangs:
-        _add_tiles(spec, world, SEEN_GROUP if world.overhangs else group)
-    elif seen and (contact_geometry != "hfield" or surface.shape != world.surface.shape):
+        _add_tiles(spec, world, RAY_GROUP if world.overhangs else group)
+    elif ray_surface and (contact_geometry != "hfield" or surface.shape != world.surface.shape):
         _hide(spec, group)
         _add_ground(spec, world.surface, group, name="seen", contype=0, conaffinity=0)
     for geom in spec.worldbody.geoms:

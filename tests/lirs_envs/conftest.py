@@ -18,10 +18,10 @@ from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.world import World
 
 Array = NDArray[np.float64]
-Heights = Callable[[Array, Array], Array]
+HeightFunction = Callable[[Array, Array], Array]
 
 
-def terrain_world(z: Heights, nodes: int = 201, cell: float = 0.1) -> World:
+def terrain_world(z: HeightFunction, nodes: int = 201, cell: float = 0.1) -> World:
     """A square terrain of heights z(x, y) with its centre at the origin."""
     axis = (np.arange(nodes) - (nodes - 1) / 2) * cell
     x, y = np.meshgrid(axis, -axis)

@@ -16,6 +16,7 @@ from lirs_envs.robots.command import Twist, Waypoint
 from lirs_envs.robots.drive import DriveConfig
 from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
@@ -26,14 +27,14 @@ from lirs_wct.world import World
 )  # type: ignore[arg-type]
 def test_a_start_that_is_no_pose(start: Any, plane: World, husky: Robot) -> None:
     with pytest.raises(ConfigError, match="a start"):
-        Simulation(plane, husky).reset(start)
+        Simulation(plane, SimulationConfig(robot=husky)).reset(start)
 
 
 @pytest.mark.parametrize("seed", ["x", 1.5, True, None, -1, (1,)])
 def test_a_seed_that_is_no_whole_number(seed: Any, plane: World, husky: Robot) -> None:
     with pytest.raises(ConfigError, match="seed must be"):
-        Simulation(plane, husky, seed=seed)
-    sim = Simulation(plane, husky, seed=np.int64(3))
+        Simulation(plane, SimulationConfig(robot=husky), seed=seed)
+    sim = Simulation(plane, SimulationConfig(robot=husky), seed=np.int64(3))
     if seed is not None:
         with pytest.raises(ConfigError, match="seed must be"):
             sim.reset(seed=seed)
@@ -63,7 +64,7 @@ def test_a_name_that_is_none(name: Any, make: Callable[[Any], object]) -> None:
     ],
 )
 def test_a_command_that_cannot_be(command: Any, plane: World, husky: Robot) -> None:
-    sim = Simulation(plane, husky)
+    sim = Simulation(plane, SimulationConfig(robot=husky))
     sim.reset()
     before = sim.T_world_base
     with pytest.raises(ConfigError, match=r"a command must|husky drives: it takes a Twist"):
@@ -76,20 +77,20 @@ def test_a_command_that_cannot_be(command: Any, plane: World, husky: Robot) -> N
 def test_a_wall_a_border_and_a_small_world(
     walled: World, T_world_wall: Pose2, husky: Robot, make_world: Callable[..., World]
 ) -> None:
-    sim = Simulation(walled, husky)
+    sim = Simulation(walled, SimulationConfig(robot=husky))
     with pytest.raises(SimulationError, match=r"husky cannot start at .*: a wall or a hole is within"):
         sim.reset(T_world_wall @ Pose2(3.05, 0.0))
     with pytest.raises(SimulationError, match=r"husky cannot start at .*: it needs 0\.58 m to the border"):
         sim.reset(Pose2(1000.0, 0.0))
     with pytest.raises(ConfigError, match="too large for"):
-        Simulation(make_world(lambda x, y: 0 * x, nodes=11), husky)
+        Simulation(make_world(lambda x, y: 0 * x, nodes=11), SimulationConfig(robot=husky))
 
 
 def test_figures_that_cannot_be(husky: Robot) -> None:
     for bad in (math.nan, math.inf, -1.0, 0.0):
-        with pytest.raises(ConfigError, match="track must be a finite number above 0"):
+        with pytest.raises(ConfigError, match="track of robot 'husky' must be a finite number above 0"):
             replace(husky, track=bad)
-    with pytest.raises(ConfigError, match="integral must be a finite number"):
+    with pytest.raises(ConfigError, match="integral of the yaw loop must be a finite number"):
         DriveConfig(integral=math.nan)
 
 
@@ -99,7 +100,7 @@ def test_a_state_that_is_not_finite_stops_it(
     where: str, value: float, plane: World, husky: Robot, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file where it stands
-    sim = Simulation(plane, husky)
+    sim = Simulation(plane, SimulationConfig(robot=husky))
     sim.reset()
     getattr(sim.body.data, where)[2] = value
     with pytest.raises(SimulationError, match=r"the simulation diverged at \d"):

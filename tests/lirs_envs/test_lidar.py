@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from lirs_envs.lidar.casters import NearestCaster
 from lirs_envs.lidar.lidar import Lidar
 from lirs_envs.lidar.mipmap import EDGE, LEAF, ROW, build_terrain_mipmap
 from lirs_envs.lidar.presets import LIDARS, LidarPreset, make_lidar_preset
@@ -59,7 +61,7 @@ def test_presets_are_the_devices() -> None:
     ],
 )
 def test_presets_refuse_what_no_device_has(changes: dict[str, float]) -> None:
-    with pytest.raises(ConfigError, match="lidar 'exact'"):
+    with pytest.raises(ConfigError, match="of lidar 'exact'"):
         exact(**changes)
 
 
@@ -82,7 +84,7 @@ def test_the_mount_and_the_pose_move_the_rays() -> None:
     assert scan.T_base_laser == mount
 
 
-def test_a_leaning_laser_sees_the_ground() -> None:
+def test_a_tilted_lidar_sees_the_ground() -> None:
     scan = scanner(exact()).scan(Pose3.from_rpy(0.0, 0.0, 0.5, 0.0, 0.2, 0.0), 0.0)
     assert scan.ranges[180] == pytest.approx(0.5 / math.sin(0.2), abs=1e-5)
 
@@ -116,7 +118,9 @@ def test_others_hide_what_is_behind_them() -> None:
         assert max_range == 30.0
         return np.where(directions[:, 0] > 0.9, 2.0, np.inf)
 
-    ranges = scanner(exact()).scan(Pose3(0.0, 0.0, 0.5), 0.0, prop).ranges
+    lidar = scanner(exact())
+    lidar.caster = NearestCaster(lidar.caster, SimpleNamespace(ranges=prop))
+    ranges = lidar.scan(Pose3(0.0, 0.0, 0.5), 0.0).ranges
     assert ranges[180] == 2.0
     assert ranges[0] == pytest.approx(3.0, abs=1e-5)
 

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from lirs_envs.lidar.lidar import Lidar
-from lirs_envs.lidar.noise import DATASHEET, LidarNoise, draws, lidar_noise, measure
+from lirs_envs.lidar.noise import DATASHEET, LidarNoise, draw_noise, lidar_noise, measure
 from lirs_envs.lidar.presets import LIDARS
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_wct.errors import ConfigError
@@ -21,9 +21,9 @@ ALMOST_SURE = 1e-4
 
 
 def measured(exact: np.ndarray, noise: LidarNoise, seed: int = 0, limits=(0.1, 30.0)) -> np.ndarray:
-    normal, uniform = draws(noise, len(exact), np.random.default_rng(seed))
+    normal, uniform = draw_noise(noise, len(exact), np.random.default_rng(seed))
     ranges = np.empty(len(exact), np.float32)
-    measure(exact, normal, uniform, limits, noise.figures, ranges)
+    measure(exact, normal, uniform, limits, noise.parameters, ranges)
     return ranges.astype(np.float64)
 
 
@@ -33,13 +33,15 @@ def test_range_noise_is_gaussian_with_the_stated_deviation(name: str, level: str
     noise = lidar_noise(LIDARS[name], level)
     sigma = noise.sigma + 3.0 * noise.sigma_relative
     ranges = measured(np.full(BEAMS, 3.0), noise)
-    errors = (ranges[np.isfinite(ranges)] - 3.0) / math.hypot(sigma, noise.step / math.sqrt(12))
+    errors = (ranges[np.isfinite(ranges)] - 3.0) / math.hypot(sigma, noise.quantization / math.sqrt(12))
     # The variance: chi-square with as many degrees as beams.
     tail = stats.chi2.cdf(float(errors @ errors), len(errors))
     assert ALMOST_SURE < tail < 1 - ALMOST_SURE
     # The shape: counts in 20 bins of equal probability, where quantisation is finer than they are.
-    if noise.step < sigma / 10:
-        counts = np.histogram(stats.norm.cdf(errors + dither(errors, noise.step / sigma)), 20, (0, 1))[0]
+    if noise.quantization < sigma / 10:
+        counts = np.histogram(
+            stats.norm.cdf(errors + dither(errors, noise.quantization / sigma)), 20, (0, 1)
+        )[0]
         assert stats.chisquare(counts).pvalue > ALMOST_SURE
 
 
@@ -54,7 +56,7 @@ def test_half_the_deviation_would_be_found() -> None:
 
 
 def test_quantisation() -> None:
-    ranges = measured(np.linspace(1, 2, BEAMS), LidarNoise(step=0.001))
+    ranges = measured(np.linspace(1, 2, BEAMS), LidarNoise(quantization=0.001))
     assert np.abs(ranges * 1000 - np.round(ranges * 1000)).max() < 1e-3
     assert np.abs(ranges - np.linspace(1, 2, BEAMS)).max() <= 0.0005 + 1e-6
 
@@ -69,14 +71,14 @@ def test_dropouts_are_nan_and_as_many_as_stated() -> None:
 
 def test_mixed_pixels_lie_between_the_two_sides_of_an_edge() -> None:
     exact = np.where(np.arange(BEAMS) % 2 == 0, 2.0, 5.0)
-    ranges = measured(exact, LidarNoise(mixed=0.3))
+    ranges = measured(exact, LidarNoise(mixed_pixels=0.3))
     mixed = (ranges > 2.0 + 1e-6) & (ranges < 5.0 - 1e-6)
     assert stats.binomtest(int(mixed.sum()), BEAMS - 1, 0.3).pvalue > ALMOST_SURE
     assert stats.kstest((ranges[mixed] - 2) / 3, "uniform").pvalue > ALMOST_SURE
     np.testing.assert_allclose(ranges[~mixed], exact[~mixed], atol=1e-6)
     # No edge, nothing mixed; towards nothing neither.
     for calm in (np.where(np.arange(100) % 2 == 0, 2.0, 2.1), np.where(np.arange(100) % 2 == 0, 2.0, np.inf)):
-        np.testing.assert_allclose(measured(calm, LidarNoise(mixed=1.0)), calm, atol=1e-6)
+        np.testing.assert_allclose(measured(calm, LidarNoise(mixed_pixels=1.0)), calm, atol=1e-6)
 
 
 def test_rep_117_beyond_the_limits() -> None:
@@ -95,7 +97,12 @@ def test_levels() -> None:
     assert set(DATASHEET) == set(LIDARS)
     with pytest.raises(ConfigError, match=r"'much'; legal: datasheet, none, simulated"):
         lidar_noise(preset, "much")  # type: ignore[arg-type]
-    for wrong in ({"sigma": -1.0}, {"dropout": 1.5}, {"step": math.nan}, {"edge": math.inf}):
+    for wrong in (
+        {"sigma": -1.0},
+        {"dropout": 1.5},
+        {"quantization": math.nan},
+        {"edge_threshold": math.inf},
+    ):
         with pytest.raises(ConfigError, match="lidar noise"):
             LidarNoise(**wrong)
 

@@ -124,7 +124,7 @@ def test_sensors_are_chosen_by_name(rough: World) -> None:
     for wrong, words in (
         ({"odometry": "magic"}, r"unknown odometry method 'magic'; legal: ekf, gyro"),
         ({"noise": "much"}, r"unknown lidar noise 'much'; legal: datasheet, none, simulated"),
-        ({"rays": "x"}, r"unknown rays 'x'; legal: mujoco, ours"),
+        ({"rays": "x"}, r"unknown rays 'x'; legal: builtin, mujoco"),
     ):
         with pytest.raises(ConfigError, match=words):
             MappingEnv(rough, **wrong)

@@ -14,15 +14,16 @@ from lirs_envs.robots.command import Twist
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.ekf import EkfConfig, EkfOdometry
 from lirs_envs.sensing.imu import ImuConfig, ImuSensor
-from lirs_envs.sensing.odometry import Odometry, OdometryConfig, WheelNoise
+from lirs_envs.sensing.odometry import DistanceNoise, FlowOdometry, Odometry, OdometryConfig, WheelOdometry
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.world import World
 
 EKF = OdometryConfig(method="ekf")
-EXACT_WHEELS = EkfConfig(slip_ahead=0, slip_aside=0, slip_turning=0, tilt=0)
+EXACT_WHEELS = EkfConfig(slip_forward=0, slip_lateral=0, slip_turning=0, tilt=0)
 DT, TICK = 0.008, 5
 
 
@@ -30,7 +31,7 @@ def test_the_scale_error_wanders_over_its_length() -> None:
     config = OdometryConfig()
     series = []
     for seed in range(400):
-        wheels = WheelNoise(config, np.random.default_rng(seed))
+        wheels = DistanceNoise(config, np.random.default_rng(seed))
         series.append([wheels.measured(0.05) / 0.05 - 1 for _ in range(200)])
     errors = np.array(series)
     assert errors.std() == pytest.approx(config.scale_sigma, rel=0.05)
@@ -65,7 +66,7 @@ def test_gyro_and_accelerometer_noise_is_white_and_gaussian() -> None:
     assert abs(np.mean(z[3:] * z[:-3])) < 4 / math.sqrt(len(z))
 
 
-def blind_drive(odometry: Odometry, imu: ImuSensor, seed: int, ticks: int, stops: bool) -> Pose2:
+def blind_drive(odometry: WheelOdometry, imu: ImuSensor, seed: int, ticks: int, stops: bool) -> Pose2:
     """Drive on a plane by the book; return the true pose."""
     rng, truth = np.random.default_rng(1000 + seed), Pose2()
     radius, v, omega = odometry.robot.wheel_radius, 0.0, 0.0
@@ -136,7 +137,7 @@ def simulated(
     world: World, robot: Robot, method: str, seed: int, stops: bool
 ) -> tuple[Odometry, np.ndarray, bytes]:
     noise = SensorNoise(odometry=OdometryConfig(method=method))  # type: ignore[arg-type]
-    sim = Simulation(world, robot, seed=seed, noise=noise, lidar="lms111")
+    sim = Simulation(world, SimulationConfig(robot=robot, noise=noise, lidar="lms111"), seed=seed)
     sim.reset()
     T_world_odom, rng, seen = sim.T_world_base.to_pose2(), np.random.default_rng(seed), []
     for k in range(400):
@@ -179,5 +180,20 @@ def test_same_seed_same_bytes(plane: World, husky: Robot) -> None:
 def test_methods_and_figures_that_are_none() -> None:
     with pytest.raises(ConfigError, match=r"unknown odometry method 'magic'; legal: ekf, gyro"):
         OdometryConfig(method="magic")  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match="slip_ahead"):
-        EkfConfig(slip_ahead=-1.0)
+    with pytest.raises(ConfigError, match="slip_forward"):
+        EkfConfig(slip_forward=-1.0)
+
+
+def test_flow_odometry_stays_where_two_readings_have_one_stamp() -> None:
+    odometry = FlowOdometry(OdometryConfig(), np.random.default_rng(0))
+    odometry.update(Pose3(), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0, 0.0, 0.0)
+    assert odometry.read() == Pose2()
+    odometry.update(Pose3(), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0, 0.0, 0.1)
+    assert odometry.read() == Pose2(0.0, 0.0, 0.1)
+
+
+def test_wheel_odometry_needs_wheels() -> None:
+    quadrotor = make_robot("quadrotor")
+    assert quadrotor.skid_factor == 1.0
+    with pytest.raises(ConfigError, match="wheel odometry needs a robot with wheels, got 'quadrotor'"):
+        WheelOdometry(quadrotor, OdometryConfig(), np.random.default_rng(0))

@@ -1,4 +1,4 @@
-"""Props and parked robots: touched, seen by the laser, and never mistaken for the robot itself."""
+"""Props and static robots: touched, seen by the lidar, and never mistaken for the robot itself."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from lirs_envs.robots.command import Twist
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
@@ -25,29 +26,29 @@ def beam(sim: Simulation, degrees: float) -> float:
     return float(scan.ranges[np.argmin(np.abs(scan.angles - math.radians(degrees)))])
 
 
-def test_the_laser_sees_boxes_posts_and_balls(plane: World, husky: Robot) -> None:
+def test_the_lidar_sees_boxes_cylinders_and_spheres(plane: World, husky: Robot) -> None:
     props = (
         Prop(shape="box", size=(0.2, 0.5, 0.5), place=Pose2(3.0, 0.0)),
         Prop(shape="cylinder", size=(0.1, 0.6), place=Pose2(0.2206, 2.0)),
         Prop(shape="sphere", size=(0.45226,), place=Pose2(0.2206, -2.0), mass=2.0),
     )
-    sim = Simulation(plane, husky, props=props, noise=EXACT)
+    sim = Simulation(plane, SimulationConfig(robot=husky, props=props, noise=EXACT))
     assert beam(sim, 0) == pytest.approx(3.0 - 0.2 - 0.2206, abs=2e-3)
     assert beam(sim, 90) == pytest.approx(1.9, abs=2e-3)
     assert beam(sim, -90) == pytest.approx(2.0 - 0.45226, abs=2e-3)
     assert beam(sim, 45) == np.inf
 
 
-def test_the_laser_sees_another_robot_and_not_its_own(plane: World) -> None:
-    # The TurtleBot's laser is 0.31 m above ground: among the Husky's body, above none of its own.
-    parked = StaticRobot(make_robot("husky"), Pose2(2.0, 0.0, math.pi / 2))
-    sim = Simulation(plane, make_robot("turtlebot2"), props=(parked,), noise=EXACT)
+def test_the_lidar_sees_another_robot_and_not_its_own(plane: World) -> None:
+    # The TurtleBot's lidar is 0.31 m above ground: among the Husky's body, above none of its own.
+    other = StaticRobot(make_robot("husky"), Pose2(2.0, 0.0, math.pi / 2))
+    sim = Simulation(plane, SimulationConfig(robot=make_robot("turtlebot2"), props=(other,), noise=EXACT))
     scan = sim.reset().scan
     met = np.abs(scan.angles[np.isfinite(scan.ranges)])
     # Its wheels are 0.33 m high and stand out farther than its body.
     assert float(np.nanmin(scan.ranges)) == pytest.approx(2.0 - 0.08 - 0.2854, abs=0.07)
     assert met.max() < math.radians(25)
-    alone = Simulation(plane, make_robot("turtlebot2"), noise=EXACT)
+    alone = Simulation(plane, SimulationConfig(robot=make_robot("turtlebot2"), noise=EXACT))
     assert np.isposinf(alone.reset().scan.ranges).all()
 
 
@@ -59,7 +60,7 @@ def test_props_do_not_change_the_robot(plane: World, husky: Robot) -> None:
     )
     ends = []
     for props in ((), far):
-        sim = Simulation(plane, husky, props=props)
+        sim = Simulation(plane, SimulationConfig(robot=husky, props=props))
         sim.reset()
         for k in range(50):
             sim.advance(Twist(1.0, math.sin(k / 10)))
@@ -73,7 +74,7 @@ def test_props_do_not_change_the_robot(plane: World, husky: Robot) -> None:
 def test_a_fixed_prop_stops_and_a_light_one_yields(plane: World, husky: Robot) -> None:
     for mass, stops in ((0.0, True), (1.0, False)):
         box = Prop(shape="box", size=(0.2, 0.5, 0.3), place=Pose2(1.5, 0.0), mass=mass)
-        sim = Simulation(plane, husky, props=(box,))
+        sim = Simulation(plane, SimulationConfig(robot=husky, props=(box,)))
         sim.reset()
         for _ in range(100):
             sim.advance(Twist(1.0))
@@ -99,4 +100,7 @@ def test_props_that_cannot_be(figures: dict[str, object], words: str) -> None:
 
 def test_props_beyond_the_border_are_refused(plane: World, husky: Robot) -> None:
     with pytest.raises(ConfigError, match=r"within the world, got \(50.00, 0.00\)"):
-        Simulation(plane, husky, props=(Prop(shape="sphere", size=(0.3,), place=Pose2(50.0, 0.0)),))
+        Simulation(
+            plane,
+            SimulationConfig(robot=husky, props=(Prop(shape="sphere", size=(0.3,), place=Pose2(50.0, 0.0)),)),
+        )

@@ -14,6 +14,7 @@ from lirs_envs.robots.command import Twist, Waypoint
 from lirs_envs.robots.flight import FlightConfig
 from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World, build_world
@@ -27,7 +28,7 @@ def robot() -> Robot:
 
 
 def simulation(world: World, robot: Robot) -> Simulation:
-    return Simulation(world, robot, lidar="lms111")
+    return Simulation(world, SimulationConfig(robot=robot, lidar="lms111"))
 
 
 def test_the_published_figures(robot: Robot) -> None:
@@ -79,13 +80,13 @@ def test_commanded_is_flown(plane: World, robot: Robot) -> None:
         sim.reset(Pose2(0.0 if command.v < 5 else -9.0, 0.0))
         for _ in range(25 if command.v > 5 else 50):
             sim.advance(command)
-        way = turned = 0.0
+        distance = turned = 0.0
         for _ in range(10):
             before = sim.T_world_base.to_pose2()
             sim.advance(command)
             moved = before.inverse() @ sim.T_world_base.to_pose2()
-            way, turned = way + moved.x, turned + moved.yaw
-        assert way / (10 * TICK) == pytest.approx(command.v, abs=max(0.05 * abs(command.v), 0.02))
+            distance, turned = distance + moved.x, turned + moved.yaw
+        assert distance / (10 * TICK) == pytest.approx(command.v, abs=max(0.05 * abs(command.v), 0.02))
         assert turned / (10 * TICK) == pytest.approx(command.omega, abs=max(0.05 * abs(command.omega), 0.01))
 
 
@@ -124,7 +125,7 @@ def test_a_wall_stops_it(walled: World, T_world_wall: Pose2, robot: Robot) -> No
 def test_odometry_and_determinism(plane: World, robot: Robot) -> None:
     ends = []
     for seed in (1, 1, 2):
-        sim = Simulation(plane, robot, seed=seed, lidar="lms111")
+        sim = Simulation(plane, SimulationConfig(robot=robot, lidar="lms111"), seed=seed)
         sim.reset(Pose2(-3.0, 0.0, 0.4))
         T_world_odom = sim.T_world_base.to_pose2()
         for k in range(100):
@@ -136,7 +137,7 @@ def test_odometry_and_determinism(plane: World, robot: Robot) -> None:
 
 
 def test_commands_that_cannot_be(plane: World, robot: Robot, husky: Robot) -> None:
-    sim = Simulation(plane, husky)
+    sim = Simulation(plane, SimulationConfig(robot=husky))
     sim.reset()
     with pytest.raises(ConfigError, match="husky drives: it takes a Twist"):
         sim.advance(Waypoint(1.0, 0.0, 1.0))
@@ -145,4 +146,13 @@ def test_commands_that_cannot_be(plane: World, robot: Robot, husky: Robot) -> No
     with pytest.raises(ConfigError, match="finite"):
         sim.advance(Waypoint(1.0, math.nan, 1.0))
     with pytest.raises(ConfigError, match="tilt"):
-        FlightConfig(tilt=0.0)
+        FlightConfig(max_tilt=0.0)
+
+
+def test_hovers_under_the_model_s_gravity(plane: World, robot: Robot) -> None:
+    sim = simulation(plane, robot)
+    sim.body.model.opt.gravity[2] = -1.62
+    sim.reset()
+    for _ in range(125):
+        sim.advance(Twist())
+        assert math.dist(sim.T_world_base.position, (0.0, 0.0, 1.0)) < 0.05

@@ -1,4 +1,4 @@
-"""MuJoCo's own rays in place of ours: the same world, the same robot, the same noise."""
+"""MuJoCo's own rays in place of the builtin ones: the same world, the same robot, the same noise."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from lirs_envs.robots.command import Twist
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
@@ -31,28 +32,29 @@ def hills(make_world: Callable[..., World]) -> World:
 
 
 def scans(world: World, robot: Robot, **options: object) -> tuple[Array, str]:
-    sim = Simulation(world, robot, lidar="urg04lx", **options)  # type: ignore[arg-type]
+    config = SimulationConfig(robot=robot, lidar="urg04lx", **options)  # type: ignore[arg-type]
+    sim = Simulation(world, config)
     seen = [sim.reset().scan.ranges]
     seen += [sim.advance(Twist(0.4, 0.5)).scan.ranges for _ in range(3)]
     return np.array(seen), repr(sim.T_world_base)
 
 
-@pytest.mark.parametrize("sweep", [False, True])
-@pytest.mark.parametrize("terrain", ["hfield", "mesh", "prisms"])
-def test_both_rays_agree(hills: World, husky: Robot, terrain: str, sweep: bool) -> None:
-    noise = SensorNoise(lidar="none", sweep=sweep)
-    ours, end = scans(hills, husky, terrain=terrain, noise=noise)
-    theirs, other_end = scans(hills, husky, terrain=terrain, noise=noise, rays="mujoco")
+@pytest.mark.parametrize("rolling", [False, True])
+@pytest.mark.parametrize("contact", ["hfield", "mesh", "prisms"])
+def test_both_rays_agree(hills: World, husky: Robot, contact: str, rolling: bool) -> None:
+    noise = SensorNoise(lidar="none", rolling_scan=rolling)
+    builtin, end = scans(hills, husky, contact_geometry=contact, noise=noise)
+    theirs, other_end = scans(hills, husky, contact_geometry=contact, noise=noise, rays="mujoco")
     assert end == other_end, "what is touched is the same"
-    finite = np.isfinite(ours)
+    finite = np.isfinite(builtin)
     assert 0.3 < finite.mean() < 1
-    np.testing.assert_allclose(theirs[finite], ours[finite], atol=1e-3)
-    assert (ours[~finite] == theirs[~finite]).all()
+    np.testing.assert_allclose(theirs[finite], builtin[finite], atol=1e-3)
+    assert (builtin[~finite] == theirs[~finite]).all()
 
 
 def test_the_hfield_that_is_touched_is_another_one(hills: World, husky: Robot) -> None:
     """Else the test above would not tell whether the rays see the right one."""
-    body = Simulation(hills, husky, rays="mujoco").body
+    body = Simulation(hills, SimulationConfig(robot=husky, rays="mujoco")).body
     assert body.contact.stride > 1
     assert [body.model.hfield(name).nrow[0] for name in ("ground", "seen")] == [
         240 // body.contact.stride + 1,
@@ -60,30 +62,41 @@ def test_the_hfield_that_is_touched_is_another_one(hills: World, husky: Robot) -
     ]
 
 
-def test_walls_props_and_parked_robots(walled: World, husky: Robot) -> None:
+def test_walls_props_and_static_robots(walled: World, husky: Robot) -> None:
     props = (
         Prop(shape="sphere", size=(0.5,), place=Pose2(1.8, 1.0)),
         StaticRobot(husky, Pose2(-1.8, 0.3, 1.0)),
     )
-    for terrain in ("hfield", "mesh"):
-        ours, theirs = (
-            scans(walled, husky, terrain=terrain, props=props, noise=SensorNoise(lidar="none"), rays=rays)[0]
-            for rays in ("ours", "mujoco")
+    for contact in ("hfield", "mesh"):
+        builtin, theirs = (
+            scans(
+                walled,
+                husky,
+                contact_geometry=contact,
+                props=props,
+                noise=SensorNoise(lidar="none"),
+                rays=rays,
+            )[0]
+            for rays in ("builtin", "mujoco")
         )
-        np.testing.assert_allclose(theirs, ours, atol=1e-3)
-        assert 0.1 < np.isfinite(ours).mean() < 1
+        np.testing.assert_allclose(theirs, builtin, atol=1e-3)
+        assert 0.1 < np.isfinite(builtin).mean() < 1
 
 
 def test_the_same_noise(hills: World, husky: Robot) -> None:
-    ours, theirs = (scans(hills, husky, rays=rays)[0] for rays in ("ours", "mujoco"))
-    finite = np.isfinite(ours) & np.isfinite(theirs)
+    builtin, theirs = (scans(hills, husky, rays=rays)[0] for rays in ("builtin", "mujoco"))
+    finite = np.isfinite(builtin) & np.isfinite(theirs)
     assert 0.3 < finite.mean() < 1
-    np.testing.assert_allclose(theirs[finite], ours[finite], atol=1e-3)
+    np.testing.assert_allclose(theirs[finite], builtin[finite], atol=1e-3)
     exact = scans(hills, husky, noise=SensorNoise(lidar="none"))[0]
-    error = ours[finite] / exact[finite] - 1
+    error = builtin[finite] / exact[finite] - 1
     assert error.std() == pytest.approx(0.01, rel=0.2)
 
 
 def test_unknown_rays(plane: World, husky: Robot) -> None:
-    with pytest.raises(ConfigError, match=r"unknown rays 'embree'; legal: mujoco, ours"):
-        Simulation(plane, husky, rays="embree")  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=r"unknown rays 'embree'; legal: builtin, mujoco"):
+        Simulation(plane, SimulationConfig(robot=husky, rays="embree"))  # type: ignore[arg-type]
+
+
+def test_ours_is_another_name_of_builtin(husky: Robot) -> None:
+    assert SimulationConfig(robot=husky, rays="ours") == SimulationConfig(robot=husky)  # type: ignore[arg-type]

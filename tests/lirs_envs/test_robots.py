@@ -14,6 +14,7 @@ from lirs_envs.robots.catalog import ROBOTS
 from lirs_envs.robots.command import Twist
 from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
@@ -38,7 +39,7 @@ def robot(request: pytest.FixtureRequest) -> Robot:
 
 def simulation(world: World, robot: Robot) -> Simulation:
     """All robots with the same LRF, hence the same 40 ms a tick."""
-    return Simulation(world, robot, lidar="lms111")
+    return Simulation(world, SimulationConfig(robot=robot, lidar="lms111"))
 
 
 def body_twist(sim: Simulation) -> tuple[float, float]:
@@ -148,7 +149,7 @@ def test_climbs(make_world: Callable[..., World], robot: Robot) -> None:
 def test_slides_at_the_angle_of_its_friction(offset: float, stays: bool, plane: World, robot: Robot) -> None:
     sim = simulation(plane, robot)
     sim.reset()
-    lean(sim, math.atan(robot.friction) + math.radians(offset))
+    tilt_gravity(sim, math.atan(robot.friction) + math.radians(offset))
     for _ in range(50):
         sim.advance(Twist())
     speed = math.hypot(*sim.body.data.qvel[:2])
@@ -156,7 +157,7 @@ def test_slides_at_the_angle_of_its_friction(offset: float, stays: bool, plane: 
     assert speed < 0.1 if stays else speed > 0.5
 
 
-def lean(sim: Simulation, angle: float) -> None:
+def tilt_gravity(sim: Simulation, angle: float) -> None:
     """Turn gravity as if the ground sloped down to the robot's right."""
     sim.body.model.opt.gravity[:] = (0.0, -9.81 * math.sin(angle), -9.81 * math.cos(angle))
 
@@ -179,12 +180,12 @@ def test_tips_at_the_geometric_angle(offset: float, stays: bool, plane: World, r
     sim.reset(Pose2())
     sim.body.model.geom_friction[:, 0] = 5.0  # else it would slide first
     angle = tip_angle(sim) + math.radians(offset)
-    leaned = 0.0
+    tilted = 0.0
     for k in range(150):
-        lean(sim, angle * min(1.0, (k + 1) / 75))
+        tilt_gravity(sim, angle * min(1.0, (k + 1) / 75))
         sim.advance(Twist())
-        leaned = max(leaned, abs(math.degrees(sim.T_world_base.roll)))
-    assert leaned < 6 if stays else leaned > 15
+        tilted = max(tilted, abs(math.degrees(sim.T_world_base.roll)))
+    assert tilted < 6 if stays else tilted > 15
 
 
 def test_full_speed_into_a_wall_of_boxes(robot: Robot, walled: World, T_world_wall: Pose2) -> None:
@@ -249,8 +250,8 @@ def test_the_robot_is_within_its_radius(robot: Robot) -> None:
         assert np.hypot(*xy.T).max() <= robot.radius + 0.02, model.geom(g).name
 
 
-def test_the_laser_never_sees_the_robot(plane: World, robot: Robot) -> None:
-    sim = Simulation(plane, robot)
+def test_the_lidar_never_sees_the_robot(plane: World, robot: Robot) -> None:
+    sim = Simulation(plane, SimulationConfig(robot=robot))
     scan = sim.reset().scan
     model, data = sim.body.model, sim.body.data
     mujoco.mj_forward(model, data)
@@ -272,9 +273,9 @@ def test_a_row_needs_wheels_on_both_sides_or_rotors() -> None:
         ({"left_wheels": ()}, "wheels on both sides, or rotors"),
         ({"left_wheels": (), "right_wheels": ()}, "wheels on both sides, or rotors"),
         ({"rotors": ("a",)}, "wheels on both sides, or rotors"),
-        ({"track": 0.0}, "track must be a finite number above 0"),
-        ({"friction": math.nan}, "friction must be"),
-        ({"wheelbase": -1.0}, "wheelbase must be at least 0"),
+        ({"track": 0.0}, "track of robot 'husky' must be a finite number above 0"),
+        ({"friction": math.nan}, "friction of robot 'husky' must be"),
+        ({"wheelbase": -1.0}, "wheelbase of robot 'husky' must be a finite number at least 0"),
     ):
         with pytest.raises(ConfigError, match=words):
             Robot(**(figures | changes))

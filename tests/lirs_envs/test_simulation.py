@@ -13,9 +13,10 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.imu import ImuConfig
-from lirs_envs.sensing.odometry import Odometry, OdometryConfig
+from lirs_envs.sensing.odometry import OdometryConfig, WheelOdometry
 from lirs_envs.sensing.sensors import Observation, SensorNoise
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
@@ -48,7 +49,7 @@ def fingerprint(seen: list[Observation]) -> bytes:
 
 
 def test_same_seed_same_bytes(rough: World, husky: Robot) -> None:
-    first, second, other = (Simulation(rough, husky, seed=s) for s in (7, 7, 8))
+    first, second, other = (Simulation(rough, SimulationConfig(robot=husky), seed=s) for s in (7, 7, 8))
     a, b, c = (fingerprint(drive(s)) for s in (first, second, other))
     assert a == b
     assert a != c
@@ -57,21 +58,29 @@ def test_same_seed_same_bytes(rough: World, husky: Robot) -> None:
     assert fingerprint(drive(first)) == a
 
 
+def test_the_config_s_start_is_where_a_reset_sets_the_robot_down(plane: World, husky: Robot) -> None:
+    sim = Simulation(plane, SimulationConfig(robot=husky, start=Pose2(1.0, -2.0, 0.5)))
+    sim.reset()
+    assert sim.T_world_base.to_pose2().distance(Pose2(1.0, -2.0)) < 0.02
+    sim.reset(Pose2(-1.0, 0.0))
+    assert sim.T_world_base.to_pose2().distance(Pose2(-1.0, 0.0)) < 0.02
+
+
 def test_replay_ends_where_the_run_ended(rough: World, husky: Robot) -> None:
-    sim = Simulation(rough, husky)
+    sim = Simulation(rough, SimulationConfig(robot=husky))
     drive(sim)
     before = sim.T_world_base
     replay = sim.replay()
     assert replay.T_world_base == before
     assert sim.T_world_base == before
     assert replay.simulated == pytest.approx(2.4)
-    assert sim.replay_rtf() > 1
+    assert replay.rtf > 1
     assert sim.controls.shape == (60 * len(sim.body.substeps), 2)
 
 
-def test_a_tick_is_one_lrf_period(plane: World, husky: Robot) -> None:
+def test_a_tick_is_one_lidar_period(plane: World, husky: Robot) -> None:
     for preset in LIDARS.values():
-        sim = Simulation(plane, husky, lidar=preset.name)
+        sim = Simulation(plane, SimulationConfig(robot=husky, lidar=preset.name))
         sim.reset()
         stamps = [sim.advance(Twist()).scan.stamp for _ in range(3)]
         np.testing.assert_allclose(stamps, np.arange(1, 4) / preset.rate, atol=1e-9)
@@ -81,7 +90,7 @@ def test_a_tick_is_one_lrf_period(plane: World, husky: Robot) -> None:
 
 
 def test_timing_is_kept_for_every_tick(plane: World, husky: Robot) -> None:
-    sim = Simulation(plane, husky)
+    sim = Simulation(plane, SimulationConfig(robot=husky))
     drive(sim, 5)
     assert len(sim.timing.physics) == len(sim.timing.sensors) == 5
     assert min(sim.timing.physics) > 0
@@ -89,22 +98,22 @@ def test_timing_is_kept_for_every_tick(plane: World, husky: Robot) -> None:
 
 def test_silent_sensors_tell_the_truth(make_world: Callable[..., World], husky: Robot) -> None:
     world = make_world(lambda x, y: 0.1 * x + 0.05 * y)
-    sim = Simulation(world, husky, noise=SILENT)
+    sim = Simulation(world, SimulationConfig(robot=husky, noise=SILENT))
     seen = drive(sim)
     T = sim.T_world_base
     assert (seen[-1].imu.roll, seen[-1].imu.pitch) == pytest.approx((T.roll, T.pitch), abs=1e-9)
     rest = sim.reset()
     g = rest.imu.linear_acceleration
     assert math.hypot(*g) == pytest.approx(9.81, abs=0.01)
-    # Leaning back and to the left: gravity pulls along -x and -y, so that the support points to +x and +y.
+    # Tilted back and to the left: gravity pulls along -x and -y, so that the support points to +x and +y.
     assert g[0] == pytest.approx(-9.81 * math.sin(rest.imu.pitch), abs=0.02)
     assert g[0] > 0
     assert g[1] > 0
 
 
-def test_odometry_without_noise_is_the_way_driven(make_world: Callable[..., World], husky: Robot) -> None:
+def test_odometry_without_noise_is_the_path_driven(make_world: Callable[..., World], husky: Robot) -> None:
     world = make_world(lambda x, y: 0.2 * np.sin(x) * np.cos(y))
-    sim = Simulation(world, husky, noise=SILENT)
+    sim = Simulation(world, SimulationConfig(robot=husky, noise=SILENT))
     sim.reset(Pose2(1.0, -1.0, 0.5))
     T_world_odom = sim.T_world_base.to_pose2()
     for k in range(500):
@@ -118,7 +127,7 @@ def test_odometry_without_noise_is_the_way_driven(make_world: Callable[..., Worl
 
 def test_placed_upright_on_a_slope(make_world: Callable[..., World], husky: Robot) -> None:
     world = make_world(lambda x, y: 0.3 * x)
-    sim = Simulation(world, husky)
+    sim = Simulation(world, SimulationConfig(robot=husky))
     for yaw in (0.0, math.pi / 2, 2.5):
         sim.reset(Pose2(1.0, 1.0, yaw))
         T = sim.T_world_base
@@ -138,7 +147,7 @@ def test_placed_upright_on_a_slope(make_world: Callable[..., World], husky: Robo
 )
 def test_bad_start_poses(start: Pose2, words: str, make_world: Callable[..., World], husky: Robot) -> None:
     world = make_world(lambda x, y: np.maximum(0, x - 2) + 1.0 * (np.hypot(x + 4, y) < 0.25))
-    sim = Simulation(world, husky)
+    sim = Simulation(world, SimulationConfig(robot=husky))
     with pytest.raises(SimulationError, match=words):
         sim.reset(start)
     with pytest.raises(SimulationError, match="must be reset"):
@@ -146,7 +155,7 @@ def test_bad_start_poses(start: Pose2, words: str, make_world: Callable[..., Wor
 
 
 def test_start_against_a_wall_of_boxes(walled: World, husky: Robot, T_world_wall: Pose2) -> None:
-    sim = Simulation(walled, husky)
+    sim = Simulation(walled, SimulationConfig(robot=husky))
     sim.reset(T_world_wall @ Pose2(2.35, 0.0))
     for x in (2.5, 3.05):
         with pytest.raises(SimulationError, match="a wall or a hole is within"):
@@ -157,10 +166,10 @@ def test_bad_input(plane: World, husky: Robot) -> None:
     with pytest.raises(ConfigError, match=r"unknown robot 'huksy'; legal: .*husky"):
         make_robot("huksy")
     with pytest.raises(ConfigError, match=r"unknown lidar 'nope'; legal: .*lms111"):
-        Simulation(plane, husky, lidar="nope")
+        Simulation(plane, SimulationConfig(robot=husky, lidar="nope"))
     with pytest.raises(ConfigError, match="seed must be 0 or above"):
-        Simulation(plane, husky, seed=-1)
-    sim = Simulation(plane, husky)
+        Simulation(plane, SimulationConfig(robot=husky), seed=-1)
+    sim = Simulation(plane, SimulationConfig(robot=husky))
     with pytest.raises(ConfigError, match="finite"):
         sim.reset(Pose2(math.nan, 0.0))
     sim.reset()
@@ -172,7 +181,7 @@ def test_bad_input(plane: World, husky: Robot) -> None:
 
 def test_a_divergence_stops_with_its_reason(plane: World, husky: Robot, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file where it stands
-    sim = Simulation(plane, husky)
+    sim = Simulation(plane, SimulationConfig(robot=husky))
     sim.reset()
     sim.body.data.qvel[0] = 1e20
     with pytest.raises(SimulationError, match=r"diverged at .* s: "):
@@ -181,8 +190,8 @@ def test_a_divergence_stops_with_its_reason(plane: World, husky: Robot, tmp_path
     sim.advance(Twist())
 
 
-def test_tipped_and_off_the_world_are_told(plane: World, husky: Robot) -> None:
-    sim = Simulation(plane, husky)
+def test_tipped_and_off_the_world_are_noticed(plane: World, husky: Robot) -> None:
+    sim = Simulation(plane, SimulationConfig(robot=husky))
     sim.reset()
     assert not sim.tipped
     assert not sim.off_world
@@ -197,7 +206,7 @@ def test_tipped_and_off_the_world_are_told(plane: World, husky: Robot) -> None:
 def test_imu_noise_is_what_it_claims(plane: World, husky: Robot) -> None:
     rolls, rates, forces = [], [], []
     for seed in range(40):
-        sim = Simulation(plane, husky, seed=seed)
+        sim = Simulation(plane, SimulationConfig(robot=husky), seed=seed)
         sim.reset()
         readings = [sim.advance(Twist()).imu for _ in range(25)]
         rolls.append([r.roll for r in readings])
@@ -218,25 +227,30 @@ def test_odometry_scale_is_what_it_claims(plane: World, husky: Robot) -> None:
     config = OdometryConfig()
     lengths = []
     for seed in range(400):
-        odometry = Odometry(husky, config, np.random.default_rng(seed))
+        odometry = WheelOdometry(husky, config, np.random.default_rng(seed))
         odometry.update(0.1 / husky.wheel_radius, (0.0, 0.0, 0.0), 0.0, 0.0, 0.1)
         lengths.append(odometry.pose.x / 0.1 - 1)
     assert np.std(lengths) == pytest.approx(config.scale_sigma, rel=0.1)
 
 
 def test_arguments_of_the_wrong_type(plane: World, husky: Robot, make_world: Callable[..., World]) -> None:
-    for arguments, options, words in (
-        (("simple", husky), {}, "world must be a World, got 'simple'"),
-        ((plane, "husky"), {}, "robot must be a Robot, got 'husky'"),
-        ((plane, husky), {"seed": "one"}, "seed must be a int, got 'one'"),
-        ((plane, husky), {"noise": "much"}, "noise must be a Noise"),
-        ((plane, husky), {"lidar": 5}, "unknown lidar 5; legal"),
-        ((plane, husky), {"terrain": "mud"}, "'mud'; legal"),
-        ((plane, husky), {"props": ["box"]}, "props must be Prop or StaticRobot, got 'box'"),
+    legal = SimulationConfig(robot=husky)
+    with pytest.raises(ConfigError, match="world must be of type World, got 'simple'"):
+        Simulation("simple", legal)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="seed must be a whole number, got 'one'"):
+        Simulation(plane, legal, seed="one")  # type: ignore[arg-type]
+    for options, words in (
+        ({"robot": "husky"}, "robot must be of type Robot, got 'husky'"),
+        ({"noise": "much"}, "noise must be of type SensorNoise, got 'much'"),
+        ({"lidar": 5}, "unknown lidar 5; legal"),
+        ({"contact_geometry": "mud"}, "'mud'; legal"),
+        ({"props": ["box"]}, "props must be Prop or StaticRobot, got 'box'"),
+        ({"start": (0.0, 0.0)}, "a start must be a Pose2"),
+        ({"start": Pose2(math.nan, 0.0)}, "a start pose must be finite"),
     ):
         with pytest.raises(ConfigError, match=words):
-            Simulation(*arguments, **options)
-    sim = Simulation(plane, husky)
+            SimulationConfig(**({"robot": husky} | options))  # type: ignore[arg-type]
+    sim = Simulation(plane, SimulationConfig(robot=husky))
     with pytest.raises(ConfigError, match="a start must be a Pose2"):
         sim.reset((0.0, 0.0))  # type: ignore[arg-type]
     sim.reset()
@@ -247,10 +261,10 @@ def test_arguments_of_the_wrong_type(plane: World, husky: Robot, make_world: Cal
 
 def test_noise_of_the_wrong_type() -> None:
     for figures, words in (
-        ({"odometry": "ekf"}, "noise: odometry must be a OdometryConfig, got 'ekf'"),
-        ({"imu": 0.1}, "noise: imu must be a ImuConfig, got 0.1"),
-        ({"lidar": 0.01}, "noise: lidar must be a LidarNoise or the name of a level, got 0.01"),
-        ({"sweep": "yes"}, "noise: sweep must be a bool, got 'yes'"),
+        ({"odometry": "ekf"}, "odometry of the sensor noise must be of type OdometryConfig, got 'ekf'"),
+        ({"imu": 0.1}, "imu of the sensor noise must be of type ImuConfig, got 0.1"),
+        ({"lidar": 0.01}, r"lidar of the sensor noise must be of type .*LidarNoise \| str, got 0.01"),
+        ({"rolling_scan": "yes"}, "rolling_scan of the sensor noise must be of type bool, got 'yes'"),
     ):
         with pytest.raises(ConfigError, match=words):
             SensorNoise(**figures)  # type: ignore[arg-type]
@@ -258,4 +272,4 @@ def test_noise_of_the_wrong_type() -> None:
 
 def test_a_robot_too_large_for_the_world(husky: Robot, make_world: Callable[..., World]) -> None:
     with pytest.raises(ConfigError, match=r"husky is 1\.16 m wide: too large for 'synthetic' of 1 x 1 m"):
-        Simulation(make_world(lambda x, y: 0 * x, nodes=11), husky)
+        Simulation(make_world(lambda x, y: 0 * x, nodes=11), SimulationConfig(robot=husky))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lirs_envs.lidar.deskew import deskewed_points, deskewed_scan, moved_frames
-from lirs_envs.lidar.lidar import Lidar, Motion
+from lirs_envs.lidar.lidar import BaseVelocity, Lidar
 from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.lidar.pattern import BeamPattern, PatternLidar, rings
 from lirs_envs.lidar.presets import LIDARS, LidarPreset
@@ -19,6 +19,7 @@ from lirs_envs.robots.command import Twist
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
@@ -28,7 +29,7 @@ from lirs_wct.world import World
 
 MOUNT = Pose3(0.2, 0.05, 0.3)
 SLOW = LidarPreset(name="slow", beams=721, fov=math.tau, rate=5.0, range_min=0.1, range_max=30.0)
-MOTION = Motion((1.2, 0.3, 0.0), (0.0, 0.0, 1.5))
+MOTION = BaseVelocity((1.2, 0.3, 0.0), (0.0, 0.0, 1.5))
 
 
 def room() -> RayCaster:
@@ -39,9 +40,9 @@ def room() -> RayCaster:
     return RayCaster(flat, WallGrid(solid, 0.1, Pose2(-5.0, -4.0, 0.0), 2.0))
 
 
-def swept(motion: Motion | None, *, sweep: bool = True) -> LaserScan:
-    lidar = Lidar(SLOW, room(), MOUNT, np.random.default_rng(0), LidarNoise(), sweep=sweep)
-    return lidar.scan(Pose3(0.5, -0.4, 0.2), 3.0, motion=motion)
+def rolling_scan(velocity: BaseVelocity | None, *, rolling: bool = True) -> LaserScan:
+    lidar = Lidar(SLOW, room(), MOUNT, np.random.default_rng(0), LidarNoise(), rolling_scan=rolling)
+    return lidar.scan(Pose3(0.5, -0.4, 0.2), 3.0, velocity=velocity)
 
 
 def off_the_walls(points: np.ndarray) -> np.ndarray:
@@ -50,27 +51,29 @@ def off_the_walls(points: np.ndarray) -> np.ndarray:
     return np.minimum(np.abs(np.abs(x) - 4.0), np.abs(np.abs(y) - 3.0))
 
 
-def test_a_sweep_takes_the_mirror_s_time() -> None:
-    scan = swept(MOTION)
+def test_a_rolling_scan_takes_the_mirror_s_time() -> None:
+    scan = rolling_scan(MOTION)
     assert scan.stamp == 3.0
     assert scan.time_increment * len(scan.ranges) == pytest.approx(SLOW.period)
-    lms = Lidar(LIDARS["lms111"], room(), MOUNT, np.random.default_rng(0), sweep=True)
+    lms = Lidar(LIDARS["lms111"], room(), MOUNT, np.random.default_rng(0), rolling_scan=True)
     assert lms.time_increment * 540 == pytest.approx(0.75 * 0.04), "270 of 360 deg"
-    assert swept(MOTION, sweep=False).time_increment == 0.0
+    assert rolling_scan(MOTION, rolling=False).time_increment == 0.0
 
 
 def test_motion_distorts_and_de_skewing_undoes_it() -> None:
-    scan = swept(MOTION)
+    scan = rolling_scan(MOTION)
     skewed = deskewed_points(scan, (0, 0, 0), (0, 0, 0))
     assert np.nanmax(off_the_walls(skewed)) > 0.15, "1.2 m/s and 1.5 rad/s for 0.2 s bend the walls"
-    assert np.nanmax(off_the_walls(deskewed_points(scan, MOTION.velocity, MOTION.rates))) < 1e-5
-    # At rest, a sweep is a scan at one instant.
-    np.testing.assert_array_equal(swept(None).ranges, swept(Motion()).ranges)
-    np.testing.assert_array_equal(swept(Motion()).ranges, swept(MOTION, sweep=False).ranges)
+    assert np.nanmax(off_the_walls(deskewed_points(scan, MOTION.linear, MOTION.angular))) < 1e-5
+    # At rest, a rolling scan is a scan at one instant.
+    np.testing.assert_array_equal(rolling_scan(None).ranges, rolling_scan(BaseVelocity()).ranges)
+    np.testing.assert_array_equal(
+        rolling_scan(BaseVelocity()).ranges, rolling_scan(MOTION, rolling=False).ranges
+    )
 
 
 def test_the_de_skewed_scan_is_the_one_at_rest() -> None:
-    straight, scan = swept(None), deskewed_scan(swept(MOTION), MOTION.velocity, MOTION.rates)
+    straight, scan = rolling_scan(None), deskewed_scan(rolling_scan(MOTION), MOTION.linear, MOTION.angular)
     assert scan.time_increment == 0.0
     assert np.isnan(scan.ranges).mean() < 0.15, "few beams are left without a neighbour"
     both = np.isfinite(scan.ranges)
@@ -102,14 +105,17 @@ def test_moved_frames_against_small_steps() -> None:
         moved_frames((0.0,), (math.nan, 0, 0), w)
 
 
-def test_the_simulation_sweeps(walled: World, husky: Robot) -> None:
-    sim = Simulation(walled, husky, noise=SensorNoise(lidar="none", sweep=True), lidar="utm30lx")
+def test_the_simulation_has_rolling_scans(walled: World, husky: Robot) -> None:
+    sim = Simulation(
+        walled,
+        SimulationConfig(robot=husky, noise=SensorNoise(lidar="none", rolling_scan=True), lidar="utm30lx"),
+    )
     still = sim.reset().scan
     assert still.time_increment > 0
     for _ in range(40):
         scan = sim.advance(Twist(0.5, 2.0)).scan
-    motion = Motion(sim.body.velocity(), sim.body.rates())
-    world = sim.T_world_base.apply(deskewed_points(scan, motion.velocity, motion.rates))
+    motion = BaseVelocity(sim.body.velocity(), sim.body.rates())
+    world = sim.T_world_base.apply(deskewed_points(scan, motion.linear, motion.angular))
     naive = sim.T_world_base.apply(deskewed_points(scan, (0, 0, 0), (0, 0, 0)))
     T_wall_world = Pose2(0.5, -0.3, 0.4).inverse()
 
@@ -139,10 +145,10 @@ def test_rings_see_floor_and_walls_within_three_milliseconds() -> None:
 
 def test_rings_on_a_simulation_see_props_and_not_their_own_robot(plane: World, husky: Robot) -> None:
     box = Prop(shape="box", size=(0.3, 0.3, 0.5), place=Pose2(3.0, 0.0))
-    sim = Simulation(plane, husky, props=(box,))
+    sim = Simulation(plane, SimulationConfig(robot=husky, props=(box,)))
     sim.reset()
     pattern = BeamPattern(directions=rings(9, 720, (-1.5, 0.3)), range_min=0.0, range_max=8.0)
-    lidar = PatternLidar(pattern, sim.casters, husky.T_base_laser, np.random.default_rng(0))
+    lidar = PatternLidar(pattern, sim.caster, husky.T_base_laser, np.random.default_rng(0))
     points = sim.T_world_base.apply(lidar.points(lidar.ranges(sim.T_world_base)))
     floor = np.abs(points[:, 2]) < 1e-5
     on_box = np.abs(np.maximum(np.abs(points[:, 0] - 3.0), np.abs(points[:, 1])) - 0.3) < 1e-4

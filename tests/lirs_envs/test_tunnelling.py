@@ -12,6 +12,7 @@ import pytest
 from lirs_envs.robots.catalog import ROBOTS, make_robot
 from lirs_envs.robots.command import Twist
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.ground import Terrain
@@ -52,7 +53,7 @@ def drive_at_random(sim: Simulation, seconds: float, seed: int = 4) -> float:
 @pytest.mark.parametrize("name", GROUND)
 @pytest.mark.parametrize("where", list(RECIPES))
 def test_random_driving_never_tunnels(where: str, name: str) -> None:
-    sim = Simulation(world_of(where), make_robot(name), lidar="lms111")
+    sim = Simulation(world_of(where), SimulationConfig(robot=make_robot(name), lidar="lms111"))
     sim.reset()
     driven = drive_at_random(sim, 10.0)
     found = sim.collisions
@@ -63,7 +64,7 @@ def test_random_driving_never_tunnels(where: str, name: str) -> None:
 
 @pytest.mark.parametrize("name", ["husky", "jackal"])
 def test_against_steep_blocks(name: str, rough: World) -> None:
-    sim = Simulation(rough, make_robot(name), lidar="lms111")
+    sim = Simulation(rough, SimulationConfig(robot=make_robot(name), lidar="lms111"))
     sim.reset()
     assert drive_at_random(sim, 60.0) > 5
     found = sim.collisions
@@ -80,7 +81,7 @@ def test_a_turtlebot_on_a_narrow_barrier_stays_or_falls(name: str, nodes_wide: i
     middle = 60
     z[:, middle - nodes_wide // 2 : middle + nodes_wide // 2 + 1] = 0.5
     world = World("barrier", Terrain(HeightField.centred(z, (0.05, 0.05))), spawn_poses=(Pose2(),))
-    sim = Simulation(world, make_robot(name), lidar="lms111")
+    sim = Simulation(world, SimulationConfig(robot=make_robot(name), lidar="lms111"))
     sim.reset(Pose2(-1.5, 0.0))
     touched = sim.contact.heights(world.surface)
     for yaw in (0.0, 0.8, math.pi / 2):
@@ -102,7 +103,7 @@ def test_contacts_are_as_the_robots_file_says(
     name: str, where: str, request: pytest.FixtureRequest, T_world_wall: Pose2
 ) -> None:
     """Ground and walls share nothing of their own: stiffness and friction are the robot's alone."""
-    sim = Simulation(request.getfixturevalue(where), make_robot(name), lidar="lms111")
+    sim = Simulation(request.getfixturevalue(where), SimulationConfig(robot=make_robot(name), lidar="lms111"))
     sim.reset(T_world_wall @ Pose2(2.35 - sim.robot.radius) if where == "walled" else None)
     model, data = sim.body.model, sim.body.data
     if sim.robot.flies:

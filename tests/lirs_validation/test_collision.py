@@ -19,7 +19,7 @@ from lirs_validation.cli.app import app
 from lirs_validation.collision.contact_log import ContactRecorder
 from lirs_validation.collision.figures import energy_gain, penetrations, stuck_seconds
 from lirs_validation.collision.files import verdicts_table, write_verdicts
-from lirs_validation.collision.random_drive import CONTROL_PERIOD, PERIOD, Leg, places
+from lirs_validation.collision.random_drive import PERIOD, Leg, places
 from lirs_validation.collision.slope_test import climb
 from lirs_validation.collision.touched import Touched
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions
@@ -55,7 +55,7 @@ def blocks() -> World:
 
 
 def body_in(world: World, name: str, kind: ContactGeometry = "hfield") -> RobotModel:
-    return RobotModel(world, make_robot(name), PERIOD, CONTROL_PERIOD, terrain=kind)
+    return RobotModel(world, make_robot(name), PERIOD, contact_geometry=kind)
 
 
 def left_alone(body: RobotModel, pose: Pose3, seconds: float) -> Leg:
@@ -254,7 +254,7 @@ def test_bad_arguments(blocks: World) -> None:
         ({"seconds": 0.0}, "seconds must be a finite number above 0"),
         ({"seconds": math.nan}, "seconds must be"),
         ({"seed": -1}, "seed must be 0 or above"),
-        ({"seed": "one"}, "seed must be a int"),
+        ({"seed": "one"}, "seed must be a whole number"),
         ({"terrain": "mud"}, "'mud'; legal"),
     ):
         with pytest.raises(ConfigError, match=words):

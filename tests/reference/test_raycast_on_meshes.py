@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from lirs_envs.lidar.casters import Rays
-from lirs_envs.lidar.lidar import Lidar, Motion
+from lirs_envs.lidar.lidar import BaseVelocity, Lidar
 from lirs_envs.lidar.mesh_rays import MeshCaster
 from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.lidar.presets import LidarPreset
@@ -20,6 +20,7 @@ from lirs_envs.lidar.ray_casting import mujoco_ranges
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -117,15 +118,15 @@ def test_equals_mujoco_s_mesh_rays() -> None:
 
 
 @needs_embree
-def test_a_sweep_casts_each_beam_from_its_own_place() -> None:
-    mesh, motion = cave(), Motion((2.0, 0.0, 0.0), (0.0, 0.0, 0.5))
+def test_a_rolling_scan_casts_each_beam_from_its_own_place() -> None:
+    mesh, velocity = cave(), BaseVelocity((2.0, 0.0, 0.0), (0.0, 0.0, 0.5))
     preset = LidarPreset(name="slow", beams=181, fov=3.0, rate=2.0, range_min=0.0, range_max=25.0)
     rng = np.random.default_rng(0)
-    lidar = Lidar(preset, MeshCaster(mesh), Pose3(), rng, LidarNoise(), sweep=True)
+    lidar = Lidar(preset, MeshCaster(mesh), Pose3(), rng, LidarNoise(), rolling_scan=True)
     pose = Pose3.from_rpy(-11.0, 0.0, 1.2, 0.02, 0.05, 0.1)
-    origins, directions = lidar._rays(pose, motion)
+    origins, directions = lidar._rays(pose, velocity)
     expected = triangle_ranges(corners(mesh), origins, directions, max_range=25.0)
-    scan = lidar.scan(pose, 0.0, motion=motion)
+    scan = lidar.scan(pose, 0.0, velocity=velocity)
     np.testing.assert_allclose(scan.ranges, expected, atol=1e-5)
     assert np.isfinite(expected).mean() > 0.3
 
@@ -158,9 +159,14 @@ def test_a_world_with_overhangs_is_seen_as_mujoco_sees_it(gate: World) -> None:
     scans = []
     for rays in get_args(Rays):
         robot = make_robot("turtlebot2")
-        sim = Simulation(gate, robot, terrain="convex", noise=SensorNoise(lidar="none"), rays=rays)
+        sim = Simulation(
+            gate,
+            SimulationConfig(
+                robot=robot, contact_geometry="convex", noise=SensorNoise(lidar="none"), rays=rays
+            ),
+        )
         scans.append(sim.reset(Pose2(0.3, -3.0, 1.5)).scan.ranges)
-    # The laser looks along the slab: its beams graze nothing, and the gate's edges are upright.
+    # The lidar looks along the slab: its beams graze nothing, and the gate's edges are upright.
     jump = np.abs(np.diff(np.nan_to_num(scans[0], posinf=99.0))) > 0.1
     sure = ~(np.append(jump, False) | np.append(False, jump))
     np.testing.assert_allclose(scans[0][sure], scans[1][sure], atol=1e-4)
@@ -172,11 +178,11 @@ def test_a_world_with_overhangs_is_seen_as_mujoco_sees_it(gate: World) -> None:
 @pytest.mark.parametrize("name", ["husky", "jackal", "turtlebot2", "turtlebot3_burger"])
 def test_own_body_is_not_seen_among_the_mesh(name: str, gate: World) -> None:
     """MuJoCo's rays straight down through all of the robot, its contact geoms too."""
-    sim = Simulation(gate, make_robot(name), terrain="convex", rays="mujoco")
+    sim = Simulation(gate, SimulationConfig(robot=make_robot(name), contact_geometry="convex", rays="mujoco"))
     sim.reset(Pose2(0.0, -2.5))
     T = sim.T_world_base
     for dx in np.linspace(-0.5, 0.5, 21):
-        met = sim.casters[0].ranges(np.array((T.x + dx, T.y, 1.5)), np.array(((0.0, 0.0, -1.0),)), 10.0)
+        met = sim.caster.ranges(np.array((T.x + dx, T.y, 1.5)), np.array(((0.0, 0.0, -1.0),)), 10.0)
         assert met[0] == pytest.approx(1.5, abs=1e-6)
 
 

@@ -1,1 +1,1 @@
-"""The laser range finder: presets, beam patterns, noise, ray casting."""
+"""The lidar, a laser range finder (LRF): presets, beam patterns, noise, ray casting."""

@@ -1,58 +1,74 @@
-"""What the laser range finder sees of a world, and through whose rays."""
+"""Ray casters of a simulated world, by the builtin traversal or by MuJoCo."""
 
 from __future__ import annotations
 
 from typing import Literal, get_args
 
 import mujoco
+import numpy as np
 
 from lirs_envs.lidar.mesh_rays import MeshCaster
 from lirs_envs.lidar.ray_casting import Caster, RayCaster, mujoco_ranges
 from lirs_envs.props import PROP_GROUP
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import unknown_name
-from lirs_wct.export.mjcf import SEEN_GROUP, TERRAIN_GROUP
+from lirs_wct.export.mjcf import RAY_GROUP, TERRAIN_GROUP
 from lirs_wct.world import World
 
-Rays = Literal["ours", "mujoco"]
+Rays = Literal["builtin", "mujoco"]
 RAYS: tuple[Rays, ...] = get_args(Rays)
-"""Whose rays meet the world: our traversal, or MuJoCo's (for comparison; 20 to 10,000 times slower)."""
+"""Whose rays meet the world: the builtin ones, or MuJoCo's (for comparison; 20 to 10,000 times slower)."""
+ALIASES: dict[str, Rays] = {"ours": "builtin"}
+"""Other names that users and records hold."""
 
 
-def check_rays(rays: str) -> None:
-    """Tell whether there are such rays.
+def resolve_rays(name: str) -> Rays:
+    """Return the rays of a name.
 
     Raises:
-        ConfigError: there are not; the message lists those that are.
+        ConfigError: no rays have this name; the message lists the names.
     """
-    if rays not in RAYS:
-        raise unknown_name("rays", rays, RAYS)
+    for rays in RAYS:
+        if ALIASES.get(name, name) == rays:
+            return rays
+    raise unknown_name("rays", name, RAYS)
 
 
 class GeomCaster:
-    """MuJoCo's rays on groups of its geoms, as they lie in the present state."""
+    """MuJoCo's rays on groups of its geoms, in the present state."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, groups: tuple[int, ...]) -> None:
         self._model, self._data, self._groups = model, data, groups
 
     def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
         """Return (n,) ranges (see `lirs_envs.lidar.ray_casting.Caster`)."""
-        # Places of geoms are those before the last step: brought up to date, the stepping goes on as without.
+        # Poses of geoms are those before the last step; bringing them up to date does not change stepping.
         mujoco.mj_kinematics(self._model, self._data)
         return mujoco_ranges(self._model, self._data, origins, directions, max_range, groups=self._groups)
 
 
-def make_casters(
-    world: World, rays: Rays, props: bool, model: mujoco.MjModel, data: mujoco.MjData
-) -> tuple[Caster, Caster | None]:
-    """Return what the laser sees of the world, and of what else stands there; never the robot itself.
+class NearestCaster:
+    """The nearer range of two casters."""
+
+    def __init__(self, first: Caster, second: Caster) -> None:
+        self._first, self._second = first, second
+
+    def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
+        """Return (n,) ranges (see `lirs_envs.lidar.ray_casting.Caster`)."""
+        rays = (origins, directions, max_range)
+        nearest: FloatArray = np.minimum(self._first.ranges(*rays), self._second.ranges(*rays))
+        return nearest
+
+
+def make_caster(world: World, rays: Rays, props: bool, model: mujoco.MjModel, data: mujoco.MjData) -> Caster:
+    """Return the caster of a world and, where `props`, of what else stands there; never of the robot itself.
 
     Raises:
-        ConfigError: our rays on a mesh with overhangs need embreex, which is not installed.
+        ConfigError: builtin rays on a mesh with overhangs need embreex, which is not installed.
     """
     groups = (PROP_GROUP,) if props else ()
     if rays == "mujoco":
-        ground = SEEN_GROUP if world.overhangs else TERRAIN_GROUP
-        return GeomCaster(model, data, (*groups, ground)), None
-    others = GeomCaster(model, data, groups) if groups else None
-    return MeshCaster(world.mesh) if world.overhangs else RayCaster(world.surface, world.walls), others
+        ground = RAY_GROUP if world.overhangs else TERRAIN_GROUP
+        return GeomCaster(model, data, (*groups, ground))
+    caster = MeshCaster(world.mesh) if world.overhangs else RayCaster(world.surface, world.walls)
+    return NearestCaster(caster, GeomCaster(model, data, groups)) if groups else caster

@@ -1,4 +1,4 @@
-"""Where the beams of a swept scan were cast from, and what the scan looks like without the motion.
+"""De-skewing: the poses at which the beams of a rolling scan were cast, and the scan without the motion.
 
 A robot that moves with constant velocity v and rates w (both in its own frame) is after a time t at
 exp(t [v, w]) in the frame that it had: rotation by Rodrigues' formula, translation by its integral
@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lirs_envs.lidar.presets import planar_directions
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.scan import LaserScan
@@ -50,13 +51,13 @@ def deskewed_points(scan: LaserScan, velocity: ArrayLike, rates: ArrayLike) -> F
     """Return (n, 3) ends of the beams in the base frame at the scan's stamp; NaN where a beam met nothing.
 
     Args:
-        scan: a swept scan; one with `time_increment` 0 needs no de-skewing and is right as it is.
-        velocity: (3,) of the base along its axes while it was swept, m/s: from odometry.
+        scan: a rolling scan; one with `time_increment` 0 has no skew.
+        velocity: (3,) of the base along its axes during the scan, m/s: from odometry.
         rates: (3,) about them, rad/s: from the gyro.
     """
     angles = scan.angles
     ranges = np.where(scan.hits, scan.ranges, np.nan).astype(np.float64)
-    beams = ranges[:, None] * np.stack((np.cos(angles), np.sin(angles), np.zeros_like(angles)), axis=1)
+    beams = ranges[:, None] * planar_directions(angles)
     R, p = moved_frames(scan.time_increment * np.arange(len(angles)), velocity, rates)
     points: FloatArray = np.einsum("nij,nj->ni", R, scan.T_base_laser.apply(beams)) + p
     return points

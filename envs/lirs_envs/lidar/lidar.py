@@ -1,16 +1,15 @@
-"""The laser range finder (LRF): a preset of figures, a mount, and noise on the ranges."""
+"""The planar lidar: a preset of figures, a mount, and noise on the ranges."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
 from lirs_envs.lidar.deskew import moved_frames
-from lirs_envs.lidar.noise import LidarNoise, draws, lidar_noise, measure
+from lirs_envs.lidar.noise import LidarNoise, draw_noise, lidar_noise, measure
 from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.lidar.ray_casting import Caster
 from lirs_wct.arrays import FloatArray
@@ -18,26 +17,22 @@ from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import LaserScan
 
-OtherRanges = Callable[[FloatArray, FloatArray, float], FloatArray]
-"""origin (3,) or origins (n, 3), directions (n, 3), largest range -> (n,) ranges of what the caster does not
-hold."""
-
 
 @dataclass(frozen=True, slots=True)
-class Motion:
-    """How the base moves while a scan is swept.
+class BaseVelocity:
+    """Velocity of the base during a rolling scan.
 
     Attributes:
-        velocity: of base_link along x, y, z of the base, m/s.
-        rates: about x, y, z of the base, rad/s.
+        linear: of base_link along x, y, z of the base, m/s.
+        angular: about x, y, z of the base, rad/s.
     """
 
-    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    linear: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    angular: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class Lidar:
-    """A laser range finder on a robot in a world.
+    """A planar lidar on a robot in a world.
 
     Args:
         preset: figures of the device.
@@ -45,9 +40,9 @@ class Lidar:
         T_base_laser: mount.
         rng: of the noise.
         noise: default: Gaussian with the preset's deviation.
-        sweep: whether a scan is spread over the time that the mirror takes; else all beams are cast at once.
-            The mirror turns once a period. The first beam is cast at the stamp, the others while the robot
-            goes on with the motion that it has then.
+        rolling_scan: whether the beams are cast one after the other while the mirror turns, once a period;
+            else all at once. The first beam is cast at the stamp, the others while the robot goes on at the
+            velocity that it has then.
     """
 
     def __init__(
@@ -58,34 +53,25 @@ class Lidar:
         rng: np.random.Generator,
         noise: LidarNoise | None = None,
         *,
-        sweep: bool = False,
+        rolling_scan: bool = False,
     ) -> None:
         self.preset = preset
         self.caster = caster
         self.T_base_laser = T_base_laser
         self.noise = lidar_noise(preset) if noise is None else noise
-        self.time_increment = preset.angle_increment / math.tau * preset.period if sweep else 0.0
+        self.time_increment = preset.angle_increment / math.tau * preset.period if rolling_scan else 0.0
         self._rng = rng
-        angles = preset.angle_min + preset.angle_increment * np.arange(preset.beams)
-        beams = np.stack((np.cos(angles), np.sin(angles), np.zeros_like(angles)), axis=1)
-        self._beams = beams @ T_base_laser.rotation.T
+        self._beams = preset.directions @ T_base_laser.rotation.T
         self._mount = T_base_laser.position
-        self._limits, self._figures = (preset.range_min, preset.range_max), self.noise.figures
+        self._limits, self._noise = (preset.range_min, preset.range_max), self.noise.parameters
 
-    def scan(
-        self,
-        T_world_base: Pose3,
-        stamp: float,
-        others: OtherRanges | None = None,
-        motion: Motion | None = None,
-    ) -> LaserScan:
+    def scan(self, T_world_base: Pose3, stamp: float, velocity: BaseVelocity | None = None) -> LaserScan:
         """Return the scan from a pose of the robot, with noise.
 
         Args:
             T_world_base: pose of the robot at the first beam.
             stamp: seconds.
-            others: ranges of what MuJoCo's rays meet; the nearer of both counts.
-            motion: of the robot; only a sweep needs it. None = at rest.
+            velocity: of the base, for a rolling scan; None = at rest.
 
         Raises:
             SimulationError: the pose is not finite.
@@ -93,14 +79,12 @@ class Lidar:
         preset = self.preset
         T = T_world_base
         if not all(map(math.isfinite, (T.x, T.y, T.z, T.qw, T.qx, T.qy, T.qz))):
-            raise SimulationError(f"the laser's pose must be finite, got {T_world_base}")
-        origin, directions = self._rays(T_world_base, motion)
+            raise SimulationError(f"the lidar's pose must be finite, got {T_world_base}")
+        origin, directions = self._rays(T_world_base, velocity)
         exact = self.caster.ranges(origin, directions, preset.range_max)
-        if others is not None:
-            exact = np.minimum(exact, others(origin, directions, preset.range_max))
-        normal, uniform = draws(self.noise, preset.beams, self._rng)
+        normal, uniform = draw_noise(self.noise, preset.beams, self._rng)
         ranges = np.empty(preset.beams, np.float32)
-        measure(exact, normal, uniform, self._limits, self._figures, ranges)
+        measure(exact, normal, uniform, self._limits, self._noise, ranges)
         return LaserScan(
             ranges,
             preset.angle_min,
@@ -112,23 +96,23 @@ class Lidar:
             self.time_increment,
         )
 
-    def _rays(self, T_world_base: Pose3, motion: Motion | None) -> tuple[FloatArray, FloatArray]:
+    def _rays(self, T_world_base: Pose3, velocity: BaseVelocity | None) -> tuple[FloatArray, FloatArray]:
         """Return origin (3,) or origins (n, 3), and directions (n, 3) of the beams in the world."""
         T = T_world_base
         quaternion, position = (T.qw, T.qx, T.qy, T.qz), (T.x, T.y, T.z)
-        if self.time_increment == 0.0 or motion is None:
+        if self.time_increment == 0.0 or velocity is None:
             origin, directions = np.empty((1, 3)), np.empty_like(self._beams)
-            _carry(quaternion, position, self._mount[None], self._beams, origin, directions)
+            _transform_rays(quaternion, position, self._mount[None], self._beams, origin, directions)
             return origin[0], directions
         times = self.time_increment * np.arange(self.preset.beams)
-        R, p = moved_frames(times, motion.velocity, motion.rates)
+        R, p = moved_frames(times, velocity.linear, velocity.angular)
         origins, directions = p + R @ self._mount, np.einsum("nij,nj->ni", R, self._beams)
-        _carry(quaternion, position, origins, directions, origins, directions)
+        _transform_rays(quaternion, position, origins, directions, origins, directions)
         return origins, directions
 
 
 @njit(cache=True)
-def _carry(
+def _transform_rays(
     quaternion: tuple[float, float, float, float],
     position: tuple[float, float, float],
     starts: FloatArray,

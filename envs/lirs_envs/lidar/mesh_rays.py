@@ -18,7 +18,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.mesh import TriangleMesh
 
 SLACK = 1e-4
-"""Metres by which Embree looks farther than it is asked to: single precision at a kilometre."""
+"""Metres by which Embree's largest range exceeds the one asked for: single precision at a kilometre."""
 
 
 class MeshCaster:
@@ -34,7 +34,7 @@ class MeshCaster:
             meshes: Any = import_module("embreex.mesh_construction")
         except ImportError:
             raise ConfigError(
-                "the laser on a mesh with overhangs needs the package embreex: pip install 'lirs-wct[mesh]', "
+                "the lidar on a mesh with overhangs needs the package embreex: pip install 'lirs-wct[mesh]', "
                 "or take rays 'mujoco'"
             ) from None
         self._middle = mesh.bounds.mean(axis=0)

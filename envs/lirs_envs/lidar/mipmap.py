@@ -20,14 +20,14 @@ from lirs_wct.arrays import Float32Array, FloatArray, IntArray
 from lirs_wct.geometry.heightfield import HeightField
 
 LEAF = 3
-"""Level of the blocks."""
+"""Level of the blocks, which hold 2^LEAF x 2^LEAF cells."""
 EDGE = 2**LEAF
 """Cells along a block's side."""
 ROW = EDGE + 1
 """Nodes along a block's side; neighbours hold the nodes between them both."""
 
 
-class Terrain(NamedTuple):
+class TerrainMipmap(NamedTuple):
     """A height field as the kernels read it; row 0 = south.
 
     Attributes:
@@ -49,7 +49,7 @@ class Terrain(NamedTuple):
     cells: tuple[int, int]
 
 
-def build_terrain_mipmap(surface: HeightField) -> Terrain:
+def build_terrain_mipmap(surface: HeightField) -> TerrainMipmap:
     """Build blocks and bounds of a height field: one pass over the nodes and little for the levels."""
     z = surface.south_up
     ny, nx = z.shape[0] - 1, z.shape[1] - 1
@@ -72,7 +72,7 @@ def build_terrain_mipmap(surface: HeightField) -> Terrain:
     # wrong side there.
     margin = 1e-3 + 0.01 * (high - low) + 1e-6 * max(abs(low), abs(high))
     frame = np.array((*surface.origin, *surface.cell, low, high, margin), dtype=np.float64)
-    return Terrain(block.reshape(-1, ROW * ROW), bound.ravel(), start, width, frame, (nx, ny))
+    return TerrainMipmap(block.reshape(-1, ROW * ROW), bound.ravel(), start, width, frame, (nx, ny))
 
 
 def _level_shapes(rows: int, cols: int) -> list[tuple[int, int]]:

@@ -1,20 +1,31 @@
-"""What a laser range finder makes of the true ranges."""
+"""Measurement model of a lidar: from true ranges to measured ones."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
-from typing import Literal
+from dataclasses import astuple, dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from lirs_envs.lidar.presets import LidarPreset
 from lirs_wct.arrays import Float32Array, FloatArray
-from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.errors import unknown_name
+from lirs_wct.validation import require_at_least, require_within
 
 NoiseLevel = Literal["none", "simulated", "datasheet"]
 LEVELS = ("none", "simulated", "datasheet")
+
+
+class NoiseParameters(NamedTuple):
+    """`LidarNoise` as the kernel reads it."""
+
+    sigma: float
+    sigma_relative: float
+    quantization: float
+    dropout: float
+    mixed_pixels: float
+    edge_threshold: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,11 +34,11 @@ class LidarNoise:
 
     Attributes:
         sigma: standard deviation of the range noise, metres.
-        sigma_relative: the part of it that grows with the range, metres a metre; both add.
-        step: ranges are multiples of it, metres; 0 = continuous.
-        dropout: share of the beams that give nothing: NaN, as REP 117 has it for an invalid one.
-        mixed: share of the beams at an edge that fall on both sides of it and measure something between.
-        edge: difference between the ranges of two neighbours from which on there is an edge, metres.
+        sigma_relative: deviation proportional to the range, metres a metre; both add.
+        quantization: step of the measured ranges, metres; 0 = continuous.
+        dropout: share of invalid beams (NaN, REP 117).
+        mixed_pixels: share of the beams at an edge that fall on both sides of it and measure a range between.
+        edge_threshold: difference between the ranges of two neighbours that makes an edge, metres.
 
     Raises:
         ConfigError: a figure is not legal.
@@ -35,40 +46,36 @@ class LidarNoise:
 
     sigma: float = 0.0
     sigma_relative: float = 0.0
-    step: float = 0.0
+    quantization: float = 0.0
     dropout: float = 0.0
-    mixed: float = 0.0
-    edge: float = 0.2
+    mixed_pixels: float = 0.0
+    edge_threshold: float = 0.2
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            top = 1.0 if item.name in ("dropout", "mixed") else math.inf
-            if not 0 <= value <= top or math.isinf(value):
-                raise ConfigError(
-                    f"lidar noise: {item.name} must be a finite number from 0 to {top:g}, got {value}"
-                )
+        lengths = ("sigma", "sigma_relative", "quantization", "edge_threshold")
+        require_at_least(self, 0, *lengths, of="the lidar noise", finite=True)
+        require_within(self, "[0, 1]", "dropout", "mixed_pixels", of="the lidar noise")
 
     @property
-    def figures(self) -> tuple[float, float, float, float, float, float]:
-        """All of it, in the kernel's order."""
-        return self.sigma, self.sigma_relative, self.step, self.dropout, self.mixed, self.edge
+    def parameters(self) -> NoiseParameters:
+        """All fields, for the kernel."""
+        return NoiseParameters(*map(float, astuple(self)))
 
     @property
     def draws_uniform(self) -> bool:
         """Whether beams are lost or mixed by chance."""
-        return self.dropout > 0 or self.mixed > 0
+        return self.dropout > 0 or self.mixed_pixels > 0
 
 
 DATASHEET: dict[str, LidarNoise] = {
-    "lms1xx": LidarNoise(sigma=0.012, step=0.001, dropout=0.001, mixed=0.5),
-    "lms111": LidarNoise(sigma=0.012, step=0.001, dropout=0.001, mixed=0.5),
-    "utm30lx": LidarNoise(sigma=0.03, step=0.001, dropout=0.001, mixed=0.5),
-    "urg04lx": LidarNoise(sigma_relative=0.01, step=0.001, dropout=0.002, mixed=0.5),
-    "rplidar_a1": LidarNoise(sigma_relative=0.01, step=0.0005, dropout=0.01, mixed=0.3),
-    "lds01": LidarNoise(sigma=0.01, step=0.001, dropout=0.01, mixed=0.3),
+    "lms1xx": LidarNoise(sigma=0.012, quantization=0.001, dropout=0.001, mixed_pixels=0.5),
+    "lms111": LidarNoise(sigma=0.012, quantization=0.001, dropout=0.001, mixed_pixels=0.5),
+    "utm30lx": LidarNoise(sigma=0.03, quantization=0.001, dropout=0.001, mixed_pixels=0.5),
+    "urg04lx": LidarNoise(sigma_relative=0.01, quantization=0.001, dropout=0.002, mixed_pixels=0.5),
+    "rplidar_a1": LidarNoise(sigma_relative=0.01, quantization=0.0005, dropout=0.01, mixed_pixels=0.3),
+    "lds01": LidarNoise(sigma=0.01, quantization=0.001, dropout=0.01, mixed_pixels=0.3),
 }
-"""Deviation and step are the makers'. No data sheet tells how many beams are lost or mixed: those two are
+"""Deviation and quantization are the makers'. No data sheet says how many beams are lost or mixed: both are
 assumed, from nearly none for the SICK to one in a hundred for the cheap ones; a beam as wide as the gap to
 the next one lies on an edge whenever there is one, half of them on enough of both sides to be mixed."""
 
@@ -96,7 +103,7 @@ def lidar_noise(preset: LidarPreset, level: NoiseLevel = "simulated") -> LidarNo
 NO_DRAWS: FloatArray = np.empty((0, 2))
 
 
-def draws(noise: LidarNoise, beams: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def draw_noise(noise: LidarNoise, beams: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Return (n,) normal and (n, 2) uniform numbers for one scan; without need of the latter, (0, 2)."""
     normal = rng.standard_normal(beams)
     return normal, rng.random((beams, 2)) if noise.draws_uniform else NO_DRAWS
@@ -108,28 +115,28 @@ def measure(
     normal: FloatArray,
     uniform: FloatArray,
     limits: tuple[float, float],
-    figures: tuple[float, float, float, float, float, float],
+    parameters: NoiseParameters,
     ranges: Float32Array,
 ) -> None:
     """Fill `ranges` (n,): +inf = nothing in range, -inf = too near, NaN = lost (REP 117), else metres."""
     range_min, range_max = limits
-    sigma, sigma_relative, step, dropout, mixed, edge = figures
+    sigma, sigma_relative, quantization, dropout, mixed_pixels, edge_threshold = parameters
     for k in range(len(exact)):
         true = exact[k]
         if len(uniform):
             if uniform[k, 1] < dropout:
                 ranges[k] = np.nan
                 continue
-            if k + 1 < len(exact) and uniform[k, 0] < mixed:
+            if k + 1 < len(exact) and uniform[k, 0] < mixed_pixels:
                 jump = exact[k + 1] - true
-                if edge < abs(jump) < np.inf:
-                    true += jump * uniform[k, 0] / mixed
+                if edge_threshold < abs(jump) < np.inf:
+                    true += jump * uniform[k, 0] / mixed_pixels
         if true > range_max:
             ranges[k] = np.inf
             continue
         measured = true + (sigma + sigma_relative * true) * normal[k]
-        if step > 0:
-            measured = step * round(measured / step)
+        if quantization > 0:
+            measured = quantization * round(measured / quantization)
         if true < range_min or measured < range_min:
             ranges[k] = -np.inf
         else:

@@ -1,4 +1,4 @@
-"""Laser range finders with any pattern of beams: several rings, a dome, a line down."""
+"""Lidars with any pattern of beams: several rings, a dome, a line down."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lirs_envs.lidar.noise import LidarNoise, draws, measure
+from lirs_envs.lidar.noise import LidarNoise, draw_noise, measure
 from lirs_envs.lidar.ray_casting import Caster
 from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.errors import ConfigError
@@ -73,7 +73,7 @@ class PatternLidar:
 
     Args:
         pattern: directions, ranges, noise.
-        caster: what the beams meet; both of a simulation's `casters` are taken as they come.
+        caster: what the beams meet, such as `Simulation.caster`.
         T_base_laser: mount.
         rng: of the noise.
     """
@@ -81,25 +81,24 @@ class PatternLidar:
     def __init__(
         self,
         pattern: BeamPattern,
-        caster: Caster | tuple[Caster, Caster | None],
+        caster: Caster,
         T_base_laser: Pose3,
         rng: np.random.Generator,
     ) -> None:
         self.pattern = pattern
-        casters = caster if isinstance(caster, tuple) else (caster,)
-        self._casters = [c for c in casters if c is not None]
+        self.caster = caster
+        self._noise = pattern.noise.parameters
         self.T_base_laser = T_base_laser
         self._rng = rng
 
     def ranges(self, T_world_base: Pose3) -> Float32Array:
         """Return (n,) metres: +inf = nothing in range, -inf = too near, NaN = lost (REP 117)."""
         pattern, T = self.pattern, T_world_base @ self.T_base_laser
-        rays = (T.position, pattern.directions @ T.rotation.T, pattern.range_max)
-        exact = np.min([caster.ranges(*rays) for caster in self._casters], axis=0)
-        normal, uniform = draws(pattern.noise, len(exact), self._rng)
+        exact = self.caster.ranges(T.position, pattern.directions @ T.rotation.T, pattern.range_max)
+        normal, uniform = draw_noise(pattern.noise, len(exact), self._rng)
         ranges = np.empty(len(exact), np.float32)
         limits = (pattern.range_min, pattern.range_max)
-        measure(exact, normal, uniform, limits, pattern.noise.figures, ranges)
+        measure(exact, normal, uniform, limits, self._noise, ranges)
         return ranges
 
     def points(self, ranges: ArrayLike) -> FloatArray:

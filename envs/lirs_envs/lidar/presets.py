@@ -1,16 +1,20 @@
-"""Laser range finders (LRF) as data: one row of figures for each device."""
+"""Planar lidars (laser range finders) as data: one row of figures for each device."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.validation import require_above, require_at_least, require_within
 
 
 @dataclass(frozen=True, kw_only=True)
 class LidarPreset:
-    """The figures of a planar laser range finder.
+    """Figures of a planar lidar.
 
     Attributes:
         name: how users call it.
@@ -37,17 +41,16 @@ class LidarPreset:
     sigma_relative: float = 0.0
 
     def __post_init__(self) -> None:
-        legal = {
-            "beams must be at least 2": self.beams >= 2,
-            "fov must be above 0 and at most 2 pi rad": 0 < self.fov <= math.tau,
-            "rate must be above 0 Hz": 0 < self.rate < math.inf,
-            "range_min must be at least 0 m and below range_max": 0 <= self.range_min < self.range_max,
-            "range_max must be finite": self.range_max < math.inf,
-            "sigma must be at least 0": self.sigma >= 0 and self.sigma_relative >= 0,
-        }
-        for rule, holds in legal.items():
-            if not holds:
-                raise ConfigError(f"lidar {self.name!r}: {rule}, got {self}")
+        of = f"lidar {self.name!r}"
+        require_at_least(self, 2, "beams", of=of)
+        require_within(self, f"(0, {math.tau}]", "fov", of=of, unit="rad")
+        require_above(self, 0, "rate", of=of, unit="Hz", finite=True)
+        require_at_least(self, 0, "range_min", "range_max", of=of, unit="m", finite=True)
+        require_at_least(self, 0, "sigma", "sigma_relative", of=of, finite=True)
+        if self.range_min >= self.range_max:
+            raise ConfigError(
+                f"range_min of {of} must be below range_max, got {self.range_min} and {self.range_max} m"
+            )
 
     @property
     def angle_min(self) -> float:
@@ -61,9 +64,21 @@ class LidarPreset:
         return self.fov / gaps
 
     @property
+    def directions(self) -> FloatArray:
+        """(beams, 3) unit vectors of the beams in the sensor's frame."""
+        return planar_directions(
+            self.angle_min + self.angle_increment * np.arange(self.beams, dtype=np.float64)
+        )
+
+    @property
     def period(self) -> float:
         """Time between two scans, seconds."""
         return 1 / self.rate
+
+
+def planar_directions(angles: FloatArray) -> FloatArray:
+    """Return (n, 3) unit vectors in the sensor's x-y plane at angles (n,) from x, radians."""
+    return np.stack((np.cos(angles), np.sin(angles), np.zeros_like(angles)), axis=1)
 
 
 def _preset(

@@ -1,4 +1,4 @@
-"""Rays against the terrain and the walls of a world: the laser range finder's view of it.
+"""The builtin ray caster: rays against the terrain and the walls of a world.
 
 What a ray can meet:
 
@@ -24,7 +24,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from lirs_envs.lidar.mipmap import Terrain, build_terrain_mipmap
+from lirs_envs.lidar.mipmap import TerrainMipmap, build_terrain_mipmap
 from lirs_envs.lidar.terrain_rays import terrain_ranges
 from lirs_envs.lidar.wall_cells import WallCells, build_wall_cells, remove_hits_in_holes, wall_ranges
 from lirs_wct.arrays import FloatArray
@@ -34,7 +34,7 @@ from lirs_wct.geometry.walls import WallGrid
 
 
 class Caster(Protocol):
-    """What the laser's beams meet."""
+    """Geometry that beams can meet."""
 
     def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
         """Return (n,) metres along unit directions; inf where nothing is within `max_range`.
@@ -50,7 +50,7 @@ class RayCaster:
     """Ranges from a point along rays to the nearest triangle or wall of a world."""
 
     def __init__(self, surface: HeightField, walls: WallGrid | None = None) -> None:
-        self.terrain: Terrain = build_terrain_mipmap(surface)
+        self.terrain: TerrainMipmap = build_terrain_mipmap(surface)
         self.walls: WallCells = build_wall_cells(walls)
 
     def cast(self, origin: ArrayLike, directions: ArrayLike, max_range: float = math.inf) -> FloatArray:
@@ -77,7 +77,7 @@ class RayCaster:
 
 @njit(cache=True, error_model="numpy")
 def cast_rays(
-    terrain: Terrain,
+    terrain: TerrainMipmap,
     walls: WallCells,
     origins: FloatArray,
     directions: FloatArray,
@@ -97,7 +97,7 @@ def cast_rays(
 
 @njit(cache=True, error_model="numpy")
 def _cast_fan(
-    terrain: Terrain,
+    terrain: TerrainMipmap,
     walls: WallCells,
     origin: FloatArray,
     directions: FloatArray,
@@ -108,9 +108,9 @@ def _cast_fan(
     if walls.hole.size == 0:
         terrain_ranges(terrain, origin, directions, max_range, ranges)
         return
-    to_wall = ranges.copy()
+    wall_range = ranges.copy()
     terrain_ranges(terrain, origin, directions, max_range, ranges)
-    remove_hits_in_holes(walls, origin, directions, to_wall, ranges)
+    remove_hits_in_holes(walls, origin, directions, wall_range, ranges)
 
 
 def mujoco_ranges(
@@ -132,7 +132,7 @@ def mujoco_ranges(
         directions: (n, 3) unit vectors, world frame.
         max_range: metres; inf where nothing is nearer.
         exclude_body: id of one body whose geoms are looked through.
-        groups: geom groups (0 to 5) that are seen.
+        groups: geom groups (0 to 5) that rays meet.
 
     Raises:
         ConfigError: a group is not 0 to 5, or an array has the wrong shape.

@@ -11,14 +11,15 @@ import numpy as np
 from numba import njit
 
 from lirs_envs.lidar.clipping import FAR, clip, inverse
-from lirs_envs.lidar.mipmap import EDGE, LEAF, ROW, Terrain
+from lirs_envs.lidar.mipmap import EDGE, LEAF, ROW, TerrainMipmap
 from lirs_wct.arrays import Float32Array, FloatArray, IntArray
 
 Ray = tuple[float, float, float, float, float, float]
 """u, v, w: start, in cells from the south-west node and metres up; du, dv, dw: its change per metre."""
-Pace = tuple[float, float, float, float, int, int]
-"""per_u, per_v: metres a cell along each axis, 0 = it never crosses one; far_u, far_v: FAR where it does not,
-else 0; east, north: 1 = the axis is run through upward."""
+GridStep = tuple[float, float, float, float, int, int]
+"""per_u, per_v: metres along the ray a cell of each axis, 0 = it crosses none; far_u, far_v: FAR where it
+does not, else 0; east, north: 1 = the ray runs up that axis (Amanatides and Woo, "A fast voxel traversal
+algorithm for ray tracing", 1987)."""
 START_LEVEL = 6
 """Squares of 64 cells: the fastest start, measured from 257^2 to 4097^2."""
 BORDER = 1e-9
@@ -29,7 +30,7 @@ FUSED = {"contract"}
 
 @njit(cache=True, error_model="numpy", fastmath=FUSED)
 def terrain_ranges(
-    terrain: Terrain, origin: FloatArray, directions: FloatArray, max_range: float, ranges: FloatArray
+    terrain: TerrainMipmap, origin: FloatArray, directions: FloatArray, max_range: float, ranges: FloatArray
 ) -> None:
     """Shorten `ranges` (n,) to the first triangle on each ray within `max_range`."""
     block, bound, start, width, frame = (
@@ -54,14 +55,14 @@ def terrain_ranges(
                 i, j = min(max(int(u + t * du), 0), nx - 1), min(max(int(v + t * dv), 0), ny - 1)
                 height = w + t * dw - _surface(block, width, i, j, u + t * du - i, v + t * dv - j)
             far_u, far_v = 0.0 if per_u != 0.0 else FAR, 0.0 if per_v != 0.0 else FAR
-            pace = (per_u, per_v, far_u, far_v, 1 if du > 0.0 else 0, 1 if dv > 0.0 else 0)
+            step = (per_u, per_v, far_u, far_v, 1 if du > 0.0 else 0, 1 if dv > 0.0 else 0)
             ray = (u, v, w, du, dv, dw)
-            hit = _follow(block, bound, start, width, (nx, ny), (i, j), ray, pace, height, t, t_end)
+            hit = _traverse(block, bound, start, width, (nx, ny), (i, j), ray, step, height, t, t_end)
             ranges[k] = min(ranges[k], hit)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True, fastmath=FUSED)
-def _follow(
+def _traverse(
     block: Float32Array,
     bound: Float32Array,
     start: IntArray,
@@ -69,7 +70,7 @@ def _follow(
     cells: tuple[int, int],
     cell: tuple[int, int],
     ray: Ray,
-    pace: Pace,
+    step: GridStep,
     height: float,
     t: float,
     t_end: float,
@@ -77,14 +78,14 @@ def _follow(
     """Return where a ray meets the surface in [t, t_end], which lies in the field's box, else inf.
 
     At t it is in `cell`, `height` above the surface. Descends into a square of cells only where the ray,
-    over its way through it, is not wholly above the square's maximum (from below: not wholly below its
+    over its stretch through it, is not wholly above the square's maximum (from below: not wholly below its
     minimum). Cells are stepped in integers: rounding moves a crossing by 1e-12 cells and never loses one.
     """
     if height == 0.0:
         return t
     (nx, ny), (i, j), top = cells, cell, len(width) - 1
     u, v, w, du, dv, dw = ray
-    per_u, per_v, far_u, far_v, east, north = pace
+    per_u, per_v, far_u, far_v, east, north = step
     side = 1.0 if height > 0.0 else -1.0
     first = 0 if height > 0.0 else len(bound) // 2
     w, dw = side * w, side * dw
@@ -101,7 +102,7 @@ def _follow(
                 level -= 1
                 continue
             number = np.uint64(r * width[LEAF] + c)
-            hit: float = _block_range(block, number, (i, j), (u, v, w, du, dv, dw), pace, side, t, t_out)
+            hit: float = _block_range(block, number, (i, j), (u, v, w, du, dv, dw), step, side, t, t_out)
             if hit < np.inf:
                 return hit
         if t_out >= t_end:
@@ -140,7 +141,7 @@ def _block_range(
     number: int,
     cell: tuple[int, int],
     ray: Ray,
-    pace: Pace,
+    step: GridStep,
     side: float,
     t: float,
     t_end: float,
@@ -151,7 +152,7 @@ def _block_range(
     """
     i, j = cell
     u, v, w, du, dv, dw = ray
-    per_u, per_v, far_u, far_v, east, north = pace
+    per_u, per_v, far_u, far_v, east, north = step
     c, r = i >> LEAF, j >> LEAF
     tx, ty = (i + east - u) * per_u + far_u, (j + north - v) * per_v + far_v
     while True:
@@ -188,15 +189,15 @@ def _cell_range(corners: tuple[float, float, float, float], ray: Ray, t: float, 
     """Return where a ray above the surface meets a cell's two triangles in [t, t_out], else inf.
 
     The ray's u and v begin at the cell's corner. Over each triangle (ray - surface) is linear in t. It was
-    above 0 before, so that a value of 0 or less at the end of a piece is a hit within it.
+    above 0 before, so that a value of 0 or less at the end of a segment is a hit within it.
     """
     sw, se, nw, ne = corners
     a, b, w, du, dv, dw = ray
     t_diagonal = (b - a) / (du - dv) if du != dv else t
-    pieces = 2 if t < t_diagonal < t_out else 1
-    for piece in range(pieces):
-        begin = t_diagonal if piece == 1 else t
-        end = t_diagonal if piece + 1 < pieces else t_out
+    segments = 2 if t < t_diagonal < t_out else 1
+    for segment in range(segments):
+        begin = t_diagonal if segment == 1 else t
+        end = t_diagonal if segment + 1 < segments else t_out
         middle = 0.5 * (begin + end)
         if a + middle * du >= b + middle * dv:
             gx, gy = se - sw, ne - se

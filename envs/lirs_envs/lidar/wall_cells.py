@@ -71,18 +71,18 @@ def wall_ranges(
 
 @njit(cache=True, error_model="numpy")
 def remove_hits_in_holes(
-    walls: WallCells, origin: FloatArray, directions: FloatArray, to_wall: FloatArray, ranges: FloatArray
+    walls: WallCells, origin: FloatArray, directions: FloatArray, wall_range: FloatArray, ranges: FloatArray
 ) -> None:
-    """Give back the range of the wall behind, or inf, to rays that met the floor where it has a hole."""
+    """Replace hits on the floor where it has a hole: by the range of the wall behind, or inf."""
     rows, cols = walls.hole.shape
     x0, y0, c, s, resolution = walls.frame[0], walls.frame[1], walls.frame[2], walls.frame[3], walls.frame[4]
     for k in range(len(ranges)):
-        if ranges[k] < to_wall[k]:
+        if ranges[k] < wall_range[k]:
             x = origin[0] + ranges[k] * directions[k, 0] - x0
             y = origin[1] + ranges[k] * directions[k, 1] - y0
             i, j = math.floor((c * x + s * y) / resolution), math.floor((c * y - s * x) / resolution)
             if 0 <= i < cols and 0 <= j < rows and walls.hole[j, i]:
-                ranges[k] = to_wall[k]
+                ranges[k] = wall_range[k]
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)

@@ -1,16 +1,20 @@
-"""What a robot can be told to do."""
+"""Commands to a robot."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+
+from lirs_envs.robots.robot import Robot
+from lirs_wct.errors import ConfigError
+from lirs_wct.validation import is_finite
 
 
 @dataclass(frozen=True, slots=True)
 class Twist:
-    """A commanded motion of the base.
+    """Commanded velocity of the base.
 
     Attributes:
-        v: speed ahead, m/s.
+        v: forward speed, m/s.
         omega: turn rate, rad/s, counter-clockwise.
     """
 
@@ -20,9 +24,28 @@ class Twist:
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """A place in the world to fly to and stay at; only for robots that fly. Metres and radians."""
+    """Pose in the world to fly to and hold; only for robots that fly. Metres and radians."""
 
     x: float
     y: float
     z: float
     yaw: float = 0.0
+
+
+def check_command(robot: Robot, command: object) -> None:
+    """Check a command.
+
+    Raises:
+        ConfigError: it is no command, none for this robot, or not finite.
+    """
+    if isinstance(command, Waypoint) and not robot.flies:
+        raise ConfigError(f"{robot.name} drives: it takes a Twist, got {command}")
+    if not isinstance(command, Twist | Waypoint):
+        raise ConfigError(f"a command must be a Twist or a Waypoint, got {command!r}")
+    if not all(is_finite(value) for value in astuple(command)):
+        raise ConfigError(f"a command must be finite, got {command}")
+
+
+def clip(value: float, limit: float) -> float:
+    """Return a value limited to [-limit, limit]."""
+    return max(-limit, min(limit, value))

@@ -8,185 +8,192 @@ thrust and a tilt; the attitude loop gives torques. It reads the true state, as 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import Protocol
 
+import mujoco
 import numpy as np
 
-from lirs_envs.model import RobotModel
-from lirs_envs.robots.command import Twist, Waypoint
+from lirs_envs.robots.command import Twist, Waypoint, clip
 from lirs_envs.robots.robot import Robot
-from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError
+from lirs_wct.arrays import FloatArray, Vector3
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose3, wrap_angle
+from lirs_wct.validation import require_above
 
-GRAVITY = 9.81
-Ground = Callable[[float, float], float]
-"""Height of the ground at x, y; NaN beyond the world."""
+LEAST_THRUST = 0.3
+"""Least vertical thrust that is commanded, as a share of the weight: a body in free fall cannot turn."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlightConfig:
-    """Gains and limits.
+    """Gains and limits of the flight control.
 
     Attributes:
-        position: wanted speed a metre of error, 1/s.
-        velocity: wanted acceleration a m/s of error, 1/s.
-        attitude: angular acceleration a radian of error, 1/s^2.
-        rate: angular acceleration a rad/s of error, 1/s.
-        heading: wanted yaw rate a radian of error, 1/s.
-        tilt: largest, radians.
-        climb: largest vertical speed, m/s.
-        altitude: above the ground while it follows the terrain, metres.
-        foresight: seconds ahead in which the ground counts.
+        position_gain: wanted speed a metre of error, 1/s.
+        velocity_gain: wanted acceleration a m/s of error, 1/s.
+        attitude_gain: angular acceleration a radian of error, 1/s^2.
+        rate_gain: angular acceleration a rad/s of error, 1/s.
+        heading_gain: wanted yaw rate a radian of error, 1/s.
+        max_tilt: largest tilt, radians.
+        max_climb_rate: largest vertical speed, m/s.
+        altitude: height above the ground in terrain following, metres.
+        lookahead: time ahead over which the ground counts in terrain following, seconds.
 
     Raises:
-        ConfigError: a figure is not above 0.
+        ConfigError: a value is not above 0.
     """
 
-    position: float = 1.5
-    velocity: float = 5.0
-    attitude: float = 220.0
-    rate: float = 24.0
-    heading: float = 2.0
-    tilt: float = math.radians(45)
-    climb: float = 5.0
+    position_gain: float = 1.5
+    velocity_gain: float = 5.0
+    attitude_gain: float = 220.0
+    rate_gain: float = 24.0
+    heading_gain: float = 2.0
+    max_tilt: float = math.radians(45)
+    max_climb_rate: float = 5.0
     altitude: float = 1.0
-    foresight: float = 0.8
+    lookahead: float = 0.8
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            if not 0 < getattr(self, item.name) < math.inf:
-                raise ConfigError(
-                    f"flight: {item.name} must be a finite number above 0, got {getattr(self, item.name)}"
-                )
+        names = (item.name for item in fields(self))
+        require_above(self, 0, *names, of="the flight control", finite=True)
+
+
+class FlyingBody(Protocol):
+    """True state of a body, in its MuJoCo model."""
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model."""
+
+    @property
+    def gravity(self) -> float:
+        """Gravity along -z, m/s^2."""
+
+    def pose(self) -> Pose3:
+        """Return `T_world_base`."""
+
+    def velocity(self) -> Vector3:
+        """Return the velocity along the body's axes, m/s."""
+
+    def rates(self) -> Vector3:
+        """Return the rates about the body's axes, rad/s."""
 
 
 @dataclass(frozen=True)
 class Airframe:
-    """What the control knows of the body: mass, inertia (3,), and each rotor's thrust and torque (n, 4).
+    """Mechanics of a quadrotor's body.
 
-    A row of `wrench` is thrust along z and torque about x, y, z for one newton of that rotor.
+    Attributes:
+        mass: kg.
+        inertia: (3,) about the body's axes, kg m^2.
+        wrench: (rotors, 4) thrust along z and torque about x, y, z for one newton of each rotor.
+        max_thrust: of all rotors together, newtons.
     """
 
     mass: float
     inertia: FloatArray
     wrench: FloatArray
-    thrust: float
+    max_thrust: float
 
-
-class QuadrotorController:
-    """Flies a simulated robot: the control, fed with the state of its body."""
-
-    def __init__(self, robot: Robot, body: RobotModel, surface: HeightField) -> None:
-        model = body.model
+    @classmethod
+    def of(cls, robot: Robot, model: mujoco.MjModel) -> Airframe:
+        """Read the airframe of a robot from its compiled model."""
         base = model.body("base_link")
         ids = [model.actuator(name).id for name in robot.rotors]
         sites = model.site_pos[model.actuator_trnid[ids, 0]]
         drag = model.actuator_gear[ids, 5]
         # One newton along z at (x, y): torque (y, -x, drag).
         wrench = np.stack((np.ones(len(ids)), sites[:, 1], -sites[:, 0], drag), axis=1)
-        thrust = float(model.actuator_ctrlrange[ids, 1].sum())
-        frame = Airframe(float(base.mass[0]), np.array(base.inertia), wrench, thrust)
-        self._control = _Cascade(robot, frame, lambda x, y: float(surface.height_at(x, y)))
-        self._body = body
-
-    def update(self, command: Twist | Waypoint, yaw_rate: float, dt: float) -> tuple[float, ...]:
-        """Return the thrusts to hold for `dt` seconds."""
-        T, velocity = self._body.pose(), np.array(self._body.velocity())
-        return self._control.update(command, T, T.rotation @ velocity, np.array(self._body.rates()), dt)
+        max_thrust = float(model.actuator_ctrlrange[ids, 1].sum())
+        return cls(float(base.mass[0]), np.array(base.inertia), wrench, max_thrust)
 
 
-class _Cascade:
+class QuadrotorController:
     """Rotor thrusts from commands.
 
-    A `Twist` flies ahead and turns at the altitude of the config above the highest ground that comes within
-    the foresight; without any motion it holds its place. A `Waypoint` flies there and stays.
+    A `Twist` flies ahead and turns at the altitude of the config above the highest ground within the
+    lookahead; without any motion it holds its place. A `Waypoint` flies there and stays.
     """
 
     def __init__(
-        self, robot: Robot, frame: Airframe, ground: Ground, config: FlightConfig | None = None
+        self, robot: Robot, body: FlyingBody, surface: HeightField, config: FlightConfig | None = None
     ) -> None:
         self.robot = robot
         self.config = config or FlightConfig()
-        self._frame = frame
-        self._ground = ground
-        self._mix = np.linalg.pinv(frame.wrench.T)
+        self._body = body
+        self._surface = surface
+        self._gravity = body.gravity
+        self._airframe = Airframe.of(robot, body.model)
+        self._allocation = np.linalg.pinv(self._airframe.wrench.T)
         self._hold: Waypoint | None = None
         self._v = self._omega = 0.0
 
-    def update(
-        self, command: Twist | Waypoint, T: Pose3, velocity: FloatArray, rates: FloatArray, dt: float
-    ) -> tuple[float, ...]:
-        """Return the thrust of each rotor, newtons.
-
-        Args:
-            command: beyond the robot's limits it is clipped.
-            T: `T_world_base`.
-            velocity: (3,) in the world, m/s.
-            rates: (3,) of the body about its axes, rad/s.
-            dt: time for which the thrusts will hold, seconds.
-        """
-        wanted, yaw_rate = self._wanted_velocity(command, T, velocity, dt)
-        force = self.config.velocity * (wanted - velocity) + np.array((0.0, 0.0, GRAVITY))
-        force[2] = min(max(force[2], 0.3 * GRAVITY), self._frame.thrust / self._frame.mass)
-        across, most = math.hypot(force[0], force[1]), math.tan(self.config.tilt) * force[2]
-        if across > most:
-            force[:2] *= most / across
+    def update(self, command: Twist | Waypoint, yaw_rate: float, dt: float) -> tuple[float, ...]:
+        """Return the thrust of each rotor, newtons (see `robots.controller.Controller`)."""
+        T = self._body.pose()
         R = T.rotation
-        torque = self._torque(R, force, yaw_rate, rates)
-        lift = self._frame.mass * float(force @ R[:, 2])
-        thrusts = self._mix @ np.array((max(lift, 0.0), *torque))
-        each = self._frame.thrust / len(thrusts)
-        return tuple(np.clip(thrusts, 0.0, each).tolist())
+        velocity = R @ np.array(self._body.velocity())
+        wanted, wanted_yaw_rate = self._wanted_velocity(command, T, velocity, dt)
+        force = self._specific_force(wanted - velocity)
+        torque = self._torque(R, force, wanted_yaw_rate, np.array(self._body.rates()))
+        thrust = self._airframe.mass * float(force @ R[:, 2])
+        thrusts = self._allocation @ np.array((max(thrust, 0.0), *torque))
+        return tuple(np.clip(thrusts, 0.0, self._airframe.max_thrust / len(thrusts)).tolist())
+
+    def _specific_force(self, velocity_error: FloatArray) -> FloatArray:
+        """Return the wanted force (3,) per mass in the world, m/s^2, within the limits of thrust and tilt."""
+        force: FloatArray = self.config.velocity_gain * velocity_error + np.array((0.0, 0.0, self._gravity))
+        force[2] = min(
+            max(force[2], LEAST_THRUST * self._gravity), self._airframe.max_thrust / self._airframe.mass
+        )
+        horizontal, most = math.hypot(force[0], force[1]), math.tan(self.config.max_tilt) * force[2]
+        if horizontal > most:
+            force[:2] *= most / horizontal
+        return force
 
     def _torque(self, R: FloatArray, force: FloatArray, yaw_rate: float, rates: FloatArray) -> FloatArray:
-        """Turn the body's z towards the force, and about it at the wanted rate."""
-        config = self.config
+        """Return the torque (3,) that turns the body's z towards the force, and about z at the yaw rate."""
+        config, inertia = self.config, self._airframe.inertia
         up = R.T @ (force / np.linalg.norm(force))
         # The smallest turn from the body's z to the wanted direction, in the body's axes.
         error = np.array((-up[1], up[0], 0.0))
         wanted = np.array((0.0, 0.0, yaw_rate))
-        gain = config.rate * (wanted - rates)
-        turn: FloatArray = self._frame.inertia * (config.attitude * error + gain)
-        return turn + np.cross(rates, self._frame.inertia * rates)
+        turn: FloatArray = inertia * (config.attitude_gain * error + config.rate_gain * (wanted - rates))
+        return turn + np.cross(rates, inertia * rates)
 
     def _wanted_velocity(
         self, command: Twist | Waypoint, T: Pose3, velocity: FloatArray, dt: float
     ) -> tuple[FloatArray, float]:
+        """Return the wanted velocity (3,) in the world, m/s, and the wanted yaw rate, rad/s."""
         robot, config = self.robot, self.config
         if isinstance(command, Waypoint):
             self._hold, self._v, self._omega = None, 0.0, 0.0
             return self._towards(command, T)
-        v = _clip(command.v, robot.max_speed)
-        self._v += _clip(v - self._v, robot.max_acceleration * dt)
-        self._omega = _clip(command.omega, robot.max_turn_rate)
+        v = clip(command.v, robot.max_speed)
+        self._v += clip(v - self._v, robot.max_acceleration * dt)
+        self._omega = clip(command.omega, robot.max_turn_rate)
         if v == 0.0 and self._omega == 0.0 and self._v == 0.0:
             self._hold = self._hold or Waypoint(T.x, T.y, self._height(T, velocity), T.yaw)
             return self._towards(self._hold, T)
         self._hold = None
-        climb = 2 * config.position * (self._height(T, velocity) - T.z)
-        ahead = np.array((self._v * math.cos(T.yaw), self._v * math.sin(T.yaw), 0.0))
-        ahead[2] = _clip(climb, config.climb)
-        return ahead, self._omega
+        climb = 2 * config.position_gain * (self._height(T, velocity) - T.z)
+        wanted = np.array((self._v * math.cos(T.yaw), self._v * math.sin(T.yaw), 0.0))
+        wanted[2] = clip(climb, config.max_climb_rate)
+        return wanted, self._omega
 
     def _towards(self, goal: Waypoint, T: Pose3) -> tuple[FloatArray, float]:
-        wanted = self.config.position * (np.array((goal.x, goal.y, goal.z)) - T.position)
-        across = math.hypot(wanted[0], wanted[1])
-        if across > self.robot.max_speed:
-            wanted[:2] *= self.robot.max_speed / across
-        wanted[2] = _clip(float(wanted[2]), self.config.climb)
-        yaw_rate = _clip(self.config.heading * wrap_angle(goal.yaw - T.yaw), self.robot.max_turn_rate)
-        return wanted, yaw_rate
+        config, robot = self.config, self.robot
+        wanted: FloatArray = config.position_gain * (np.array((goal.x, goal.y, goal.z)) - T.position)
+        horizontal = math.hypot(wanted[0], wanted[1])
+        if horizontal > robot.max_speed:
+            wanted[:2] *= robot.max_speed / horizontal
+        wanted[2] = clip(float(wanted[2]), config.max_climb_rate)
+        return wanted, clip(config.heading_gain * wrap_angle(goal.yaw - T.yaw), robot.max_turn_rate)
 
     def _height(self, T: Pose3, velocity: FloatArray) -> float:
-        """Return the wanted height over the highest ground from here to the foresight ahead."""
-        steps = np.linspace(0.0, self.config.foresight, 9)
-        found = [self._ground(T.x + velocity[0] * t, T.y + velocity[1] * t) for t in steps.tolist()]
-        known = [z for z in found if math.isfinite(z)]
+        """Return the wanted height over the highest ground from here to the lookahead."""
+        times = np.linspace(0.0, self.config.lookahead, 9).tolist()
+        ground = [float(self._surface.height_at(T.x + velocity[0] * t, T.y + velocity[1] * t)) for t in times]
+        known = [z for z in ground if math.isfinite(z)]
         return max(known, default=T.z - self.config.altitude) + self.config.altitude
-
-
-def _clip(value: float, limit: float) -> float:
-    return max(-limit, min(limit, value))

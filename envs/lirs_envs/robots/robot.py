@@ -1,13 +1,13 @@
-"""What is said about a robot outside its MJCF file."""
+"""Description of a robot beside its MJCF file."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose3
+from lirs_wct.validation import require_above, require_at_least
 
 ASSETS = Path(__file__).parent / "assets"
 POSITIVE = (
@@ -20,12 +20,12 @@ POSITIVE = (
     "max_slope",
     "friction",
 )
-"""What every robot has."""
+"""Fields above 0 that every robot has."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Robot:
-    """One row of data; a robot has driven wheels on both sides, or rotors.
+    """Figures of a robot, which has driven wheels on both sides or rotors.
 
     Attributes:
         name: how users call it; its MJCF file is `assets/NAME.xml`.
@@ -41,13 +41,13 @@ class Robot:
         max_turn_rate: rad/s.
         max_acceleration: m/s^2.
         max_turn_acceleration: rad/s^2.
-        max_slope: steepest ground that it is set down on or sent over, radians.
+        max_slope: steepest ground for start poses and planned paths, radians.
         friction: sliding friction of all its contact geoms but casters.
-        lidar: name of its LRF preset.
-        T_base_laser: mount of the LRF, such that the body is never in the way.
+        lidar: name of its lidar preset.
+        T_base_laser: mount of the lidar, such that the body is never in the way.
 
     Raises:
-        ConfigError: a figure is not legal.
+        ConfigError: a value is not legal.
     """
 
     name: str
@@ -72,13 +72,10 @@ class Robot:
         wheels = bool(self.left_wheels) and bool(self.right_wheels)
         if wheels == self.flies or bool(self.left_wheels) != bool(self.right_wheels):
             raise ConfigError(f"robot {self.name!r} needs driven wheels on both sides, or rotors")
-        for name in POSITIVE if self.flies else (*POSITIVE, "wheel_radius", "track"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ConfigError(
-                    f"robot {self.name!r}: {name} must be a finite number above 0, got {getattr(self, name)}"
-                )
-        if not 0 <= self.wheelbase < math.inf:
-            raise ConfigError(f"robot {self.name!r}: wheelbase must be at least 0 m, got {self.wheelbase}")
+        of = f"robot {self.name!r}"
+        positive = POSITIVE if self.flies else (*POSITIVE, "wheel_radius", "track")
+        require_above(self, 0, *positive, of=of, finite=True)
+        require_at_least(self, 0, "wheelbase", of=of, unit="m", finite=True)
 
     @property
     def flies(self) -> bool:
@@ -97,6 +94,6 @@ class Robot:
         On the spot a wheel slides sideways at wheelbase / 2 times the yaw rate. Dry friction opposes the
         slip's direction, and the moments of its two parts cancel where slip ahead / slip sideways =
         wheelbase / track; hence 1 + (wheelbase / track)^2, whatever the friction (1.80 for a Husky, whose
-        makers drive it with 1.875). 1 for a single driven axle.
+        makers drive it with 1.875). 1 for a single driven axle, and without wheels.
         """
-        return 1 + (self.wheelbase / self.track) ** 2
+        return 1 + (self.wheelbase / self.track) ** 2 if self.wheelbase else 1.0

@@ -1,1 +1,1 @@
-"""What a robot perceives besides its laser: odometry, inertial unit, their fusion."""
+"""Odometry and inertial unit, their fusion, and all sensors of a robot together."""

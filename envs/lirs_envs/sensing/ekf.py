@@ -1,9 +1,9 @@
-"""Odometry by an extended Kalman filter: wheels and gyro, and what is wrong with both.
+"""Odometry by an extended Kalman filter over wheels and gyro, with the errors of both as states.
 
-The state is (x, y, yaw, bias of the gyro, scale error of the wheels). Between two readings the short pieces
-of way are summed as the sensors tell them; the filter then takes the sum as one motion (its control),
-corrected by what it believes about bias and scale (Thrun, Burgard and Fox, "Probabilistic Robotics", 2005,
-table 7.2, with the two errors as further states). Where the wheels tell the turn, the bias is measured.
+The state is (x, y, yaw, bias of the gyro, scale error of the wheels). Between two readings the short
+increments are summed as the sensors measure them; the filter then takes the sum as one motion (its control),
+corrected by its estimates of bias and scale (Thrun, Burgard and Fox, "Probabilistic Robotics", 2005,
+table 7.2, with the two errors as further states). Where the wheels measure the turn, so they do the bias.
 
 A skid-steered robot that turns on a slope slides down it: dry friction opposes the direction of the slip, so
 that wheels which slip at speed s already carry a small load sideways like a damper, mu m g / (2 s) on average
@@ -20,10 +20,10 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.imu import ImuConfig
-from lirs_envs.sensing.odometry import Odometry, OdometryConfig, Way, integrated
+from lirs_envs.sensing.odometry import OdometryConfig, OdometryIncrement, WheelOdometry, integrated
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.validation import require_at_least
 
 X, Y, YAW, BIAS, SCALE = range(5)
 BIAS_ROW = np.eye(5)[BIAS : BIAS + 1]
@@ -34,9 +34,9 @@ class EkfConfig:
     """What the filter expects beyond the sensors' own noise; standard deviations.
 
     Attributes:
-        slip_ahead: after one metre, along the way, metres; grows with the root of the way.
-        slip_aside: after one metre, across it.
-        slip_turning: across and along, after one radian of turn, metres: the point that a robot turns about
+        slip_forward: along the path after one metre of it, metres; grows with the root of the distance.
+        slip_lateral: across the path after one metre of it, metres.
+        slip_turning: across and along after one radian of turn, metres: the point that a robot turns about
             is never quite base_link.
         slide: gain of the slide down a slope, by the formula above. On the spot it is up to twice as large,
             in wide bends nearly nothing.
@@ -44,15 +44,15 @@ class EkfConfig:
         tilt: error of the turn after one radian of it, from an attitude that is not quite right, radians.
         wheel_rate: of the wheels' turn rate on one driven axle, rad/s.
         wheel_rate_relative: the part that grows with the rate, rad/s each rad/s.
-        gate: innovations beyond so many deviations are not believed: wheels that spin or are dragged.
-        rest: turn of the wheels below which the robot stands, radians a second.
+        gate: largest normalized innovation that is accepted, in deviations: wheels may spin or be dragged.
+        rest: turn rate of the wheels below which the robot stands, rad/s.
 
     Raises:
-        ConfigError: a figure is negative or not finite.
+        ConfigError: a value is negative or not finite.
     """
 
-    slip_ahead: float = 0.01
-    slip_aside: float = 0.01
+    slip_forward: float = 0.01
+    slip_lateral: float = 0.01
     slip_turning: float = 0.02
     slide: float = 2.0
     drift: float = 0.35
@@ -63,15 +63,11 @@ class EkfConfig:
     rest: float = 1e-3
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            if not 0 <= getattr(self, item.name) < math.inf:
-                raise ConfigError(
-                    f"odometry filter: {item.name} must be a finite number of at least 0, "
-                    f"got {getattr(self, item.name)}"
-                )
+        names = (item.name for item in fields(self))
+        require_at_least(self, 0, *names, of="the odometry filter", finite=True)
 
 
-class EkfOdometry(Odometry):
+class EkfOdometry(WheelOdometry):
     """Odometry whose pose comes from the filter.
 
     Args:
@@ -79,7 +75,7 @@ class EkfOdometry(Odometry):
         config: their noise.
         rng: of the noise; the filter itself draws nothing.
         imu: noise of the gyro.
-        expects: what else may go wrong.
+        filter_config: errors that the filter expects beyond those.
     """
 
     def __init__(
@@ -88,10 +84,10 @@ class EkfOdometry(Odometry):
         config: OdometryConfig,
         rng: np.random.Generator,
         imu: ImuConfig,
-        expects: EkfConfig | None = None,
+        filter_config: EkfConfig | None = None,
     ) -> None:
         super().__init__(robot, config, rng)
-        self.expects = expects or EkfConfig()
+        self.filter_config = filter_config or EkfConfig()
         self._imu = imu
         # Slip of a wheel a radian of turn: along the wheel by the skid factor's surplus, across by the base.
         along = robot.track * (robot.skid_factor - 1) / 2
@@ -112,7 +108,7 @@ class EkfOdometry(Odometry):
         return np.array(self._filter.P)
 
     def read(self) -> Pose2:
-        """Let the filter take what was added since the last reading; return `T_odom_base`."""
+        """Filter the increments since the last reading; return `T_odom_base`."""
         if self._time > 0.0:
             self._predict()
             self._measure_bias()
@@ -124,29 +120,29 @@ class EkfOdometry(Odometry):
     def _clear(self) -> None:
         self._moved = Pose2()
         self._drifted = 0.0
-        self._time = self._length = self._turned = self._wheels_turned = self._wheel_way = 0.0
+        self._time = self._distance = self._turned = self._wheels_turned = self._wheel_distance = 0.0
         self._readings = 0
 
-    def _add(self, way: Way) -> None:
-        turn, length = way.turn, abs(way.length)
-        self._moved = integrated(self._moved, way.ahead, turn)
+    def _add(self, increment: OdometryIncrement) -> None:
+        turn, distance = increment.turn, abs(increment.distance)
+        self._moved = integrated(self._moved, increment.forward, turn)
         if self._slip_radius and turn:
-            slide = self.expects.slide * self._slip_radius * abs(turn) / self.robot.friction
-            ahead, left = slide * math.sin(way.pitch), -slide * math.sin(way.roll)
+            slide = self.filter_config.slide * self._slip_radius * abs(turn) / self.robot.friction
+            ahead, left = slide * math.sin(increment.pitch), -slide * math.sin(increment.roll)
             self._moved = self._moved @ Pose2(ahead, left)
             self._drifted += math.hypot(ahead, left)
-        self._time += way.dt
-        self._length += length
+        self._time += increment.dt
+        self._distance += distance
         self._turned += turn
-        self._wheels_turned += way.wheel_turn
-        self._wheel_way += length + abs(way.wheel_turn) * self.robot.radius
+        self._wheels_turned += increment.wheel_turn
+        self._wheel_distance += distance + abs(increment.wheel_turn) * self.robot.radius
         self._readings += 1
 
     def _predict(self) -> None:
-        """Move by the summed way, less what bias and scale have put into it.
+        """Move by the summed motion, less the estimated errors by bias and scale.
 
-        With (a, b) the summed way in the frame of its start, the bias turns it by half of what it turns the
-        end: the way was driven at an even rate.
+        With (a, b) the summed motion in the frame of its start, the bias turns it by half of what it turns
+        the end: an even rate is assumed.
         """
         f, a, b = self._filter, self._moved.x, self._moved.y
         bias, scale = float(f.x[BIAS]), float(f.x[SCALE])
@@ -154,7 +150,7 @@ class EkfOdometry(Odometry):
         yaw = float(f.x[YAW]) + half
         c, s = math.cos(yaw), math.sin(yaw)
         east, north = c * a - s * b, s * a + c * b
-        keep = math.exp(-self._length / self.config.scale_length)
+        keep = math.exp(-self._distance / self.config.scale_length)
         F = np.eye(5)
         F[X, YAW], F[Y, YAW] = -north * (1 - scale), east * (1 - scale)
         F[X, BIAS], F[Y, BIAS] = north * self._time / 2, -east * self._time / 2
@@ -172,9 +168,9 @@ class EkfOdometry(Odometry):
         f.P = F @ f.P @ F.T + self._process_noise(c, s, 1 - keep * keep)
 
     def _process_noise(self, c: float, s: float, renewed: float) -> FloatArray:
-        e, turned = self.expects, self._turned
+        e, turned = self.filter_config, self._turned
         pivot = e.slip_turning**2 * abs(turned) + e.drift**2 * self._drifted
-        ahead, aside = e.slip_ahead**2 * self._length + pivot, e.slip_aside**2 * self._length + pivot
+        ahead, aside = e.slip_forward**2 * self._distance + pivot, e.slip_lateral**2 * self._distance + pivot
         white = self._imu.rate_sigma**2 * self._time**2 / max(self._readings, 1)
         Q = np.zeros((5, 5))
         Q[X, X], Q[Y, Y] = c * c * ahead + s * s * aside, s * s * ahead + c * c * aside
@@ -185,9 +181,9 @@ class EkfOdometry(Odometry):
 
     def _measure_bias(self) -> None:
         """Compare the gyro with the wheels: exact at rest, useful on one axle, useless where wheels skid."""
-        e, rate = self.expects, self._wheels_turned / self._time
+        e, rate = self.filter_config, self._wheels_turned / self._time
         sigma = self._imu.rate_sigma / math.sqrt(self._readings)
-        if self._wheel_way / self._time >= e.rest * self.robot.wheel_radius:
+        if self._wheel_distance / self._time >= e.rest * self.robot.wheel_radius:
             if self.robot.wheelbase > 0:
                 return
             sigma = math.hypot(sigma, e.wheel_rate + e.wheel_rate_relative * abs(rate))

@@ -6,16 +6,14 @@ Figures of a small MEMS unit that was zeroed while the robot stood still.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
-from lirs_wct.errors import ConfigError
+from lirs_wct.arrays import Vector3
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import Imu
-
-Vector = tuple[float, float, float]
-
+from lirs_wct.validation import require_above, require_at_least
 
 RATE_BLOCK = 256
 """Readings of the gyro whose noise is drawn at once."""
@@ -28,14 +26,14 @@ class ImuConfig:
     Attributes:
         attitude_sigma: white noise of roll and pitch in each reading, radians.
         attitude_bias: slowly varying error of roll and pitch, radians.
-        attitude_time: time over which it varies, seconds (first-order Gauss-Markov process).
+        attitude_time: correlation time of `attitude_bias`, seconds (first-order Gauss-Markov process).
         rate_sigma: white noise of each rate in each update, rad/s.
         rate_bias: constant error of each rate, drawn at a reset, rad/s.
         acceleration_sigma: white noise of each acceleration in each reading, m/s^2.
         acceleration_bias: constant error of each acceleration, drawn at a reset, m/s^2.
 
     Raises:
-        ConfigError: a figure is negative or not finite, or `attitude_time` is 0.
+        ConfigError: a value is negative or not finite, or `attitude_time` is 0.
     """
 
     attitude_sigma: float = math.radians(0.1)
@@ -47,12 +45,10 @@ class ImuConfig:
     acceleration_bias: float = 0.02
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if not 0 <= value < math.inf:
-                raise ConfigError(f"IMU: {item.name} must be a finite number of at least 0, got {value}")
-        if self.attitude_time == 0:
-            raise ConfigError("IMU: attitude_time must be above 0 s, got 0")
+        require_above(self, 0, "attitude_time", of="the IMU", unit="s", finite=True)
+        biases = ("attitude_bias", "rate_bias", "acceleration_bias")
+        sigmas = ("attitude_sigma", "rate_sigma", "acceleration_sigma")
+        require_at_least(self, 0, *biases, *sigmas, of="the IMU", finite=True)
 
 
 class ImuSensor:
@@ -67,7 +63,7 @@ class ImuSensor:
         self._roll_bias, self._pitch_bias = (bias[6:] * config.attitude_bias).tolist()
         self._rate_errors: list[list[float]] = []
 
-    def rates(self, true_rates: Vector) -> Vector:
+    def rates(self, true_rates: Vector3) -> Vector3:
         """Return the measured rates about x, y, z of the base, rad/s."""
         if not self._rate_errors:
             # Drawn in blocks: one small array a reading would cost more than the rest of the reading.
@@ -77,7 +73,7 @@ class ImuSensor:
         return true_rates[0] + x, true_rates[1] + y, true_rates[2] + z
 
     def read(
-        self, T_world_base: Pose3, rates: Vector, specific_force: Vector, stamp: float, dt: float
+        self, T_world_base: Pose3, rates: Vector3, specific_force: Vector3, stamp: float, dt: float
     ) -> Imu:
         """Return a reading.
 

@@ -1,4 +1,4 @@
-"""From wheel angles and gyro to odometry: dead reckoning, or the filter of `ekf`."""
+"""Dead reckoning: odometry from wheels and gyro, or from optical flow and gyro; the filter is in `ekf`."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from lirs_envs.robots.robot import Robot
+from lirs_wct.arrays import Vector3
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.geometry.pose import Pose2, Pose3, wrap_angle
+from lirs_wct.validation import require_above, require_within
 
 Method = Literal["gyro", "ekf"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -20,16 +22,16 @@ BLOCK = 256
 
 @dataclass(frozen=True, kw_only=True)
 class OdometryConfig:
-    """Noise of wheel odometry, and how it is fused; slip comes from the simulation and adds to it.
+    """Noise and method of odometry; slip comes from the simulation and adds to the noise.
 
     Attributes:
-        scale_sigma: standard deviation of the distance's scale error, which wanders while the robot drives.
-        scale_length: distance over which it wanders, metres (first-order Gauss-Markov process).
+        scale_sigma: standard deviation of the distance's scale error, which varies while the robot drives.
+        scale_length: correlation length of the scale error, metres (first-order Gauss-Markov process).
         method: `gyro` = distance from the wheels, heading from the gyro; `ekf` = a Kalman filter over both,
-            which learns the gyro's bias where the wheels tell the turn: standing, or with one driven axle.
+            which estimates the gyro's bias where the wheels measure the turn (at rest, or with one axle).
 
     Raises:
-        ConfigError: a figure is not legal.
+        ConfigError: a value is not legal.
     """
 
     scale_sigma: float = 0.02
@@ -37,48 +39,50 @@ class OdometryConfig:
     method: Method = "gyro"
 
     def __post_init__(self) -> None:
-        if not (0 <= self.scale_sigma < 1 and 0 < self.scale_length < math.inf):
-            raise ConfigError(
-                "odometry: scale_sigma must be in [0, 1) and scale_length above 0 m, "
-                f"got {self.scale_sigma} and {self.scale_length}"
-            )
+        require_within(self, "[0, 1)", "scale_sigma", of="the odometry")
+        require_above(self, 0, "scale_length", of="the odometry", unit="m", finite=True)
         if self.method not in METHODS:
             raise unknown_name("odometry method", self.method, METHODS)
 
 
-class Way(NamedTuple):
-    """What wheels and IMU say about one piece of way.
+class OdometryIncrement(NamedTuple):
+    """Motion between two control updates as wheels and IMU measure it.
 
     Attributes:
-        length: driven, by the wheels, metres.
-        wheel_turn: turned, by the difference between the wheels, radians.
+        distance: driven, by the wheels, metres.
+        wheel_turn: turn by the difference between the wheels, radians.
         rates: of the gyro about x, y, z of the base, rad/s.
         roll: attitude, radians.
         pitch: attitude, radians.
         dt: seconds.
     """
 
-    length: float
+    distance: float
     wheel_turn: float
-    rates: tuple[float, float, float]
+    rates: Vector3
     roll: float
     pitch: float
     dt: float
 
     @property
-    def ahead(self) -> float:
-        """Length laid into the plane, metres."""
-        return self.length * math.cos(self.pitch)
+    def forward(self) -> float:
+        """Distance projected into the plane, metres."""
+        return self.distance * math.cos(self.pitch)
 
     @property
     def turn(self) -> float:
-        """Change of the yaw angle by the gyro (R = Rz Ry Rx), radians."""
-        _, y, z = self.rates
-        return (y * math.sin(self.roll) + z * math.cos(self.roll)) / max(math.cos(self.pitch), 0.1) * self.dt
+        """Change of yaw by the gyro, radians."""
+        return yaw_rate(self.rates, self.roll, self.pitch) * self.dt
 
 
-class WheelNoise:
-    """The scale error of distances: a first-order Gauss-Markov process over the way driven."""
+def yaw_rate(rates: Vector3, roll: float, pitch: float) -> float:
+    """Return the rate of the yaw angle (R = Rz Ry Rx) from rates about the base's axes, rad/s."""
+    _, y, z = rates
+    return (y * math.sin(roll) + z * math.cos(roll)) / max(math.cos(pitch), 0.1)
+
+
+class DistanceNoise:
+    """Scale error of distances: a first-order Gauss-Markov process over the distance driven."""
 
     def __init__(self, config: OdometryConfig, rng: np.random.Generator) -> None:
         self.config = config
@@ -86,12 +90,12 @@ class WheelNoise:
         self._normals: list[float] = []
         self._scale = config.scale_sigma * self._normal()
 
-    def measured(self, length: float) -> float:
-        """Return a length as the wheels tell it, metres."""
-        keep = math.exp(-abs(length) / self.config.scale_length)
+    def measured(self, distance: float) -> float:
+        """Return the measured distance, metres."""
+        keep = math.exp(-abs(distance) / self.config.scale_length)
         noise = self.config.scale_sigma * math.sqrt(1 - keep * keep) * self._normal()
         self._scale = keep * self._scale + noise
-        return length * (1 + self._scale)
+        return distance * (1 + self._scale)
 
     def _normal(self) -> float:
         if not self._normals:
@@ -100,29 +104,44 @@ class WheelNoise:
 
 
 class Odometry:
-    """`T_odom_base` as a robot publishes it: distance from its wheels, heading from its gyro.
+    """`T_odom_base` as a robot publishes it; the frame is the base's pose when the odometry is made."""
+
+    def __init__(self, config: OdometryConfig, rng: np.random.Generator) -> None:
+        self.config = config
+        self.pose = Pose2()
+        self._noise = DistanceNoise(config, rng)
+
+    def read(self) -> Pose2:
+        """Return `T_odom_base` after all updates."""
+        return self.pose
+
+
+class WheelOdometry(Odometry):
+    """Odometry of a robot that drives: distance from its wheels, heading from its gyro.
 
     The yaw of skid-steered wheels is useless (they slip by design), which is why robots of this kind fuse the
-    gyro; its noise and bias are the IMU's. The distance is laid into the plane by the IMU's attitude.
-    The frame is the base's pose when the odometry is made.
+    gyro; its noise and bias are the IMU's. The distance is projected into the plane by the IMU's attitude.
+
+    Raises:
+        ConfigError: the robot has no wheels.
     """
 
     def __init__(self, robot: Robot, config: OdometryConfig, rng: np.random.Generator) -> None:
+        super().__init__(config, rng)
+        if robot.flies:
+            raise ConfigError(f"wheel odometry needs a robot with wheels, got {robot.name!r}")
         self.robot = robot
-        self.config = config
-        self._wheels = WheelNoise(config, rng)
-        self.pose = Pose2()
 
     def update(
         self,
         turned: float,
-        rates: tuple[float, float, float],
+        rates: Vector3,
         roll: float,
         pitch: float,
         dt: float,
         difference: float = 0.0,
     ) -> None:
-        """Add a piece of way.
+        """Add the motion since the last update.
 
         Args:
             turned: mean angle by which the wheels have turned, radians.
@@ -133,16 +152,12 @@ class Odometry:
             difference: angle by which the right wheels have turned more than the left ones, radians.
         """
         robot = self.robot
-        length = self._wheels.measured(turned * robot.wheel_radius)
+        distance = self._noise.measured(turned * robot.wheel_radius)
         wheel_turn = difference * robot.wheel_radius / (robot.track * robot.skid_factor)
-        self._add(Way(length, wheel_turn, rates, roll, pitch, dt))
+        self._add(OdometryIncrement(distance, wheel_turn, rates, roll, pitch, dt))
 
-    def read(self) -> Pose2:
-        """Return `T_odom_base` after all that was added."""
-        return self.pose
-
-    def _add(self, way: Way) -> None:
-        self.pose = integrated(self.pose, way.ahead, way.turn)
+    def _add(self, increment: OdometryIncrement) -> None:
+        self.pose = integrated(self.pose, increment.forward, increment.turn)
 
 
 class FlowOdometry(Odometry):
@@ -151,16 +166,10 @@ class FlowOdometry(Odometry):
     The velocity has the scale error of the config, as an optical flow has by its height.
     """
 
-    def flow(
-        self,
-        T_world_base: Pose3,
-        velocity: tuple[float, float, float],
-        rates: tuple[float, float, float],
-        roll: float,
-        pitch: float,
-        dt: float,
+    def update(
+        self, T_world_base: Pose3, velocity: Vector3, rates: Vector3, roll: float, pitch: float, dt: float
     ) -> None:
-        """Add a piece of way.
+        """Add the motion since the last update; none in no time (`dt` 0).
 
         Args:
             T_world_base: true pose.
@@ -172,17 +181,17 @@ class FlowOdometry(Odometry):
         """
         east, north, _ = (T_world_base.rotation @ np.array(velocity) * dt).tolist()
         c, s = math.cos(T_world_base.yaw), math.sin(T_world_base.yaw)
-        length = math.hypot(east, north)
-        scale = self._wheels.measured(length) / length if length > 0 else 1.0
-        turn = Way(0.0, 0.0, rates, roll, pitch, dt).turn
+        distance = math.hypot(east, north)
+        scale = self._noise.measured(distance) / distance if distance > 0 else 1.0
+        turn = yaw_rate(rates, roll, pitch) * dt
         # True yaw's axes: what the camera sees is turned with the body.
         moved = Pose2((c * east + s * north) * scale, (c * north - s * east) * scale, turn)
         self.pose = self.pose @ moved
 
 
-def integrated(pose: Pose2, ahead: float, turn: float) -> Pose2:
-    """Return a pose after a short piece of way: metres ahead while turning by radians."""
+def integrated(pose: Pose2, forward: float, turn: float) -> Pose2:
+    """Return a pose after a short motion: metres forward while turning by radians."""
     middle = pose.yaw + turn / 2
     return Pose2(
-        pose.x + ahead * math.cos(middle), pose.y + ahead * math.sin(middle), wrap_angle(pose.yaw + turn)
+        pose.x + forward * math.cos(middle), pose.y + forward * math.sin(middle), wrap_angle(pose.yaw + turn)
     )

@@ -1,4 +1,4 @@
-"""All that a robot perceives: laser range finder, inertial unit and odometry, each with noise of its own."""
+"""All sensors of a robot: lidar, inertial unit and odometry, each with noise of its own."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lirs_envs.lidar.lidar import Lidar, Motion
+from lirs_envs.lidar.lidar import BaseVelocity, Lidar
 from lirs_envs.lidar.noise import LidarNoise, NoiseLevel, lidar_noise
 from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.lidar.ray_casting import Caster
@@ -14,18 +14,24 @@ from lirs_envs.model import RobotModel
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.ekf import EkfOdometry
 from lirs_envs.sensing.imu import ImuConfig, ImuSensor
-from lirs_envs.sensing.odometry import FlowOdometry, Odometry, OdometryConfig
-from lirs_wct.errors import ConfigError
+from lirs_envs.sensing.odometry import FlowOdometry, OdometryConfig, WheelOdometry
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.validation import require_type
 
 LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM = 11, 12, 13
-"""Each sensor draws from a stream of its own, so that another preset leaves the others' noise as it was."""
+"""Random stream of each sensor: with one each, another lidar leaves the noise of the others as it was."""
 
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What the robot knows at a scan's stamp: the scan, `T_odom_base`, and the inertial reading."""
+    """Sensor readings at a scan's stamp.
+
+    Attributes:
+        scan: of the lidar.
+        odometry: `T_odom_base`.
+        imu: of the inertial unit.
+    """
 
     scan: LaserScan
     odometry: Pose2
@@ -34,13 +40,13 @@ class Observation:
 
 @dataclass(frozen=True, kw_only=True)
 class SensorNoise:
-    """Noise of all sensors.
+    """Errors of all sensors.
 
     Attributes:
-        imu: of the inertial unit.
-        odometry: of the wheels.
-        lidar: of the LRF: a level (`none`, `simulated`, `datasheet`) or figures of your own.
-        sweep: whether the beams of a scan are spread over its time.
+        imu: noise of the inertial unit.
+        odometry: noise of the wheels, and method.
+        lidar: a noise level (`none`, `simulated`, `datasheet`), or noise of your own.
+        rolling_scan: whether the beams of a scan are cast one after the other over its time.
 
     Raises:
         ConfigError: one is of the wrong type.
@@ -49,50 +55,37 @@ class SensorNoise:
     imu: ImuConfig = field(default_factory=ImuConfig)
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
     lidar: LidarNoise | NoiseLevel = "simulated"
-    sweep: bool = False
+    rolling_scan: bool = False
 
     def __post_init__(self) -> None:
-        kinds = {"imu": ImuConfig, "odometry": OdometryConfig, "lidar": LidarNoise | str, "sweep": bool}
-        for name, kind in kinds.items():
-            value = getattr(self, name)
-            if not isinstance(value, kind):
-                words = getattr(kind, "__name__", "LidarNoise or the name of a level")
-                raise ConfigError(f"noise: {name} must be a {words}, got {value!r}")
+        require_type(self, ImuConfig, "imu", of="the sensor noise")
+        require_type(self, OdometryConfig, "odometry", of="the sensor noise")
+        require_type(self, LidarNoise | str, "lidar", of="the sensor noise")
+        require_type(self, bool, "rolling_scan", of="the sensor noise")
 
 
 class Sensors:
-    """The sensors of a robot that stands still; odometry begins here.
-
-    Raises:
-        ConfigError: the seed is negative.
-    """
+    """The sensors of a robot that stands still; odometry begins here."""
 
     def __init__(
         self,
         robot: Robot,
         body: RobotModel,
         preset: LidarPreset,
-        casters: tuple[Caster, Caster | None],
+        caster: Caster,
         noise: SensorNoise,
         seed: int,
     ) -> None:
-        if seed < 0:
-            raise ConfigError(f"seed must be 0 or above, got {seed}")
         lidar, odometry, imu = (
             np.random.default_rng((seed, stream)) for stream in (LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM)
         )
         self._body = body
         ranges = noise.lidar if isinstance(noise.lidar, LidarNoise) else lidar_noise(preset, noise.lidar)
-        ground, others = casters
-        self._others = None if others is None else others.ranges
-        self._lidar = Lidar(preset, ground, robot.T_base_laser, lidar, ranges, sweep=noise.sweep)
-        self._imu = ImuSensor(noise.imu, imu)
-        self._flow = FlowOdometry(robot, noise.odometry, odometry) if robot.flies else None
-        self._odometry: Odometry = self._flow or (
-            EkfOdometry(robot, noise.odometry, odometry, noise.imu)
-            if noise.odometry.method == "ekf"
-            else Odometry(robot, noise.odometry, odometry)
+        self._lidar = Lidar(
+            preset, caster, robot.T_base_laser, lidar, ranges, rolling_scan=noise.rolling_scan
         )
+        self._imu = ImuSensor(noise.imu, imu)
+        self._odometry = _make_odometry(robot, noise, odometry)
         self._wheel_angles = body.wheel_angles()
         self._rates = self._imu.rates(body.rates())
         pose = body.pose()
@@ -103,24 +96,35 @@ class Sensors:
         """The gyro's last reading about z, rad/s."""
         return self._rates[2]
 
-    def dead_reckon(self, dt: float) -> None:
-        """Read gyro and wheels after a piece of way."""
-        self._rates = self._imu.rates(self._body.rates())
-        if self._flow is not None:
-            self._flow.flow(self._body.pose(), self._body.velocity(), self._rates, *self._attitude, dt)
+    def integrate_odometry(self, dt: float) -> None:
+        """Read gyro and wheels, or gyro and optical flow, after `dt` seconds."""
+        body = self._body
+        self._rates = self._imu.rates(body.rates())
+        if isinstance(self._odometry, FlowOdometry):
+            self._odometry.update(body.pose(), body.velocity(), self._rates, *self._attitude, dt)
             return
-        left, right = self._body.wheel_angles()
+        left, right = body.wheel_angles()
         left_turned, right_turned = left - self._wheel_angles[0], right - self._wheel_angles[1]
         turned, difference = (left_turned + right_turned) / 2, right_turned - left_turned
         self._odometry.update(turned, self._rates, *self._attitude, dt, difference)
         self._wheel_angles = left, right
 
     def observe(self, stamp: float, dt: float) -> Observation:
-        """Scan and read; `dt` is the time since the last observation, seconds."""
-        T_world_base = self._body.pose()
-        imu = self._imu.read(T_world_base, self._rates, self._body.specific_force(), stamp, dt)
-        self._attitude = (imu.roll, imu.pitch)
+        """Read all sensors; `dt` is the time since the last observation, seconds."""
         body = self._body
-        motion = Motion(body.velocity(), body.rates()) if self._lidar.time_increment else None
-        scan = self._lidar.scan(T_world_base, stamp, self._others, motion)
+        T_world_base = body.pose()
+        imu = self._imu.read(T_world_base, self._rates, body.specific_force(), stamp, dt)
+        self._attitude = (imu.roll, imu.pitch)
+        velocity = BaseVelocity(body.velocity(), body.rates()) if self._lidar.time_increment else None
+        scan = self._lidar.scan(T_world_base, stamp, velocity)
         return Observation(scan, self._odometry.read(), imu)
+
+
+def _make_odometry(
+    robot: Robot, noise: SensorNoise, rng: np.random.Generator
+) -> WheelOdometry | FlowOdometry:
+    if robot.flies:
+        return FlowOdometry(noise.odometry, rng)
+    if noise.odometry.method == "ekf":
+        return EkfOdometry(robot, noise.odometry, rng, noise.imu)
+    return WheelOdometry(robot, noise.odometry, rng)

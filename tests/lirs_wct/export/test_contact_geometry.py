@@ -14,13 +14,14 @@ from scipy.spatial import KDTree
 
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation import validate
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
 from lirs_wct.contact.contact_grid import ContactGrid, contact_grid, steep_nodes
 from lirs_wct.contact.contact_parts import contact_parts, prisms
 from lirs_wct.errors import ConfigError
-from lirs_wct.export.mjcf import SEEN_GROUP, TERRAIN_GROUP, world_spec
+from lirs_wct.export.mjcf import RAY_GROUP, TERRAIN_GROUP, world_spec
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
@@ -201,7 +202,7 @@ def test_spheres_rest_on_and_under_an_overhang(arch: World) -> None:
 
 def test_the_laser_sees_through_the_gate(arch: World) -> None:
     pytest.importorskip("coacd", reason="coacd, the extra [mesh], is not installed")
-    simulation = Simulation(arch, make_robot("turtlebot2"), terrain="convex")
+    simulation = Simulation(arch, SimulationConfig(robot=make_robot("turtlebot2"), contact_geometry="convex"))
     scan = simulation.reset(Pose2(0.0, -3.0, np.pi / 2)).scan
     angles = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
     ahead, side = np.abs(angles) < 0.1, np.abs(angles - np.arctan2(2.5, 2.0)) < 0.02
@@ -253,7 +254,7 @@ def test_an_overhang_is_seen_in_its_own_group(arch: World) -> None:
     pytest.importorskip("coacd", reason="coacd, the extra [mesh], is not installed")
     model = world_spec(arch, contact_geometry="convex").compile()
     groups = {model.geom(g).name.rstrip("0123456789"): int(model.geom_group[g]) for g in range(model.ngeom)}
-    assert groups == {"ground": TERRAIN_GROUP, "seen": SEEN_GROUP}
+    assert groups == {"ground": TERRAIN_GROUP, "seen": RAY_GROUP}
 
 
 def test_a_robot_falls_into_no_hole_and_drives_on_the_floor_beside() -> None:

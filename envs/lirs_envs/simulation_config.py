@@ -1,0 +1,69 @@
+"""Configuration of a simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from lirs_envs.lidar.casters import Rays, resolve_rays
+from lirs_envs.lidar.presets import LidarPreset, make_lidar_preset
+from lirs_envs.placement import check_start
+from lirs_envs.props import Prop, StaticRobot
+from lirs_envs.robots.robot import Robot
+from lirs_envs.sensing.sensors import SensorNoise
+from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
+from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.validation import require_type
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationConfig:
+    """A robot, its sensors and what else stands in the world.
+
+    Attributes:
+        robot: the robot.
+        lidar: name of a lidar preset; None = the robot's own.
+        noise: errors of all sensors.
+        rays: whose rays meet the world: `builtin` (also `ours`), or `mujoco` for comparison: those of its
+            hfield, or with contact geometry `mesh` those of its mesh.
+        contact_geometry: what MuJoCo touches: `hfield`, `mesh` (the same, and its rays meet the mesh),
+            `prisms` or `convex`.
+        props: bodies and static robots that stand in the world; touched, and seen by the lidar.
+        start: pose where a reset sets the robot down; None = the world's first start pose.
+
+    Raises:
+        ConfigError: a value is of the wrong type, or no lidar, rays or contact geometry has the name.
+    """
+
+    robot: Robot
+    lidar: str | None = None
+    noise: SensorNoise = field(default_factory=SensorNoise)
+    rays: Rays = "builtin"
+    contact_geometry: ContactGeometry = "hfield"
+    props: Sequence[Prop | StaticRobot] = ()
+    start: Pose2 | None = None
+
+    def __post_init__(self) -> None:
+        require_type(self, Robot, "robot")
+        require_type(self, SensorNoise, "noise")
+        object.__setattr__(self, "rays", resolve_rays(self.rays))
+        if self.contact_geometry not in CONTACT_GEOMETRIES:
+            raise unknown_name("terrain for MuJoCo", self.contact_geometry, CONTACT_GEOMETRIES)
+        object.__setattr__(self, "props", tuple(self.props))
+        for prop in self.props:
+            if not isinstance(prop, Prop | StaticRobot):
+                raise ConfigError(f"props must be Prop or StaticRobot, got {prop!r}")
+        if self.start is not None:
+            check_start(self.start)
+        make_lidar_preset(self.preset_name)
+
+    @property
+    def preset_name(self) -> str:
+        """Name of the lidar preset."""
+        return self.robot.lidar if self.lidar is None else self.lidar
+
+    @property
+    def preset(self) -> LidarPreset:
+        """Figures of the lidar."""
+        return make_lidar_preset(self.preset_name)
