@@ -17,7 +17,6 @@ from lirs_envs.sensing.sensors import Observation, Sensors
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.timing import PhysicsReplay, Timing
 from lirs_wct.arrays import FloatArray
-from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.contact.contact_grid import ContactGrid
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
