@@ -30,7 +30,7 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.collision.files import verdicts_table
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.scenario import set_stage
+from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct.errors import WctError
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.world import World
@@ -83,7 +83,7 @@ def main() -> None:
     costs: list[dict[str, Any]] = []
     table = Table("world", "terrain", "robot", "us a step", "legal", "RTF", title="MuJoCo's step alone")
     for source in options.sources:
-        world = set_stage(RunConfig(source=source)).world
+        world = build_scenario(RunConfig(source=source)).world
         for terrain in options.terrain.split(","):
             for robot in robots:
                 try:

@@ -1,10 +1,10 @@
-"""What a sweep costs beside its cells: time a cell, share of a real cell's time, memory over a thousand.
+"""What a sweep costs beside its experiments: time each, share of a real one's time, memory over a thousand.
 
     python benchmarks/sweep.py [--cells 1000] [--seconds 120] [--quick] [--json FILE]
 
-Cells that only write a record of full size are put through everything that `validate` does: looked at,
+Experiments that only write a record of full size are put through everything that `validate` does: looked at,
 run, written down, read again for the table. What is left after their own time is the suite's; it stands
-beside the time of a real cell (Husky, Hector, world `simple`), which is the peer here.
+beside the time of a real experiment (Husky, Hector, world `simple`), which is the peer here.
 """
 
 from __future__ import annotations
@@ -24,31 +24,33 @@ from rich.console import Console
 from lirs_validation import RunRecord, validate
 from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.cli.sweep_tables import sweep_tables
-from lirs_validation.experiment.scenario import StageCache
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.sweep.engines.base import Executor
 from lirs_validation.sweep.engines.processes import Processes
 from lirs_validation.sweep.engines.serial import Serial
 from lirs_validation.sweep.outcome import Outcome
-from lirs_validation.sweep.run_cell import RunCell
+from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import Progress
 
 LIMIT = 0.02
-"""Share of the cells' time that the suite may take."""
+"""Share of the experiments' time that the suite may take."""
 
 
 @dataclass(frozen=True)
-class QuickCell(RunCell):
-    """A cell that tells of its progress as a run does, and writes a record which a real run left.
+class QuickExperiment(SlamExperiment):
+    """An experiment that tells of its progress as a run does, and writes a record which a real run left.
 
-    What the writing took is noted: that is the cell's, all else the suite's.
+    What the writing took is noted: that is the experiment's, all else the suite's.
     """
 
     template: RunRecord | None = None
     spent: str = ""
 
-    def perform(self, out: Path, stages: StageCache, progress: Progress, *, concurrent: bool) -> Outcome:
+    def perform(
+        self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
+    ) -> Outcome:
         """Write the record."""
         assert self.template is not None
         for second in range(int(self.config.seconds)):
@@ -59,15 +61,15 @@ class QuickCell(RunCell):
             record.save(folder)
         with Path(self.spent).open("a", encoding="utf-8") as file:
             file.write(f"{time.perf_counter() - begun}\n")
-        return Outcome(cell=self.name, status="ok", written=True)
+        return Outcome(experiment=self.name, status="ok", written=True)
 
 
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cells", type=int, default=1000)
-    parser.add_argument("--seconds", type=float, default=120.0, help="simulated, of the real cell")
-    parser.add_argument("--quick", action="store_true", help="100 cells, a real one of 20 s")
+    parser.add_argument("--seconds", type=float, default=120.0, help="simulated, of the real experiment")
+    parser.add_argument("--quick", action="store_true", help="100 experiments, a real one of 20 s")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     count, seconds = (100, 20.0) if given.quick else (given.cells, given.seconds)
@@ -83,9 +85,9 @@ def main() -> None:
         ]
     for row in rows:
         console.print(
-            f"{row['engine']:>9}: {count} cells, {row['overhead_ms']:.1f} ms of the suite a cell = "
-            f"{row['share']:.2%} of a real cell of {real:.1f} s (limit {LIMIT:.0%}); "
-            f"again with all kept {row['again_ms']:.1f} ms a cell; memory {row['growth_mb']:+.1f} MB "
+            f"{row['engine']:>9}: {count} experiments, {row['overhead_ms']:.1f} ms of the suite for each = "
+            f"{row['share']:.2%} of a real experiment of {real:.1f} s (limit {LIMIT:.0%}); "
+            f"again with all kept {row['again_ms']:.1f} ms an experiment; memory {row['growth_mb']:+.1f} MB "
             f"from {row['memory_mb']:.0f} MB"
         )
     if given.json:
@@ -93,29 +95,30 @@ def main() -> None:
 
 
 def measured(name: str, work: Callable[[], dict[str, float]], real: float) -> dict[str, Any]:
-    """Return a row: what the work says of itself, and its share of a real cell."""
+    """Return a row: what the work says of itself, and its share of a real experiment."""
     row = work()
     return {"engine": name, "real_s": real, "share": row["overhead_ms"] / 1e3 / real} | row
 
 
 def swept(engine: Executor, template: RunRecord, count: int, out: Path) -> dict[str, float]:
-    """Put cells through a sweep; return milliseconds of the suite a cell, and the growth of memory."""
+    """Put experiments through a sweep; return milliseconds of the suite for each, and growth of memory."""
     out.mkdir()
     spent = out / "spent.txt"
     config = replace(template.config, seconds=120.0)
-    cells = [
-        QuickCell(replace(config, seed=seed), template=template, spent=str(spent)) for seed in range(count)
+    experiments = [
+        QuickExperiment(replace(config, seed=seed), template=template, spent=str(spent))
+        for seed in range(count)
     ]
     memory: list[float] = []
     begun = time.perf_counter()
     console = Console(file=(out / "screen.txt").open("w", encoding="utf-8"), force_terminal=True)
-    for done, _ in enumerate(run_with_progress(Sweep(cells, out / "out"), engine, console)):
+    for done, _ in enumerate(run_with_progress(Sweep(experiments, out / "out"), engine, console)):
         if done in (count // 10, count - 1):
             memory.append(resident_mb())
     whole = time.perf_counter() - begun
     own = sum(float(line) for line in spent.read_text(encoding="utf-8").split())
     begun = time.perf_counter()
-    again = Sweep(cells, out / "out")
+    again = Sweep(experiments, out / "out")
     for table in sweep_tables(again):
         console.print(table)
     assert again.kept == count

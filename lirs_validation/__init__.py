@@ -1,4 +1,4 @@
-"""The judge: world x robot x mapper x seed becomes a run record; also the doors, command line and report."""
+"""Validation: world x robot x mapper x seed becomes a run record; also the command line and the report."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

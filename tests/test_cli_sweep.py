@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 
 from lirs_validation import cli, read_record
+from lirs_validation.cli import console
 from lirs_validation.record.run_record import RunRecord
 from lirs_validation.sweep.outcome import Outcome
-from lirs_validation.sweep.run_cell import RunCell
+from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.errors import MapperError
 
 Said = tuple[int, str, str]
@@ -20,7 +21,7 @@ Said = tuple[int, str, str]
 def wct(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
     """Run the command line in an empty folder; return exit code, stdout and stderr."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(console.out, "_width", 200)
 
     def call(*arguments: str) -> Said:
         monkeypatch.setattr("sys.argv", ["lirs-wct", *arguments])
@@ -36,14 +37,16 @@ def wct(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs that take no time; the one of seed 3 goes wrong."""
 
-    def perform(cell: RunCell, out: Path, stages: object, progress: object, *, concurrent: bool) -> Outcome:
-        if cell.config.seed == 3:
+    def perform(
+        experiment: SlamExperiment, out: Path, scenarios: object, progress: object, *, concurrent: bool
+    ) -> Outcome:
+        if experiment.config.seed == 3:
             raise MapperError("update() must return a finite pose")
-        record = RunRecord(config=cell.config, world={"name": cell.world}, status="ok")
-        record.save(out / cell.name)
-        return Outcome(cell=cell.name, status="ok", written=True)
+        record = RunRecord(config=experiment.config, world={"name": experiment.world}, status="ok")
+        record.save(out / experiment.name)
+        return Outcome(experiment=experiment.name, status="ok", written=True)
 
-    monkeypatch.setattr(RunCell, "perform", perform)
+    monkeypatch.setattr(SlamExperiment, "perform", perform)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from lirs_envs.sensing.sensors import Observation
 from lirs_validation import RunConfig, read_record, validate
 from lirs_validation.experiment.loop import LOST_SECONDS, drive, per_second
 from lirs_validation.experiment.run import Run
-from lirs_validation.experiment.scenario import set_stage
+from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct.errors import ConfigError, MapperError, SimulationError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
@@ -86,10 +86,10 @@ def test_the_same_seed_gives_the_same_bytes(run: Run, tmp_path: Path) -> None:
 def test_a_large_terrain_is_cut_to_its_middle() -> None:
     from lirs_wct import BuildOptions
 
-    stage = set_stage(RunConfig(source="medium", build=BuildOptions(size=300)))
-    assert stage.window == (0.0, 0.0, 50.0)
-    assert max(stage.world.surface.size) <= 51
-    assert set_stage(RunConfig(source="medium")).window is None
+    scenario = build_scenario(RunConfig(source="medium", build=BuildOptions(size=300)))
+    assert scenario.window == (0.0, 0.0, 50.0)
+    assert max(scenario.world.surface.size) <= 51
+    assert build_scenario(RunConfig(source="medium")).window is None
 
 
 def test_configs_differ_in_their_digest() -> None:

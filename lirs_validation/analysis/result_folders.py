@@ -13,7 +13,7 @@ from lirs_validation.collision.validation import CollisionVerdict
 from lirs_validation.record.map_record import is_mapped_log
 from lirs_validation.record.run_record import read_record
 from lirs_validation.record.schema import schema_error
-from lirs_validation.sweep.collision_cell import STATUS, read_verdict
+from lirs_validation.sweep.collision_experiment import STATUS, read_verdict
 from lirs_validation.sweep.manifest import NAME as MANIFEST
 from lirs_wct.errors import SourceError
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from lirs_validation.analysis.recorded import recorded_config, recorded_truth, true_pose_map
 from lirs_validation.analysis.result_folders import RunFolder
-from lirs_validation.experiment.scenario import set_stage
+from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.metrics import map_scores, trajectory_errors
 from lirs_validation.metrics.agreement import decided, sampled
 from lirs_validation.metrics.association import MAX_GAP, associated
@@ -161,7 +161,7 @@ def _score_map(run: RunFolder, path: Path, T_world_frame: Pose2) -> dict[str, An
     if abs(reference.resolution - built.resolution) > SAME_RESOLUTION:
         reference = true_pose_map(run.folder, config, built.resolution)
     _check_place(path, built, reference)
-    world = set_stage(config).world
+    world = build_scenario(config).world
     scores = map_scores(built, reference, surface=world.surface, walls=world.walls, truth=world.truth)
     return asdict(scores)
 

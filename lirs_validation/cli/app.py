@@ -24,7 +24,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, judge the result.",
+    help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, evaluate.",
 )
 for command in (build, validate, report, compare, score, collide, view, info, convert, robot):
     app.command()(command)

@@ -37,7 +37,7 @@ def collide(
     *,
     options: BuildOptions,
 ) -> None:
-    """Drive robots at random into everything, and judge every contact: penetration, energy, slopes."""
+    """Drive robots at random into everything, and evaluate every contact: penetration, energy, slopes."""
     from lirs_envs.robots.catalog import make_robot
     from lirs_validation.collision.files import verdicts_table, write_verdicts
 
@@ -107,7 +107,7 @@ def _checked(
     """Yield a verdict for each robot, terrain and seed in each world, or why there can be none."""
     from lirs_validation.collision.validation import check_collisions
     from lirs_validation.config import RunConfig
-    from lirs_validation.experiment.scenario import set_stage
+    from lirs_validation.experiment.scenario import build_scenario
 
     checks = list(itertools.product(robots, terrains, seeds))
     steps = len(sources) * len(checks)
@@ -117,7 +117,7 @@ def _checked(
             progress(f"building {source}", done / steps)
             config = RunConfig(source=source, seconds=seconds, build=options)
             try:
-                world = set_stage(config).world
+                world = build_scenario(config).world
             except WctError as error:
                 yield error
                 done += len(checks)

@@ -24,13 +24,13 @@ STEPS = {
     "compile": "compiling",
     "drive": "driving",
     "map": "mapping",
-    "judge": "judging",
+    "evaluate": "evaluating",
     "draw": "drawing",
     "collide": "colliding",
 }
 """Steps as they are shown; any other stands as it is."""
 LONG = 3600.0
-"""The time left is estimated from the last so many seconds: cells take minutes, and differ."""
+"""The time left is estimated from the last so many seconds: experiments take minutes, and differ."""
 
 
 @contextmanager
@@ -46,10 +46,10 @@ def progress_bar(work: str, console: Console) -> Iterator[Progress]:
 
 
 def run_with_progress(sweep: Sweep, executor: Executor, console: Console) -> Iterator[Outcome]:
-    """Run a sweep's cells under a bar with the time left for all of them.
+    """Run a sweep's experiments under a bar with the time left for all of them.
 
     Raises:
-        WctError: the only cell cannot be run as it was asked for, or not be written.
+        WctError: the only experiment cannot be run as it was asked for, or not be written.
     """
     many = len(sweep.pending) > 1
     running: dict[str, float] = {}
@@ -69,7 +69,7 @@ def run_with_progress(sweep: Sweep, executor: Executor, console: Console) -> Ite
             return progress
 
         for outcome in sweep.run(executor, progress_of):
-            running.pop(outcome.cell, None)
+            running.pop(outcome.experiment, None)
             done += 1
             bar.update(task, completed=done + sum(running.values()), done=done)
             yield outcome

@@ -49,11 +49,11 @@ def validate(
     *,
     options: BuildOptions,
 ) -> None:
-    """Drive robots through worlds with SLAM running, and judge map, path and speed.
+    """Drive robots through worlds with SLAM running, and evaluate map, trajectory and speed.
 
     Run again, the same command goes on where it was interrupted.
     """
-    from lirs_validation.cli.sweep_options import axes_cells, seeds_of, suite_cells
+    from lirs_validation.cli.sweep_options import axes_experiments, seeds_of, suite_experiments
     from lirs_validation.sweep.engines.base import Limits
     from lirs_validation.sweep.engines.factory import make_executor
     from lirs_validation.sweep.manifest import Manifest
@@ -64,9 +64,9 @@ def validate(
     if suite is not None:
         others = {f"--{axis}": given is not None for axis, given in axes.items()}
         others |= {"sources": bool(sources), "options of build": options != BuildOptions()}
-        cells = suite_cells(suite, others, chosen, seconds, wall_limit)
+        experiments = suite_experiments(suite, others, chosen, seconds, wall_limit)
     elif sources:
-        cells = axes_cells(sources, axes, chosen, seconds, wall_limit, options)
+        experiments = axes_experiments(sources, axes, chosen, seconds, wall_limit, options)
     else:
         raise ConfigError("nothing to validate: name a source (simple, a picture, a map, ...) or a --suite")
     memory = None if cell_memory is None else cell_memory * 1e9
@@ -74,7 +74,7 @@ def validate(
         engine, jobs=jobs, address=address, limits=Limits(seconds=cell_timeout, memory=memory)
     )
     manifest = Manifest(command=shlex.join(["lirs-wct", *sys.argv[1:]]), suite=suite)
-    sweep = Sweep(cells, output, manifest=manifest, retry_failed=retry_failed)
+    sweep = Sweep(experiments, output, manifest=manifest, retry_failed=retry_failed)
     _run(sweep, executor)
 
 
@@ -84,7 +84,7 @@ def _run(sweep: Sweep, executor: Executor) -> None:
 
     if sweep.kept:
         again = f"; {len(sweep.pending)} to run" if sweep.pending else ""
-        err.print(f"kept {sweep.kept} of {len(sweep.cells)} from before{again}", highlight=False)
+        err.print(f"kept {sweep.kept} of {len(sweep.experiments)} from before{again}", highlight=False)
     try:
         for _ in run_with_progress(sweep, executor, err):
             pass
@@ -104,6 +104,6 @@ def _show(sweep: Sweep) -> None:
         return
     for table in sweep_tables(sweep):
         out.print(table)
-    folders = [sweep.out / cell.name for cell in sweep.cells if cell.name in sweep.outcomes]
+    folders = [sweep.out / found.name for found in sweep.experiments if found.name in sweep.outcomes]
     for folder in folders if len(folders) <= FEW else [sweep.out]:
         out.print(f"{folder}", soft_wrap=True, highlight=False)

@@ -1,4 +1,4 @@
-"""From the words of `validate` to the cells of a sweep."""
+"""From the words of `validate` to the experiments of a sweep."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.sources.options import BuildOptions
 
 if TYPE_CHECKING:
-    from lirs_validation.sweep.cell import Cell
+    from lirs_validation.sweep.experiment import Experiment
 
 DEFAULT_SECONDS = 120.0
 
@@ -42,15 +42,15 @@ def seeds_of(seed: int | None, seeds: str | None) -> tuple[int, ...] | None:
     return None if seed is None else (seed,)
 
 
-def axes_cells(
+def axes_experiments(
     sources: list[str],
     given: Mapping[str, str | None],
     seeds: tuple[int, ...] | None,
     seconds: float | None,
     wall_limit: float | None,
     build: BuildOptions,
-) -> tuple[Cell, ...]:
-    """Return the cells at the crossings of the axes that were given.
+) -> tuple[Experiment, ...]:
+    """Return the experiments at the crossings of the axes that were given.
 
     Args:
         sources: worlds.
@@ -64,7 +64,7 @@ def axes_cells(
         ConfigError: an axis is empty or holds what is not legal.
     """
     from lirs_envs.lidar.casters import ALIASES, RAYS
-    from lirs_validation.sweep.axes import Axes, View
+    from lirs_validation.sweep.axes import Axes, Representation
 
     terrains = [mujoco_terrain(word) for word in listed(given["terrain"], "--terrain", "hfield")]
     rays = listed(given["rays"], "--rays", "builtin")
@@ -75,22 +75,24 @@ def axes_cells(
         robots=listed(given["robot"], "--robot", "husky"),
         mappers=listed(given["mapper"], "--mapper", "hector"),
         lidars=(None,) if given["lidar"] is None else listed(given["lidar"], "--lidar", ""),
-        views=tuple(View(terrain=terrain, rays=ray) for terrain in terrains for ray in rays),
+        representations=tuple(
+            Representation(terrain=terrain, rays=ray) for terrain in terrains for ray in rays
+        ),
         seeds=seeds or (1,),
         seconds=DEFAULT_SECONDS if seconds is None else seconds,
         wall_limit=wall_limit,
         build=build,
-    ).cells()
+    ).experiments()
 
 
-def suite_cells(
+def suite_experiments(
     name: str,
     others: Mapping[str, bool],
     seeds: tuple[int, ...] | None,
     seconds: float | None,
     wall_limit: float | None,
-) -> tuple[Cell, ...]:
-    """Return the cells of a suite.
+) -> tuple[Experiment, ...]:
+    """Return the experiments of a suite.
 
     Args:
         name: of the suite.
@@ -108,4 +110,4 @@ def suite_cells(
     clash = [option for option, given in others.items() if given]
     if clash:
         raise ConfigError(f"--suite {name} has its own worlds and axes: leave out {', '.join(clash)}")
-    return suite.cells(seconds=seconds, seeds=seeds, wall_limit=wall_limit)
+    return suite.experiments(seconds=seconds, seeds=seeds, wall_limit=wall_limit)

@@ -14,7 +14,7 @@ from lirs_validation.record.run_record import read_record
 from lirs_validation.report.tables.metric_tables import failures_table, summary_table
 from lirs_validation.report.tables.results_table import results_table
 from lirs_validation.report.tables.table import ReportTable
-from lirs_validation.sweep.collision_cell import CollisionCell, read_verdict
+from lirs_validation.sweep.collision_experiment import CollisionExperiment, read_verdict
 from lirs_validation.sweep.sweep import Sweep
 
 FIELDS = {"world", "robot", "mapper"}
@@ -25,14 +25,14 @@ def sweep_tables(sweep: Sweep) -> Iterator[Table]:
     """Yield the tables of what is finished: means of groups, or single runs, and verdicts."""
     from lirs_validation.collision.files import verdicts_table
 
-    finished = [cell for cell in sweep.cells if cell.name in sweep.outcomes]
-    entries = [_entry(sweep, cell.name) for cell in finished if not isinstance(cell, CollisionCell)]
+    finished = [found for found in sweep.experiments if found.name in sweep.outcomes]
+    entries = [_entry(sweep, run.name) for run in finished if not isinstance(run, CollisionExperiment)]
     groups = by_group(entries)
     if len(groups) < len(entries) or not set(distinguishing_fields(groups)) <= FIELDS:
         yield from _by_group(entries)
     elif entries:
         yield results_table(entries)
-    checks = [cell for cell in finished if isinstance(cell, CollisionCell)]
+    checks = [check for check in finished if isinstance(check, CollisionExperiment)]
     verdicts = [read_verdict(sweep.out / c.name) for c in checks if sweep.outcomes[c.name].sound]
     if verdicts:
         yield verdicts_table(verdicts)

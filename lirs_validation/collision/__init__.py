@@ -1,1 +1,1 @@
-"""Collision validation (the paper's III-D): robots driven at random into everything, every contact judged."""
+"""Collision validation (the paper's III-D): robots driven at random, every contact evaluated."""

@@ -2,7 +2,7 @@
 
 A robot is driven at random at full speed, again and again from other places, and every step of MuJoCo is
 looked at; then it holds and climbs on the steepest ground that it may drive. Each figure that has a limit is
-judged against it:
+held against it:
 
 - penetration stays below 10 mm in 99.9 % of the steps; beyond that only impacts go deeper, by at most 10 ms
   times the speed at which the robot came;
@@ -143,7 +143,7 @@ class CollisionVerdict:
 def check_collisions(
     world: World, robot: Robot, *, terrain: ContactGeometry = "hfield", seconds: float = 60.0, seed: int = 1
 ) -> CollisionVerdict:
-    """Drive a robot at random at full speed, then up the steepest ground, and judge every contact.
+    """Drive a robot at random at full speed, then up the steepest ground, and evaluate every contact.
 
     Raises:
         ConfigError: an argument is not legal, or the robot can stand nowhere in this world.

@@ -107,7 +107,7 @@ def cells_ahead(grid: OccupancyGrid, free: BoolArray, start: Pose2, distance: fl
     return cells[: blocked[0]] if len(blocked) else cells
 
 
-def dear_behind(weight: FloatArray, cell: IntArray, heading: float, radius: float) -> FloatArray:
+def penalize_behind(weight: FloatArray, cell: IntArray, heading: float, radius: float) -> FloatArray:
     """Return weights with the ground just behind a robot made dear: a path then turns round in an arc.
 
     Args:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lirs_validation.driving.grid_search import Reach, area_round, cells_ahead, dear_behind, search
+from lirs_validation.driving.grid_search import Reach, area_round, cells_ahead, penalize_behind, search
 from lirs_validation.driving.path_smoothing import arc_length, smoothed
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import ConfigError
@@ -149,7 +149,7 @@ class CoveragePlanner:
         slack = self.config.turn + self.radius
         # Turning in place grinds all wheels sideways, and on a slope the robot slides down meanwhile.
         arc, local = self.config.arc / self._grid.resolution, heading - self._grid.origin.yaw
-        weight = dear_behind(self._weight, cell, local, arc)
+        weight = penalize_behind(self._weight, cell, local, arc)
         reach = search(weight, cell[None], self._grid.resolution, goals=goals, slack=slack)
         return reach.path(self._choice(reach, goals, cell, heading))
 

@@ -1,4 +1,4 @@
-"""Whether something else of ours runs on this machine, which spoils a real-time factor."""
+"""CPU contention: whether other runs share this machine, which spoils a real-time factor."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ if sys.platform != "win32":
 
 
 @dataclass
-class Company:
-    """Whether a drive had company; final once its block has ended."""
+class Contention:
+    """Whether other runs shared the machine; final once its block has ended."""
 
     found: bool = False
 
 
 @contextmanager
-def company() -> Iterator[Company]:
+def cpu_contention() -> Iterator[Contention]:
     """Notice every other block of this kind that overlaps, in any process of this user.
 
     All hold one file's shared lock; the kernel gives it back even after a kill. Who comes second sees
     the lock, and leaves a byte for those who were there before.
     """
-    answer = Company()
-    if sys.platform == "win32":  # has no such locks: nobody is noticed there
-        yield answer
+    contention = Contention()
+    if sys.platform == "win32":  # has no such locks: none is noticed there
+        yield contention
         return
     with _lock_file().open("ab") as file:
         before = _size(file)
-        answer.found = not _alone(file)
-        if answer.found:
+        contention.found = not _alone(file)
+        if contention.found:
             file.write(b".")
             file.flush()
         fcntl.flock(file, fcntl.LOCK_SH)
-        yield answer
-        answer.found = answer.found or _size(file) != before
+        yield contention
+        contention.found = contention.found or _size(file) != before
 
 
 def _alone(file: IO[bytes]) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from lirs_envs.simulation import Simulation
 from lirs_validation.experiment.loop import DriveLog, per_second
 from lirs_validation.experiment.mapper_checks import final_map
-from lirs_validation.experiment.scenario import Stage
+from lirs_validation.experiment.scenario import Scenario
 from lirs_validation.metrics import map_scores, trajectory_errors
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.world import World
@@ -27,7 +27,7 @@ class Maps:
     scores: dict[str, Any]
 
 
-def judge_maps(world: World, log: DriveLog, mapper: Mapper) -> Maps:
+def evaluate_maps(world: World, log: DriveLog, mapper: Mapper) -> Maps:
     """Compare the mapper's map with the one that the true poses give; move it by the true start only."""
     T_world_map = log.truth[0].to_pose2()
     built = final_map(mapper)
@@ -40,7 +40,7 @@ def judge_maps(world: World, log: DriveLog, mapper: Mapper) -> Maps:
     return Maps(built, true_pose, asdict(scores))
 
 
-def judge_trajectory(log: DriveLog) -> dict[str, Any]:
+def evaluate_trajectory(log: DriveLog) -> dict[str, Any]:
     """Compare the estimate, and the odometry beside it, with the truth."""
     truth, estimate, odometry = log.trajectories()
     if len(truth) < 2:
@@ -53,7 +53,7 @@ def judge_trajectory(log: DriveLog) -> dict[str, Any]:
     }
 
 
-def judge_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
+def evaluate_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
     """Return the real-time factor, its spread over simulated seconds and its parts."""
     period = simulation.period
     walls = per_second(log.walls, period)
@@ -78,7 +78,7 @@ def judge_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
     }
 
 
-def judge_contact(simulation: Simulation) -> dict[str, Any]:
+def evaluate_contact(simulation: Simulation) -> dict[str, Any]:
     """Return what is touched, and by how much it differs from the surface or of how many parts it is."""
     terrain = {"terrain": simulation.config.contact_geometry}
     if simulation.config.contact_geometry in ("hfield", "mesh"):
@@ -87,14 +87,14 @@ def judge_contact(simulation: Simulation) -> dict[str, Any]:
     return terrain | {"parts": sum(model.geom(g).name.startswith("ground") for g in range(model.ngeom))}
 
 
-def judge_collisions(simulation: Simulation) -> dict[str, Any]:
+def evaluate_collisions(simulation: Simulation) -> dict[str, Any]:
     """Return contact figures of the whole run."""
     return asdict(simulation.collisions)
 
 
-def judge_world(stage: Stage, simulation: Simulation) -> dict[str, Any]:
+def evaluate_world(scenario: Scenario, simulation: Simulation) -> dict[str, Any]:
     """Describe the world and what is touched of it."""
-    world, surface = stage.world, stage.world.surface
+    world, surface = scenario.world, scenario.world.surface
     return {
         "name": world.name,
         "kind": world.kind,
@@ -103,6 +103,6 @@ def judge_world(stage: Stage, simulation: Simulation) -> dict[str, Any]:
         "bounds": surface.bounds,
         "relief": surface.relief,
         "nodes": surface.shape,
-        "window": stage.window,
-        "contact": judge_contact(simulation),
+        "window": scenario.window,
+        "contact": evaluate_contact(simulation),
     }

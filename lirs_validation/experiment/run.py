@@ -1,4 +1,4 @@
-"""One validation run, as in the paper's experiment: build the world, drive, map, judge, write."""
+"""One validation run, as in the paper's experiment: build the world, drive, map, evaluate, write."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from lirs_validation.config import RunConfig
 from lirs_validation.driving.drivers import CoverageDriver
 from lirs_validation.driving.tour import plan
 from lirs_validation.experiment.cost import CostMeter
-from lirs_validation.experiment.cpu_contention import company
+from lirs_validation.experiment.cpu_contention import cpu_contention
 from lirs_validation.experiment.evaluation import (
     Maps,
-    judge_collisions,
-    judge_maps,
-    judge_rtf,
-    judge_trajectory,
-    judge_world,
+    evaluate_collisions,
+    evaluate_maps,
+    evaluate_rtf,
+    evaluate_trajectory,
+    evaluate_world,
 )
 from lirs_validation.experiment.loop import DriveLog, drive
 from lirs_validation.experiment.mapper_checks import final_stats, final_trajectory
 from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_validation.experiment.results import write_results
-from lirs_validation.experiment.scenario import Stage, StageCache
+from lirs_validation.experiment.scenario import Scenario, ScenarioCache
 from lirs_validation.experiment.warm_up import warm_up
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.contact.contact_geometry import ContactGeometry
@@ -101,7 +101,7 @@ def run(
     *,
     out: Path | None = None,
     progress: Progress = no_progress,
-    stages: StageCache | None = None,
+    scenarios: ScenarioCache | None = None,
     concurrent: bool = False,
 ) -> Run:
     """Run a config (see `validate`).
@@ -110,34 +110,34 @@ def run(
         config: what to run.
         out: folder that receives the run's folder; None = nothing is written.
         progress: of the run.
-        stages: worlds that were built before.
+        scenarios: worlds that were built before.
         concurrent: whether other runs share the processor; found out beside that.
     """
     robot, mapper = make_robot(config.robot), mapper_named(config.mapper, config.seed)
     progress("build", 0.0)
-    stage = (stages or StageCache()).stage(config)
+    scenario = (scenarios or ScenarioCache()).scenario(config)
     progress("plan", 0.0)
-    driver = plan(stage.world, robot, config)
+    driver = plan(scenario.world, robot, config)
     progress("compile", 0.0)
-    compiled = {"compile_seconds": warm_up(stage, robot)}
-    simulation = stage.simulation(robot)
+    compiled = {"compile_seconds": warm_up(scenario, robot)}
+    simulation = scenario.simulation(robot)
     log, cost = _timed_drive(simulation, driver, mapper, config, progress)
     if not log.walls:
         raise SimulationError(f"{config.source}: nothing was driven: {log.reason}")
-    progress("judge", 1.0)
+    progress("evaluate", 1.0)
     log.final = final_trajectory(mapper)
     log.concurrent = log.concurrent or concurrent
-    maps = judge_maps(stage.world, log, mapper)
-    record = judge(stage, simulation, mapper, log, maps, cost | compiled)
-    folder = None if out is None else write_results(out / record.name, record, log, maps, stage.world)
-    return Run(record, log, maps, stage.world, folder)
+    maps = evaluate_maps(scenario.world, log, mapper)
+    record = evaluate(scenario, simulation, mapper, log, maps, cost | compiled)
+    folder = None if out is None else write_results(out / record.name, record, log, maps, scenario.world)
+    return Run(record, log, maps, scenario.world, folder)
 
 
 def _timed_drive(
     simulation: Simulation, driver: CoverageDriver, mapper: Mapper, config: RunConfig, progress: Progress
 ) -> tuple[DriveLog, dict[str, Any]]:
     """Drive; return the log and what the drive cost."""
-    with company() as others:
+    with cpu_contention() as others:
         meter = CostMeter()
         log = drive(
             simulation,
@@ -152,8 +152,8 @@ def _timed_drive(
     return log, cost | {"scans_dropped": log.scans_dropped(simulation.time, simulation.period)}
 
 
-def judge(
-    stage: Stage,
+def evaluate(
+    scenario: Scenario,
     simulation: Simulation,
     mapper: Mapper,
     log: DriveLog,
@@ -162,14 +162,14 @@ def judge(
 ) -> RunRecord:
     """Turn a finished drive into a record."""
     return RunRecord(
-        config=stage.config,
-        world=judge_world(stage, simulation),
+        config=scenario.config,
+        world=evaluate_world(scenario, simulation),
         status=log.status,
         reason=log.reason,
-        rtf=judge_rtf(log, simulation) | {"compile_seconds": cost["compile_seconds"]},
-        trajectory=judge_trajectory(log),
+        rtf=evaluate_rtf(log, simulation) | {"compile_seconds": cost["compile_seconds"]},
+        trajectory=evaluate_trajectory(log),
         map=maps.scores,
-        collisions=judge_collisions(simulation),
+        collisions=evaluate_collisions(simulation),
         mapper=asdict(final_stats(mapper)),
         cost=cost,
     )

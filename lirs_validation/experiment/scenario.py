@@ -22,7 +22,7 @@ KEPT = 2
 
 
 @dataclass(frozen=True)
-class Stage:
+class Scenario:
     """A config and its world; `window` is the square that was cut out of a larger one, if any."""
 
     config: RunConfig
@@ -38,7 +38,7 @@ class Stage:
         return Simulation(self.world, config, seed=c.seed)
 
 
-def set_stage(config: RunConfig) -> Stage:
+def build_scenario(config: RunConfig) -> Scenario:
     """Build the config's world; of a terrain larger than 200 m, its middle 50 m."""
     world = build_world(config.source, config.build)
     if (
@@ -47,28 +47,28 @@ def set_stage(config: RunConfig) -> Stage:
         or world.overhangs
         or config.build.window is not None
     ):
-        return Stage(config, world, config.build.window)
+        return Scenario(config, world, config.build.window)
     west, south, east, north = world.surface.bounds
     window = ((west + east) / 2, (south + north) / 2, WINDOW)
-    return Stage(config, build_world(config.source, replace(config.build, window=window)), window)
+    return Scenario(config, build_world(config.source, replace(config.build, window=window)), window)
 
 
-class StageCache:
-    """Gives configs their stages, and keeps the last worlds for the next configs in them."""
+class ScenarioCache:
+    """Gives configs their scenarios, and keeps the last worlds for the next configs in them."""
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[tuple[str, BuildOptions], Stage] = OrderedDict()
+        self._kept: OrderedDict[tuple[str, BuildOptions], Scenario] = OrderedDict()
 
-    def stage(self, config: RunConfig) -> Stage:
-        """Return the config's stage (see `set_stage`)."""
+    def scenario(self, config: RunConfig) -> Scenario:
+        """Return the config's scenario (see `build_scenario`)."""
         key = (config.source, config.build)
         if key not in self._kept:
-            self.put(set_stage(config))
+            self.put(build_scenario(config))
         self._kept.move_to_end(key)
         return replace(self._kept[key], config=config)
 
-    def put(self, stage: Stage) -> None:
-        """Keep a stage that was built elsewhere."""
-        self._kept[(stage.config.source, stage.config.build)] = stage
+    def put(self, scenario: Scenario) -> None:
+        """Keep a scenario that was built elsewhere."""
+        self._kept[(scenario.config.source, scenario.config.build)] = scenario
         while len(self._kept) > KEPT:
             self._kept.popitem(last=False)

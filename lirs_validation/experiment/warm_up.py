@@ -9,7 +9,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_validation.driving.tour import plan
 from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.mapper_loading import mapper_named, warm_up_mapper
-from lirs_validation.experiment.scenario import Stage
+from lirs_validation.experiment.scenario import Scenario
 
 WARM_UP = 2.0
 """Simulated seconds of the drive."""
@@ -19,20 +19,20 @@ _WARM: set[tuple[str | None, ...]] = set()
 """What this process has driven already."""
 
 
-def warm_up(stage: Stage, robot: Robot) -> float:
+def warm_up(scenario: Scenario, robot: Robot) -> float:
     """Drive a throw-away simulation for a moment, so that every kernel is compiled; return the seconds.
 
     What this process drove before is compiled: then it takes none.
     """
-    c = stage.config
-    kind = (stage.world.kind, c.robot, c.lidar, c.terrain, c.rays, c.mapper)
+    c = scenario.config
+    kind = (scenario.world.kind, c.robot, c.lidar, c.terrain, c.rays, c.mapper)
     if kind in _WARM:
         return 0.0
     begun = time.perf_counter()
     warm_up_mapper(c.mapper)
     slow = c.rays == "mujoco" and c.terrain == "hfield"
     config = replace(c, seconds=BRIEF if slow else WARM_UP)
-    driver = plan(stage.world, robot, config)
-    drive(stage.simulation(robot), driver, mapper_named(c.mapper, c.seed), config.seconds)
+    driver = plan(scenario.world, robot, config)
+    drive(scenario.simulation(robot), driver, mapper_named(c.mapper, c.seed), config.seconds)
     _WARM.add(kind)
     return time.perf_counter() - begun

@@ -15,7 +15,7 @@ from lirs_validation.drawing.canvas import Canvas
 from lirs_validation.drawing.hillshade import coloured_relief
 from lirs_validation.drawing.overview import bounds_shown, shown_bounds
 from lirs_validation.drawing.style import BLUE, VERMILLION
-from lirs_validation.experiment.scenario import StageCache
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.agreement import contradicted
 from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
 from lirs_wct.errors import WctError
@@ -50,7 +50,7 @@ class Painter:
     def __init__(self, runs: int) -> None:
         """Share the budget among so many runs."""
         self._budget = min(MOST_BYTES, BUDGET // max(runs, 1))
-        self._stages = StageCache()
+        self._scenarios = ScenarioCache()
 
     def paint(self, run: RunFolder) -> RunPicture:
         """Return the run's picture."""
@@ -81,7 +81,7 @@ class Painter:
         (truth, estimate), (true_pose, built) = tracks, maps
         note = ""
         try:
-            world = self._stages.stage(recorded_config(run.entry)).world
+            world = self._scenarios.scenario(recorded_config(run.entry)).world
             canvas = Canvas.over(shown_bounds(world, truth, true_pose), tile)
             ground = coloured_relief(world, canvas)
         except WctError as error:

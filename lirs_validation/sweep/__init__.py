@@ -1,1 +1,1 @@
-"""Many runs: the cells of an experiment, engines that run them, and going on where one was interrupted."""
+"""Many runs: experiments at the crossings of axes, engines that run them, resuming what was interrupted."""

@@ -1,4 +1,4 @@
-"""The axes of a sweep, and the cells at their crossings."""
+"""The axes of a sweep, and the experiments at their crossings."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass, field
 
 from lirs_validation.config import RunConfig
-from lirs_validation.sweep.run_cell import RunCell
+from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.sources.options import BuildOptions
@@ -16,8 +16,8 @@ MAX_SEEDS = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class View:
-    """A way to represent a world: what is touched, and whose rays see it."""
+class Representation:
+    """How a world is represented: what is touched, and whose rays see it."""
 
     terrain: ContactGeometry = "hfield"
     rays: str = "ours"
@@ -25,14 +25,14 @@ class View:
 
 @dataclass(frozen=True, kw_only=True)
 class Axes:
-    """What to cross; every combination is a cell, a source's cells beside each other.
+    """What to cross; every combination is an experiment, a source's experiments beside each other.
 
     Attributes:
         sources: worlds.
         robots: names.
         mappers: names, or `module:name` of your own.
         lidars: names of LRF presets; None = the robot's own.
-        views: representations.
+        representations: representations.
         seeds: of every random number.
         seconds: simulated time to drive.
         wall_limit: wall seconds after which a drive is stopped.
@@ -43,30 +43,30 @@ class Axes:
     robots: tuple[str, ...] = ("husky",)
     mappers: tuple[str, ...] = ("hector",)
     lidars: tuple[str | None, ...] = (None,)
-    views: tuple[View, ...] = (View(),)
+    representations: tuple[Representation, ...] = (Representation(),)
     seeds: tuple[int, ...] = (1,)
     seconds: float = 120.0
     wall_limit: float | None = None
     build: BuildOptions = field(default_factory=BuildOptions)
 
-    def cells(self, tables: tuple[str, ...] = ()) -> tuple[RunCell, ...]:
-        """Return the cells.
+    def experiments(self, tables: tuple[str, ...] = ()) -> tuple[SlamExperiment, ...]:
+        """Return the experiments.
 
         Raises:
             ConfigError: a config is not legal.
         """
         crossings = itertools.product(
-            self.sources, self.views, self.robots, self.lidars, self.mappers, self.seeds
+            self.sources, self.representations, self.robots, self.lidars, self.mappers, self.seeds
         )
         return tuple(
-            RunCell(
+            SlamExperiment(
                 RunConfig(
                     source=source,
                     robot=robot,
                     mapper=mapper,
                     lidar=lidar,
-                    terrain=view.terrain,
-                    rays=view.rays,
+                    terrain=representation.terrain,
+                    rays=representation.rays,
                     seconds=self.seconds,
                     seed=seed,
                     wall_limit=self.wall_limit,
@@ -74,7 +74,7 @@ class Axes:
                 ),
                 tables,
             )
-            for source, view, robot, lidar, mapper, seed in crossings
+            for source, representation, robot, lidar, mapper, seed in crossings
         )
 
 

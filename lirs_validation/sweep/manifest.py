@@ -21,8 +21,8 @@ class Manifest:
 
     Attributes:
         command: the command line.
-        suite: name of the suite; None = the cells were asked for one by one.
-        cells: of each cell its name, world and config, and the suite's tables that it belongs to.
+        suite: name of the suite; None = the experiments were asked for one by one.
+        cells: of each experiment its name, world and config, and the suite's tables that it belongs to.
     """
 
     command: str = ""

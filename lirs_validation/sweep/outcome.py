@@ -1,4 +1,4 @@
-"""How a cell ended: little enough to send and to keep for thousands of them."""
+"""How an experiment ended: little enough to send and to keep for thousands of them."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from lirs_wct.errors import MapperError, OutputError, WctError
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How a cell ended.
+    """How an experiment ended.
 
     Attributes:
-        cell: its name.
+        experiment: its name.
         status: that of its record.
         reason: in words, one line.
         trace: where it failed, several lines; empty where it did not.
@@ -24,7 +24,7 @@ class Outcome:
         unwritable: whether its results could not be written: it is worth running again.
     """
 
-    cell: str
+    experiment: str
     status: Status
     reason: str = ""
     trace: str = ""
@@ -38,8 +38,8 @@ class Outcome:
         return self.status in SUCCEEDED
 
 
-def outcome_of(error: Exception, cell: str) -> Outcome:
-    """Return the outcome of a cell that raised.
+def outcome_of(error: Exception, experiment: str) -> Outcome:
+    """Return the outcome of an experiment that raised.
 
     Raises:
         KeyboardInterrupt: the error is a Ctrl-C that a compiled kernel wrapped.
@@ -49,7 +49,7 @@ def outcome_of(error: Exception, cell: str) -> Outcome:
     ours = isinstance(error, WctError)
     words = str(error) if ours else ": ".join(filter(None, (type(error).__name__, str(error))))
     return Outcome(
-        cell=cell,
+        experiment=experiment,
         status="error",
         reason=" ".join(words.split()),
         trace="".join(traceback.format_exception(error)),

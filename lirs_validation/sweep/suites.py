@@ -6,21 +6,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from lirs_validation.config import RunConfig
-from lirs_validation.sweep.axes import Axes, View
-from lirs_validation.sweep.cell import Cell
-from lirs_validation.sweep.collision_cell import CollisionCell
-from lirs_validation.sweep.run_cell import RunCell
+from lirs_validation.sweep.axes import Axes, Representation
+from lirs_validation.sweep.collision_experiment import CollisionExperiment
+from lirs_validation.sweep.experiment import Experiment
+from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.errors import unknown_name
 
-HEIGHTMAP_BASED = View(terrain="hfield", rays="mujoco")
-SOLID_BASED = View(terrain="mesh", rays="mujoco")
-OURS = View(terrain="hfield", rays="ours")
-"""The paper's two ways to represent a terrain as MuJoCo has them, and ours."""
+HEIGHTMAP_BASED = Representation(terrain="hfield", rays="mujoco")
+SOLID_BASED = Representation(terrain="mesh", rays="mujoco")
+OURS = Representation(terrain="hfield", rays="ours")
+"""The paper's two representations of a terrain as MuJoCo has them, and ours."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
-    """Cells that belong together: some axes, and the published tables that their figures are for."""
+    """Experiments that belong together: some axes, and the published tables that their figures are for."""
 
     axes: Axes
     tables: tuple[str, ...]
@@ -46,14 +46,14 @@ class Suite:
     seeds: tuple[int, ...] = (1,)
     wall_limit: float = 120.0
 
-    def cells(
+    def experiments(
         self,
         *,
         seconds: float | None = None,
         seeds: tuple[int, ...] | None = None,
         wall_limit: float | None = None,
-    ) -> tuple[Cell, ...]:
-        """Return the suite's cells, world by world; what is given takes the place of the suite's own."""
+    ) -> tuple[Experiment, ...]:
+        """Return the suite's experiments, world by world; what is given replaces the suite's own."""
         tables: dict[RunConfig, tuple[str, ...]] = {}
         for block in self.blocks:
             axes = replace(
@@ -62,15 +62,15 @@ class Suite:
                 seeds=self.seeds if seeds is None else seeds,
                 wall_limit=self.wall_limit if wall_limit is None else wall_limit,
             )
-            for cell in axes.cells():
-                tables[cell.config] = tuple(dict.fromkeys(tables.get(cell.config, ()) + block.tables))
-        runs = [RunCell(config, names) for config, names in tables.items()]
+            for config in (run.config for run in axes.experiments()):
+                tables[config] = tuple(dict.fromkeys(tables.get(config, ()) + block.tables))
+        runs = [SlamExperiment(config, names) for config, names in tables.items()]
         checks = [
-            CollisionCell(source=config.source, robot=config.robot, seed=config.seed)
-            for config in ([cell.config for cell in self.collisions.cells()] if self.collisions else [])
+            CollisionExperiment(source=config.source, robot=config.robot, seed=config.seed)
+            for config in ([run.config for run in self.collisions.experiments()] if self.collisions else [])
         ]
-        order = list(dict.fromkeys(cell.place.source for cell in runs))
-        return tuple(sorted([*runs, *checks], key=lambda cell: order.index(cell.place.source)))
+        order = list(dict.fromkeys(run.config.source for run in runs))
+        return tuple(sorted([*runs, *checks], key=lambda found: order.index(found.world_config.source)))
 
 
 MAPPERS = ("gmapping", "hector", "cartographer")
@@ -80,7 +80,7 @@ WORLDS = ("simple", "medium", "advanced")
 
 def _terrain_construction(world: str, *tables: str) -> Block:
     """Return the runs behind one of the paper's Tables II to IV and its part of Fig. 13."""
-    axes = Axes(sources=(world,), mappers=MAPPERS, views=(OURS, SOLID_BASED, HEIGHTMAP_BASED))
+    axes = Axes(sources=(world,), mappers=MAPPERS, representations=(OURS, SOLID_BASED, HEIGHTMAP_BASED))
     return Block(axes=axes, tables=tables)
 
 
@@ -92,7 +92,9 @@ SUITES: Mapping[str, Suite] = {
             _terrain_construction("medium", "III", "fig13b"),
             _terrain_construction("advanced", "IV", "fig13c"),
             Block(
-                axes=Axes(sources=WORLDS, robots=ROBOTS, mappers=MAPPERS, views=(OURS, SOLID_BASED)),
+                axes=Axes(
+                    sources=WORLDS, robots=ROBOTS, mappers=MAPPERS, representations=(OURS, SOLID_BASED)
+                ),
                 tables=("robots",),
             ),
         ),

@@ -1,4 +1,4 @@
-"""A sweep: cells in, a folder of results out; what is finished already is not done again."""
+"""A sweep: experiments in, a folder of results out; what is finished already is not done again."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from lirs_validation.sweep.cell import Cell
 from lirs_validation.sweep.engines.base import Executor, ProgressOf
+from lirs_validation.sweep.experiment import Experiment
 from lirs_validation.sweep.manifest import Manifest
 from lirs_validation.sweep.outcome import Outcome
 from lirs_wct.errors import OutputError, WctError
@@ -15,43 +15,43 @@ from lirs_wct.files import remove_leftovers
 from lirs_wct.progress import no_progress
 
 ROUNDS = 2
-"""Times that a cell is run whose results cannot be written."""
+"""Times that an experiment is run whose results cannot be written."""
 
 
 class Sweep:
-    """Cells and the folder for their results.
+    """Experiments and the folder for their results.
 
     Args:
-        cells: what to run; of several with one name, one is.
-        out: folder that receives a folder a cell, and `sweep.json`.
-        manifest: what `sweep.json` says beside the cells.
-        retry_failed: run cells again that failed before.
+        experiments: what to run; of several with one name, one is.
+        out: folder that receives a folder an experiment, and `sweep.json`.
+        manifest: what `sweep.json` says beside the experiments.
+        retry_failed: run experiments again that failed before.
 
     Attributes:
-        outcomes: of the cells that are finished, by name; small, for thousands of cells.
+        outcomes: of the experiments that are finished, by name; small, for thousands of experiments.
         kept: how many were finished before.
-        unwritten: cells whose results could not be written, with the reason.
+        unwritten: experiments whose results could not be written, with the reason.
 
     Raises:
-        WctError: a cell cannot be run as it was asked for; nothing has been run then.
+        WctError: an experiment cannot be run as it was asked for; nothing has been run then.
     """
 
     def __init__(
         self,
-        cells: Sequence[Cell],
+        experiments: Sequence[Experiment],
         out: Path,
         *,
         manifest: Manifest | None = None,
         retry_failed: bool = False,
     ) -> None:
-        for cell in cells:
-            cell.check()
-        self.cells = list({cell.name: cell for cell in cells}.values())
+        for experiment in experiments:
+            experiment.check()
+        self.experiments = list({experiment.name: experiment for experiment in experiments}.values())
         self.out = out
-        described = tuple(cell.described() for cell in self.cells)
+        described = tuple(experiment.described() for experiment in self.experiments)
         self._manifest: Manifest | None = replace(manifest or Manifest(), cells=described)
-        remove_leftovers(out / cell.name for cell in self.cells)
-        found = {cell.name: cell.finished(out) for cell in self.cells}
+        remove_leftovers(out / experiment.name for experiment in self.experiments)
+        found = {experiment.name: experiment.finished(out) for experiment in self.experiments}
         self.outcomes = {
             name: outcome
             for name, outcome in found.items()
@@ -61,13 +61,13 @@ class Sweep:
         self.unwritten: dict[str, str] = {}
 
     @property
-    def pending(self) -> list[Cell]:
-        """Cells that are still to be run, in their order."""
-        return [cell for cell in self.cells if cell.name not in self.outcomes]
+    def pending(self) -> list[Experiment]:
+        """Experiments that are still to be run, in their order."""
+        return [experiment for experiment in self.experiments if experiment.name not in self.outcomes]
 
     @property
     def failed(self) -> bool:
-        """Whether a cell failed, or was not finished."""
+        """Whether an experiment failed, or was not finished."""
         return bool(self.pending) or not all(outcome.sound for outcome in self.outcomes.values())
 
     def run(
@@ -76,32 +76,32 @@ class Sweep:
         """Run what is pending; yield each outcome once its folder is written.
 
         Raises:
-            WctError: the only cell cannot be run as it was asked for, or not be written.
+            WctError: the only experiment cannot be run as it was asked for, or not be written.
         """
         if self.kept:
             self._save_manifest()
         for _ in range(ROUNDS):
-            cells = {cell.name: cell for cell in self.pending}
+            experiments = {experiment.name: experiment for experiment in self.pending}
             self.unwritten.clear()
-            for outcome in executor.run(list(cells.values()), self.out, progress_of):
-                settled = self._settled(cells[outcome.cell], outcome)
+            for outcome in executor.run(list(experiments.values()), self.out, progress_of):
+                settled = self._settled(experiments[outcome.experiment], outcome)
                 if settled.written:
-                    self.outcomes[settled.cell] = settled
+                    self.outcomes[settled.experiment] = settled
                     self._save_manifest()
                     yield settled
                 else:
-                    self.unwritten[settled.cell] = settled.reason
+                    self.unwritten[settled.experiment] = settled.reason
             if not self.unwritten:
                 break
 
-    def _settled(self, cell: Cell, outcome: Outcome) -> Outcome:
+    def _settled(self, experiment: Experiment, outcome: Outcome) -> Outcome:
         """Write down what failed outside a run."""
-        if len(self.cells) == 1 and (outcome.bad_input or outcome.unwritable):
+        if len(self.experiments) == 1 and (outcome.bad_input or outcome.unwritable):
             raise WctError(outcome.reason)
         if outcome.written or outcome.unwritable:
             return outcome
         try:
-            cell.write_failure(self.out, outcome)
+            experiment.write_failure(self.out, outcome)
         except OutputError as error:
             return replace(outcome, unwritable=True, reason=str(error))
         return replace(outcome, written=True)

@@ -1,4 +1,4 @@
-"""What a run costs, and whether it had company."""
+"""What a run costs, and whether other runs shared the CPU."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from lirs_validation.experiment.cost import CostMeter
-from lirs_validation.experiment.cpu_contention import company
+from lirs_validation.experiment.cpu_contention import cpu_contention
 from lirs_validation.sweep.interrupts import is_interrupt
 
 HOLD = """
 import sys, tempfile
 tempfile.tempdir = sys.argv[1]
-from lirs_validation.experiment.cpu_contention import company
-with company() as others:
+from lirs_validation.experiment.cpu_contention import cpu_contention
+with cpu_contention() as others:
     print("in", flush=True)
     sys.stdin.readline()
 print(others.found, flush=True)
@@ -53,28 +53,28 @@ def test_processor_time_is_counted_and_waiting_is_not() -> None:
 
 def test_both_of_two_that_overlap_notice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    with company() as first:
+    with cpu_contention() as first:
         pass
-    with company() as before, company() as inside:
+    with cpu_contention() as before, cpu_contention() as inside:
         pass
-    with company() as last:
+    with cpu_contention() as last:
         pass
     assert [c.found for c in (first, before, inside, last)] == [False, True, True, False]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no such locks")
-def test_a_killed_process_is_no_company(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_killed_process_is_no_contention(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     other = subprocess.Popen(
         [sys.executable, "-c", HOLD, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
     assert other.stdout is not None
     assert other.stdout.readline() == "in\n"
-    with company() as crowded:
+    with cpu_contention() as crowded:
         pass
     other.kill()
     other.communicate()
-    with company() as alone:
+    with cpu_contention() as alone:
         pass
     assert (crowded.found, alone.found) == (True, False)
 

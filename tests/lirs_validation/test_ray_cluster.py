@@ -1,4 +1,4 @@
-"""Ray runs every cell at least once, and its result is there once, whatever happens to the workers."""
+"""Ray runs every experiment at least once, and its result is there once, whatever happens to the workers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from lirs_validation.sweep.engines.factory import make_executor
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.errors import ConfigError
-from tests.lirs_validation.fake_cells import FakeCell
+from tests.lirs_validation.fake_experiments import FakeExperiment
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -22,21 +22,25 @@ def test_a_cluster_of_two_workers_survives_the_death_of_one(
     monkeypatch.setenv("PYTHONPATH", f"{ROOT}:{ROOT / 'envs'}")
     (tmp_path / "notes").mkdir()
     manners = ["good", "dies once", "good", "good", "raises", "good", "no room once", "good"]
-    cells = [
-        FakeCell(f"{k}", str(tmp_path / "notes"), manner, 0.3)  # type: ignore[arg-type]
+    experiments = [
+        FakeExperiment(f"{k}", str(tmp_path / "notes"), manner, 0.3)  # type: ignore[arg-type]
         for k, manner in enumerate(manners)
     ]
-    sweep = Sweep(cells, tmp_path / "out")
+    sweep = Sweep(experiments, tmp_path / "out")
     outcomes = list(sweep.run(make_executor("ray", jobs=2)))
 
-    assert sorted(outcome.cell for outcome in outcomes) == [cell.name for cell in cells]
-    assert [sweep.outcomes[cell.name].status for cell in cells] == ["ok"] * 4 + ["error"] + ["ok"] * 3
-    assert [len(cell.runs) for cell in cells] == [1, 2, 1, 1, 1, 1, 2, 1]
-    killed, replacement = cells[1].runs
+    assert sorted(outcome.experiment for outcome in outcomes) == [
+        experiment.name for experiment in experiments
+    ]
+    assert [sweep.outcomes[experiment.name].status for experiment in experiments] == ["ok"] * 4 + [
+        "error"
+    ] + ["ok"] * 3
+    assert [len(experiment.runs) for experiment in experiments] == [1, 2, 1, 1, 1, 1, 2, 1]
+    killed, replacement = experiments[1].runs
     assert killed != replacement
-    assert len({pid for cell in cells for pid in cell.runs}) >= 3
+    assert len({pid for experiment in experiments for pid in experiment.runs}) >= 3
     folders = sorted(path.name for path in (tmp_path / "out").iterdir())
-    assert folders == [*(cell.name for cell in cells), "sweep.json"]
+    assert folders == [*(experiment.name for experiment in experiments), "sweep.json"]
     assert (tmp_path / "out" / "0" / "result").read_text() == "0 True"
 
 
@@ -44,6 +48,6 @@ def test_a_cluster_of_two_workers_survives_the_death_of_one(
 def test_where_no_cluster_answers_it_is_said(tmp_path: Path) -> None:
     pytest.importorskip("ray", reason="Ray is not installed: pip install 'lirs-wct[dist]'")
     (tmp_path / "notes").mkdir()
-    sweep = Sweep([FakeCell("a", str(tmp_path / "notes"))], tmp_path / "out")
+    sweep = Sweep([FakeExperiment("a", str(tmp_path / "notes"))], tmp_path / "out")
     with pytest.raises(ConfigError, match=r"--address 127\.0\.0\.1:1: no Ray cluster answers there"):
         list(sweep.run(make_executor("ray", address="127.0.0.1:1")))

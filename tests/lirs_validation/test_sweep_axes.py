@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lirs_validation.sweep.axes import Axes, View, read_seeds
-from lirs_validation.sweep.collision_cell import CollisionCell
+from lirs_validation.sweep.axes import Axes, Representation, read_seeds
+from lirs_validation.sweep.collision_experiment import CollisionExperiment
 from lirs_validation.sweep.engines.base import Limits
 from lirs_validation.sweep.engines.factory import make_executor
 from lirs_validation.sweep.engines.processes import Processes
 from lirs_validation.sweep.engines.serial import Serial
-from lirs_validation.sweep.run_cell import RunCell
+from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.suites import SUITES, suite_named
 from lirs_wct.errors import ConfigError
 
@@ -38,39 +38,46 @@ def test_every_crossing_is_a_cell_world_by_world() -> None:
         robots=("husky", "jackal"),
         mappers=("hector", "gmapping", "cartographer"),
         lidars=("lms111", "utm30lx"),
-        views=(View(), View(terrain="mesh", rays="mujoco")),
+        representations=(Representation(), Representation(terrain="mesh", rays="mujoco")),
         seeds=(1, 2, 3),
     )
-    cells = axes.cells()
-    assert len(cells) == len({cell.name for cell in cells}) == 2 * 2 * 3 * 2 * 2 * 3
-    assert [source for source, _ in groupby(cell.config.source for cell in cells)] == ["simple", "medium"]
+    experiments = axes.experiments()
+    assert len(experiments) == len({experiment.name for experiment in experiments}) == 2 * 2 * 3 * 2 * 2 * 3
+    assert [source for source, _ in groupby(experiment.config.source for experiment in experiments)] == [
+        "simple",
+        "medium",
+    ]
 
 
 def test_the_papers_suite_has_every_cell_of_its_tables_once() -> None:
-    cells = SUITES["paper"].cells(seeds=(1, 2))
-    runs = [cell for cell in cells if isinstance(cell, RunCell)]
-    assert len({cell.name for cell in cells}) == len(cells)
+    experiments = SUITES["paper"].experiments(seeds=(1, 2))
+    runs = [experiment for experiment in experiments if isinstance(experiment, SlamExperiment)]
+    assert len({experiment.name for experiment in experiments}) == len(experiments)
     for table in ("II", "III", "IV"):
-        of_table = [cell.config for cell in runs if table in cell.tables]
+        of_table = [experiment.config for experiment in runs if table in experiment.tables]
         assert {c.robot for c in of_table} == {"husky"}
         assert len({c.source for c in of_table}) == 1
         kinds = {(c.terrain, c.rays, c.mapper, c.seed) for c in of_table}
-        views = (("hfield", "ours"), ("hfield", "mujoco"), ("mesh", "mujoco"))
+        representations = (("hfield", "ours"), ("hfield", "mujoco"), ("mesh", "mujoco"))
         mappers = ("gmapping", "hector", "cartographer")
-        assert kinds == {(*view, mapper, seed) for view in views for mapper in mappers for seed in (1, 2)}
+        assert kinds == {
+            (*view, mapper, seed) for view in representations for mapper in mappers for seed in (1, 2)
+        }
         assert len(of_table) == len(kinds)
-    robots = [cell.config for cell in runs if "robots" in cell.tables]
+    robots = [experiment.config for experiment in runs if "robots" in experiment.tables]
     assert len(robots) == 3 * 3 * 3 * 2 * 2
     assert {c.robot for c in robots} == {"husky", "turtlebot2", "jackal"}
-    checks = [cell for cell in cells if isinstance(cell, CollisionCell)]
+    checks = [experiment for experiment in experiments if isinstance(experiment, CollisionExperiment)]
     assert {(c.source, c.robot) for c in checks} == {
         (world, robot)
         for world in ("simple", "medium", "advanced")
         for robot in ("husky", "turtlebot2", "jackal")
     }
-    assert all(cell.config.wall_limit == SUITES["paper"].wall_limit for cell in runs)
+    assert all(experiment.config.wall_limit == SUITES["paper"].wall_limit for experiment in runs)
     assert {
-        cell.config.seconds for cell in suite_named("paper").cells(seconds=7.0) if isinstance(cell, RunCell)
+        experiment.config.seconds
+        for experiment in suite_named("paper").experiments(seconds=7.0)
+        if isinstance(experiment, SlamExperiment)
     } == {7.0}
     with pytest.raises(ConfigError, match="unknown suite 'papr'; legal: paper"):
         suite_named("papr")
@@ -82,7 +89,7 @@ def test_options_choose_the_engine() -> None:
     alone = make_executor(None, limits=Limits(seconds=5))
     assert alone == Processes(jobs=1, limits=Limits(seconds=5))
     for wrong, message in (
-        ({"engine": "serial", "jobs": 2}, "serial runs one cell at a time, got --jobs 2"),
+        ({"engine": "serial", "jobs": 2}, "serial runs one experiment at a time, got --jobs 2"),
         ({"engine": "slurm"}, "unknown engine 'slurm'; legal: processes, ray, serial"),
         ({"engine": None, "jobs": 0}, "--jobs must be 1 or more, got 0"),
         ({"engine": "processes", "address": "x:1"}, "--address is of a Ray cluster"),

@@ -15,7 +15,7 @@ import pytest
 from lirs_validation.sweep.engines.serial import Serial
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.files import remove_leftovers
-from tests.lirs_validation.fake_cells import FakeCell
+from tests.lirs_validation.fake_experiments import FakeExperiment
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = """
@@ -23,12 +23,13 @@ import sys
 from pathlib import Path
 from lirs_validation.sweep.engines.processes import Processes
 from lirs_validation.sweep.sweep import Sweep
-from tests.lirs_validation.fake_cells import FakeCell
+from tests.lirs_validation.fake_experiments import FakeExperiment
 
 if __name__ == "__main__":
     notes, out = sys.argv[1:]
-    cells = [FakeCell("a", notes), FakeCell("b", notes, "hangs"), FakeCell("c", notes)]
-    list(Sweep(cells, Path(out)).run(Processes(jobs=2)))
+    manners = {"a": "good", "b": "hangs", "c": "good"}
+    experiments = [FakeExperiment(name, notes, manner) for name, manner in manners.items()]
+    list(Sweep(experiments, Path(out)).run(Processes(jobs=2)))
 """
 
 
@@ -62,17 +63,21 @@ def test_a_killed_sweep_goes_on(kill: signal.Signals, tmp_path: Path) -> None:
     until(lambda: (out / "c").exists() and any(out.glob(".b.*/result")))
     process.send_signal(kill)
     process.wait(timeout=30)
-    cells = [FakeCell("a", str(notes)), FakeCell("b", str(notes)), FakeCell("c", str(notes))]
-    until(lambda: not any(lives(pid) for cell in cells for pid in cell.runs))
+    experiments = [
+        FakeExperiment("a", str(notes)),
+        FakeExperiment("b", str(notes)),
+        FakeExperiment("c", str(notes)),
+    ]
+    until(lambda: not any(lives(pid) for experiment in experiments for pid in experiment.runs))
     if kill == signal.SIGINT:
         assert not any(out.glob(".*"))
 
-    sweep = Sweep(cells, out)
+    sweep = Sweep(experiments, out)
     assert not any(out.glob(".*"))
     assert sweep.kept == 2
-    assert [outcome.cell for outcome in sweep.run(Serial())] == ["b"]
+    assert [outcome.experiment for outcome in sweep.run(Serial())] == ["b"]
     assert not sweep.failed
-    assert [len(cell.runs) for cell in cells] == [1, 2, 1]
+    assert [len(experiment.runs) for experiment in experiments] == [1, 2, 1]
 
 
 def test_only_what_the_dead_were_writing_is_removed(tmp_path: Path) -> None:

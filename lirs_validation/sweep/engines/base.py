@@ -1,4 +1,4 @@
-"""Engines: where the cells of a sweep are run. One interface; what comes of a cell does not depend on it."""
+"""The interface of engines, which run the experiments of a sweep; results do not depend on the engine."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from lirs_validation.sweep.cell import Cell
+from lirs_validation.sweep.experiment import Experiment
 from lirs_validation.sweep.outcome import Outcome
 from lirs_wct.errors import ConfigError
 from lirs_wct.progress import Progress
@@ -16,15 +16,15 @@ MOST_MEMORY = 1e18
 """Bytes that the system can be asked to keep a process below."""
 
 ProgressOf = Callable[[str], Progress]
-"""Gives each cell, by its name, the progress of its own work."""
+"""Gives each experiment, by its name, the progress of its own work."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What a cell may use before it is stopped; a limit needs a process of its own for the cell.
+    """What an experiment may use before it is stopped; a limit needs a process of its own.
 
     Attributes:
-        seconds: wall-clock time of a whole cell; None = any.
+        seconds: wall-clock time of a whole experiment; None = any.
         memory: private memory of its process, bytes; None = any.
 
     Raises:
@@ -47,8 +47,8 @@ class Limits:
 
 
 class Executor(Protocol):
-    """Runs cells, each at least once, and tells of each exactly once, as it ends."""
+    """Runs experiments, each at least once, and tells of each exactly once, as it ends."""
 
-    def run(self, cells: Sequence[Cell], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
-        """Run cells into folders of `out`; failures are outcomes too, and not written by the executor."""
+    def run(self, experiments: Sequence[Experiment], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
+        """Run experiments into folders of `out`; failures are outcomes, which the caller writes."""
         ...

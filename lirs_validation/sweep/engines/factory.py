@@ -22,9 +22,9 @@ def make_executor(
 
     Args:
         engine: one of ENGINES; None = `serial`, or `processes` where more than one job is asked for.
-        jobs: cells at a time; None = one, or with `processes` one a core.
+        jobs: experiments at a time; None = one, or with `processes` one a core.
         address: of a Ray cluster; None = one is started on this machine.
-        limits: of a cell.
+        limits: of an experiment.
 
     Raises:
         ConfigError: the options contradict, or Ray is not installed.
@@ -40,7 +40,7 @@ def make_executor(
     if chosen == "ray":
         return RayCluster(address=address, jobs=jobs, limits=limits)
     if chosen == "serial" and jobs not in (None, 1):
-        raise ConfigError(f"--engine serial runs one cell at a time, got --jobs {jobs}")
+        raise ConfigError(f"--engine serial runs one experiment at a time, got --jobs {jobs}")
     if chosen == "serial" and not limits.any:
         return Serial()
     return Processes(jobs=1 if chosen == "serial" else jobs or cores(), limits=limits)

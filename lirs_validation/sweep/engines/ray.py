@@ -1,6 +1,6 @@
-"""The engine of many machines: Ray runs the cells, and this process alone writes what comes back.
+"""The engine of many machines: Ray runs the experiments, and this process alone writes what comes back.
 
-A cell whose worker dies is run again elsewhere (at least once); its result arrives once.
+An experiment whose worker dies is run again elsewhere (at least once); its result arrives once.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from lirs_validation.experiment.scenario import Stage, StageCache, set_stage
-from lirs_validation.sweep.cell import Cell, attempt
+from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
 from lirs_validation.sweep.engines.base import Limits, ProgressOf
 from lirs_validation.sweep.engines.processes import Processes, cores
 from lirs_validation.sweep.engines.worker import ONE_THREAD
+from lirs_validation.sweep.experiment import Experiment, attempt
 from lirs_validation.sweep.outcome import Outcome, outcome_of
 from lirs_wct.errors import ConfigError, OutputError
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import no_progress
 
 RETRIES = 3
-"""Times that a cell is given to another worker when one dies."""
+"""Times that an experiment is given to another worker when one dies."""
 AHEAD = 2
-"""Cells handed to Ray for each of its cores: enough to keep it busy, few enough to stay small."""
+"""Experiments handed to Ray for each of its cores: enough to keep it busy, few enough to stay small."""
 PATIENCE = 5.0
 """Seconds that a cluster has to answer."""
 TOKEN = Path.home() / ".ray" / "auth_token"
@@ -38,93 +38,97 @@ Files = dict[str, bytes]
 
 @dataclass(frozen=True, kw_only=True)
 class RayCluster:
-    """Cells on a Ray cluster. Its machines need this package; worlds go to them, results come back.
+    """Experiments on a Ray cluster. Its machines need this package; worlds go to them, results come back.
 
     Attributes:
         address: of the cluster; None = one is started on this machine, and stopped after the sweep.
-        jobs: cells at a time on a cluster of its own; None = one a core.
-        limits: of a cell.
+        jobs: experiments at a time on a cluster of its own; None = one a core.
+        limits: of an experiment.
     """
 
     address: str | None = None
     jobs: int | None = None
     limits: Limits = field(default_factory=Limits)
 
-    def run(self, cells: Sequence[Cell], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
-        """Run cells into folders of `out`.
+    def run(self, experiments: Sequence[Experiment], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
+        """Run experiments into folders of `out`.
 
         Raises:
             ConfigError: Ray is not installed, or no cluster answers at the address.
         """
         with _connected(self.address, self.jobs) as ray:
-            yield from _Flight(ray, self.limits).outcomes(cells, out, progress_of)
+            yield from _Flight(ray, self.limits).outcomes(experiments, out, progress_of)
 
 
 class _Flight:
-    """The cells that Ray has at present."""
+    """The experiments that Ray has at present."""
 
     def __init__(self, ray: Any, limits: Limits) -> None:
         self._ray, self._limits = ray, limits
         self._perform = ray.remote(num_cpus=1, max_retries=RETRIES)(perform_remotely)
         self._room = AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
-        self._stages: dict[Any, Any] = {}
-        self._flying: dict[Any, Cell] = {}
+        self._scenarios: dict[Any, Any] = {}
+        self._flying: dict[Any, Experiment] = {}
 
-    def outcomes(self, cells: Sequence[Cell], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
-        waiting = list(reversed(cells))
+    def outcomes(
+        self, experiments: Sequence[Experiment], out: Path, progress_of: ProgressOf
+    ) -> Iterator[Outcome]:
+        waiting = list(reversed(experiments))
         while waiting or self._flying:
             while waiting and len(self._flying) < self._room:
-                cell = waiting.pop()
+                experiment = waiting.pop()
                 try:
-                    self._start(cell)
+                    self._start(experiment)
                 except Exception as error:
-                    yield outcome_of(error, cell.name)
+                    yield outcome_of(error, experiment.name)
             for done in self._ray.wait(list(self._flying), timeout=1.0)[0]:
-                cell = self._flying.pop(done)
-                outcome = self._collected(done, cell, out)
-                progress_of(cell.name)("judge", 1.0)
+                experiment = self._flying.pop(done)
+                outcome = self._collected(done, experiment, out)
+                progress_of(experiment.name)("evaluate", 1.0)
                 yield outcome
 
-    def _start(self, cell: Cell) -> None:
-        place = cell.place
-        key = (place.source, place.build)
-        if key not in self._stages:
-            # Cells come world by world: the one before is let go, and Ray frees it after its last cell.
-            self._stages = {key: self._ray.put(set_stage(place))}
-        task = self._perform.remote(cell, self._stages[key], self._limits, str(Path.cwd()))
-        self._flying[task] = cell
+    def _start(self, experiment: Experiment) -> None:
+        config = experiment.world_config
+        key = (config.source, config.build)
+        if key not in self._scenarios:
+            # Experiments come world by world: Ray frees the one before after its last experiment.
+            self._scenarios = {key: self._ray.put(build_scenario(config))}
+        task = self._perform.remote(experiment, self._scenarios[key], self._limits, str(Path.cwd()))
+        self._flying[task] = experiment
 
-    def _collected(self, done: Any, cell: Cell, out: Path) -> Outcome:
-        """Write what came back; only here, so that a cell run twice is in the results once."""
+    def _collected(self, done: Any, experiment: Experiment, out: Path) -> Outcome:
+        """Write what came back; only here, so that an experiment run twice is in the results once."""
         try:
             outcome, files = self._ray.get(done)
         except Exception as error:
-            return outcome_of(error, cell.name)
+            return outcome_of(error, experiment.name)
         if not outcome.written:
             return outcome  # type: ignore[no-any-return]
         try:
-            with atomic_folder(out / cell.name) as folder:
+            with atomic_folder(out / experiment.name) as folder:
                 for name, data in files.items():
                     (folder / name).write_bytes(data)
         except OutputError as error:
-            return outcome_of(error, cell.name)
+            return outcome_of(error, experiment.name)
         return outcome  # type: ignore[no-any-return]
 
 
-def perform_remotely(cell: Cell, stage: Stage, limits: Limits, here: str) -> tuple[Outcome, Files]:
-    """Run a cell on a machine of the cluster; return the files that it wrote."""
+def perform_remotely(
+    experiment: Experiment, scenario: Scenario, limits: Limits, here: str
+) -> tuple[Outcome, Files]:
+    """Run an experiment on a machine of the cluster; return the files that it wrote."""
     with suppress(OSError):
         os.chdir(here)  # a mapper of your own lies there, where the machines share a file system
     with tempfile.TemporaryDirectory(prefix="lirs-wct-") as temporary:
         out = Path(temporary)
         if limits.any:
-            engine = Processes(jobs=1, limits=limits, stage=stage, concurrent=True)
-            outcome = next(engine.run([cell], out, lambda name: no_progress))
+            engine = Processes(jobs=1, limits=limits, scenario=scenario, concurrent=True)
+            outcome = next(engine.run([experiment], out, lambda name: no_progress))
         else:
-            stages = StageCache()
-            stages.put(stage)
-            outcome = attempt(cell, out, stages, no_progress, concurrent=True)
-        folder = out / cell.name
+            scenarios = ScenarioCache()
+            scenarios.put(scenario)
+            outcome = attempt(experiment, out, scenarios, no_progress, concurrent=True)
+        folder = out / experiment.name
         files = {p.name: p.read_bytes() for p in folder.iterdir()} if folder.is_dir() else {}
     return outcome, files
 
@@ -144,7 +148,7 @@ def _connected(address: str | None, jobs: int | None) -> Iterator[Any]:
         yield ray
         return
     if address is not None:
-        _knock(address)
+        _probe_address(address)
     own: dict[str, Any] = {"address": "local", "num_cpus": jobs or cores(), "include_dashboard": False}
     try:
         ray.init(
@@ -162,7 +166,7 @@ def _connected(address: str | None, jobs: int | None) -> Iterator[Any]:
         ray.shutdown()
 
 
-def _knock(address: str) -> None:
+def _probe_address(address: str) -> None:
     """Tell at once where nobody listens: Ray itself would try for minutes.
 
     Raises:

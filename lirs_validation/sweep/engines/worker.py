@@ -1,4 +1,4 @@
-"""A process that runs cells for another one, and can be killed without taking anything with it."""
+"""A process that runs experiments for another one, and can be killed without taking anything with it."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from lirs_validation.experiment.scenario import Stage, StageCache
-from lirs_validation.sweep.cell import Cell, attempt
+from lirs_validation.experiment.scenario import Scenario, ScenarioCache
 from lirs_validation.sweep.engines.base import Limits
+from lirs_validation.sweep.experiment import Experiment, attempt
 
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
 """Environment of a worker: as many threads as workers, or they fight for the cores."""
@@ -30,12 +30,12 @@ SPAWN = multiprocessing.get_context("spawn")
 
 @dataclass(frozen=True)
 class Job:
-    """What a worker is asked to do; a stage that was built elsewhere spares it building."""
+    """What a worker is asked to do; a scenario that was built elsewhere spares it building."""
 
-    cell: Cell
+    experiment: Experiment
     out: Path
     concurrent: bool
-    stage: Stage | None = None
+    scenario: Scenario | None = None
 
 
 class Worker:
@@ -54,7 +54,7 @@ class Worker:
         self.job: Job | None = None
         self._since = 0.0
         self._process = SPAWN.Process(target=_work, args=(far, limits.memory, name, os.getpid()), daemon=True)
-        with _environment(ONE_THREAD), _deaf_to_interrupts():
+        with _environment(ONE_THREAD), _ignore_sigint():
             self._process.start()
         far.close()
 
@@ -129,20 +129,20 @@ def _serve(pipe: Connection, memory: float | None, trace: str, parent: int) -> N
     threading.Thread(target=_die_with, args=(parent,), daemon=True).start()
     if memory is not None:
         _limit_memory(memory)
-    stages = StageCache()
+    scenarios = ScenarioCache()
     while True:
         try:
             job: Job = pipe.recv()
         except EOFError:
             return
         pipe.send(("begun",))
-        if job.stage is not None:
-            stages.put(job.stage)
+        if job.scenario is not None:
+            scenarios.put(job.scenario)
 
         def progress(step: str, share: float) -> None:
             pipe.send(("progress", step, share))
 
-        pipe.send(("done", attempt(job.cell, job.out, stages, progress, concurrent=job.concurrent)))
+        pipe.send(("done", attempt(job.experiment, job.out, scenarios, progress, concurrent=job.concurrent)))
 
 
 def _die_with(parent: int) -> None:
@@ -175,7 +175,7 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
+def _ignore_sigint() -> Iterator[None]:
     """Let a process start so that Ctrl-C does not reach it before it can say how it takes it."""
     if threading.current_thread() is not threading.main_thread():
         yield

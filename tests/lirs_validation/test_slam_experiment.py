@@ -1,4 +1,4 @@
-"""A cell of a sweep: which results are kept, what a failed one leaves, the same bytes from every engine."""
+"""A run of a sweep: which results are kept, what a failed one leaves, the same bytes from every engine."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lirs_validation.record.run_record import RunRecord, Status, read_record
 from lirs_validation.sweep.engines.processes import Processes
 from lirs_validation.sweep.engines.serial import Serial
 from lirs_validation.sweep.outcome import Outcome
-from lirs_validation.sweep.run_cell import RunCell
+from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct import BuildOptions
 from lirs_wct.errors import WctError
@@ -26,11 +26,11 @@ TIMES = {"rtf", "cost", "mapper", "versions"}
 """Groups of a record that hold wall times; a developer's code may change while engines run."""
 
 
-def saved(cell: RunCell, out: Path, status: Status = "ok") -> Path:
+def saved(experiment: SlamExperiment, out: Path, status: Status = "ok") -> Path:
     """Write a record as a finished run leaves it; return its file."""
-    record = RunRecord(config=cell.config, world={"name": cell.world}, status=status)
-    record.save(out / cell.name)
-    return out / cell.name / "record.json"
+    record = RunRecord(config=experiment.config, world={"name": experiment.world}, status=status)
+    record.save(out / experiment.name)
+    return out / experiment.name / "record.json"
 
 
 def edited(file: Path, **changes: Any) -> None:
@@ -38,16 +38,16 @@ def edited(file: Path, **changes: Any) -> None:
 
 
 def test_a_finished_run_is_kept(tmp_path: Path) -> None:
-    cell = RunCell(RunConfig(source="simple"))
-    assert cell.finished(tmp_path) is None
-    saved(cell, tmp_path)
-    assert cell.finished(tmp_path) == Outcome(cell=cell.name, status="ok", written=True)
-    assert RunCell(RunConfig(source="simple", seed=2)).finished(tmp_path) is None
+    experiment = SlamExperiment(RunConfig(source="simple"))
+    assert experiment.finished(tmp_path) is None
+    saved(experiment, tmp_path)
+    assert experiment.finished(tmp_path) == Outcome(experiment=experiment.name, status="ok", written=True)
+    assert SlamExperiment(RunConfig(source="simple", seed=2)).finished(tmp_path) is None
 
 
 def test_a_run_of_another_schema_version_or_code_is_not_kept(tmp_path: Path) -> None:
-    cell = RunCell(RunConfig(source="simple"))
-    file = saved(cell, tmp_path)
+    experiment = SlamExperiment(RunConfig(source="simple"))
+    file = saved(experiment, tmp_path)
     versions = json.loads(file.read_text())["versions"]
     for changes in (
         {"schema": 1},
@@ -56,35 +56,35 @@ def test_a_run_of_another_schema_version_or_code_is_not_kept(tmp_path: Path) -> 
         {"versions": None},
         {"config": None},
     ):
-        saved(cell, tmp_path)
+        saved(experiment, tmp_path)
         edited(file, **changes)
-        assert cell.finished(tmp_path) is None, changes
+        assert experiment.finished(tmp_path) is None, changes
     file.write_text('{"schema": 2, "sta')
-    assert cell.finished(tmp_path) is None
+    assert experiment.finished(tmp_path) is None
 
 
 def test_a_run_is_done_again_when_its_picture_changed(tmp_path: Path) -> None:
     picture = tmp_path / "dune.png"
     cv2.imwrite(str(picture), np.eye(9, dtype=np.uint8))
-    cell = RunCell(RunConfig(source=str(picture)))
-    file = saved(cell, tmp_path)
+    experiment = SlamExperiment(RunConfig(source=str(picture)))
+    file = saved(experiment, tmp_path)
     now = picture.stat().st_ctime
     os.utime(file, (now + 10, now + 10))
-    assert cell.finished(tmp_path) is not None
+    assert experiment.finished(tmp_path) is not None
     os.utime(picture, (now + 20, now + 20))
-    assert cell.finished(tmp_path) is None
+    assert experiment.finished(tmp_path) is None
 
 
 def test_a_run_that_hit_a_wall_limit_counts_for_that_limit_only(tmp_path: Path) -> None:
-    cell = RunCell(RunConfig(source="simple", wall_limit=60.0))
-    saved(cell, tmp_path, "wall limit")
-    assert cell.finished(tmp_path) is not None
+    experiment = SlamExperiment(RunConfig(source="simple", wall_limit=60.0))
+    saved(experiment, tmp_path, "wall limit")
+    assert experiment.finished(tmp_path) is not None
     for limit in (None, 90.0):
-        other = RunCell(replace(cell.config, wall_limit=limit))
-        assert other.name == cell.name
+        other = SlamExperiment(replace(experiment.config, wall_limit=limit))
+        assert other.name == experiment.name
         assert other.finished(tmp_path) is None
-    saved(cell, tmp_path, "ok")
-    assert RunCell(replace(cell.config, wall_limit=None)).finished(tmp_path) is not None
+    saved(experiment, tmp_path, "ok")
+    assert SlamExperiment(replace(experiment.config, wall_limit=None)).finished(tmp_path) is not None
 
 
 def test_the_digest_tells_experiments_apart_and_no_more() -> None:
@@ -97,14 +97,16 @@ def test_the_digest_tells_experiments_apart_and_no_more() -> None:
 
 
 def test_a_failure_leaves_a_record_without_figures(tmp_path: Path) -> None:
-    cell = RunCell(RunConfig(source="simple", mapper="their.slam:Slam"))
-    assert cell.name.startswith("simple-husky-Slam-s1-")
-    cell.write_failure(tmp_path, Outcome(cell=cell.name, status="error", reason="it broke", trace="line 7"))
-    record = read_record(tmp_path / cell.name)
+    experiment = SlamExperiment(RunConfig(source="simple", mapper="their.slam:Slam"))
+    assert experiment.name.startswith("simple-husky-Slam-s1-")
+    experiment.write_failure(
+        tmp_path, Outcome(experiment=experiment.name, status="error", reason="it broke", trace="line 7")
+    )
+    record = read_record(tmp_path / experiment.name)
     assert (record["status"], record["reason"]) == ("error", "it broke")
     groups = ("rtf", "trajectory", "map", "collisions", "mapper", "cost")
     assert [record[group] for group in groups] == [{}] * 6
-    assert (tmp_path / cell.name / "error.txt").read_text() == "line 7"
+    assert (tmp_path / experiment.name / "error.txt").read_text() == "line 7"
 
 
 def test_the_name_is_known_before_the_world_is_built(tmp_path: Path) -> None:
@@ -114,19 +116,21 @@ def test_the_name_is_known_before_the_world_is_built(tmp_path: Path) -> None:
     cv2.imwrite(str(picture), np.tile(np.arange(33, dtype=np.uint8), (33, 1)))
     for options in (BuildOptions(), BuildOptions(name="other")):
         world = build_world(picture, options)
-        assert RunCell(RunConfig(source=str(picture), build=options)).world == world.name
+        assert SlamExperiment(RunConfig(source=str(picture), build=options)).world == world.name
         world.save(tmp_path / "folder")
         for again in (BuildOptions(), BuildOptions(name="third")):
             source = str(tmp_path / "folder")
-            assert RunCell(RunConfig(source=source, build=again)).world == build_world(source, again).name
+            assert (
+                SlamExperiment(RunConfig(source=source, build=again)).world == build_world(source, again).name
+            )
 
 
 @pytest.mark.slow
 def test_engines_give_the_same_bytes(tmp_path: Path) -> None:
-    cell = RunCell(RunConfig(source="medium", mapper="gmapping", seconds=4.0))
+    experiment = SlamExperiment(RunConfig(source="medium", mapper="gmapping", seconds=4.0))
     for name, engine in (("a", Serial()), ("b", Processes(jobs=1))):
-        assert [o.status for o in Sweep([cell], tmp_path / name).run(engine)] == ["ok"]
-    a, b = tmp_path / "a" / cell.name, tmp_path / "b" / cell.name
+        assert [o.status for o in Sweep([experiment], tmp_path / name).run(engine)] == ["ok"]
+    a, b = tmp_path / "a" / experiment.name, tmp_path / "b" / experiment.name
     assert {p.name for p in a.iterdir()} == {p.name for p in b.iterdir()}
     for file in a.iterdir():
         if file.name not in ("record.json", "rtf.csv", "overview.png"):
@@ -144,11 +148,11 @@ def test_engines_give_the_same_bytes(tmp_path: Path) -> None:
 
 def test_a_single_cell_with_a_bad_source_says_so_and_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / "cut.png").write_bytes(b"\x89PNG\r\n\x1a\n")
-    cell = RunCell(RunConfig(source=str(tmp_path / "cut.png")))
+    experiment = SlamExperiment(RunConfig(source=str(tmp_path / "cut.png")))
     with pytest.raises(WctError, match=r"cut\.png: "):
-        list(Sweep([cell], tmp_path / "out").run(Serial()))
+        list(Sweep([experiment], tmp_path / "out").run(Serial()))
     assert not (tmp_path / "out").exists()
-    both = [cell, RunCell(replace(cell.config, seed=2))]
+    both = [experiment, SlamExperiment(replace(experiment.config, seed=2))]
     sweep = Sweep(both, tmp_path / "out")
     assert [outcome.status for outcome in sweep.run(Serial())] == ["error", "error"]
-    assert "cut.png: " in read_record(tmp_path / "out" / cell.name)["reason"]
+    assert "cut.png: " in read_record(tmp_path / "out" / experiment.name)["reason"]

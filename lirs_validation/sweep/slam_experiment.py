@@ -1,4 +1,4 @@
-"""A cell that drives, maps and judges: one validation run."""
+"""An experiment that drives, maps and evaluates: one validation run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import RunConfig, run_name
 from lirs_validation.experiment.mapper_loading import mapper_named, source_file
 from lirs_validation.experiment.run import run
-from lirs_validation.experiment.scenario import StageCache
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.run_record import RunRecord, read_record
 from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.staleness import is_older, same_code, world_files
@@ -24,7 +24,7 @@ from lirs_wct.sources.source import SourceKind, find_source
 
 
 @dataclass(frozen=True)
-class RunCell:
+class SlamExperiment:
     """One validation run of a sweep.
 
     Attributes:
@@ -46,7 +46,7 @@ class RunCell:
         return run_name(self.config, self.world)
 
     @property
-    def place(self) -> RunConfig:
+    def world_config(self) -> RunConfig:
         """The config itself."""
         return self.config
 
@@ -55,10 +55,14 @@ class RunCell:
         _check_names(self.config.robot, self.config.lidar, self.config.mapper)
         world_name(self.config)
 
-    def perform(self, out: Path, stages: StageCache, progress: Progress, *, concurrent: bool) -> Outcome:
+    def perform(
+        self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
+    ) -> Outcome:
         """Run the config and write its folder."""
-        record = run(self.config, out=out, progress=progress, stages=stages, concurrent=concurrent).record
-        return Outcome(cell=self.name, status=record.status, reason=record.reason, written=True)
+        record = run(
+            self.config, out=out, progress=progress, scenarios=scenarios, concurrent=concurrent
+        ).record
+        return Outcome(experiment=self.name, status=record.status, reason=record.reason, written=True)
 
     def write_failure(self, out: Path, outcome: Outcome) -> None:
         """Write a record without figures, and where the run failed."""
@@ -82,7 +86,7 @@ class RunCell:
             return None
         if status == "wall limit" and limit != self.config.wall_limit:
             return None
-        return Outcome(cell=self.name, status=status, reason=reason, written=True)
+        return Outcome(experiment=self.name, status=status, reason=reason, written=True)
 
     def described(self) -> dict[str, Any]:
         """Return name, world and config, and the parts of the suite."""

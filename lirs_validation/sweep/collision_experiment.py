@@ -1,4 +1,4 @@
-"""A cell that checks contacts: one collision validation."""
+"""An experiment that checks contacts: one collision validation."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import RunConfig, run_name
-from lirs_validation.experiment.scenario import StageCache
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.provenance import versions
 from lirs_validation.sweep.outcome import Outcome
-from lirs_validation.sweep.run_cell import world_name
+from lirs_validation.sweep.slam_experiment import world_name
 from lirs_validation.sweep.staleness import is_older, same_code, world_files
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import SourceError
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from lirs_validation.collision.validation import CollisionVerdict
 
 STATUS = "cell.json"
-"""How the cell ended, and which code says so."""
+"""How the experiment ended, and which code says so."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class CollisionCell:
+class CollisionExperiment:
     """The collision validation of a robot in a world.
 
     Attributes:
@@ -47,10 +47,10 @@ class CollisionCell:
     @property
     def name(self) -> str:
         """Name of its folder."""
-        return run_name(self.place, world_name(self.place))
+        return run_name(self.world_config, world_name(self.world_config))
 
     @property
-    def place(self) -> RunConfig:
+    def world_config(self) -> RunConfig:
         """A config that stands for the world, and for the name: `collisions` drives in the mapper's place."""
         return RunConfig(
             source=self.source,
@@ -64,46 +64,50 @@ class CollisionCell:
     def check(self) -> None:
         """Look for source and robot."""
         make_robot(self.robot)
-        world_name(self.place)
+        world_name(self.world_config)
 
-    def perform(self, out: Path, stages: StageCache, progress: Progress, *, concurrent: bool) -> Outcome:
-        """Check the contacts; a figure over its limit is a finding, and no failure of the cell."""
+    def perform(
+        self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
+    ) -> Outcome:
+        """Check the contacts; a figure over its limit is a finding, and no failure of the experiment."""
         from lirs_validation.collision.files import write_verdicts
         from lirs_validation.collision.validation import check_collisions
 
         progress("build", 0.0)
-        world = stages.stage(self.place).world
+        world = scenarios.scenario(self.world_config).world
         progress("collide", 0.0)
         verdict = check_collisions(
             world, make_robot(self.robot), terrain=self.terrain, seconds=self.seconds, seed=self.seed
         )
-        outcome = Outcome(cell=self.name, status="ok", written=True)
+        outcome = Outcome(experiment=self.name, status="ok", written=True)
         with atomic_folder(out / self.name) as folder:
             write_verdicts(folder, [verdict])
             self._write_status(folder, outcome)
         return outcome
 
     def write_failure(self, out: Path, outcome: Outcome) -> None:
-        """Write how the cell failed, and where."""
+        """Write how the experiment failed, and where."""
         with atomic_folder(out / self.name) as folder:
             self._write_status(folder, outcome)
             (folder / "error.txt").write_text(outcome.trace or outcome.reason, encoding="utf-8")
 
     def finished(self, out: Path) -> Outcome | None:
-        """Return how the cell ended, if this code wrote it after the source changed last."""
+        """Return how the experiment ended, if this code wrote it after the source changed last."""
         path = out / self.name / STATUS
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
             status, reason, written_by = found["status"], found["reason"], found["versions"]
         except (OSError, ValueError, KeyError, TypeError):
             return None
-        if not same_code(written_by) or is_older(path, world_files(self.place)):
+        if not same_code(written_by) or is_older(path, world_files(self.world_config)):
             return None
-        return Outcome(cell=self.name, status=status, reason=reason, written=True)
+        return Outcome(experiment=self.name, status=status, reason=reason, written=True)
 
     def described(self) -> dict[str, Any]:
         """Return name and config."""
-        return {"name": self.name, "world": world_name(self.place), "tables": ["collisions"]} | asdict(self)
+        return {"name": self.name, "world": world_name(self.world_config), "tables": ["collisions"]} | asdict(
+            self
+        )
 
     def _write_status(self, folder: Path, outcome: Outcome) -> None:
         entry = {"status": outcome.status, "reason": outcome.reason, "versions": versions()}
@@ -112,7 +116,7 @@ class CollisionCell:
 
 
 def read_verdict(folder: Path) -> CollisionVerdict:
-    """Read the verdict that a cell wrote.
+    """Read the verdict that an experiment wrote.
 
     Raises:
         SourceError: it is missing or damaged.

@@ -1,4 +1,4 @@
-"""Cells that take no time, and cells that behave badly in every way that a mapper can."""
+"""Experiments that take no time, and experiments that behave badly in every way that a mapper can."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.scenario import StageCache
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.sweep.outcome import Outcome
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import Progress
@@ -22,8 +22,8 @@ Manner = Literal[
 
 
 @dataclass(frozen=True)
-class FakeCell:
-    """A cell that notes in `notes` that it was run, by whom, and then behaves as it is told to."""
+class FakeExperiment:
+    """An experiment that notes in `notes` that it was run, by whom, and then behaves as it is told to."""
 
     name: str
     notes: str
@@ -31,7 +31,7 @@ class FakeCell:
     seconds: float = 0.0
 
     @property
-    def place(self) -> RunConfig:
+    def world_config(self) -> RunConfig:
         return RunConfig(source="simple")
 
     @property
@@ -43,7 +43,9 @@ class FakeCell:
     def check(self) -> None:
         return
 
-    def perform(self, out: Path, stages: StageCache, progress: Progress, *, concurrent: bool) -> Outcome:
+    def perform(
+        self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
+    ) -> Outcome:
         first = not self.runs
         with (Path(self.notes) / self.name).open("a") as file:
             file.write(f"{os.getpid()}\n")
@@ -52,7 +54,7 @@ class FakeCell:
         with atomic_folder(out / self.name) as folder:
             (folder / "result").write_text(f"{self.name} {concurrent}")
             self._behave(first)
-        return Outcome(cell=self.name, status="ok", written=True)
+        return Outcome(experiment=self.name, status="ok", written=True)
 
     def _behave(self, first: bool) -> None:
         match self.manner:
@@ -78,10 +80,10 @@ class FakeCell:
     def finished(self, out: Path) -> Outcome | None:
         folder = out / self.name
         if (folder / "result").exists():
-            return Outcome(cell=self.name, status="ok", written=True)
+            return Outcome(experiment=self.name, status="ok", written=True)
         if (folder / "failed").exists():
             status, reason = (folder / "failed").read_text().splitlines()[:2]
-            return Outcome(cell=self.name, status=status, reason=reason, written=True)  # type: ignore[arg-type]
+            return Outcome(experiment=self.name, status=status, reason=reason, written=True)  # type: ignore[arg-type]
         return None
 
     def described(self) -> dict[str, Any]:
