@@ -47,14 +47,16 @@ def check_start(start: object) -> None:
         raise ConfigError(f"a start pose must be finite, got {start}")
 
 
-def check_fit(world: object, robot: Robot) -> None:
+def check_fit(world: object, robot: object) -> None:
     """Check that a robot fits into a world.
 
     Raises:
-        ConfigError: it is no world, or smaller than the robot.
+        ConfigError: they are no world and no robot, or the world is smaller than the robot.
     """
     if not isinstance(world, World):
         raise ConfigError(f"world must be of type World, got {world!r}")
+    if not isinstance(robot, Robot):
+        raise ConfigError(f"robot must be of type Robot, got {robot!r}")
     if min(world.surface.size) < 2 * robot.radius:
         width, depth = world.surface.size
         raise ConfigError(

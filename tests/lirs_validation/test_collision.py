@@ -259,7 +259,7 @@ def test_bad_arguments(blocks: World) -> None:
     ):
         with pytest.raises(ConfigError, match=words):
             check_collisions(blocks, robot, **options)
-    with pytest.raises(ConfigError, match="robot must be a Robot"):
+    with pytest.raises(ConfigError, match="robot must be of type Robot"):
         check_collisions(blocks, "husky")  # type: ignore[arg-type]
 
 
