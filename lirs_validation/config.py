@@ -65,7 +65,7 @@ class RunConfig:
 
     @property
     def digest(self) -> str:
-        """Eight hex digits that tell this experiment from others.
+        """Eight hex digits that distinguish this experiment from others.
 
         The wall limit is left out: it says how long one waits, not what is tried.
         """
@@ -121,7 +121,7 @@ class MapConfig:
             require_above(self, 0, "range_max", unit="m", finite=True)
 
     def digest(self, content: bytes) -> str:
-        """Return eight hex digits that tell this map from others.
+        """Return eight hex digits that distinguish this map from others.
 
         Args:
             content: of the log. Its path is left out, and what the map is only evaluated by.

@@ -18,7 +18,7 @@ from lirs_validation.sweep.manifest import NAME as MANIFEST
 from lirs_wct.errors import SourceError
 
 Entry = Mapping[str, Any]
-WORDS = ("world", "robot", "terrain", "diverged")
+TEXTS = ("world", "robot", "terrain", "diverged")
 """Of a collision verdict, what is not a number."""
 
 
@@ -109,13 +109,13 @@ def _failure(path: Path) -> str | None:
 
 
 def _sane(folder: Path, verdict: CollisionVerdict) -> CollisionVerdict:
-    """Return a verdict whose figures are numbers.
+    """Return a verdict whose values are numbers.
 
     Raises:
         SourceError: one is not.
     """
     for name, value in vars(verdict).items():
-        if not isinstance(value, (str, int, float, NoneType)) or isinstance(value, str) != (name in WORDS):
+        if not isinstance(value, (str, int, float, NoneType)) or isinstance(value, str) != (name in TEXTS):
             raise SourceError(f"{folder / 'collisions.json'}: damaged: {name} is {value!r}")
     return verdict
 

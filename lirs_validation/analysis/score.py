@@ -1,4 +1,4 @@
-"""Scoring what another program made of a run's recorded scans, by the figures of the run's own record."""
+"""Scoring what another program made of a run's recorded scans, by the metrics of the run's own record."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def score(
         trajectory: TUM file, poses of base_link at stamps of the run.
         map_yaml: ROS map.
         frame: of both: `map`, whose origin is the first base pose; `world`, as the run's own files; `auto`:
-            told by where the trajectory begins, `map` without one.
+            found by where the trajectory begins, `map` without one.
 
     Raises:
         SourceError: a file cannot be read, or does not fit the run: stamps, frame, place.
@@ -105,13 +105,13 @@ def frame_of(path: Path, estimate: Trajectory, truth: Trajectory, frame: Frame) 
     fits = [name for name, pose in there.items() if _near(first, pose, driven)]
     if frame in fits or (frame == "auto" and fits):
         return "map" if (frame if frame in fits else fits[0]) == "map" else "world"
-    told = " or ".join(
-        f"{_told(pose)} in the {name} frame" for name, pose in there.items() if frame in ("auto", name)
+    places = " or ".join(
+        f"{_formatted(pose)} in the {name} frame" for name, pose in there.items() if frame in ("auto", name)
     )
     hint = f"; it fits the {fits[0]} frame: --frame {fits[0]}" if fits else ""
     raise SourceError(
-        f"{path}: another frame: at {estimate.stamps[j[0]]:.2f} s it begins at {_told(first)}, where the run "
-        f"was at {told}; the map frame's origin is the first base pose{hint}"
+        f"{path}: another frame: at {estimate.stamps[j[0]]:.2f} s it begins at {_formatted(first)}, where "
+        f"the run was at {places}; the map frame's origin is the first base pose{hint}"
     )
 
 
@@ -119,7 +119,7 @@ def _near(a: Pose2, b: Pose2, driven: float) -> bool:
     return a.distance(b) <= NEAR + NEAR_SHARE * driven and abs(wrap_angle(a.yaw - b.yaw)) <= NEAR_YAW
 
 
-def _told(pose: Pose2) -> str:
+def _formatted(pose: Pose2) -> str:
     return f"({pose.x:.2f}, {pose.y:.2f}) m, {math.degrees(pose.yaw):.0f} deg"
 
 

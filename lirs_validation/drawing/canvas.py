@@ -10,8 +10,11 @@ from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.geometry.walls import WallGrid
 
+MARGIN = 1.0
+"""Metres shown around paths and what maps know."""
 FREE_SHADE, UNKNOWN_SHADE = 1.0, 0.80
 """Gray of what is known to be free, and of what nobody knows."""
 
@@ -95,6 +98,18 @@ class Canvas:
         shade[self.known(grid)] = FREE_SHADE
         shade[self.occupied(grid)] = 0.0
         return np.repeat(shade[..., None], 3, axis=-1)
+
+
+def bounds_shown(path: Trajectory, grid: OccupancyGrid) -> tuple[float, float, float, float]:
+    """Return west, south, east, north of a path and of what a map knows, with a margin, metres."""
+    boxes = [(*path.xy.min(axis=0).tolist(), *path.xy.max(axis=0).tolist())]
+    known = bounds_of(grid)
+    if known is not None:
+        boxes.append(known)
+    seen = np.array(boxes)
+    west, south = (seen[:, :2].min(axis=0) - MARGIN).tolist()
+    east, north = (seen[:, 2:].max(axis=0) + MARGIN).tolist()
+    return west, south, east, north
 
 
 def bounds_of(grid: OccupancyGrid) -> tuple[float, float, float, float] | None:

@@ -1,4 +1,4 @@
-"""Relief in a picture: hillshade, walls, heights in colour."""
+"""Heights in a picture: hillshade, walls, heights in color."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FLOOR, BEYOND = (0.97, 0.97, 0.96), (0.84, 0.84, 0.85)
 """A laser map's free floor, and what it does not know."""
 
 
-def height_colours() -> Colormap:
+def height_colors() -> Colormap:
     """Return a light scale from low (slate) to high (sand); brightness rises with it, for every eye."""
     return LinearSegmentedColormap.from_list("relief", ["#7d97a5", "#a9b5ac", "#d3cfb4", "#f6e8c6"])
 
@@ -28,7 +28,7 @@ def height_colours() -> Colormap:
 def hillshade(
     surface: HeightField, walls: WallGrid | None = None, canvas: Canvas | None = None
 ) -> FloatArray:
-    """Return (rows, cols, 3) a gray relief in [0, 1], row 0 = north; walls dark.
+    """Return (rows, cols, 3) a gray hillshade in [0, 1], row 0 = north; walls dark.
 
     Lambertian shading (Horn, "Hill shading and the reflectance map", Proc. IEEE 1981); heights are
     exaggerated until the ground's typical slope is visible.
@@ -44,7 +44,7 @@ def hillshade(
     return _with_walls(rgb, walls, canvas)
 
 
-def coloured_relief(world: World, canvas: Canvas) -> FloatArray:
+def shaded_heights(world: World, canvas: Canvas) -> FloatArray:
     """Return (rows, cols, 3) a hillshade tinted by height; of a laser map, its floor and what is unknown."""
     surface = world.surface
     z = canvas.heights(surface)
@@ -52,7 +52,7 @@ def coloured_relief(world: World, canvas: Canvas) -> FloatArray:
         rgb = np.where(canvas.known(world.truth)[..., None], FLOOR, BEYOND)
     else:
         low, high = float(surface.z.min()), float(surface.z.max())
-        tint = height_colours()((np.nan_to_num(z, nan=low) - low) / max(high - low, 1e-9))[..., :3]
+        tint = height_colors()((np.nan_to_num(z, nan=low) - low) / max(high - low, 1e-9))[..., :3]
         rgb = np.clip(tint * (0.42 + 0.78 * shading(z, canvas.pixel)[..., None]), 0, 1)
     return _with_walls(rgb, world.walls, canvas)
 

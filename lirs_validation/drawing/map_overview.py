@@ -1,4 +1,4 @@
-"""The picture of a mapped log: the map with the path in it, what is known of the errors, figures."""
+"""The picture of a mapped log: the map with the path in it, what is known of the errors, metrics."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from lirs_validation.drawing.canvas import Canvas, bounds_of
+from lirs_validation.drawing.canvas import Canvas, bounds_shown
 from lirs_validation.drawing.style import (
     BLACK,
     BLUE,
@@ -31,12 +31,10 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory
 
-MARGIN = 1.0
-"""Metres shown around what the map knows."""
 WIDTH = 6.4
 """Of the map, inches."""
 LEAST_PLOTS = 2
-"""Plots for which room is left under the figures."""
+"""Plots for which room is left under the metrics."""
 
 
 def map_overview(
@@ -49,13 +47,13 @@ def map_overview(
     """Draw a mapped log on one page.
 
     Args:
-        record: its figures.
+        record: its metrics.
         grid: the map.
         estimate: pose of every scan in the map.
         reference: in its own frame.
         accuracy: errors pose by pose; what was not asked for is not drawn.
     """
-    canvas = Canvas.over(_shown(grid, estimate))
+    canvas = Canvas.over(bounds_shown(estimate, grid))
     rows, cols = canvas.shape
     plots = _plots(record, accuracy)
     tall = max(WIDTH * min(max(rows / cols, 0.4), 1.6), 3.6)
@@ -69,22 +67,10 @@ def map_overview(
     _map(figure.add_subplot(halves[0]), canvas, grid, estimate, _moved(reference, accuracy))
     rows = max(len(plots), LEAST_PLOTS)
     cells = halves[1].subgridspec(1 + rows, 1, height_ratios=(1.5, *[1.0] * rows))
-    _figures(figure.add_subplot(cells[0]), record)
+    _metrics(figure.add_subplot(cells[0]), record)
     for k, (name, unit, stamps, errors) in enumerate(plots, start=1):
         _errors(figure.add_subplot(cells[k]), name, unit, stamps - estimate.stamps[0], errors)
     return figure
-
-
-def _shown(grid: OccupancyGrid, estimate: Trajectory) -> tuple[float, float, float, float]:
-    """Return west, south, east, north of the path and of what the map knows, metres."""
-    boxes = [(*estimate.xy.min(axis=0).tolist(), *estimate.xy.max(axis=0).tolist())]
-    known = bounds_of(grid)
-    if known is not None:
-        boxes.append(known)
-    box = np.array(boxes)
-    west, south = (box[:, :2].min(axis=0) - MARGIN).tolist()
-    east, north = (box[:, 2:].max(axis=0) + MARGIN).tolist()
-    return west, south, east, north
 
 
 def _plots(record: MapRecord, accuracy: Accuracy) -> list[tuple[str, str, FloatArray, FloatArray]]:
@@ -95,8 +81,8 @@ def _plots(record: MapRecord, accuracy: Accuracy) -> list[tuple[str, str, FloatA
         ate = record.accuracy["reference"]["ate_rmse"]
         plots.append((f"Against the reference (RMSE {ate:.3f} m)", "m", reference.stamps, reference.position))
     if constraints is not None and len(constraints.stamps):
-        told = record.accuracy["relations"]
-        mean, turn = told["translation_mean"], told["rotation_mean_deg"]
+        errors = record.accuracy["relations"]
+        mean, turn = errors["translation_mean"], errors["rotation_mean_deg"]
         plots.append((f"Of relations (mean {mean:.3f} m)", "m", constraints.stamps, constraints.translation))
         plots.append(
             (
@@ -138,8 +124,8 @@ def _map(
     legend(axes, handles)
 
 
-def _figures(axes: Axes, record: MapRecord) -> None:
-    """Write the figures, name to the left and value to the right."""
+def _metrics(axes: Axes, record: MapRecord) -> None:
+    """Write the metrics, name to the left and value to the right."""
     axes.set_axis_off()
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1)

@@ -30,8 +30,8 @@ def oblique_view(
 
     Args:
         z: (rows, cols) metres, row 0 = north; NaN where there is no ground.
-        tops: (rows, cols, 3) colours of what lies about level.
-        sides: (rows, cols, 3) colours of faces that rise towards the north.
+        tops: (rows, cols, 3) colors of what lies about level.
+        sides: (rows, cols, 3) colors of faces that rise towards the north.
         canvas: where these pixels lie.
         exaggeration: of the heights.
         tilt: angle by which the viewer looks down, radians.

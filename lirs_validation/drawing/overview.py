@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from lirs_validation.drawing.canvas import Canvas, bounds_of
-from lirs_validation.drawing.hillshade import coloured_relief
+from lirs_validation.drawing.canvas import MARGIN, Canvas, bounds_shown
+from lirs_validation.drawing.hillshade import shaded_heights
 from lirs_validation.drawing.style import (
     BLACK,
     BLUE,
@@ -25,6 +25,7 @@ from lirs_validation.drawing.style import (
     map_axes,
     new_figure,
     plain_axes,
+    rgb,
     title,
 )
 from lirs_validation.metrics.agreement import contradicted
@@ -33,9 +34,6 @@ from lirs_validation.record.run_record import SUCCEEDED, RunRecord
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.world import World
-
-MARGIN = 1.0
-"""Metres shown around what the maps know."""
 
 
 def overview_figure(
@@ -86,18 +84,6 @@ def shown_bounds(
     return west, south, east, north
 
 
-def bounds_shown(truth: Trajectory, true_pose: OccupancyGrid) -> tuple[float, float, float, float]:
-    """Return west, south, east, north of path and map with a margin, metres."""
-    boxes = [(*truth.xy.min(axis=0).tolist(), *truth.xy.max(axis=0).tolist())]
-    known = bounds_of(true_pose)
-    if known is not None:
-        boxes.append(known)
-    seen = np.array(boxes)
-    west, south = (seen[:, :2].min(axis=0) - MARGIN).tolist()
-    east, north = (seen[:, 2:].max(axis=0) + MARGIN).tolist()
-    return west, south, east, north
-
-
 def _headline(record: RunRecord) -> str:
     c = record.config
     text = f"{record.world['name']}: {c.robot} maps with {c.mapper}, seed {c.seed}"
@@ -107,7 +93,7 @@ def _headline(record: RunRecord) -> str:
 
 
 def _terrain(axes: Axes, world: World, canvas: Canvas, truth: Trajectory, estimate: Trajectory) -> None:
-    map_axes(axes, canvas, coloured_relief(world, canvas))
+    map_axes(axes, canvas, shaded_heights(world, canvas))
     axes.set_anchor("N")
     axes.plot(*truth.xy.T, color=BLUE, linewidth=2.6, solid_capstyle="round", zorder=4)
     axes.plot(*estimate.xy.T, color=VERMILLION, linewidth=1.1, zorder=5)
@@ -138,15 +124,11 @@ def _built(axes: Axes, canvas: Canvas, built: OccupancyGrid, true_pose: Occupanc
     """Show the built map; what the true-pose map contradicts by more than 0.10 m stands out."""
     picture = canvas.grid_picture(built)
     wrong = contradicted(built, true_pose)
-    picture[canvas.marked(wrong, built.resolution, built.origin)] = _rgb(VERMILLION)
+    picture[canvas.marked(wrong, built.resolution, built.origin)] = rgb(VERMILLION)
     map_axes(axes, canvas, picture)
     title(axes, "Built map")
     handles = [Patch(color="black", label="occupied"), Patch(color=VERMILLION, label="> 0.10 m off")]
     legend(axes, handles)
-
-
-def _rgb(colour: str) -> tuple[float, ...]:
-    return tuple(int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5))
 
 
 def _rtf(axes: Axes, rtf: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""One look for all pictures: fonts, colours that colour-blind readers tell apart, axes in metres."""
+"""One look for all pictures: fonts, colors that color-blind readers distinguish, axes in metres."""
 
 from __future__ import annotations
 
@@ -16,7 +16,13 @@ TITLE, TEXT, SMALL = 10.5, 9.0, 8.0
 """Font sizes, points."""
 
 BLUE, VERMILLION, GREEN, BLACK, GRAY = "#0072B2", "#D55E00", "#009E73", "#1a1a1a", "#6b6b6b"
-"""Okabe and Ito's colours: told apart with every kind of colour blindness, and in gray."""
+"""Okabe and Ito's colors: distinct with every kind of color blindness, and in gray."""
+
+
+def rgb(color: str) -> tuple[float, float, float]:
+    """Return red, green and blue in [0, 1] of `#rrggbb`."""
+    red, green, blue = (int(color[k : k + 2], 16) / 255 for k in (1, 3, 5))
+    return red, green, blue
 
 
 def title(axes: Axes, text: str) -> None:

@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
 from lirs_validation.drawing.canvas import Canvas
-from lirs_validation.drawing.hillshade import WALL, coloured_relief, height_colours
+from lirs_validation.drawing.hillshade import WALL, height_colors, shaded_heights
 from lirs_validation.drawing.oblique import oblique_view
 from lirs_validation.drawing.style import (
     BLACK,
@@ -37,14 +37,14 @@ WALL_TOP, WALL_SIDE = (0.47, 0.50, 0.56), (0.30, 0.32, 0.38)
 def view_figure(world: World) -> Figure:
     """Draw a world from above and at an angle, with its start poses; no OpenGL, no pyplot."""
     canvas = Canvas.over(world.surface.bounds)
-    relief = coloured_relief(world, canvas)
+    shaded = shaded_heights(world, canvas)
     exaggeration = _exaggeration(world)
     block = block_picture(world, canvas)
     rows, cols = canvas.shape
     taller = max(5.1 * rows / cols, 5.6 * block.shape[0] / block.shape[1])
     figure = new_figure(12.0, 0.9 + min(taller, 9.0))
     above, oblique = figure.subplots(1, 2, gridspec_kw={"width_ratios": (1, 1.1)})
-    map_axes(above, canvas, relief)
+    map_axes(above, canvas, shaded)
     _starts(above, world)
     width, depth = world.surface.size
     above_title = f"{world.name}, {width:g} m x {depth:g} m"
@@ -65,15 +65,15 @@ def view_figure(world: World) -> Figure:
 def block_picture(world: World, canvas: Canvas) -> FloatArray:
     """Return (rows, cols, 4) the world as a block seen at an angle; transparent around it."""
     tilt = math.radians(35 if world.walls is None else 50)
-    tops, sides = _block_colours(world, canvas, coloured_relief(world, canvas))
+    tops, sides = _block_colors(world, canvas, shaded_heights(world, canvas))
     return oblique_view(
         _standing(world, canvas), tops, sides, canvas, exaggeration=_exaggeration(world), tilt=tilt
     )
 
 
-def _block_colours(world: World, canvas: Canvas, relief: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (rows, cols, 3) colours of what lies level and of faces that rise, for the oblique view."""
-    tops = relief.copy()
+def _block_colors(world: World, canvas: Canvas, shaded: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (rows, cols, 3) colors of what lies level and of faces that rise, for the oblique view."""
+    tops = shaded.copy()
     if world.walls is not None:
         tops[canvas.walls(world.walls)] = WALL_TOP
         return tops, np.broadcast_to(np.array(WALL_SIDE), tops.shape)
@@ -82,7 +82,7 @@ def _block_colours(world: World, canvas: Canvas, relief: FloatArray) -> tuple[Fl
     steepness = np.hypot(north, east)
     low = float(world.surface.z.min())
     summit = cv2.dilate(z, np.ones((7, 7)))
-    tint = height_colours()((summit - low) / max(world.surface.relief, 1e-9))[..., :3]
+    tint = height_colors()((summit - low) / max(world.surface.relief, 1e-9))[..., :3]
     # Faces that fall to the west are lit, those that fall to the south lie in shade.
     facing_west = east / np.maximum(steepness, 1e-6)
     # Under the rim of a face the hillshade is dark, which would fray its upper edge.
@@ -131,11 +131,11 @@ def _exaggeration(world: World) -> float:
 
 
 def _height_scale(figure: Figure, axes: Axes, world: World) -> None:
-    """Add the colour scale of the heights, where there are heights."""
+    """Add the color scale of the heights, where there are heights."""
     if world.surface.relief <= 0:
         return
     limits = Normalize(float(world.surface.z.min()), float(world.surface.z.max()))
-    bar = figure.colorbar(ScalarMappable(limits, height_colours()), ax=axes, shrink=0.6, aspect=28, pad=0.01)
+    bar = figure.colorbar(ScalarMappable(limits, height_colors()), ax=axes, shrink=0.6, aspect=28, pad=0.01)
     plain_axes(bar.ax, "", "")
     bar.set_label("height [m]", fontsize=TEXT)
     bar.outline.set_visible(False)

@@ -17,7 +17,7 @@ from lirs_validation.logs.mapped_log import MappedLog
 from lirs_validation.logs.reference import read_reference
 from lirs_validation.metrics.accuracy import trajectory_accuracy
 from lirs_validation.metrics.relative_pose_constraints import RelativePoseConstraint, read_constraints
-from lirs_validation.record.map_record import MapRecord, log_figures, map_figures
+from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
@@ -95,8 +95,8 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
         name=name,
         config=config,
         status="lost" if mapper.lost else "ok",
-        log=log_figures(log),
-        map=map_figures(grid),
+        log=describe_log(log),
+        map=describe_map(grid),
         mapper=asdict(final_stats(mapper)),
         accuracy=accuracy.metrics(),
         cost=cost,

@@ -97,8 +97,8 @@ def nearest_occupied(asked: OccupancyGrid, other: OccupancyGrid) -> tuple[IntArr
 def decided(grid: OccupancyGrid) -> OccupancyGrid:
     """Return what a map file says of the cells: occupied, free, and all else unknown.
 
-    A map is judged by this, so that one read from a file, of whatever program, is judged like one in
-    memory: a cell that a mapper saw and is in two minds about is unknown in both.
+    A map is evaluated by this, so that one read from a file, of whatever program, is evaluated like one in
+    memory: a cell that a mapper saw and did not decide is unknown in both.
     """
     log_odds = np.where(grid.occupied | grid.free, grid.log_odds, np.float32(np.nan))
     return replace(grid, log_odds=log_odds)

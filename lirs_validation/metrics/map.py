@@ -1,7 +1,7 @@
 """How well a built map agrees with a reference map, and with the world's geometry.
 
 All grids are given in the world frame: the built map moved by the true start pose and by nothing else.
-Cells count where they are known in both maps; occupied is p > 0.65. What is judged is what a map file
+Cells count where they are known in both maps; occupied is p > 0.65. What is evaluated is what a map file
 says: a cell that is neither occupied nor free (p < 0.25) is unknown.
 """
 
@@ -30,7 +30,7 @@ from lirs_wct.geometry.walls import WallGrid
 
 @dataclass(frozen=True, kw_only=True)
 class MapScores:
-    """The figures of one built map; None where there is no occupied cell to ask, or no such reference.
+    """The metrics of one built map; None where there is no occupied cell to ask, or no such reference.
 
     Attributes:
         f1: agreement with the true-pose map, harmonic mean of precision and recall.

@@ -88,7 +88,7 @@ def read_constraints(path: Path) -> tuple[RelativePoseConstraint, ...]:
         raw = path.read_bytes()
         text = (gzip.decompress(raw) if raw[:2] == b"\x1f\x8b" else raw).decode()
         lines = [line.split() for line in text.splitlines()]
-        rows = [[float(word) for word in words] for words in lines if words and words[0][0] != "#"]
+        rows = [[float(field) for field in line] for line in lines if line and line[0][0] != "#"]
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise SourceError(f"{path}: the gzip stream is damaged or cut off ({error})") from error
     except (OSError, ValueError) as error:

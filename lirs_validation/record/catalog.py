@@ -19,7 +19,7 @@ Better = Literal["more", "less"] | None
 Section = Literal["rtf", "trajectory", "map", "contacts", "cost"]
 View = Literal["picture", "runs", "summary", "compared", "distribution", "headline"]
 """Where a metric is shown beside its section of the report: a run's picture, the table of runs on the screen,
-the summary of groups, comparisons unless told otherwise, the report's distributions, its median on top."""
+the summary of groups, comparisons unless others are named, the report's distributions, its median on top."""
 MS, MM, DEGREES, MEGABYTE = 1e3, 1e3, math.degrees(1.0), 1e-6
 
 

@@ -1,4 +1,4 @@
-"""The figures of a mapped log in words, for the terminal and for the picture."""
+"""The record of a mapped log as text, for the terminal and for the picture."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from collections.abc import Mapping
 from lirs_validation.record.map_record import MapRecord
 
 MANY = 8
-"""Reasons for skipping that are told one by one."""
+"""Reasons for skipping that are listed one by one."""
 
 
 def map_lines(record: MapRecord) -> list[tuple[str, str]]:
-    """Return names and values of the figures that exist, the status first."""
+    """Return names and values of what exists, the status first."""
     log, grid, mapper, cost = record.log, record.map, record.mapper, record.cost
     width, depth = grid["size"]
-    way = log["odometry_length"]
+    driven = log["odometry_length"]
     lines = [
         ("status", record.status),
         ("scans", f"{log['scans']} of {log['beams']} beams ({log['laser']})"),
         ("time", f"{log['seconds']:.0f} s"),
-        ("way by odometry", "no odometry" if way is None else f"{way:.0f} m"),
+        ("way by odometry", "no odometry" if driven is None else f"{driven:.0f} m"),
         ("map", f"{width:.1f} x {depth:.1f} m, {grid['resolution']:g} m a cell"),
         ("known", f"{grid['known_area']:.0f} m2"),
         ("scans received, used", f"{mapper['received']}, {mapper['used']}"),
@@ -35,15 +35,15 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
 
 
 def repair_lines(record: MapRecord) -> list[tuple[str, str]]:
-    """Return what of the log was left out or put right, and how often; nothing where it was sound."""
+    """Return what of the log was left out or put right, and how often; nothing where it was whole."""
     log = record.log
     lines = [("skipped", f"{count} x {why}") for why, count in _most(log["skipped"])]
     if log["late"]:
         lines.append(("sorted in", f"{log['late']} lines with an earlier stamp than one before"))
     lines += [("put right", f"{count} x {what}") for what, count in _most(log["repaired"])]
-    for name, figures in record.accuracy.items():
-        if figures is not None and figures["outside"]:
-            lines.append((f"outside the log, {name}", f"{figures['outside']}"))
+    for name, errors in record.accuracy.items():
+        if errors is not None and errors["outside"]:
+            lines.append((f"outside the log, {name}", f"{errors['outside']}"))
     return lines
 
 
@@ -58,8 +58,8 @@ def _accuracy_lines(record: MapRecord) -> list[tuple[str, str]]:
         lines.append((f"ATE over {reference['used']} poses", f"{reference['ate_rmse']:.3f} m"))
     lines += [
         (name, "nothing within the log's time")
-        for name, figures in record.accuracy.items()
-        if figures is not None and not figures["used"]
+        for name, errors in record.accuracy.items()
+        if errors is not None and not errors["used"]
     ]
     return lines
 

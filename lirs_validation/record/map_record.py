@@ -17,7 +17,7 @@ from lirs_wct.geometry.grid import OccupancyGrid
 
 SCHEMA = 1
 KIND = "map of a log"
-"""Tells these records from those of runs."""
+"""Distinguishes these records from those of runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,10 +27,10 @@ class MapRecord:
     Attributes:
         name: of the folder.
         status: `lost` where the mapper did not know its place at the end.
-        log: scans, beams, laser, seconds, way by odometry, skipped, late, repaired.
+        log: scans, beams, laser, seconds, distance by odometry, skipped, late, repaired.
         map: cells, resolution, metres, occupied cells, square metres known.
         mapper: scans received, used, skipped, lost, milliseconds, bytes of its maps, its own counts.
-        accuracy: `relations` and `reference`, null where not given.
+        accuracy: `relations` (relative-pose constraints) and `reference`, null where not given.
         cost: seconds for reading, compiling and mapping; processor time; peak memory in bytes.
     """
 
@@ -46,7 +46,7 @@ class MapRecord:
     machine: dict[str, Any] = field(default_factory=machine)
 
     def to_json(self) -> str:
-        """Return the record as JSON; figures that do not exist are null."""
+        """Return the record as JSON; values that do not exist are null."""
         entry = {"schema": SCHEMA, "kind": KIND, "seed": self.config.seed} | asdict(self)
         return json.dumps(entry, indent=1, default=plain, allow_nan=False) + "\n"
 
@@ -61,7 +61,7 @@ class MapRecord:
 
 
 def is_mapped_log(folder: Path) -> bool:
-    """Tell whether a folder holds the record of a mapped log."""
+    """Return whether a folder holds the record of a mapped log."""
     try:
         entry = json.loads((folder / "record.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -69,8 +69,8 @@ def is_mapped_log(folder: Path) -> bool:
     return isinstance(entry, dict) and entry.get("kind") == KIND
 
 
-def log_figures(log: CarmenLog) -> dict[str, Any]:
-    """Return what a record tells of a log."""
+def describe_log(log: CarmenLog) -> dict[str, Any]:
+    """Return what a record holds of a log."""
     first, stamps = log.scans[0], log.stamps
     return {
         "laser": log.laser,
@@ -85,8 +85,8 @@ def log_figures(log: CarmenLog) -> dict[str, Any]:
     }
 
 
-def map_figures(grid: OccupancyGrid) -> dict[str, Any]:
-    """Return what a record tells of a map."""
+def describe_map(grid: OccupancyGrid) -> dict[str, Any]:
+    """Return what a record holds of a map."""
     rows, cols = grid.shape
     return {
         "cells": [rows, cols],

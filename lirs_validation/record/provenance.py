@@ -27,7 +27,7 @@ def _installed() -> dict[str, str]:
 
 @cache
 def code() -> str:
-    """Return eight hex digits of our own Python files: they tell two states of one version apart."""
+    """Return eight hex digits of our own Python files: they distinguish two states of one version."""
     digest = hashlib.sha256()
     for package in OWN:
         spec = importlib.util.find_spec(package)

@@ -35,7 +35,7 @@ class RunRecord:
 
     Attributes:
         world: name, kind, size, relief, contact grid, scale, window.
-        status: `ok`, or how it ended before its time; `reason` says it in words.
+        status: `ok`, or how it ended before its time; `reason` says why.
         rtf: mean, std, min, parts, physics_only, series, concurrent, extrapolated.
         trajectory: ate_rmse, ate_unaligned, length, final drift, ...
         map: f1, iou, f1_input, false_occupied, ...
@@ -95,9 +95,9 @@ def read_record(folder: Path) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Return what JSON has a word for, of what it has none for."""
+    """Return the JSON value of a NumPy number or a path."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, Path):
         return str(value)
-    raise TypeError(f"a record holds numbers, words and lists, got {type(value).__name__}")
+    raise TypeError(f"a record holds numbers, text and lists, got {type(value).__name__}")

@@ -17,7 +17,7 @@ from lirs_validation.analysis.groups import Group, by_group, distinguishing_fiel
 from lirs_validation.record.catalog import Metric, rtf_counts
 from lirs_validation.record.formatting import Entry
 from lirs_validation.record.run_record import succeeded
-from lirs_validation.report.svg import INK, SMALL, as_svg, colour_of, plain
+from lirs_validation.report.svg import INK, SMALL, as_svg, color_of, plain
 from lirs_wct.arrays import FloatArray
 
 ACROSS = 3
@@ -101,9 +101,9 @@ def _strip(axes: Axes, metric: Metric, groups: Mapping[Group, Sequence[Entry]], 
         values = _values(metric, runs)
         if not values:
             continue
-        colour = colour_of(group.mapper, mappers)
+        color = color_of(group.mapper, mappers)
         axes.plot(
-            values, [row] * len(values), "o", color=colour, markersize=3.5, alpha=0.75, markeredgewidth=0
+            values, [row] * len(values), "o", color=color, markersize=3.5, alpha=0.75, markeredgewidth=0
         )
         axes.plot([float(np.median(values))] * 2, (row - 0.33, row + 0.33), color=INK, linewidth=1.1)
     if metric.section == "rtf":
@@ -124,10 +124,10 @@ def _rtf_panel(axes: Axes, held: Mapping[str, Sequence[Entry]], mappers: list[st
     for mapper, runs in held.items():
         mean, std = series_band(runs)
         seconds = np.arange(1, len(mean) + 1)
-        colour = colour_of(mapper, mappers)
+        color = color_of(mapper, mappers)
         bottom = np.maximum(mean - std, mean * 0.05)
-        axes.fill_between(seconds, bottom, mean + std, color=colour, alpha=0.18, linewidth=0)
-        axes.plot(seconds, mean, color=colour, linewidth=1.2, marker="." if len(mean) < 4 else "")
+        axes.fill_between(seconds, bottom, mean + std, color=color, alpha=0.18, linewidth=0)
+        axes.plot(seconds, mean, color=color, linewidth=1.2, marker="." if len(mean) < 4 else "")
         low, high = min(low, float(mean.min())), max(high, float((mean + std).max()))
     if low > 0 and high / low > WIDE:
         axes.set_yscale("log")
@@ -150,7 +150,7 @@ def _title(group: Group, groups: Mapping[Group, Any]) -> str:
 
 
 def _legend(figure: Figure, mappers: Sequence[str]) -> None:
-    lines = [Line2D([], [], color=colour_of(m, list(mappers)), linewidth=2, label=m) for m in mappers]
+    lines = [Line2D([], [], color=color_of(m, list(mappers)), linewidth=2, label=m) for m in mappers]
     figure.legend(
         handles=lines,
         loc="outside upper left",

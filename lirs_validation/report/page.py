@@ -92,7 +92,7 @@ def _section(report: Report, key: Section, groups: ReportTable, runs: ReportTabl
         f"seeds; where a method has one seed, over {2 * AROUND + 1} s of its run."
     )
     if left_out:
-        caption += f" {left_out} more panels are left out; their figures stand in the table."
+        caption += f" {left_out} more panels are left out; their values stand in the table."
     return {
         "key": key,
         "title": groups.title,
@@ -110,7 +110,7 @@ def _spread(report: Report) -> dict[str, str] | None:
         return None
     caption = "Every run that succeeded is a dot, the bar their median; one row a group."
     if made[1]:
-        caption += f" {made[1]} more groups are left out; their figures stand in the tables."
+        caption += f" {made[1]} more groups are left out; their values stand in the tables."
     return {"svg": made[0], "caption": caption}
 
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from lirs_validation.analysis.recorded import recorded_config
 from lirs_validation.analysis.result_folders import RunFolder
-from lirs_validation.drawing.canvas import Canvas
-from lirs_validation.drawing.hillshade import coloured_relief
-from lirs_validation.drawing.overview import bounds_shown, shown_bounds
-from lirs_validation.drawing.style import BLUE, VERMILLION
+from lirs_validation.drawing.canvas import Canvas, bounds_shown
+from lirs_validation.drawing.hillshade import shaded_heights
+from lirs_validation.drawing.overview import shown_bounds
+from lirs_validation.drawing.style import BLUE, VERMILLION, rgb
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.agreement import contradicted
 from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
@@ -83,23 +83,23 @@ class Painter:
         try:
             world = self._scenarios.scenario(recorded_config(run.entry)).world
             canvas = Canvas.over(shown_bounds(world, truth, true_pose), tile)
-            ground = coloured_relief(world, canvas)
+            ground = shaded_heights(world, canvas)
         except WctError as error:
             canvas, note = Canvas.over(bounds_shown(truth, true_pose), tile), f"without its terrain: {error}"
             ground = canvas.grid_picture(true_pose)
         reference = canvas.grid_picture(true_pose)
         made = canvas.grid_picture(built)
-        made[canvas.marked(wrong, built.resolution, built.origin)] = _rgb(VERMILLION)
+        made[canvas.marked(wrong, built.resolution, built.origin)] = rgb(VERMILLION)
         paths = _with_paths(ground, canvas, truth, estimate)
         return _beside((paths, reference, made)), note
 
 
 def _with_paths(picture: FloatArray, canvas: Canvas, truth: Trajectory, estimate: Trajectory) -> FloatArray:
     painted = np.ascontiguousarray(picture * 255, dtype=np.uint8)
-    for track, colour, width in ((truth, BLUE, 7), (estimate, VERMILLION, 2)):
+    for track, color, width in ((truth, BLUE, 7), (estimate, VERMILLION, 2)):
         xy = (track.xy - (canvas.bounds[0], canvas.bounds[3])) / (canvas.pixel, -canvas.pixel) - 0.5
         points = np.round(xy * 2**FINE).astype(np.int32)
-        shade = tuple(round(255 * c) for c in _rgb(colour))
+        shade = tuple(round(255 * c) for c in rgb(color))
         cv2.polylines(painted, [points], False, shade, width, cv2.LINE_AA, FINE)
     return painted / 255.0
 
@@ -114,8 +114,3 @@ def _webp(picture: FloatArray) -> str:
     pixels: ByteArray = np.round(picture[..., ::-1] * 255).astype(np.uint8)
     _, data = cv2.imencode(".webp", pixels, (cv2.IMWRITE_WEBP_QUALITY, QUALITY))
     return "data:image/webp;base64," + base64.b64encode(data.tobytes()).decode()
-
-
-def _rgb(colour: str) -> tuple[float, float, float]:
-    red, green, blue = (int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5))
-    return red, green, blue

@@ -1,4 +1,4 @@
-"""Charts as SVG that takes the page's colours and letters: one drawing for light and dark."""
+"""Charts as SVG that takes the page's colors and letters: one drawing for light and dark."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from matplotlib.figure import Figure
 from lirs_validation.drawing.style import BLUE, GREEN, VERMILLION
 
 INK = "#123456"
-"""Drawn in this colour, a line or letter takes the page's own."""
+"""Drawn in this color, a line or letter takes the page's own."""
 NAMED = {BLUE: "var(--blue)", VERMILLION: "var(--vermillion)", GREEN: "var(--green)"}
 """Colours that the page makes lighter on a dark ground."""
-MAPPER_COLOURS = {"hector": BLUE, "cartographer": VERMILLION, "gmapping": GREEN}
+MAPPER_COLORS = {"hector": BLUE, "cartographer": VERMILLION, "gmapping": GREEN}
 OTHERS = ("#CC79A7", "#B8860B", "#7B6BD6", "#56B4E9")
-"""Okabe and Ito's colours, those for other mappers strong enough on light and on dark."""
+"""Okabe and Ito's colors, those for other mappers strong enough on light and on dark."""
 SMALL = 8.0
 DIGITS = re.compile(r"(\.\d)\d+")
 """A path is drawn to a tenth of a point: finer is not seen, and makes the page heavy."""
 
 
-def colour_of(name: str, names: list[str]) -> str:
-    """Return a mapper's colour: always the same for those that come with the package."""
-    others = [n for n in names if n not in MAPPER_COLOURS]
-    return MAPPER_COLOURS.get(name) or OTHERS[others.index(name) % len(OTHERS)]
+def color_of(name: str, names: list[str]) -> str:
+    """Return a mapper's color: always the same for those that come with the package."""
+    others = [n for n in names if n not in MAPPER_COLORS]
+    return MAPPER_COLORS.get(name) or OTHERS[others.index(name) % len(OTHERS)]
 
 
 def plain(axes: Axes, title: str = "") -> None:
@@ -48,7 +48,7 @@ def as_svg(figure: Figure, label: str, key: str) -> str:
     """Return a figure as an SVG element for a page, with a label for those who do not see it.
 
     Args:
-        figure: drawn in `INK` where the page's colour is wanted.
+        figure: drawn in `INK` where the page's color is wanted.
         label: what it shows.
         key: tells its inner names from those of other drawings on the page.
     """
@@ -67,6 +67,6 @@ def as_svg(figure: Figure, label: str, key: str) -> str:
     opening = (
         f'<svg role="img" aria-label="{label}" style="max-width: {width}; min-width: min({width}, 38rem)"'
     )
-    for colour, name in ({INK: "currentColor"} | NAMED).items():
-        svg = svg.replace(colour.lower(), name)
+    for color, name in ({INK: "currentColor"} | NAMED).items():
+        svg = svg.replace(color.lower(), name)
     return svg.replace("<svg", opening, 1)

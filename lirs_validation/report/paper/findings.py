@@ -97,9 +97,9 @@ def _worse_with_terrain(means: Means) -> Finding:
     )
 
 
-def _ranked(means: Means, mapper: str, word: str, best: Callable[[Iterable[float]], float]) -> Finding:
+def _ranked(means: Means, mapper: str, rank: str, best: Callable[[Iterable[float]], float]) -> Finding:
     """One method is always the fastest, or the slowest."""
-    claim = f"{MAPPERS[mapper]} is the {word} of the three methods."
+    claim = f"{MAPPERS[mapper]} is the {rank} of the three methods."
     won: dict[str, list[str]] = {m: [] for m in MAPPERS}
     for world in WORLDS:
         for view in VIEWS:

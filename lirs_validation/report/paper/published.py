@@ -24,7 +24,7 @@ RTF: Final[dict[tuple[str, str, str], float]] = {
     ("advanced", "cartographer", HEIGHTMAP): 0.011,
     ("advanced", "cartographer", SOLID): 0.57,
 }
-"""Tables III and IV, by world, mapper and view. Table II (`simple`) was printed without its figures: lost."""
+"""Tables III and IV, by world, mapper and view. Table II (`simple`) was printed without its values: lost."""
 HUSKY = "husky"
 """Whose tables these are."""
 ROBOT_MEANS: Final = {"husky": 0.38, "turtlebot2": 0.52, "jackal": 0.47}

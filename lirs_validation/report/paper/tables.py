@@ -36,7 +36,7 @@ def _world_table(world: str, entries: Sequence[Entry]) -> ReportTable:
         "solid-based, here", "ours",
     )  # fmt: skip
     table = WORLDS[world]
-    lost = "" if world != "simple" else "The paper's Table II is lost: it was printed without its figures. "
+    lost = "" if world != "simple" else "The paper's Table II is lost: it was printed without its values. "
     caption = (
         f"{lost}RTF, mean over seeds ± half width of its 95 % interval where there are several; Husky. The "
         "paper: Gazebo with ODE. Here: MuJoCo's height field with its own rays, the mesh with MuJoCo's rays, "

@@ -47,7 +47,7 @@ def formatted(d: Difference) -> tuple[str, ...]:
 
 
 def verdict(d: Difference) -> str:
-    """Return what the difference is, in a word or two."""
+    """Return in short what the difference is."""
     if d.significant is None:
         return "one seed"
     if not d.significant:

@@ -32,7 +32,7 @@ def failures_table(entries: Sequence[Entry]) -> ReportTable:
         for e in failed
     ]  # fmt: skip
     headings = ("world", "robot", "mapper", "terrain", "rays", "seed", "status", "reason", "folder")
-    caption = f"{len(failed)} of {len(entries)} runs failed; their figures are in no mean below."
+    caption = f"{len(failed)} of {len(entries)} runs failed; they are in no mean below."
     return ReportTable("failures", "Failures", caption, headings, tuple(rows), len(headings))
 
 
@@ -86,7 +86,7 @@ def _caption(metrics: Sequence[Metric], entries: Sequence[Entry]) -> str:
     """Return what the numbers are, over how many seeds, and what was left out."""
     seeds = {sum(map(succeeded, runs)) for runs in by_group(entries).values()}
     if max(seeds, default=0) <= 1:
-        lines = ["One seed: one run's figures, without any interval."]
+        lines = ["One seed: one run's values, without any interval."]
     else:
         lines = ["Mean over seeds ± half width of its 95 % interval (Student's t)."]
         if min(seeds) <= 1:

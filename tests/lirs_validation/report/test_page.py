@@ -137,7 +137,7 @@ def test_means_and_intervals_are_those_of_the_records(mixed: Path) -> None:
 def test_one_seed_says_that_it_is_one(tmp_path: Path) -> None:
     saved(tmp_path)
     report, html = reported(tmp_path)
-    assert "One seed: one run&#39;s figures, without any interval." in html
+    assert "One seed: one run&#39;s values, without any interval." in html
     assert "one seed" in report.subtitle
     assert "±" not in as_markdown(report.summary)
 
