@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from lirs_wct.errors import ConfigError
+from lirs_wct.validation import require_within
 from slam_baselines.cartographer.constraints.builder import ConstraintConfig
 from slam_baselines.cartographer.constraints.candidates import CandidateConfig
 from slam_baselines.cartographer.constraints.verification import LoopVerificationConfig
@@ -15,6 +16,7 @@ from slam_baselines.cartographer.trimmer import TrimmingConfig
 from slam_baselines.mapping.ground_filter import GroundFilterConfig
 from slam_baselines.matching.gauss_newton import MatchConfig
 from slam_baselines.matching.registration import RegistrationConfig
+from slam_baselines.matching.tracking import TrackingConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
 from slam_baselines.motion.motion_filter import MotionFilterConfig
 
@@ -79,11 +81,10 @@ class LocalConfig:
         slip_speed: on uneven ground, a match is not believed that lies farther from where odometry puts the
             robot than this allows in the time since the last scan, m/s and rad/s ...
         slip_deviations: ... and so many standard deviations of that prediction.
-        lost_score: mean occupancy at the ends of the beams below which a scan enters no submap ...
-        lost_after: ... and after so many of them in a row the mapper is lost.
+        tracking: mean occupancy at the ends of the beams below which a scan enters no submap.
 
     Raises:
-        ConfigError: lost_score above the registration's search_threshold.
+        ConfigError: the tracking's lost_score above the registration's search_threshold.
     """
 
     submaps: SubmapConfig = field(default_factory=SubmapConfig)
@@ -93,15 +94,11 @@ class LocalConfig:
     ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
     slip_speed: float = 1.0
     slip_deviations: float = 4.0
-    lost_score: float = 0.2
-    lost_after: int = 10
+    tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(lost_score=0.2))
 
     def __post_init__(self) -> None:
-        if not 0 < self.lost_score <= self.registration.search_threshold:
-            raise ConfigError(
-                "lost_score must be above 0 and at most "
-                f"search_threshold = {self.registration.search_threshold}, got {self.lost_score}"
-            )
+        legal = f"(0, {self.registration.search_threshold}]"
+        require_within(self.tracking, legal, "lost_score", of="the tracking")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,8 +114,7 @@ class LocalisationConfig:
         beams: at most so many beams are used to search, evenly spread in space ...
         min_beams: ... and fewer than this say nothing.
         bounded: a search is given up after so many nodes of its tree.
-        lost_score: mean occupancy at the ends of the beams below which a scan does not fit ...
-        lost_after: ... and after so many of them in a row the place is unknown.
+        tracking: mean occupancy at the ends of the beams below which a scan does not fit.
         start: standard deviation of a pose that is given, metres and radians.
 
     Raises:
@@ -133,13 +129,12 @@ class LocalisationConfig:
     beams: int = 150
     min_beams: int = 30
     bounded: int = 1 << 20
-    lost_score: float = 0.2
-    lost_after: int = 10
+    tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(lost_score=0.2))
     start: tuple[float, float] = (0.3, 0.1)
 
     def __post_init__(self) -> None:
-        for name in set(self.__dataclass_fields__) - {"start"}:
+        for name in set(self.__dataclass_fields__) - {"start", "tracking"}:
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} of the localisation must be above 0, got {getattr(self, name)}")
-        if max(self.min_score, self.rival, self.lost_score) > 1:
-            raise ConfigError("min_score, rival and lost_score of the localisation must be at most 1")
+        if max(self.min_score, self.rival) > 1:
+            raise ConfigError("min_score and rival of the localisation must be at most 1")

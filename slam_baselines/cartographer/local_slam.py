@@ -20,6 +20,7 @@ from slam_baselines.cartographer.submap import Submaps
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.matching.gauss_newton import Match
 from slam_baselines.matching.registration import Registration
+from slam_baselines.matching.tracking import TrackingMonitor
 from slam_baselines.motion.dead_reckoning import DeadReckoning, PoseEstimate
 from slam_baselines.motion.motion_filter import MotionFilter
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
@@ -52,14 +53,14 @@ class LocalSlam:
         self._reckoning = DeadReckoning(config.motion)
         self._since_node = DeadReckoning(config.motion)
         self._increment = NOWHERE
-        self._poor_in_a_row = 0
+        self._tracking = TrackingMonitor(config.tracking)
         self._distance_traveled = 0.0
         self._filter = MotionFilter(config.motion_filter)
 
     @property
     def lost(self) -> bool:
         """Whether so many scans in a row fit nowhere that the pose is not to be believed."""
-        return self._poor_in_a_row >= self.config.lost_after
+        return self._tracking.lost
 
     def add_range_data(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Node | None:
         """Match a scan and move the estimate; return the node where it entered the submaps."""
@@ -68,7 +69,7 @@ class LocalSlam:
         expected = self._reckoning.predict(self.estimate, odometry, imu, scan.stamp)
         self._increment = self._since_node.predict(self._increment, odometry, imu, scan.stamp)
         seconds, self._stamp = scan.stamp - self._stamp, scan.stamp
-        fits = self._count(self._match(level, expected, seconds))
+        fits = self._fits(self._match(level, expected, seconds))
         self._distance_traveled += before.distance(self.estimate.pose)
         if level.leveled:
             self.ground_filter.move(before.inverse() @ self.estimate.pose, level)
@@ -125,11 +126,9 @@ class LocalSlam:
             and turn <= reach + c.slip_deviations * sd[2]
         )
 
-    def _count(self, match: Match | None) -> bool:
-        """Keep count of poor matches; return whether the scan may enter the submaps."""
-        known = self.config.registration.known_ratio
-        fits = match is None or match.known < known or match.score >= self.config.lost_score
-        self._poor_in_a_row = 0 if fits else self._poor_in_a_row + 1
+    def _fits(self, match: Match | None) -> bool:
+        """Return whether the scan may enter the submaps."""
+        fits = self._tracking.observe(match.score, match.known) if match else self._tracking.observe(None)
         self.lost_scans += self.lost
         return fits
 

@@ -25,6 +25,7 @@ from slam_baselines.mapper import MapperStats
 from slam_baselines.matching.branch_and_bound import Exclusion, Window, branch_and_bound
 from slam_baselines.matching.gauss_newton import Match, Prior, ScanMatcher
 from slam_baselines.matching.registration import Registration, RegistrationConfig
+from slam_baselines.matching.tracking import TrackingMonitor
 from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, PoseEstimate
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
 
@@ -36,7 +37,6 @@ class _Counts:
     lost: int = 0
     searches: int = 0
     ambiguous: int = 0
-    poor_in_a_row: int = 0
 
 
 @dataclass
@@ -74,6 +74,7 @@ class Localiser:
         self._loose = np.diag((metres**2, metres**2, radians**2))
         self._located = self._anchored = start is not None
         self._estimate = PoseEstimate(start or Pose2(), self._loose)
+        self._tracking = TrackingMonitor(config.tracking, map_given=True)
         self._searched: tuple[float, float] | None = None
         self._distance_traveled = 0.0
         self._track, self._counts, self._stopwatch = _Track(), _Counts(), Stopwatch()
@@ -134,13 +135,12 @@ class Localiser:
         self._estimate, match = self._registration.register(
             self._known.pyramid, scan.hits, None, self._estimate, before
         )
-        counts, c = self._counts, self.config
-        counts.matched += match is not None
-        known = match is not None and match.known >= self._registration.config.known_ratio
-        poor = match is not None and known and match.score < c.lost_score
-        counts.poor_in_a_row = counts.poor_in_a_row + 1 if poor else 0
-        if counts.poor_in_a_row >= c.lost_after:
-            self._located, counts.poor_in_a_row = False, 0
+        self._counts.matched += match is not None
+        if match is not None:
+            self._tracking.observe(match.score, match.known)
+        else:
+            self._tracking.observe(None)
+        self._located = not self._tracking.lost
 
     def _search_due(self, stamp: float) -> bool:
         """Whether there is something new to search with since the last search."""
@@ -180,3 +180,4 @@ class Localiser:
             self._track.anchor(pose @ self._estimate.pose.inverse())
             self._anchored = True
         self._estimate, self._located = PoseEstimate(pose, self._loose), True
+        self._tracking = TrackingMonitor(self.config.tracking, map_given=True)

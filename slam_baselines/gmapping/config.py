@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from lirs_wct.errors import ConfigError
 from slam_baselines.gmapping.proposal import ProposalConfig
 from slam_baselines.mapping.ground_filter import GroundFilterConfig
+from slam_baselines.matching.tracking import TrackingConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
 
 
@@ -30,10 +31,8 @@ class GmappingConfig(ProposalConfig):
         delta: edge of a map's cell, metres.
         maxUrange: hits farther away are not used, but free up to here, metres. Without it, beams without
             return say nothing.
-        lost_score: share of the beams on known cells that must end at a wall, else a scan does not enter
-            the maps ...
-        lost_after: ... and after so many processed scans in a row the mapper is lost ...
-        known_ratio: ... where at least so many of its beams end on known cells.
+        tracking: share of the beams on known cells that end at a wall, below which a processed scan does not
+            enter the maps.
         ground_filter: separates hits on ground from hits on walls.
 
     Raises:
@@ -52,14 +51,12 @@ class GmappingConfig(ProposalConfig):
     ogain: float = 0.5
     delta: float = 0.05
     maxUrange: float = math.inf  # noqa: N815
-    lost_score: float = 0.3
-    lost_after: int = 3
-    known_ratio: float = 0.3
+    tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(lost_score=0.3, lost_after=3))
     ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("particles", "srr", "srt", "str", "stt", "ogain", "delta", "maxUrange", "lost_after"):
+        for name in ("particles", "srr", "srt", "str", "stt", "ogain", "delta", "maxUrange"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} must be above 0, got {getattr(self, name)}")
         if min(self.linearUpdate, self.angularUpdate) < 0:

@@ -27,7 +27,7 @@ from slam_baselines.gmapping.resampling import effective_number, normalized, sys
 from slam_baselines.gmapping.trajectory_tree import TrajectoryTree
 from slam_baselines.mapper import MapperStats
 from slam_baselines.mapping.ground_filter import GroundFilter
-from slam_baselines.matching.tracking import FitCounter
+from slam_baselines.matching.tracking import TrackingMonitor
 from slam_baselines.motion.increment import MotionIncrement
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
 
@@ -50,7 +50,7 @@ class GmappingMapper:
         self._parents = np.arange(c.particles)
         self._log_weights, self._totals = np.zeros(c.particles), np.zeros(c.particles)
         self._increment = MotionIncrement(c.motion)
-        self._fit = FitCounter(c.lost_score, c.known_ratio, c.lost_after)
+        self._tracking = TrackingMonitor(c.tracking)
         self._best = self._received = self._resamplings = self._lost_scans = 0
         self._stopwatch = Stopwatch()
 
@@ -88,7 +88,7 @@ class GmappingMapper:
     @property
     def lost(self) -> bool:
         """Whether so many scans in a row fit nowhere that the pose is not to be believed."""
-        return self._fit.lost
+        return self._tracking.lost
 
     @property
     def stats(self) -> MapperStats:
@@ -144,13 +144,13 @@ class GmappingMapper:
             self._log_weights += gain * proposal.log_eta
             self._totals += gain * proposal.log_eta
             self._best = int(np.argmax(self._totals))
-            self._fit.note(proposal.hit_ratio[self._best], proposal.known_ratio[self._best])
+            self._tracking.observe(proposal.hit_ratio[self._best], proposal.known_ratio[self._best])
         self._tree.add_generation(self._poses, self._parents, self._increment.pose)
         self._parents = np.arange(len(self._poses))
         frame = self._frame(scan)
         self._increment.begin()
         # Until the start-up refinement is over, every scan is a link of the trajectory.
-        if self._fit.good or (scan.leveled and self._bootstrap.open):
+        if self._tracking.fits or (scan.leveled and self._bootstrap.open):
             self._enter(frame)
         weights = normalized(self._log_weights)
         if effective_number(weights) < self.config.resampleThreshold * len(weights):

@@ -17,6 +17,7 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.validation import require_within
 from slam_baselines.common.stopwatch import Stopwatch
 from slam_baselines.hector.bootstrap import Bootstrap, BootstrapConfig
 from slam_baselines.hector.keyframes import Keyframe, KeyframeTrajectory
@@ -24,6 +25,7 @@ from slam_baselines.mapper import MapperStats
 from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
 from slam_baselines.matching.gauss_newton import Match
 from slam_baselines.matching.registration import Registration, RegistrationConfig
+from slam_baselines.matching.tracking import TrackingConfig, TrackingMonitor
 from slam_baselines.motion.calibration import CalibrationConfig
 from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, OdometryIncrement, PoseEstimate
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
@@ -42,8 +44,7 @@ class HectorConfig(BuilderConfig):
         bootstrap: when the map is built again.
         laser_max_dist: hits farther away are not used, metres.
         laser_clear_dist: a beam without return is believed to be free up to here, metres.
-        lost_score: mean occupancy at the ends of the beams below which a scan does not enter the map ...
-        lost_after: ... and after so many of them in a row the mapper is lost.
+        tracking: mean occupancy at the ends of the beams below which a scan does not enter the map.
 
     Raises:
         ConfigError: lost_score above search_threshold, or iterations not given for each level.
@@ -57,17 +58,12 @@ class HectorConfig(BuilderConfig):
     bootstrap: BootstrapConfig = field(default_factory=BootstrapConfig)
     laser_max_dist: float = math.inf
     laser_clear_dist: float = 0.0
-    lost_score: float = 0.25
-    lost_after: int = 10
+    tracking: TrackingConfig = field(default_factory=TrackingConfig)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.registration
-        if not 0 < self.lost_score <= r.search_threshold:
-            raise ConfigError(
-                f"lost_score must be within (0, search_threshold = {r.search_threshold}], "
-                f"got {self.lost_score}"
-            )
+        require_within(self.tracking, f"(0, {r.search_threshold}]", "lost_score", of="the tracking")
         if len(r.match.iterations) < self.map_multi_res_levels:
             raise ConfigError(
                 f"iterations are needed for {self.map_multi_res_levels} levels, got {r.match.iterations}"
@@ -87,8 +83,8 @@ class HectorMapper:
         self._estimate = PoseEstimate(Pose2(), np.zeros((3, 3)))
         self._poses = KeyframeTrajectory()
         self._moves: list[OdometryIncrement | None] = []
-        self._received = self._matched = self._unmatched = self._lost_scans = self._poor_in_a_row = 0
-        self._settled = False
+        self._received = self._matched = self._unmatched = self._lost_scans = 0
+        self._tracking = TrackingMonitor(self.config.tracking)
         self._earlier: Pose2 | None = None
         self._stopwatch = Stopwatch()
 
@@ -118,7 +114,7 @@ class HectorMapper:
     @property
     def lost(self) -> bool:
         """Whether so many scans in a row fit nowhere that the pose is not to be believed."""
-        return self._poor_in_a_row >= self.config.lost_after
+        return self._tracking.lost
 
     @property
     def stats(self) -> MapperStats:
@@ -157,23 +153,17 @@ class HectorMapper:
         return match
 
     def _fits(self, match: Match | None) -> bool:
-        """Keep count of poor matches; return whether the scan may enter the map.
+        """Return whether the scan may enter the map.
 
-        Before the first good match nothing is known that a scan could contradict. The first metres on
-        uneven ground are refined when more of it is known: until then dead reckoning is believed.
+        The first metres on uneven ground are refined with more of the ground known: until then a poor match
+        says nothing, and dead reckoning is believed.
         """
-        c = self.config
-        known = match is not None and match.known >= c.registration.known_ratio
-        if match is None or not known or match.score >= c.lost_score:
-            self._settled |= known
-            self._poor_in_a_row = 0
-            return True
-        uneven = not self._builder.flat and not self._bootstrap.over
-        if not self._settled or uneven:
-            return True
-        self._poor_in_a_row += 1
+        poor = match is not None and match.score < self.config.tracking.lost_score
+        if match is None or (poor and not self._builder.flat and not self._bootstrap.over):
+            return self._tracking.observe(None)
+        fits = self._tracking.observe(match.score, match.known)
         self._lost_scans += self.lost
-        return False
+        return fits
 
     def _enter(self, scan: LeveledScan) -> None:
         """Make the scan a keyframe, and refine all of them when it is due."""

@@ -1,41 +1,66 @@
-"""Whether scans still fit into the map: when to stop believing the pose."""
+"""Tracking monitor: whether scans still fit the map, and when a mapper is lost."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 
-class FitCounter:
-    """Counts scans in a row that do not fit into what is known.
+from lirs_wct.validation import require_at_least, require_within
 
-    Before the first good fit nothing is known that a scan could contradict.
+
+@dataclass(frozen=True, kw_only=True)
+class TrackingConfig:
+    """When a scan contradicts the map, and when a mapper is lost.
+
+    Attributes:
+        lost_score: score below which a scan contradicts the map.
+        known_ratio: share of beams on known cells below which a score says nothing.
+        lost_after: contradicting scans in a row after which the mapper is lost.
+
+    Raises:
+        ConfigError: a score or ratio outside (0, 1], or lost_after below 1.
     """
 
-    def __init__(self, lost_score: float, known_ratio: float, lost_after: int) -> None:
-        """Set the limits.
+    lost_score: float = 0.25
+    known_ratio: float = 0.3
+    lost_after: int = 10
+
+    def __post_init__(self) -> None:
+        require_within(self, "(0, 1]", "lost_score", "known_ratio", of="the tracking")
+        require_at_least(self, 1, "lost_after", of="the tracking")
+
+
+class TrackingMonitor:
+    """Counts the scans in a row that contradict the map.
+
+    Before the first scan that fits, a map that is being built holds nothing that a scan could contradict.
+    """
+
+    def __init__(self, config: TrackingConfig, *, map_given: bool = False) -> None:
+        """Start; a map that is given, and not built, can be contradicted by the first scan."""
+        self._config = config
+        self._contradictable = map_given
+        self._in_a_row = 0
+
+    def observe(self, score: float | None, known: float = 1.0) -> bool:
+        """Count a scan; return whether it fits, so that it may enter the map.
 
         Args:
-            lost_score: share of the beams on known cells that must end at a wall ...
-            known_ratio: ... where at least so many of all beams end on known cells.
-            lost_after: the mapper is lost after so many scans in a row that do not fit.
+            score: how well the ends of its beams on known cells agree with the map, 0 to 1; None where the
+                scan says nothing, which counts as fitting.
+            known: share of its beams that end on known cells.
         """
-        self._limits = lost_score, known_ratio
-        self._lost_after = lost_after
-        self._poor_in_a_row = 0
-        self._settled = False
-
-    def note(self, hit_ratio: float, known: float) -> None:
-        """Take note of a scan: share of beams that met walls, of those on known cells; share of these."""
-        score, share = self._limits
-        tells = known > share
-        poor = tells and hit_ratio < score
-        self._settled |= tells and not poor
-        self._poor_in_a_row = self._poor_in_a_row + 1 if poor and self._settled else 0
+        telling = score is not None and known >= self._config.known_ratio
+        contradicts = score is not None and telling and score < self._config.lost_score
+        self._contradictable |= telling and not contradicts
+        self._in_a_row = self._in_a_row + 1 if contradicts and self._contradictable else 0
+        return self.fits
 
     @property
-    def good(self) -> bool:
-        """Whether the last scan fitted, or nothing could be said about it."""
-        return self._poor_in_a_row == 0
+    def fits(self) -> bool:
+        """Whether the last scan fitted, or said nothing."""
+        return self._in_a_row == 0
 
     @property
     def lost(self) -> bool:
-        """Whether too many scans in a row did not fit."""
-        return self._poor_in_a_row >= self._lost_after
+        """Whether so many scans in a row contradict the map that the pose is not to be believed."""
+        return self._in_a_row >= self._config.lost_after

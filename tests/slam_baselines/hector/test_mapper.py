@@ -23,6 +23,7 @@ from slam_baselines.mapper import make_mapper
 from slam_baselines.mapping.known_pose import KnownPoseMapper
 from slam_baselines.matching.gauss_newton import MatchConfig
 from slam_baselines.matching.registration import RegistrationConfig
+from slam_baselines.matching.tracking import TrackingConfig
 from tests.slam_baselines.synthetic import Drive, drive_room, loop, room_scan, wavy
 
 Array = NDArray[np.float64]
@@ -96,7 +97,7 @@ def test_unknown_names_list_the_legal_ones() -> None:
         {"map_resolution": 0.0},
         {"map_multi_res_levels": 0},
         {"map_update_distance_thresh": -1.0},
-        {"lost_score": 0.9},
+        {"tracking": TrackingConfig(lost_score=0.9)},
         {"registration": RegistrationConfig(match=MatchConfig(iterations=(3,)))},
     ],
 )
