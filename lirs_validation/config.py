@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import TYPE_CHECKING
 
 from lirs_wct.errors import unknown_name
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.kinds import SourceKind
+from lirs_wct.sources.option import option
+from lirs_wct.sources.options import MAP_PANEL, BuildOptions
 from lirs_wct.validation import require_above, require_at_least, require_within
 
 if TYPE_CHECKING:
@@ -16,6 +18,27 @@ if TYPE_CHECKING:
 
 RECORDED_RAYS = {"builtin": "ours", "mujoco": "mujoco"}
 """Rays as records name them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourceOptions(BuildOptions):
+    """How a source becomes a world, a laser log included, which is mapped first."""
+
+    log_mapper: str = option(
+        "cartographer",
+        "SLAM method that makes the map of a laser log.",
+        flags=("--log-mapper", "--mapper"),
+        metavar="hector|gmapping|cartographer",
+        panel=MAP_PANEL,
+        kinds={SourceKind.LOG},
+    )
+
+    @classmethod
+    def of(cls, options: BuildOptions) -> SourceOptions:
+        """Return options that say nothing of logs with the default for them; others as they are."""
+        if isinstance(options, SourceOptions):
+            return options
+        return cls(**{entry.name: getattr(options, entry.name) for entry in fields(options)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,13 +71,14 @@ class RunConfig:
     seconds: float = 120.0
     seed: int = 1
     wall_limit: float | None = None
-    build: BuildOptions = field(default_factory=BuildOptions)
+    build: BuildOptions = field(default_factory=SourceOptions)
 
     def __post_init__(self) -> None:
         # The names belong to the simulator, which who maps a log does not load.
         from lirs_envs.lidar.casters import resolve_rays
         from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES
 
+        object.__setattr__(self, "build", SourceOptions.of(self.build))
         require_above(self, 0, "seconds", finite=True)
         if self.wall_limit is not None:
             require_above(self, 0, "wall_limit", unit="s")

@@ -13,6 +13,10 @@ class SourceError(WctError):
     """A source (picture, map, mesh, folder, log) cannot be used; the message begins with its path."""
 
 
+class LogSourceError(SourceError):
+    """A source is a laser log, where a world is needed: it is mapped first."""
+
+
 class ConfigError(WctError, ValueError):
     """An option has a value that is not legal."""
 

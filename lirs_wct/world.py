@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from lirs_wct.arrays import BoolArray
-from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.errors import ConfigError, LogSourceError
 from lirs_wct.formats.map_server import read_map, read_map_picture
 from lirs_wct.formats.world_json import WorldFile, checked_content, read_world, write_world
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -21,11 +21,12 @@ from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
 from lirs_wct.meshing.export_settings import ExportSettings, checked_texture
 from lirs_wct.navigation.spawn_poses import spawn_poses
 from lirs_wct.navigation.traversability import traversable
+from lirs_wct.sources.kinds import SourceKind
 from lirs_wct.sources.laser_map import level_floor, walls_of, without_small_walls
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.picture import read_terrain
-from lirs_wct.sources.source import Source, SourceKind, find_source, warn_of_useless
+from lirs_wct.sources.source import Source, find_source, warn_of_useless
 from lirs_wct.sources.window import Window, cut_map, cut_nodes, cut_surface
 
 SPAWN_CLEARANCE = 0.8
@@ -158,10 +159,13 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
 
     Raises:
         SourceError: the source cannot be used.
+        LogSourceError: it is a laser log, which holds no world before it is mapped.
         ConfigError: an option does not fit the source.
     """
     options = options or BuildOptions()
     found = find_source(source, options)
+    if found.kind is SourceKind.LOG:
+        raise LogSourceError(f"{found.path}: a log is mapped before it is a world")
     warn_of_useless(found, options)
     world = _place(found, options)
     texture = checked_texture(options.texture, options.max_pixels)
@@ -169,11 +173,6 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
 
 
 def _place(found: Source, options: BuildOptions) -> World:
-    if found.kind is SourceKind.LOG:
-        raise SourceError(
-            f"{found.path}: a log is mapped before it is a world: lirs-wct build does both, and so does "
-            "lirs_validation.resolve_source"
-        )
     if found.kind is SourceKind.FOLDER:
         return _loaded_world(found, options)
     if found.kind is SourceKind.MESH:

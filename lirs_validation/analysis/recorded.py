@@ -11,7 +11,7 @@ import numpy as np
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
-from lirs_validation.config import RunConfig
+from lirs_validation.config import RunConfig, SourceOptions
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.imu_csv import read_imu
@@ -20,7 +20,6 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
-from lirs_wct.sources.options import BuildOptions
 from slam_baselines.mapping.known_pose import KnownPoseMapper
 
 SAME_STAMP = 1e-4
@@ -42,11 +41,11 @@ def recorded_config(entry: Mapping[str, Any]) -> RunConfig:
     if build.get("texture") is not None:
         build["texture"] = Path(build["texture"])
     unknown = (set(held) - {f.name for f in fields(RunConfig)}) | (
-        set(build) - {f.name for f in fields(BuildOptions)}
+        set(build) - {f.name for f in fields(SourceOptions)}
     )
     if unknown:
         raise SourceError(f"{entry['name']}: options unknown to this version: {', '.join(sorted(unknown))}")
-    return RunConfig(**held, build=BuildOptions(**build))
+    return RunConfig(**held, build=SourceOptions(**build))
 
 
 def recorded_truth(folder: Path) -> Trajectory:

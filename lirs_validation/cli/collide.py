@@ -13,8 +13,8 @@ from lirs_validation.cli.arguments import Sources
 from lirs_validation.cli.build_options import mujoco_terrain, with_build_options
 from lirs_validation.cli.console import RUN_FAILED, err, out
 from lirs_validation.cli.progress import progress_bar
+from lirs_validation.config import SourceOptions
 from lirs_wct.errors import ConfigError, WctError
-from lirs_wct.sources.options import BuildOptions
 
 if TYPE_CHECKING:
     from lirs_envs.robots.robot import Robot
@@ -35,7 +35,7 @@ def collide(
         Path, typer.Option("-o", "--output", help="Folder for collisions.json and collisions.csv.")
     ] = Path("out"),
     *,
-    options: BuildOptions,
+    options: SourceOptions,
 ) -> None:
     """Drive robots at random into everything, and evaluate every contact: penetration, energy, slopes."""
     from lirs_envs.robots.catalog import make_robot
@@ -98,7 +98,7 @@ def seed_numbers(text: str) -> list[int]:
 
 def _checked(
     sources: list[str],
-    options: BuildOptions,
+    options: SourceOptions,
     robots: list[Robot],
     terrains: list[ContactGeometry],
     seconds: float,

@@ -6,10 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from lirs_wct.sources.options import BuildOptions
+from lirs_validation.config import SourceOptions
 
 
-def with_logs_mapped(given: dict[str, Any], options: BuildOptions) -> tuple[dict[str, Any], BuildOptions]:
+def with_logs_mapped(given: dict[str, Any], options: SourceOptions) -> tuple[dict[str, Any], SourceOptions]:
     """Replace the logs among a command's sources by their maps.
 
     Args:
@@ -29,7 +29,7 @@ def with_logs_mapped(given: dict[str, Any], options: BuildOptions) -> tuple[dict
     out = _folder(given.get("output"))
     maps = {log: _mapped(log, options, out) for log in logs}
     found = [maps.get(source, source) for source in sources]
-    rest = replace(options, log_mapper=BuildOptions().log_mapper)
+    rest = replace(options, log_mapper=type(options)().log_mapper)
     if len(logs) == len(sources):
         rest = replace(rest, resolution=None)
     return given | ({"sources": found} if "sources" in given else {"source": found[0]}), rest
@@ -42,7 +42,7 @@ def _folder(output: Path | None) -> Path:
     return output.parent if output.suffix else output
 
 
-def _mapped(log: str, options: BuildOptions, out: Path) -> str:
+def _mapped(log: str, options: SourceOptions, out: Path) -> str:
     from lirs_validation.cli.console import err
     from lirs_validation.cli.progress import progress_bar
     from lirs_validation.logs.log_source import resolve_source

@@ -13,8 +13,8 @@ from lirs_validation.cli import sweep_help as word
 from lirs_validation.cli.arguments import SOURCE_HELP
 from lirs_validation.cli.build_options import with_build_options
 from lirs_validation.cli.console import RUN_FAILED, err, out
+from lirs_validation.config import SourceOptions
 from lirs_wct.errors import ConfigError, OutputError
-from lirs_wct.sources.options import BuildOptions
 
 if TYPE_CHECKING:
     from lirs_validation.sweep.engines.base import Executor
@@ -47,7 +47,7 @@ def validate(
         "out"
     ),
     *,
-    options: BuildOptions,
+    options: SourceOptions,
 ) -> None:
     """Drive robots through worlds with SLAM running, and evaluate map, trajectory and speed.
 
@@ -63,7 +63,7 @@ def validate(
     axes = {"robot": robot, "mapper": mapper, "lidar": lidar, "terrain": terrain, "rays": rays}
     if suite is not None:
         others = {f"--{axis}": given is not None for axis, given in axes.items()}
-        others |= {"sources": bool(sources), "options of build": options != BuildOptions()}
+        others |= {"sources": bool(sources), "options of build": options != SourceOptions()}
         experiments = suite_experiments(suite, others, chosen, seconds, wall_limit)
     elif sources:
         experiments = axes_experiments(sources, axes, chosen, seconds, wall_limit, options)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lirs_validation.cli.arguments import Source
-from lirs_validation.cli.build_options import gazebo_terrain, with_build_options
+from lirs_validation.cli.build_options import gazebo_terrain, typer_option, with_build_options
 from lirs_validation.cli.console import err, out
-from lirs_validation.cli.option_help import RotateX
 from lirs_validation.cli.progress import progress_bar
-from lirs_wct.sources.options import BuildOptions
+from lirs_validation.config import SourceOptions
+from lirs_wct.sources.options import MeshOptions
 
 if TYPE_CHECKING:
     from lirs_wct.world import World
@@ -35,7 +35,7 @@ def build(
         ),
     ] = "solid",
     *,
-    options: BuildOptions,
+    options: SourceOptions,
 ) -> None:
     """Build a world: Gazebo model and world, MuJoCo MJCF, meshes, texture, world.json."""
     from lirs_wct.export.package import write_package
@@ -63,7 +63,7 @@ def view(
         Path | None, typer.Option("-o", "--output", help="PNG to write; default: NAME-view.png here.")
     ] = None,
     *,
-    options: BuildOptions,
+    options: SourceOptions,
 ) -> None:
     """Draw a picture of any source: hillshade, walls, start poses. No OpenGL needed."""
     from lirs_wct.world import build_world
@@ -80,7 +80,7 @@ def info(
         Path | None, typer.Option("-o", "--output", help="PNG to draw; default: no picture.")
     ] = None,
     *,
-    options: BuildOptions,
+    options: SourceOptions,
 ) -> None:
     """Say what a source is: size, heights, slopes, where robots can drive, triangles, error."""
     from lirs_validation.cli.info import facts_table, world_facts
@@ -97,7 +97,7 @@ def info(
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Mesh: stl, dae, obj, ply, glb.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="Mesh in another of these formats.")],
-    rotate_x: RotateX = 0.0,
+    rotate_x: Annotated[float, typer_option(MeshOptions, "rotate_x")] = 0.0,
 ) -> None:
     """Convert a mesh between stl, dae, obj, ply and glb; up stays up."""
     from lirs_wct.export.mesh_file import write_mesh

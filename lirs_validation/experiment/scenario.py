@@ -10,6 +10,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.config import RunConfig
+from lirs_wct.errors import LogSourceError
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.window import Window
 from lirs_wct.world import World, build_world
@@ -40,7 +41,12 @@ class Scenario:
 
 def build_scenario(config: RunConfig) -> Scenario:
     """Build the config's world; of a terrain larger than 200 m, its middle 50 m."""
-    world = build_world(config.source, config.build)
+    try:
+        world = build_world(config.source, config.build)
+    except LogSourceError as error:
+        raise LogSourceError(
+            f"{error}: lirs-wct build does both, and so does lirs_validation.resolve_source"
+        ) from None
     if (
         max(world.surface.size) <= LARGE
         or world.kind == "map"

@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from lirs_validation.config import MapConfig
+from lirs_validation.config import MapConfig, SourceOptions
 from lirs_validation.logs.mapping import folder_name, run_mapping
 from lirs_validation.record.provenance import versions
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
 from lirs_wct.progress import Progress, no_progress
+from lirs_wct.sources.kinds import SourceKind
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.source import SourceKind, find_source
+from lirs_wct.sources.source import find_source
 
 
 def resolve_source(
@@ -29,7 +30,9 @@ def resolve_source(
     found = find_source(source, BuildOptions())
     if found.kind is not SourceKind.LOG:
         return source
-    config = MapConfig(log=str(source), mapper=options.log_mapper, resolution=options.resolution)
+    config = MapConfig(
+        log=str(source), mapper=SourceOptions.of(options).log_mapper, resolution=options.resolution
+    )
     out = Path(out)
     folder = out / folder_name(config)
     status = _status(folder)

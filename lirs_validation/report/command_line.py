@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from lirs_validation.config import RunConfig
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.sources.option import declared
 from lirs_wct.sources.options import BuildOptions
-
-OPTION_NAMES = {"kind": "--as", "denoise": "--denoise-method"}
-"""Options of `build` whose name is not their field's."""
 
 
 def command_of(config: RunConfig) -> str:
@@ -28,12 +25,12 @@ def command_of(config: RunConfig) -> str:
 
 def _build_arguments(build: BuildOptions) -> list[str]:
     arguments = []
-    default = BuildOptions()
-    for name in (field.name for field in fields(BuildOptions)):
+    default = type(build)()
+    for name, option in declared(type(build)):
         value = getattr(build, name)
         if value == getattr(default, name):
             continue
-        arguments.append(OPTION_NAMES.get(name, f"--{name.replace('_', '-')}"))
+        arguments.append(option.flags[0])
         if value is not True:
             arguments.append(_formatted(value))
     return arguments

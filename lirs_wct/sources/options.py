@@ -1,15 +1,29 @@
-"""Everything that a user may say about how a source becomes a world."""
+"""Everything that a user may say about how a source becomes a world, by kind of source.
+
+Each field declares its help, its command-line spelling and what is legal (see `option`).
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.errors import ConfigError
 from lirs_wct.formats.images.header import MAX_PIXELS
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.sources.kinds import SourceKind
+from lirs_wct.sources.option import Options, Switch, declared, one_of, option, positive
+from lirs_wct.sources.option_text import (
+    choice,
+    name_of,
+    numbers,
+    read_extent,
+    read_factors,
+    read_pose,
+    whole_numbers,
+)
 
 DEFAULT_SIZE = 50.0
 """Longer side in metres of a picture that brings no scale."""
@@ -22,108 +36,237 @@ DENOISE_METHODS = ("median", "bilateral")
 MAX_SIDE = 32_000
 """Pixels along a side to which a picture may be resized."""
 
+TERRAIN_PANEL, FILTER_PANEL = "Terrain pictures", "Picture filters"
+MAP_PANEL, MESH_PANEL = "Laser maps", "Mesh files"
+_PICTURES = {SourceKind.BUNDLED, SourceKind.PICTURE}
+_MESHES = {*_PICTURES, SourceKind.MESH}
+_MAPS = {SourceKind.MAP, SourceKind.MAP_PICTURE}
+_SCALE: dict[str, Any] = {"panel": TERRAIN_PANEL, "kinds": _MESHES}
+_GRAY: dict[str, Any] = {"panel": TERRAIN_PANEL, "kinds": _PICTURES}
+_FILTER: dict[str, Any] = {"panel": FILTER_PANEL, "kinds": _PICTURES}
+_MAP: dict[str, Any] = {"panel": MAP_PANEL, "kinds": _MAPS}
+_MESH: dict[str, Any] = {"panel": MESH_PANEL}
+
+
+def _window(value: tuple[float, float, float], _: str) -> None:
+    positive(value[2], "window side")
+
+
+def _crop(value: tuple[int, int, int, int], _: str) -> None:
+    if min(value[:2]) < 0 or min(value[2:]) < 2:
+        raise ConfigError(f"crop needs a corner at 0,0 or beyond and at least 2x2 px, got {value}")
+
+
+def _resize(value: tuple[int, int], _: str) -> None:
+    if not all(2 <= n <= MAX_SIDE for n in value):
+        raise ConfigError(f"resize needs 2 to {MAX_SIDE} px a side, got {value}")
+
+
+def _min_cells(value: int, _: str) -> None:
+    if value < 0:
+        raise ConfigError(f"speckle must be 0 or more cells, got {value}")
+
+
+def _finite_turn(value: float, _: str) -> None:
+    if not math.isfinite(value):
+        raise ConfigError(f"x rotation must be finite, got {value} degrees")
+
 
 @dataclass(frozen=True, kw_only=True)
-class BuildOptions:
+class CommonOptions(Options):
+    """Options of any source."""
+
+    name: str | None = option(None, "Name of the world; default: the file's.")
+    kind: Literal["picture", "map"] | None = option(
+        None,
+        "Read a picture as terrain or as laser map.",
+        flags=("--as",),
+        metavar="picture|map",
+        read=choice("picture", "map"),
+    )
+    window: tuple[float, float, float] | None = option(
+        None,
+        "Keep only this square of the world, metres.",
+        metavar="X,Y,SIDE",
+        read=numbers("X,Y,SIDE in metres", 3),
+        check=_window,
+        kinds={*_MESHES, *_MAPS, SourceKind.FOLDER},
+    )
+    max_pixels: int = option(MAX_PIXELS, "Refuse larger pictures before decoding them.", check=positive)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureOptions(Options):
+    """Options of a terrain's picture: its metres, its gray scale and filters."""
+
+    size: float | tuple[float, float] | None = option(
+        None,
+        "Extent in metres: longer side, or width and height. Default 50, or the file's own.",
+        metavar="W[,H]",
+        read=read_extent,
+        check=positive,
+        **_SCALE,
+    )
+    pixel_size: float | None = option(None, "Metres a pixel, instead of --size.", check=positive, **_SCALE)
+    height: float | None = option(
+        None,
+        "Metres from the darkest to the brightest pixel. Default 6, or the file's own.",
+        check=positive,
+        **_SCALE,
+    )
+    z_scale: float | None = option(
+        None, "Multiply the heights that the rest gives.", check=positive, **_SCALE
+    )
+    scale: tuple[float, float, float] | None = option(
+        None,
+        "Multiply width, depth and height that the rest gives.",
+        metavar="S or SX,SY,SZ",
+        read=read_factors,
+        check=positive,
+        **_SCALE,
+    )
+    grayscale: bool = option(False, "Turn a colour picture into gray.", **_GRAY)
+    invert: bool = option(False, "Black is high, white is low.", **_GRAY)
+    crop: tuple[int, int, int, int] | None = option(
+        None,
+        "Keep only this rectangle of the picture, pixels.",
+        metavar="X,Y,W,H",
+        read=whole_numbers("X,Y,W,H in whole pixels", 4),
+        check=_crop,
+        **_FILTER,
+    )
+    resize: tuple[int, int] | None = option(
+        None,
+        "Resample to so many pixels; the metres stay.",
+        metavar="W,H",
+        read=whole_numbers("W,H in whole pixels", 2),
+        check=_resize,
+        **_FILTER,
+    )
+    deterrace: bool = option(
+        False,
+        "Remove the stairs of 8 bits: the smoothest surface within half a gray level of every pixel.",
+        **_FILTER,
+    )
+    denoise: Literal["median", "bilateral"] | None = option(
+        None,
+        "Against single wrong pixels (the default), or against noise beside edges.",
+        flags=("--denoise-method",),
+        label="denoise method",
+        metavar="median|bilateral",
+        read=name_of(DENOISE_METHODS),
+        check=one_of(DENOISE_METHODS),
+        switch=Switch(flag="--denoise", value="median", help="Filter noise out of the picture."),
+        **_FILTER,
+    )
+    smoothing: float | None = option(
+        None, "Gaussian blur of this standard deviation.", metavar="SIGMA_PX", check=positive, **_FILTER
+    )
+    sharpness: float | None = option(
+        None, "Unsharp mask of this amount, after smoothing.", metavar="AMOUNT", check=positive, **_FILTER
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.size is not None and self.pixel_size is not None:
+            raise ConfigError("size and pixel size both set the extent: give one of --size, --pixel-size")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapOptions(Options):
+    """Options of a laser map; the resolution is also that of the heights read off a mesh."""
+
+    resolution: float | None = option(
+        None,
+        "Metres a cell: of a map picture without YAML, of a log's map, or of the heights read off a mesh.",
+        check=positive,
+        **_MAP | {"kinds": {SourceKind.MAP_PICTURE, SourceKind.MESH}},
+    )
+    origin: Pose2 | None = option(
+        None,
+        "Pose of such a map's lower-left corner.",
+        metavar="X,Y,YAW",
+        read=read_pose,
+        **_MAP | {"kinds": {SourceKind.MAP_PICTURE}},
+    )
+    wall_height: float = option(2.5, "Metres that walls stand high.", check=positive, **_MAP)
+    unknown: Unknown = option(
+        "floor",
+        "What unknown cells are; a hole goes through the floor.",
+        label="kind of unknown cell",
+        metavar="floor|wall|hole",
+        read=choice(*UNKNOWN),
+        check=one_of(UNKNOWN),
+        **_MAP,
+    )
+    speckle: int = option(0, "Drop walls of fewer connected cells.", metavar="N", check=_min_cells, **_MAP)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshOptions(Options):
+    """Options of the mesh files that are written of any source."""
+
+    max_error: float | None = option(
+        None,
+        "Fewest triangles that stay this near the ground, vertically, at every pixel.",
+        metavar="METRES",
+        check=positive,
+        **_MESH,
+    )
+    max_triangles: int | None = option(
+        None,
+        "The best mesh of so many triangles, instead of --max-error.",
+        metavar="N",
+        check=positive,
+        **_MESH,
+    )
+    rotate_x: float = option(
+        0.0,
+        "Turn the mesh files about the x axis. 0 is upright in every consumer. The paper's tool writes "
+        "its Z-up STL into a Y-up Collada, which stands on its edge until it is turned by its default of "
+        "-90; what it shows then is what 0 shows here.",
+        metavar="DEG",
+        check=_finite_turn,
+        **_MESH,
+    )
+    texture: Path | None = option(
+        None,
+        "PNG or JPEG that the mesh wears, projected from the sides of a cube; default: drawn.",
+        metavar="FILE",
+        **_MESH,
+    )
+    texture_size: float | None = option(
+        None,
+        "What the texture spans before it repeats; default: the longest side, once.",
+        metavar="METRES",
+        check=positive,
+        **_MESH,
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.max_error is not None and self.max_triangles is not None:
+            raise ConfigError("both limit the mesh: give one of --max-error, --max-triangles")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BuildOptions(MeshOptions, MapOptions, PictureOptions, CommonOptions):
     """How a source becomes a world; None means "as the source says, else the default".
 
-    Attributes:
-        name: name of the world; default: the source's stem.
-        kind: read a picture as terrain (`picture`) or as laser map (`map`).
-        size: extent of a picture, metres: its longer side, or width and height.
-        pixel_size: metres a pixel, instead of `size`.
-        height: relief of a picture, metres.
-        grayscale: turn a colour picture into gray.
-        invert: black is high.
-        resolution: metres a cell, for a map picture without YAML or the map of a log, or between the
-            heights read off a mesh.
-        origin: pose of the lower-left corner of a map picture without YAML.
-        wall_height: height of a laser map's walls, metres.
-        unknown: what the unknown cells of a laser map are; a hole has no floor.
-        speckle: walls of fewer connected cells are dropped from a laser map.
-        window: keep only a square: centre x, y and side, metres, in the world's frame.
-        max_pixels: refuse pictures with more, read from the header.
-        crop: keep only a rectangle of the picture: column, row, width and height, pixels.
-        resize: resample the picture to this width and height, pixels; its metres stay.
-        deterrace: remove the stairs of a coarse gray scale (within half a level of every pixel).
-        denoise: filter against single wrong pixels (`median`) or noise beside edges (`bilateral`).
-        smoothing: standard deviation of a Gaussian blur, pixels.
-        sharpness: amount of an unsharp mask, applied after smoothing.
-        z_scale: multiplies the heights that the rest gives.
-        scale: multiplies the width, depth and height that the rest gives.
-        rotate_x: turn of the mesh files about the x axis, degrees; 0 is upright in every consumer.
-        max_error: largest vertical deviation of the mesh from the surface, metres.
-        max_triangles: most triangles of the mesh, instead of `max_error`.
-        texture: picture (PNG or JPEG) that the mesh wears; default: one drawn from its heights.
-        texture_size: metres that the texture spans before it repeats; default: the longest side.
-        log_mapper: name of the mapper that turns a laser log into a map.
+    Lengths are metres in the world's frame, angles of poses radians, a crop is column, row, width and height.
 
     Raises:
         ConfigError: a value is not legal, or two options contradict.
     """
 
-    name: str | None = None
-    kind: Literal["picture", "map"] | None = None
-    size: float | tuple[float, float] | None = None
-    pixel_size: float | None = None
-    height: float | None = None
-    grayscale: bool = False
-    invert: bool = False
-    resolution: float | None = None
-    origin: Pose2 | None = None
-    wall_height: float = 2.5
-    unknown: Unknown = "floor"
-    speckle: int = 0
-    window: tuple[float, float, float] | None = None
-    max_pixels: int = MAX_PIXELS
-    crop: tuple[int, int, int, int] | None = None
-    resize: tuple[int, int] | None = None
-    deterrace: bool = False
-    denoise: Literal["median", "bilateral"] | None = None
-    smoothing: float | None = None
-    sharpness: float | None = None
-    z_scale: float | None = None
-    scale: tuple[float, float, float] | None = None
-    rotate_x: float = 0.0
-    max_error: float | None = None
-    max_triangles: int | None = None
-    texture: Path | None = None
-    texture_size: float | None = None
-    log_mapper: str = "cartographer"
 
-    def __post_init__(self) -> None:
-        sizes = self.size if isinstance(self.size, tuple) else (self.size,)
-        for option, value in (
-            *(("size", s) for s in sizes),
-            ("pixel size", self.pixel_size),
-            ("height", self.height),
-            ("resolution", self.resolution),
-            ("wall height", self.wall_height),
-            ("window side", self.window[2] if self.window else None),
-            ("max pixels", self.max_pixels),
-            ("smoothing", self.smoothing),
-            ("sharpness", self.sharpness),
-            ("z scale", self.z_scale),
-            *(("scale", s) for s in self.scale or ()),
-            ("max error", self.max_error),
-            ("max triangles", self.max_triangles),
-            ("texture size", self.texture_size),
-        ):
-            if value is not None and not 0 < value < float("inf"):
-                raise ConfigError(f"{option} must be a finite number above 0, got {value}")
-        if self.size is not None and self.pixel_size is not None:
-            raise ConfigError("size and pixel size both set the extent: give one of --size, --pixel-size")
-        if self.max_error is not None and self.max_triangles is not None:
-            raise ConfigError("both limit the mesh: give one of --max-error, --max-triangles")
-        if self.unknown not in UNKNOWN:
-            raise unknown_name("kind of unknown cell", self.unknown, UNKNOWN)
-        if self.speckle < 0:
-            raise ConfigError(f"speckle must be 0 or more cells, got {self.speckle}")
-        if self.denoise not in (None, *DENOISE_METHODS):
-            raise unknown_name("denoise method", self.denoise, DENOISE_METHODS)
-        if self.crop is not None and (min(self.crop[:2]) < 0 or min(self.crop[2:]) < 2):
-            raise ConfigError(f"crop needs a corner at 0,0 or beyond and at least 2x2 px, got {self.crop}")
-        if self.resize is not None and not all(2 <= n <= MAX_SIDE for n in self.resize):
-            raise ConfigError(f"resize needs 2 to {MAX_SIDE} px a side, got {self.resize}")
-        if not math.isfinite(self.rotate_x):
-            raise ConfigError(f"x rotation must be finite, got {self.rotate_x} degrees")
+def without_effect(options: BuildOptions, kind: SourceKind) -> list[str]:
+    """Return the names of options that were given but say nothing about a kind of source."""
+    default: Any = type(options)()
+    return [
+        name
+        for name, found in declared(type(options))
+        if found.kinds is not None
+        and kind not in found.kinds
+        and getattr(options, name) != getattr(default, name)
+    ]

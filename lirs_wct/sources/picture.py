@@ -19,8 +19,9 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.sources.bundled import SIZE, bundled_picture
 from lirs_wct.sources.dequantize import dequantize
 from lirs_wct.sources.filters import apply_filters
+from lirs_wct.sources.kinds import SourceKind
 from lirs_wct.sources.options import DEFAULT_HEIGHT, DEFAULT_SIZE, BuildOptions
-from lirs_wct.sources.source import Source, SourceKind
+from lirs_wct.sources.source import Source
 
 GRAY_TOLERANCE = 2
 """Levels of 255 by which the channels of a gray picture may differ (rounding of colour conversions)."""

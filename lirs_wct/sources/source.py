@@ -4,44 +4,14 @@ from __future__ import annotations
 
 import re
 import warnings
-from dataclasses import dataclass, fields
-from enum import Enum
+from dataclasses import dataclass
 from pathlib import Path
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.suffixes import LOGS, MAPS, MESHES
 from lirs_wct.sources.bundled import RECIPES
-from lirs_wct.sources.options import BuildOptions
-
-
-class SourceKind(Enum):
-    """How a source is read."""
-
-    BUNDLED = "bundled world"
-    FOLDER = "built folder"
-    PICTURE = "picture of a terrain"
-    MAP = "laser map"
-    MAP_PICTURE = "picture of a laser map"
-    MESH = "mesh"
-    LOG = "log of a laser"
-
-
-_ANY = {"name", "kind", "max_pixels", "rotate_x", "max_error", "max_triangles", "texture", "texture_size"}
-_PICTURE = {
-    *("size", "pixel_size", "height", "grayscale", "invert", "window", "crop", "resize", "deterrace"),
-    *("denoise", "smoothing", "sharpness", "z_scale", "scale"),
-}
-_MAP = {"window", "wall_height", "unknown", "speckle"}
-_USED = {
-    SourceKind.BUNDLED: _PICTURE,
-    SourceKind.FOLDER: {"window"},
-    SourceKind.PICTURE: _PICTURE,
-    SourceKind.MAP: _MAP,
-    SourceKind.MAP_PICTURE: {*_MAP, "resolution", "origin"},
-    SourceKind.LOG: {*_MAP, "resolution", "log_mapper"},
-    SourceKind.MESH: {"size", "pixel_size", "height", "window", "z_scale", "scale", "resolution"},
-}
-"""Which options a kind of source has a use for, beside those that any has."""
+from lirs_wct.sources.kinds import SourceKind
+from lirs_wct.sources.options import BuildOptions, without_effect
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +46,7 @@ def is_log(path: Path) -> bool:
 
 def warn_of_useless(source: Source, options: BuildOptions) -> None:
     """Warn of options that were given but say nothing about a source of this kind."""
-    used, default = _USED[source.kind] | _ANY, BuildOptions()
-    useless = [
-        f"--{field.name.replace('_', '-')}"
-        for field in fields(options)
-        if field.name not in used and getattr(options, field.name) != getattr(default, field.name)
-    ]
+    useless = [f"--{name.replace('_', '-')}" for name in without_effect(options, source.kind)]
     if useless:
         verb = "has" if len(useless) == 1 else "have"
         warnings.warn(

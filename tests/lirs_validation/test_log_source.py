@@ -13,6 +13,7 @@ import pytest
 
 from lirs_validation import cli, resolve_source
 from lirs_validation.analysis.result_folders import read_results
+from lirs_validation.config import SourceOptions
 from lirs_validation.experiment.run import validate
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import SourceError
@@ -52,7 +53,7 @@ def test_build_makes_the_map_and_the_world_of_it(folder: Path) -> None:
 
 
 def test_a_map_that_is_there_is_used_again(folder: Path) -> None:
-    options = BuildOptions(log_mapper="hector")
+    options = SourceOptions(log_mapper="hector")
     first = resolve_source("my room.clf", options, folder)
     assert Path(first).name == "my_room.yaml"
     record = Path(first).with_name("record.json")
@@ -60,7 +61,7 @@ def test_a_map_that_is_there_is_used_again(folder: Path) -> None:
     assert resolve_source("my room.clf", options, str(folder)) == first
     assert record.stat().st_mtime_ns == before
     # Other cells, another log, other code: another map.
-    assert resolve_source("my room.clf", BuildOptions(log_mapper="hector", resolution=0.1), folder) != first
+    assert resolve_source("my room.clf", SourceOptions(log_mapper="hector", resolution=0.1), folder) != first
     write_log(folder / "my room.clf", room_lines(60)[0])
     assert resolve_source("my room.clf", options, folder) != first
     assert len(maps(folder)) == 3
@@ -83,7 +84,7 @@ def test_a_map_of_a_lost_mapper_is_no_world(folder: Path) -> None:
         lines.append(flaser(rng.uniform(0.5, 7.0, 181), resting(lines), START + 0.2 * k))
     write_log(folder / "lost.log", lines)
     with pytest.raises(SourceError, match=r"lost\.log: hector lost its place in this log"):
-        resolve_source("lost.log", BuildOptions(log_mapper="hector"), folder)
+        resolve_source("lost.log", SourceOptions(log_mapper="hector"), folder)
     assert wct("map", "lost.log", "--mapper", "hector") == 3
 
 
@@ -103,7 +104,7 @@ def test_view_and_info_take_logs(folder: Path, capsys: pytest.CaptureFixture[str
 
 
 def test_a_robot_drives_in_the_map_of_a_log(folder: Path) -> None:
-    source = resolve_source("my room.clf", BuildOptions(log_mapper="hector"), folder)
+    source = resolve_source("my room.clf", SourceOptions(log_mapper="hector"), folder)
     run = validate(source, robot="turtlebot3_burger", seconds=2.0, out=folder)
     assert run.record.world["name"] == "my_room"
     assert run.record.status == "ok"

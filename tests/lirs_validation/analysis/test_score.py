@@ -14,6 +14,7 @@ from lirs_validation import cli, validate
 from lirs_validation.analysis.recorded import recorded_config, true_pose_map
 from lirs_validation.analysis.result_folders import RunFolder, read_run
 from lirs_validation.analysis.score import score
+from lirs_validation.config import SourceOptions
 from lirs_validation.metrics import agreement, iou
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.map_server import read_map, write_map
@@ -83,7 +84,7 @@ def test_a_map_of_other_cells_meets_a_true_pose_map_of_its_own(run: RunFolder, t
 
 def test_the_config_reads_back(run: RunFolder) -> None:
     config = recorded_config(run.entry)
-    assert config.build == BuildOptions(size=40.0, height=4.0)
+    assert config.build == SourceOptions(size=40.0, height=4.0)
     assert config.digest == run.folder.name[-8:]
     with_more = json.loads(json.dumps(run.entry)) | {"config": dict(run.entry["config"]) | {"wind": 3}}
     with pytest.raises(SourceError, match="unknown to this version: wind"):
