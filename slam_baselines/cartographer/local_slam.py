@@ -23,7 +23,7 @@ from slam_baselines.matching.registration import Registration
 from slam_baselines.matching.tracking import TrackingMonitor
 from slam_baselines.motion.dead_reckoning import DeadReckoning, PoseEstimate
 from slam_baselines.motion.motion_filter import MotionFilter
-from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
+from slam_baselines.scan.leveling import LeveledScan, ScanLeveler, ScanPoints
 
 
 class LocalSlam:
@@ -76,25 +76,18 @@ class LocalSlam:
         due = fits and self._filter.due(level, self.estimate.pose)
         return self._insert_into_submaps(level) if due else None
 
-    def walls(
-        self, scan: LeveledScan, pose: Pose2, height: float, min_slopes: ByteArray | None
-    ) -> FloatArray:
+    def walls(self, scan: LeveledScan, pose: Pose2, height: float, known: ByteArray | None) -> FloatArray:
         """Return (n,) 1 for hits on what is known by now to be a wall, 0 for those that may be ground.
 
         Args:
             scan: leveled.
             pose: `T_local_base`.
             height: of the base in the local frame, metres.
-            min_slopes: (n,) known before, SLOPE_STEP; None: as the matching submap knows them.
+            known: (n,) minimum slopes known before; None: as the matching submap knows them.
         """
-        wall_slope = self.ground_filter.match_wall_slope
-        if wall_slope == 0:
-            return np.ones(len(scan.hits))
-        origin, hits, _ = scan.transformed(pose, height)
-        known = self.submaps.matching_submap.min_slope(hits) if min_slopes is None else min_slopes
-        return (np.maximum(self.ground_filter.min_slope(origin, hits, pose), known) >= wall_slope).astype(
-            np.float64
-        )
+        drawn = self.submaps.matching_submap.min_slope if known is None else None
+        slopes = self.ground_filter.min_slopes(scan, pose, height, known=known, drawn=drawn)
+        return self.ground_filter.wall_weights(slopes)
 
     def _match(self, scan: LeveledScan, expected: PoseEstimate, seconds: float) -> Match | None:
         """Move the estimate to where the scan fits; to the expected one, if there is nothing to fit."""
@@ -135,14 +128,9 @@ class LocalSlam:
     def _insert_into_submaps(self, scan: LeveledScan) -> Node:
         """Draw the scan into the submaps."""
         pose, height, ground_filter = self.estimate.pose, self.ground_filter.height, self.ground_filter
-        origin, hits, free = scan.transformed(pose, height)
-        min_slopes = (
-            ground_filter.observe(origin, hits, free, pose)
-            if scan.leveled
-            else ground_filter.no_min_slope(len(hits))
-        )
+        placed, min_slopes = ground_filter.insert(scan, pose)
         entered = self.submaps.insert_range_data(
-            self.nodes, pose, origin, hits, free, min_slopes, ground_filter.match_wall_slope
+            self.nodes, pose, placed, min_slopes, ground_filter.match_wall_slope
         )
         step, self._increment = self._increment, NOWHERE
         self.nodes += 1
@@ -169,12 +157,9 @@ class LocalSlam:
         self.submaps = Submaps(self.config.submaps)
         again: list[Node] = []
         for node, estimate in zip(nodes, found, strict=True):
-            origin, hits, free = node.scan.transformed(estimate.pose, node.height)
-            min_slopes = np.maximum(
-                node.min_slopes, self.ground_filter.min_slope(origin, hits, estimate.pose)
-            )
+            placed, min_slopes = self._known_walls(node, estimate.pose)
             entered = self.submaps.insert_range_data(
-                len(again), estimate.pose, origin, hits, free, min_slopes, self.ground_filter.match_wall_slope
+                len(again), estimate.pose, placed, min_slopes, self.ground_filter.match_wall_slope
             )
             again.append(
                 replace(
@@ -203,12 +188,9 @@ class LocalSlam:
                     node, composed(estimate, PoseEstimate(step.pose.inverse(), step.covariance))
                 )
             found.append(estimate)
-            origin, hits, free = node.scan.transformed(estimate.pose, node.height)
-            min_slopes = np.maximum(
-                node.min_slopes, self.ground_filter.min_slope(origin, hits, estimate.pose)
-            )
+            placed, min_slopes = self._known_walls(node, estimate.pose)
             self.submaps.insert_range_data(
-                i, estimate.pose, origin, hits, free, min_slopes, self.ground_filter.match_wall_slope
+                i, estimate.pose, placed, min_slopes, self.ground_filter.match_wall_slope
             )
         found.reverse()
         move = nodes[0].pose @ found[0].pose.inverse()
@@ -222,3 +204,8 @@ class LocalSlam:
             submap.pyramid, node.scan.hits, weights, expected, expected.pose
         )
         return fitted
+
+    def _known_walls(self, node: Node, pose: Pose2) -> tuple[ScanPoints, ByteArray]:
+        """Return a node's scan in the local frame, and the minimum slopes of its hits as known by now."""
+        slopes = self.ground_filter.min_slopes(node.scan, pose, node.height, known=node.min_slopes)
+        return node.scan.transformed(pose, node.height), slopes

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.cartographer.node import Node
-from slam_baselines.cartographer.submap import bounding_box
 from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
-from slam_baselines.mapping.occupancy_map import OccupancyMap, UpdateConfig
+from slam_baselines.mapping.occupancy_map import OccupancyMap, UpdateConfig, bounding_box
 
 
 class NodeMap:
@@ -45,12 +44,5 @@ class NodeMap:
             node.leveled_distance,
             node.tilt,
         )
-        origin, hits, free = node.scan.transformed(pose, node.height)
-        min_slopes = (
-            ground_filter.observe(origin, hits, free, pose)
-            if node.scan.leveled
-            else ground_filter.no_min_slope(len(hits))
-        )
-        self._map.update(
-            origin, hits, free, min_slopes, ground_filter.match_wall_slope, bounding_box(origin, hits, free)
-        )
+        placed, min_slopes = ground_filter.insert(node.scan, pose)
+        self._map.update(placed, min_slopes, ground_filter.match_wall_slope, bounding_box(placed))

@@ -14,9 +14,10 @@ import numpy as np
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
-from slam_baselines.mapping.occupancy_map import UNKNOWN, OccupancyMap, UpdateConfig
+from slam_baselines.mapping.occupancy_map import UNKNOWN, OccupancyMap, UpdateConfig, bounding_box
 from slam_baselines.mapping.pyramid import MapPyramid
 from slam_baselines.matching.branch_and_bound import BoundGrids
+from slam_baselines.scan.leveling import ScanPoints
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,20 +85,12 @@ class Submap:
         cells = np.argwhere(grid.layers["log_odds"] != UNKNOWN)[:, ::-1] + (grid.col0, grid.row0)
         return np.asarray((cells + 0.5) * grid.resolution, dtype=np.float64)
 
-    def draw_range_data(
-        self,
-        node: int,
-        origin: FloatArray,
-        hits: FloatArray,
-        free: FloatArray,
-        min_slopes: ByteArray,
-        wall_slope: int,
-    ) -> None:
+    def draw_range_data(self, node: int, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int) -> None:
         """Draw a scan, given in the local frame (see OccupancyMap.update)."""
         self.set_wall_slope(wall_slope)
         self.nodes.append(node)
-        box = bounding_box(origin, hits, free)
-        grew = [level.update(origin, hits, free, min_slopes, wall_slope, box) for level in self.pyramid.maps]
+        box = bounding_box(scan)
+        grew = [level.update(scan, min_slopes, wall_slope, box) for level in self.pyramid.maps]
         if any(grew):
             self.pyramid.refresh()
 
@@ -156,23 +149,14 @@ class Submaps:
         return range(first, len(self.all))
 
     def insert_range_data(
-        self, node: int, pose: Pose2, origin: FloatArray, hits: FloatArray, free: FloatArray,
-        min_slopes: ByteArray, wall_slope: int,
-    ) -> range:  # fmt: skip
+        self, node: int, pose: Pose2, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int
+    ) -> range:
         """Draw a scan taken at `pose`; return the submaps it entered."""
         if not self.all or len(self.all[-1].nodes) >= self._config.num_range_data:
             self.all.append(Submap(self._config, pose))
         entered = self.active
         for i in entered:
-            self.all[i].draw_range_data(node, origin, hits, free, min_slopes, wall_slope)
+            self.all[i].draw_range_data(node, scan, min_slopes, wall_slope)
         older = self.all[entered[0]]
         older.finished = len(older.nodes) >= 2 * self._config.num_range_data
         return entered
-
-
-def bounding_box(origin: FloatArray, *ends: FloatArray) -> FloatArray:
-    """Return (4,) west, south, east, north of the laser and all ends of beams, metres."""
-    points = [origin[None, :2], *(e[:, :2] for e in ends if len(e))]
-    low = np.min([p.min(axis=0) for p in points], axis=0)
-    high = np.max([p.max(axis=0) for p in points], axis=0)
-    return np.concatenate((low, high))

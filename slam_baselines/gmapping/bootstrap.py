@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from slam_baselines.common.se2 import in_axes_of
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
+from slam_baselines.gmapping.likelihood_field import Beams
 from slam_baselines.gmapping.proposal import Proposer
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.motion.increment import unbiased
@@ -109,8 +111,7 @@ class Bootstrap:
             step = path[i + 1].inverse() @ path[i]
             pose = pose @ step
             covariance = in_axes_of(pose.inverse(), frames[i + 1].covariance)
-            min_slopes = _min_slope(frames[i], pose, ground_filter)
-            pose = _matched(frames[i], pose, covariance, min_slopes, maps, proposer, wall_slope)
+            pose = _matched(frames[i], pose, covariance, maps, proposer, ground_filter)
             _draw(maps, frames[i], pose, _min_slope(frames[i], pose, ground_filter), wall_slope)
             found.append(pose)
         T_new_old = found[-1].inverse()
@@ -135,29 +136,25 @@ class Bootstrap:
 
 def _min_slope(frame: Frame, pose: Pose2, ground_filter: GroundFilter) -> ByteArray:
     """Return (n,) the minimum slopes of the frame's hits as known by now."""
-    origin, hits, _ = frame.scan.transformed(pose, frame.height)
-    return np.maximum(frame.min_slopes, ground_filter.min_slope(origin, hits, pose))
+    return ground_filter.min_slopes(frame.scan, pose, frame.height, known=frame.min_slopes)
 
 
 def _draw(maps: PatchMaps, frame: Frame, pose: Pose2, min_slopes: ByteArray, wall_slope: int) -> None:
-    lift, scan = np.array((0.0, 0.0, frame.height)), frame.scan
-    maps.enter(
-        pose.as_array()[None], scan.origin + lift, scan.hits + lift, scan.free + lift, min_slopes, wall_slope
-    )
+    points = frame.scan.transformed(Pose2(), frame.height)
+    maps.enter(pose.as_array()[None], points, min_slopes, wall_slope)
 
 
 def _matched(
     frame: Frame,
     expected: Pose2,
     covariance: FloatArray,
-    min_slopes: ByteArray,
     maps: PatchMaps,
     proposer: Proposer,
-    wall_slope: int,
+    ground_filter: GroundFilter,
 ) -> Pose2:
     """Return where the frame fits into the map so far; the expected pose if nowhere."""
-    _, hits, _ = frame.scan.transformed(expected, frame.height)
-    weights = (np.maximum(min_slopes, maps.min_slope(0, hits)) >= wall_slope).astype(np.float64)
-    view, points = maps.view(0, wall_slope), frame.scan.hits
-    found = proposer.track(view, points, weights, expected.as_array(), covariance)
+    drawn = partial(maps.min_slope, 0)
+    slopes = ground_filter.min_slopes(frame.scan, expected, frame.height, known=frame.min_slopes, drawn=drawn)
+    view, weights = maps.view(0, ground_filter.match_wall_slope), ground_filter.wall_weights(slopes)
+    found = proposer.track(view, Beams(frame.scan.hits, weights), expected.as_array(), covariance)
     return expected if found is None else Pose2(*found.tolist())

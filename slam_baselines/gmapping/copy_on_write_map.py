@@ -8,7 +8,7 @@ point at is copied by the first that draws into it. So memory goes with what dif
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -18,6 +18,7 @@ from lirs_wct.arrays import ByteArray, FloatArray, Int32Array, IntArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.occupancy_map import STEP, TOP_STEP, UNKNOWN, UpdateConfig
+from slam_baselines.scan.leveling import ScanPoints
 
 
 class PatchMaps:
@@ -54,26 +55,16 @@ class PatchMaps:
         self.patches.owners[:] = owners
         _list_free(self.patches)
 
-    def enter(
-        self,
-        poses: FloatArray,
-        origin: FloatArray,
-        hits: FloatArray,
-        free: FloatArray,
-        min_slopes: ByteArray,
-        wall_slope: int,
-    ) -> None:
+    def enter(self, poses: FloatArray, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int) -> None:
         """Draw one scan into every map, each from its own pose.
 
         Args:
             poses: (particles, 3) x, y, yaw of `T_map_base`.
-            origin: (3,) x, y of the laser in the leveled base frame, and its height in the map, metres.
-            hits: (n, 3) where beams ended, likewise.
-            free: (m, 3) ends of beams that met nothing up to there, likewise.
+            scan: x and y in the leveled base frame, heights in the map frame.
             min_slopes: (n,) of each hit, SLOPE_STEP.
             wall_slope: minimum slope from which on a cell is a wall, SLOPE_STEP.
         """
-        ends = np.concatenate((hits, free, origin[None]))[:, :2]
+        ends = np.concatenate((scan.hits, scan.free, scan.origin[None]))[:, :2]
         reach = float(np.sqrt((ends**2).sum(axis=1).max())) + 2 * self.resolution
         self._cover(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
         span = 2 * reach / self.resolution
@@ -82,22 +73,15 @@ class PatchMaps:
         done = 0
         while done < len(poses):
             self._reserve(needed)
+            limits = EntryLimits(int(span) + 4, needed)
             done = enter_scans(
-                self.tables,
-                self.corner,
-                self.patches,
-                self.resolution,
-                poses,
-                origin,
-                hits,
-                free,
-                min_slopes,
-                wall_slope,
-                np.array(self._steps),
-                int(span) + 4,
-                needed,
-                done,
+                self.stack, poses, scan, min_slopes, wall_slope, np.array(self._steps), limits, done
             )
+
+    @property
+    def stack(self) -> MapStack:
+        """All maps for the kernels; void after the next change."""
+        return MapStack(self.tables, self.corner, self.patches, self.resolution)
 
     def view(self, particle: int, wall_slope: int) -> MapView:
         """Return one map for the kernels; void after the next change."""
@@ -106,7 +90,7 @@ class PatchMaps:
     def min_slope(self, particle: int, points: FloatArray) -> ByteArray:
         """Return (n,) the minimum slopes of the cells under points (n, 2 or more) of the map frame."""
         out = np.zeros(len(points), np.uint8)
-        min_slope(self.tables[particle], self.corner, self.patches, self.resolution, points, out)
+        look_up(self.view(particle, 0), points, out)
         return out
 
     def occupancy_grid(self, particle: int, wall_slope: int) -> OccupancyGrid:
@@ -226,8 +210,31 @@ class MapView(NamedTuple):
     wall_slope: int
 
 
+class MapStack(NamedTuple):
+    """All maps as the kernels see them; attributes as of PatchMaps."""
+
+    tables: Int32Array
+    corner: IntArray
+    patches: Patches
+    resolution: float
+
+
+class EntryLimits(NamedTuple):
+    """Cells along the edge of the window that a scan reaches, and patches that it may need."""
+
+    side: int
+    patches: int
+
+
+class Scratch(NamedTuple):
+    """Cells that a scan has touched: (side, side) flags, and the lattice row and column of their first."""
+
+    touched: ByteArray
+    window: IntArray
+
+
 @njit(cache=True)
-def _own(table, patches, row, col):  # type: ignore[no-untyped-def]
+def _own(table: Any, patches: Any, row: int, col: int) -> Any:
     """Put a patch of its own, new or copied, at a place of a table; return which."""
     p = table[row, col]
     patches.free[0] -= 1
@@ -251,46 +258,40 @@ def _own(table, patches, row, col):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def enter_scans(  # type: ignore[no-untyped-def]
-    tables,
-    corner,
-    patches,
-    res,
-    poses,
-    origin,
-    hits,
-    free,
-    min_slopes,
-    wall_slope,
-    steps,
-    side,
-    needed,
-    first,
-):
+def enter_scans(
+    maps: Any, poses: Any, scan: Any, min_slopes: Any, wall_slope: int, steps: Any, limits: Any, first: int
+) -> int:
     """Draw the scan into the maps from the first on; return how many are done when patches run out."""
+    origin, hits, free = scan
+    res, side = maps.resolution, limits.side
     touched = np.empty((side, side), np.uint8)
     for k in range(first, len(poses)):
-        if patches.free[0] < needed:
+        if maps.patches.free[0] < limits.patches:
             return k
         touched[:] = 0
         x, y = poses[k, 0] / res, poses[k, 1] / res
         c, s = np.cos(poses[k, 2]) / res, np.sin(poses[k, 2]) / res
         start = np.array((x + c * origin[0] - s * origin[1], y + s * origin[0] + c * origin[1], origin[2]))
         window = np.array((int(np.floor(y)) - side // 2, int(np.floor(x)) - side // 2))
+        view = MapView(maps.tables[k], maps.corner, maps.patches, res, wall_slope)
+        scratch = Scratch(touched, window)
         for i in range(len(hits)):
             u, v = x + c * hits[i, 0] - s * hits[i, 1], y + s * hits[i, 0] + c * hits[i, 1]
-            _hit(tables[k], corner, patches, touched, window, u, v, hits[i, 2], min_slopes[i], steps)
+            _hit(view, scratch, (u, v, hits[i, 2]), min_slopes[i], steps)
         for i in range(len(hits) + len(free)):
             to_end = i >= len(hits)
             end = free[i - len(hits)] if to_end else hits[i]
             u, v = x + c * end[0] - s * end[1], y + s * end[0] + c * end[1]
-            _pass(tables[k], corner, patches, touched, window, start, u, v, end[2], to_end, wall_slope, steps)
+            _pass(view, scratch, start, (u, v, end[2]), to_end, steps)
     return len(poses)
 
 
 @njit(cache=True)
-def _hit(table, corner, patches, touched, window, u, v, z, min_slope, steps):  # type: ignore[no-untyped-def]
+def _hit(view: Any, scratch: Any, end: Any, min_slope: int, steps: Any) -> None:
     """Raise the cell where a beam ends (u, v in cells), once a scan, and move its mean."""
+    table, corner, patches, _, _ = view
+    touched, window = scratch
+    u, v, z = end
     row, col = int(np.floor(v)), int(np.floor(u))
     r, c = (row >> BITS) - corner[0], (col >> BITS) - corner[1]
     p = table[r, c]
@@ -315,11 +316,14 @@ def _hit(table, corner, patches, touched, window, u, v, z, min_slope, steps):  #
 
 
 @njit(cache=True)
-def _pass(table, corner, patches, touched, window, start, u, v, z, to_end, wall_slope, steps):  # type: ignore[no-untyped-def]
+def _pass(view: Any, scratch: Any, start: Any, end: Any, to_end: bool, steps: Any) -> None:
     """Lower the cells between the laser and the end of one beam (u, v in cells), each once a scan.
 
     A beam that passes above where a wall was hit says nothing about the wall.
     """
+    table, corner, patches, _, wall_slope = view
+    touched, window = scratch
+    u, v, z = end
     log_odds, min_slopes, tops, owners = patches.log_odds, patches.min_slope, patches.top, patches.owners
     top, left, row0, col0 = corner[0], corner[1], window[0], window[1]
     x0, y0, z0, miss, most = start[0], start[1], start[2], steps[0], steps[2]
@@ -346,8 +350,9 @@ def _pass(table, corner, patches, touched, window, start, u, v, z, to_end, wall_
 
 
 @njit(cache=True)
-def min_slope(table, corner, patches, res, points, out):  # type: ignore[no-untyped-def]
+def look_up(view: Any, points: Any, out: Any) -> None:
     """Read the layer `min_slope` of one map at points; 0 where nothing was drawn."""
+    table, corner, patches, res, _ = view
     rows, cols = table.shape
     for i in range(len(points)):
         row, col = int(np.floor(points[i, 1] / res)), int(np.floor(points[i, 0] / res))

@@ -6,7 +6,7 @@ fields: close to a mean is likely, whatever the beam has passed before.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -36,7 +36,7 @@ class Beams(NamedTuple):
 
 # Inlined with plain arrays: handing tuples of arrays on for every cell would cost more than the work.
 @njit(cache=True, inline="always")
-def _cell(table, row0, col0, row, col):  # type: ignore[no-untyped-def]
+def _cell(table: Any, row0: int, col0: int, row: int, col: int) -> Any:
     """Return the patch (or ABSENT) and the cell in it at a cell of the lattice; corner at row0, col0."""
     r, c = (row >> BITS) - row0, (col >> BITS) - col0
     inside = 0 <= r < table.shape[0] and 0 <= c < table.shape[1]
@@ -44,7 +44,19 @@ def _cell(table, row0, col0, row, col):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline="always")
-def _attraction(table, top, left, log_odds, mean, min_slopes, wall_slope, u, v, reach, narrow):  # type: ignore[no-untyped-def]
+def _attraction(
+    table: Any,
+    top: int,
+    left: int,
+    log_odds: Any,
+    mean: Any,
+    min_slopes: Any,
+    wall_slope: int,
+    u: float,
+    v: float,
+    reach: int,
+    narrow: float,
+) -> Any:
     """Return how strongly walls attract a beam's end (u, v in cells), whereto, and by which matrix.
 
     The walls' cells within `reach` weigh exp(narrow d^2). The end is drawn to their weighted mean m, across
@@ -73,7 +85,7 @@ def _attraction(table, top, left, log_odds, mean, min_slopes, wall_slope, u, v, 
 
 
 @njit(cache=True)
-def log_likelihood(view, beams, pose, reach, lsigma, width):  # type: ignore[no-untyped-def]
+def log_likelihood(view: Any, beams: Any, pose: Any, reach: int, lsigma: float, width: float) -> Any:
     """Return the log-likelihood of a scan, and the weights of beams that end at a wall and on known cells.
 
     Each beam gives -d^2 / lsigma, d metres from its end to the wall within `reach` cells, and -NOTHING
@@ -116,7 +128,7 @@ def log_likelihood(view, beams, pose, reach, lsigma, width):  # type: ignore[no-
 
 
 @njit(cache=True)
-def linearize(view, beams, stride, pose, reach, width, H, g):  # type: ignore[no-untyped-def]
+def linearize(view: Any, beams: Any, stride: int, pose: Any, reach: int, width: float, H: Any, g: Any) -> Any:
     """Fill H (3, 3) and g (3,) of a Gauss-Newton step that moves the beams' ends onto the walls.
 
     In units of one over the variance of a beam.
@@ -195,21 +207,21 @@ class Tuning(NamedTuple):
 
 
 @njit(cache=True)
-def score(view, beams, pose, tuning):  # type: ignore[no-untyped-def]
+def score(view: Any, beams: Any, pose: Any, tuning: Any) -> Any:
     """Return the log-likelihood of a scan at a pose."""
     spread = tuning.sigma / view.resolution
     return log_likelihood(view, beams, pose, tuning.kernelSize, tuning.lsigma, spread)[0]
 
 
 @njit(cache=True)
-def log_prior(pose, prior):  # type: ignore[no-untyped-def]
+def log_prior(pose: Any, prior: Any) -> Any:
     """Return the logarithm of the odometry's density at a pose, up to a constant."""
     d = _difference(pose, prior.pose)
     return -0.5 * (d @ (prior.information @ d))
 
 
 @njit(cache=True)
-def match(view, beams, prior, start, tuning, H):  # type: ignore[no-untyped-def]
+def match(view: Any, beams: Any, prior: Any, start: Any, tuning: Any, H: Any) -> Any:
     """Return the (3,) pose at which the scan fits best near the start; fill H with its information.
 
     Gauss-Newton in two stages: few beams and a wide view, then all beams and a narrow one. The odometry
@@ -232,7 +244,7 @@ def match(view, beams, prior, start, tuning, H):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def search(view, beams, prior, tuning):  # type: ignore[no-untyped-def]
+def search(view: Any, beams: Any, prior: Any, tuning: Any) -> Any:
     """Return the (3,) pose of the best score in a window around the prior, by trying all."""
     stride = max(1, len(beams.points) // 60)
     some = Beams(np.ascontiguousarray(beams.points[::stride]), beams.weights[::stride] * stride)
@@ -252,14 +264,14 @@ def search(view, beams, prior, tuning):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def moved(pose, by):  # type: ignore[no-untyped-def]
+def moved(pose: Any, by: Any) -> Any:
     """Return pose @ by, all (3,)."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return np.array((pose[0] + c * by[0] - s * by[1], pose[1] + s * by[0] + c * by[1], pose[2] + by[2]))
 
 
 @njit(cache=True)
-def between(a, b):  # type: ignore[no-untyped-def]
+def between(a: Any, b: Any) -> Any:
     """Return a^-1 @ b, all (3,)."""
     c, s = np.cos(a[2]), np.sin(a[2])
     dx, dy = b[0] - a[0], b[1] - a[1]
@@ -267,7 +279,7 @@ def between(a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _difference(pose, other):  # type: ignore[no-untyped-def]
+def _difference(pose: Any, other: Any) -> Any:
     d = pose - other
     d[2] = (d[2] + np.pi) % (2 * np.pi) - np.pi
     return d

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from lirs_wct.arrays import ByteArray, FloatArray, IntArray
+from lirs_wct.arrays import ByteArray, IntArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
@@ -22,6 +23,7 @@ from slam_baselines.common.stopwatch import Stopwatch
 from slam_baselines.gmapping.bootstrap import Bootstrap, Frame
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
+from slam_baselines.gmapping.likelihood_field import Beams
 from slam_baselines.gmapping.proposal import Proposal, Proposer, propagated
 from slam_baselines.gmapping.resampling import effective_number, normalized, systematic_resample
 from slam_baselines.gmapping.trajectory_tree import TrajectoryTree
@@ -128,9 +130,7 @@ class GmappingMapper:
         """Correct the step by matching the scan to the best particle's map."""
         wall_slope = self._ground_filter.match_wall_slope
         view, expected = self._maps.view(self._best, wall_slope), self._pose.as_array()
-        found = self._proposer.track(
-            view, scan.hits, self._weights(scan, wall_slope), expected, self._increment.newest
-        )
+        found = self._proposer.track(view, self._beams(scan), expected, self._increment.newest)
         if found is not None:
             best = Pose2(*self._poses[self._best].tolist())
             self._increment.pose = best.inverse() @ Pose2(*found.tolist())
@@ -158,23 +158,17 @@ class GmappingMapper:
 
     def _propose(self, scan: LeveledScan) -> Proposal:
         """Draw the particles' new poses."""
-        expected, covariances = propagated(
-            self._poses, self._increment.pose, self._increment.reckoned.covariance
-        )
+        reckoned = self._increment.reckoned.covariance
+        odometry = propagated(self._poses, self._increment.pose, reckoned)
         wall_slope = self._ground_filter.match_wall_slope
-        weights = self._weights(scan, wall_slope)
         return self._proposer.propose(
-            self._maps, scan.hits, weights, wall_slope, expected, covariances, self._best, self._rng
+            self._maps, self._beams(scan), wall_slope, odometry, self._best, self._rng
         )
 
-    def _weights(self, scan: LeveledScan, wall_slope: int) -> FloatArray:
-        """Return (n,) 1 for hits on what is known to be a wall, 0 for those that may be ground."""
-        if wall_slope == 0:
-            return np.ones(len(scan.hits))
-        origin, hits, _ = scan.transformed(self._pose, self._ground_filter.height)
-        min_slopes = self._ground_filter.min_slope(origin, hits, self._pose)
-        min_slopes = np.maximum(min_slopes, self._maps.min_slope(self._best, hits))
-        return (min_slopes >= wall_slope).astype(np.float64)
+    def _beams(self, scan: LeveledScan) -> Beams:
+        """Return the scan's hits, weighted by whether the best particle knows them for walls."""
+        ground, drawn = self._ground_filter, partial(self._maps.min_slope, self._best)
+        return Beams(scan.hits, ground.wall_weights(ground.min_slopes(scan, self._pose, drawn=drawn)))
 
     def _frame(self, scan: LeveledScan) -> Frame:
         """Return the scan with how it was come to from the one before."""
@@ -214,17 +208,10 @@ class GmappingMapper:
 
         Return the minimum slopes of its hits.
         """
-        lift = np.array((0.0, 0.0, self._ground_filter.height))
-        if scan.leveled:
-            min_slopes = self._ground_filter.observe(
-                *scan.transformed(self._pose, self._ground_filter.height), self._pose
-            )
-        else:
-            min_slopes = self._ground_filter.no_min_slope(len(scan.hits))
+        _, min_slopes = self._ground_filter.insert(scan, self._pose)
         wall_slope = self._ground_filter.match_wall_slope
-        self._maps.enter(
-            self._poses, scan.origin + lift, scan.hits + lift, scan.free + lift, min_slopes, wall_slope
-        )
+        points = scan.transformed(Pose2(), self._ground_filter.height)
+        self._maps.enter(self._poses, points, min_slopes, wall_slope)
         return min_slopes
 
     def _descend(self, parents: IntArray) -> None:

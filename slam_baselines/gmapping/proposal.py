@@ -13,6 +13,7 @@ The particle's new pose is drawn from N(mu, Sigma), and its weight is multiplied
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -53,7 +54,6 @@ class ProposalConfig:
         spread: they lie within so many standard deviations of the maximum.
         search_threshold: hit ratio below which the wider search begins.
         minimumScore: share below which the match has failed and the odometry alone is believed.
-
         min_beams: fewer beams at walls than this say nothing.
 
     Raises:
@@ -85,8 +85,7 @@ class ProposalConfig:
             )
 
 
-@dataclass(frozen=True, slots=True)
-class Proposal:
+class Proposal(NamedTuple):
     """One draw for each particle.
 
     Attributes:
@@ -106,6 +105,18 @@ class Proposal:
     known_ratio: FloatArray
 
 
+class PoseDistributions(NamedTuple):
+    """Where the particles are by odometry.
+
+    Attributes:
+        poses: (particles, 3) x, y, yaw.
+        covariances: (particles, 3, 3) of these in the map frame.
+    """
+
+    poses: FloatArray
+    covariances: FloatArray
+
+
 class Proposer:
     """Matches a scan to every particle's map and draws their new poses.
 
@@ -122,11 +133,9 @@ class Proposer:
     def propose(
         self,
         maps: PatchMaps,
-        points: FloatArray,
-        weights: FloatArray,
+        beams: Beams,
         wall_slope: int,
-        expected: FloatArray,
-        covariances: FloatArray,
+        odometry: PoseDistributions,
         best: int,
         rng: np.random.Generator,
     ) -> Proposal:
@@ -137,61 +146,39 @@ class Proposer:
 
         Args:
             maps: of the particles.
-            points: (n, 2 or more) ends of beams in the leveled base frame, metres.
-            weights: (n,) how much each counts.
+            beams: of the scan.
             wall_slope: minimum slope from which on a hit is a wall, SLOPE_STEP.
-            expected: (particles, 3) poses by odometry.
-            covariances: (particles, 3, 3) of these.
+            odometry: where they are by it.
             best: the particle to match first.
             rng: source of the draws.
         """
-        n = len(expected)
-        poses, means, sigmas, told = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3))
+        n = len(odometry.poses)
+        proposal = Proposal(*(np.empty((n, *shape)) for shape in ((3,), (3,), (3, 3), (), (), ())))
+        samples = Samples(self._cube, rng.standard_normal((n, 3)))
         self.searches += propose(
-            maps.tables,
-            maps.corner,
-            maps.patches,
-            maps.resolution,
-            wall_slope,
-            Beams(points, weights),
-            expected,
-            covariances,
-            best,
-            self._cube,
-            rng.standard_normal((n, 3)),
-            self._tuning,
-            poses,
-            means,
-            sigmas,
-            told,
+            maps.stack, wall_slope, beams, odometry, best, samples, self._tuning, proposal
         )
-        return Proposal(poses, means, sigmas, told[:, 0], told[:, 1], told[:, 2])
+        return proposal
 
     def track(
-        self,
-        view: MapView,
-        points: FloatArray,
-        weights: FloatArray,
-        expected: FloatArray,
-        covariance: FloatArray,
+        self, view: MapView, beams: Beams, expected: FloatArray, covariance: FloatArray
     ) -> FloatArray | None:
         """Return the (3,) pose at which a scan fits into one map; None where it fits nowhere near.
 
         Args:
             view: the map.
-            points: (n, 2 or more) ends of beams in the leveled base frame, metres.
-            weights: (n,) how much each counts.
+            beams: of the scan.
             expected: (3,) pose by odometry.
             covariance: (3, 3) of it.
         """
-        if weights.sum() < self.config.min_beams:
+        if beams.weights.sum() < self.config.min_beams:
             return None
-        pose, hit, known = track(view, Beams(points, weights), expected, covariance, self._tuning)
+        pose, hit, known = track(view, beams, expected, covariance, self._tuning)
         return pose if hit >= max(self.config.search_threshold * known, self.config.min_beams) else None
 
 
-def propagated(poses: FloatArray, step: Pose2, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (n, 3) poses after a step `T_before_now`, and (n, 3, 3) its covariance in the map frame.
+def propagated(poses: FloatArray, step: Pose2, covariance: FloatArray) -> PoseDistributions:
+    """Return where the particles are after a step `T_before_now`.
 
     Args:
         poses: (n, 3) x, y, yaw before.
@@ -200,7 +187,7 @@ def propagated(poses: FloatArray, step: Pose2, covariance: FloatArray) -> tuple[
     """
     c, s, o = np.cos(poses[:, 2]), np.sin(poses[:, 2]), np.zeros(len(poses))
     R = np.stack((c, -s, o, s, c, o, o, o, o + 1), axis=-1).reshape(-1, 3, 3)
-    return poses + R @ step.as_array(), R @ covariance @ R.transpose(0, 2, 1)
+    return PoseDistributions(poses + R @ step.as_array(), R @ covariance @ R.transpose(0, 2, 1))
 
 
 def _points(n: int) -> FloatArray:
@@ -211,34 +198,27 @@ def _points(n: int) -> FloatArray:
     return (np.outer(np.arange(n), steps) + 0.5) % 1.0 * 2 - 1
 
 
+class Samples(NamedTuple):
+    """Points (samples, 3) around a peak, in standard deviations, and normal draws (particles, 3)."""
+
+    cube: FloatArray
+    normals: FloatArray
+
+
 @njit(cache=True)
-def propose(  # type: ignore[no-untyped-def]
-    tables,
-    corner,
-    patches,
-    res,
-    wall_slope,
-    beams,
-    expected,
-    covariances,
-    best,
-    cube,
-    normals,
-    tuning,
-    poses,
-    means,
-    sigmas,
-    told,
-):
-    """Fill poses, means, sigmas, told (log eta, hit ratio, known ratio); return the number of searches."""
-    n = len(expected)
+def propose(
+    maps: Any, wall_slope: int, beams: Any, odometry: Any, best: int, samples: Any, tuning: Any, out: Any
+) -> int:
+    """Fill a proposal; return the number of searches."""
+    res, (poses, means, sigmas, log_eta, hit_ratio, known_ratio) = maps.resolution, out
+    n = len(poses)
     correction = np.zeros(3)
     searches = 0
     total, width = max(beams.weights.sum(), 1e-9), tuning.sigma / res
     for step in range(n):
         k = best if step == 0 else step - 1 if step <= best else step
-        view = MapView(tables[k], corner, patches, res, wall_slope)
-        prior = Prior(expected[k], np.linalg.inv(covariances[k]))
+        view = MapView(maps.tables[k], maps.corner, maps.patches, res, wall_slope)
+        prior = Prior(odometry.poses[k], np.linalg.inv(odometry.covariances[k]))
         start = prior.pose
         if step > 0:
             other = moved(start, correction)
@@ -263,21 +243,18 @@ def propose(  # type: ignore[no-untyped-def]
         if step == 0:
             correction = between(prior.pose, peak)
         if hit < max(tuning.minimumScore * known, tuning.min_beams):
-            means[k], sigmas[k], told[k, 0] = (
-                prior.pose,
-                covariances[k],
-                score(view, beams, prior.pose, tuning),
-            )
+            means[k], sigmas[k] = prior.pose, odometry.covariances[k]
+            log_eta[k] = score(view, beams, prior.pose, tuning)
         else:
             around = np.linalg.inv(H * (2 * tuning.sigma**2 / tuning.lsigma) + prior.information)
-            told[k, 0] = _fit(view, beams, prior, peak, around, cube, tuning, means[k], sigmas[k])
-        poses[k] = means[k] + np.linalg.cholesky(sigmas[k]) @ normals[k]
-        told[k, 1], told[k, 2] = hit / max(known, 1e-9), known / total
+            log_eta[k] = _fit(view, beams, prior, peak, around, samples.cube, tuning, means[k], sigmas[k])
+        poses[k] = means[k] + np.linalg.cholesky(sigmas[k]) @ samples.normals[k]
+        hit_ratio[k], known_ratio[k] = hit / max(known, 1e-9), known / total
     return searches
 
 
 @njit(cache=True)
-def track(view, beams, expected, covariance, tuning):  # type: ignore[no-untyped-def]
+def track(view: Any, beams: Any, expected: Any, covariance: Any, tuning: Any) -> Any:
     """Return the pose that fits best, and the weights of beams that end at a wall and on known cells."""
     prior = Prior(expected, np.linalg.inv(covariance))
     pose = match(view, beams, prior, expected, tuning, np.empty((3, 3)))
@@ -288,7 +265,9 @@ def track(view, beams, expected, covariance, tuning):  # type: ignore[no-untyped
 
 
 @njit(cache=True)
-def _fit(view, beams, prior, peak, around, cube, tuning, mu, Sigma):  # type: ignore[no-untyped-def]
+def _fit(
+    view: Any, beams: Any, prior: Any, peak: Any, around: Any, cube: Any, tuning: Any, mu: Any, Sigma: Any
+) -> Any:
     """Fill mu and Sigma by eqs. 15-17 from points around the peak; return log eta."""
     L = np.linalg.cholesky(around)
     n = len(cube)

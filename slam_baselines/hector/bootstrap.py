@@ -79,9 +79,7 @@ class Bootstrap:
             last = estimate.pose
             if before is not None:
                 estimate = _expected(estimate, before, frame, reckoning)
-            min_slopes = np.maximum(
-                frame.min_slopes, builder.min_slope(frame.scan, estimate.pose, frame.height)
-            )
+            min_slopes = builder.min_slopes(frame.scan, estimate.pose, frame.height, frame.min_slopes)
             if before is not None:
                 weights = builder.weights(min_slopes)
                 estimate, _ = registration.register(builder.pyramid, frame.scan.hits, weights, estimate, last)

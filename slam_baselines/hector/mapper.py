@@ -139,7 +139,7 @@ class HectorMapper:
         self._received += 1
         if self._builder.updates == 0:
             return None
-        weights = self._builder.weights(self._builder.min_slope(scan, expected.pose))
+        weights = self._builder.weights(self._builder.min_slopes(scan, expected.pose))
         self._estimate, match = self._registration.register(
             self._builder.pyramid, scan.hits, weights, expected, before, self._earlier
         )

@@ -15,7 +15,9 @@ integrated from attitude and motion, loosens old bounds by the distance traveled
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -25,7 +27,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.growing_grid import GrowingGrid
 from slam_baselines.mapping.occupancy_map import SLOPE_STEP
-from slam_baselines.scan.leveling import LeveledScan
+from slam_baselines.scan.leveling import LeveledScan, ScanPoints
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,48 +131,76 @@ class GroundFilter:
         angle = math.degrees(min(factor * self.tilt + margin + unknown, c.slope_limit))
         return round(math.tan(math.radians(math.ceil(angle))) / SLOPE_STEP)
 
-    def observe(self, origin: FloatArray, hits: FloatArray, free: FloatArray, base: Pose2) -> ByteArray:
-        """Lower the upper bound by what a scan has seen; return the minimum slopes of its hits.
+    def insert(self, scan: LeveledScan, pose: Pose2) -> tuple[ScanPoints, ByteArray]:
+        """Take in a scan; return it in the map frame, and (n,) the minimum slopes of its hits."""
+        placed = scan.transformed(pose, self.height)
+        return placed, self.observe(placed, pose) if scan.leveled else self.no_min_slope(len(placed.hits))
+
+    def observe(self, scan: ScanPoints, base: Pose2) -> ByteArray:
+        """Lower the upper bound by what a scan has seen; return (n,) the minimum slopes of its hits.
 
         Args:
-            origin: (3,) the laser in the map frame, metres.
-            hits: (n, 3) where beams ended.
-            free: (m, 3) ends of beams that met nothing.
+            scan: in the map frame.
             base: `T_map_base`.
         """
         c, g = self.config, self.grid
-        ends = np.concatenate((hits, free, origin[None]))
+        ends = np.concatenate((scan.hits, scan.free, scan.origin[None]))
         low, high = ends.min(axis=0) - 2.0, ends.max(axis=0) + 2.0
         g.ensure(low[0], low[1], high[0], high[1])
         upper_bound = g.layers["upper_bound"]
         old = c.drift * self.distance_traveled
         near, far = c.confidence * c.height_error, c.confidence * c.attitude_error
         frame = np.array((g.row0, g.col0, g.resolution))
-        lower(upper_bound, frame, origin, hits, True, near - old, far)
-        lower(upper_bound, frame, origin, free, False, near - old, far)
+        lower(upper_bound, frame, scan.origin, scan.hits, True, near - old, far)
+        lower(upper_bound, frame, scan.origin, scan.free, False, near - old, far)
         stand(upper_bound, frame, self._ground(base), c.footprint, old)
-        return self.min_slope(origin, hits, base)
+        return self._min_slopes(scan, base)
 
-    def min_slope(self, origin: FloatArray, hits: FloatArray, base: Pose2) -> ByteArray:
-        """Return the minimum slopes of hits, SLOPE_STEP, from what was observed so far."""
+    def min_slopes(
+        self,
+        scan: LeveledScan,
+        pose: Pose2,
+        height: float | None = None,
+        *,
+        known: ByteArray | None = None,
+        drawn: Callable[[FloatArray], ByteArray] | None = None,
+    ) -> ByteArray:
+        """Return (n,) the minimum slopes of a scan's hits as known by now, SLOPE_STEP; 0 on a floor.
+
+        Args:
+            scan: leveled.
+            pose: `T_map_base`.
+            height: of the base in the map frame, metres; None: the present one.
+            known: (n,) what was known of the hits before.
+            drawn: what a map knows of hits (n, 3) in its frame.
+        """
+        slopes = self.no_min_slope(len(scan.hits)) if known is None else known
+        if self.match_wall_slope == 0:
+            return slopes
+        placed = scan.transformed(pose, self.height if height is None else height)
+        slopes = np.maximum(slopes, self._min_slopes(placed, pose))
+        return slopes if drawn is None else np.maximum(slopes, drawn(placed.hits))
+
+    def wall_weights(self, min_slopes: ByteArray) -> FloatArray:
+        """Return (n,) 1 for hits on walls, 0 for those that may be ground; on a floor every hit is a wall."""
+        return (min_slopes >= self.match_wall_slope).astype(np.float64)
+
+    def graded_weights(self, min_slopes: ByteArray, wall_slope: int) -> FloatArray:
+        """Return (n,) 1 for hits on steep walls, less on a slope, 0 for those that may be ground."""
+        full = self.config.full_weight_slope / SLOPE_STEP
+        weights: FloatArray = np.minimum(1.0, (min_slopes / full) ** 2) * (min_slopes >= wall_slope)
+        return weights
+
+    def _min_slopes(self, scan: ScanPoints, base: Pose2) -> ByteArray:
+        """Return (n,) the minimum slopes of hits from what was observed so far, SLOPE_STEP."""
         c, g = self.config, self.grid
-        min_slopes = np.zeros(len(hits), np.uint8)
         near, far = c.confidence * c.height_error, c.confidence * c.attitude_error
         frame = np.array((g.row0, g.col0, g.resolution))
-        ground, old = self._ground(base), c.drift * self.distance_traveled
-        bounds = old, near, far
-        min_slope(
-            g.layers["upper_bound"],
-            frame,
-            origin,
-            hits,
-            ground,
-            bounds,
-            self._offsets,
-            SLOPE_STEP,
-            min_slopes,
+        bounds = c.drift * self.distance_traveled, near, far
+        slopes: ByteArray = min_slopes(
+            g.layers["upper_bound"], frame, scan, self._ground(base), bounds, self._offsets
         )
-        return min_slopes
+        return slopes
 
     def _ground(self, base: Pose2) -> FloatArray:
         """Return (3,) the highest that the ground under the robot may be."""
@@ -193,7 +223,9 @@ def _neighbours(resolution: float) -> FloatArray:
 
 
 @njit(cache=True)
-def lower(upper_bound, frame, origin, ends, with_end, near, far):  # type: ignore[no-untyped-def]
+def lower(
+    upper_bound: Any, frame: Any, origin: Any, ends: Any, with_end: bool, near: float, far: float
+) -> None:
     """Lower the upper bound along beams to their height plus near + far * range."""
     res = frame[2]
     x, y = origin[0] / res - frame[1], origin[1] / res - frame[0]
@@ -210,7 +242,7 @@ def lower(upper_bound, frame, origin, ends, with_end, near, far):  # type: ignor
 
 
 @njit(cache=True)
-def stand(upper_bound, frame, ground, footprint, old):  # type: ignore[no-untyped-def]
+def stand(upper_bound: Any, frame: Any, ground: Any, footprint: float, old: float) -> None:
     """The robot stands here: the ground is where its wheels are."""
     reach = int(footprint / frame[2])
     row0, col0 = int(ground[1] / frame[2] - frame[0]), int(ground[0] / frame[2] - frame[1])
@@ -220,11 +252,13 @@ def stand(upper_bound, frame, ground, footprint, old):  # type: ignore[no-untype
 
 
 @njit(cache=True)
-def min_slope(upper_bound, frame, origin, hits, ground, bounds, offsets, step, min_slopes):  # type: ignore[no-untyped-def]
-    """Fill `min_slopes` with the largest rise over run that must lie before each hit."""
+def min_slopes(upper_bound: Any, frame: Any, scan: Any, ground: Any, bounds: Any, offsets: Any) -> Any:
+    """Return (n,) the largest rise over run that must lie before each hit, SLOPE_STEP."""
     old, near, far = bounds
+    origin, hits = scan.origin, scan.hits
     res = frame[2]
     rows, cols = upper_bound.shape
+    slopes = np.empty(len(hits), np.uint8)
     for i in range(len(hits)):
         x, y, z = hits[i]
         reach = np.sqrt((x - origin[0]) ** 2 + (y - origin[1]) ** 2 + (z - origin[2]) ** 2)
@@ -237,4 +271,5 @@ def min_slope(upper_bound, frame, origin, hits, ground, bounds, offsets, step, m
             if r < 0 or c < 0 or r >= rows or c >= cols:
                 continue
             best = max(best, (z - upper_bound[r, c]) / (offsets[k, 2] + res))
-        min_slopes[i] = np.uint8(min(max(best / step, 0.0), 255.0))
+        slopes[i] = np.uint8(min(max(best / SLOPE_STEP, 0.0), 255.0))
+    return slopes

@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
-from slam_baselines.mapping.occupancy_map import SLOPE_STEP, OccupancyMap, UpdateConfig, bounding_box
+from slam_baselines.mapping.occupancy_map import OccupancyMap, UpdateConfig, bounding_box
 from slam_baselines.mapping.pyramid import MapPyramid
-from slam_baselines.scan.leveling import LeveledScan
+from slam_baselines.scan.leveling import LeveledScan, ScanPoints
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,26 +76,16 @@ class MapBuilder:
             self.ground_filter.move(Pose2() if self._last is None else self._last.inverse() @ pose, scan)
         self._last = pose
 
-    def min_slope(self, scan: LeveledScan, pose: Pose2, height: float | None = None) -> ByteArray:
-        """Return (n,) the minimum slopes of the hits, the base at `height` (None: the present one)."""
-        if self.flat:
-            return self.ground_filter.no_min_slope(len(scan.hits))
-        origin, hits, _ = scan.transformed(pose, self.ground_filter.height if height is None else height)
-        now = self.ground_filter.min_slope(origin, hits, pose)
-        return np.maximum(now, self.pyramid.maps[-1].min_slope(hits))
+    def min_slopes(
+        self, scan: LeveledScan, pose: Pose2, height: float | None = None, known: ByteArray | None = None
+    ) -> ByteArray:
+        """Return (n,) the minimum slopes of the hits; arguments as of GroundFilter.min_slopes."""
+        drawn = self.pyramid.maps[-1].min_slope
+        return self.ground_filter.min_slopes(scan, pose, height, known=known, drawn=drawn)
 
     def weights(self, min_slopes: ByteArray) -> FloatArray | None:
-        """Return (n,) how much hits say: 1 on a steep wall, less on a slope, 0 on what may be ground.
-
-        None on a floor, where every hit is a wall.
-        """
-        if self.flat:
-            return None
-        full_weight_slope = self.ground_filter.config.full_weight_slope / SLOPE_STEP
-        weights: FloatArray = np.minimum(1.0, (min_slopes / full_weight_slope) ** 2) * (
-            min_slopes >= self._wall_slope
-        )
-        return weights
+        """Return (n,) weights of hits by their minimum slopes; None on a floor, where every hit is a wall."""
+        return None if self.flat else self.ground_filter.graded_weights(min_slopes, self._wall_slope)
 
     def due(self, scan: LeveledScan, pose: Pose2) -> bool:
         """Whether the robot has moved or tilted enough since the last update."""
@@ -113,29 +101,23 @@ class MapBuilder:
 
     def enter(self, scan: LeveledScan, pose: Pose2) -> ByteArray:
         """Update the map with a scan taken at `pose`; return the minimum slopes of its hits."""
-        origin, hits, free = scan.transformed(pose, self.ground_filter.height)
-        if scan.leveled:
-            min_slopes = self.ground_filter.observe(origin, hits, free, pose)
-        else:
-            min_slopes = self.ground_filter.no_min_slope(len(hits))
+        placed, min_slopes = self.ground_filter.insert(scan, pose)
         if self.ground_filter.match_wall_slope != self._wall_slope:
             self._wall_slope = self.ground_filter.match_wall_slope
             for level in self.pyramid.maps:
                 level.revalue(self._wall_slope)
-        self._draw(origin, hits, free, min_slopes)
+        self._draw(placed, min_slopes)
         self.updates += 1
         self._entered = pose, scan.ground_slope
         return min_slopes
 
     def enter_again(self, scan: LeveledScan, pose: Pose2, height: float, min_slopes: ByteArray) -> None:
         """Update a restarted map with a scan that has entered the ground filter before."""
-        self._draw(*scan.transformed(pose, height), min_slopes)
+        self._draw(scan.transformed(pose, height), min_slopes)
 
-    def _draw(self, origin: FloatArray, hits: FloatArray, free: FloatArray, min_slopes: ByteArray) -> None:
-        box = bounding_box(origin, hits, free)
-        grew = [
-            level.update(origin, hits, free, min_slopes, self._wall_slope, box) for level in self.pyramid.maps
-        ]
+    def _draw(self, scan: ScanPoints, min_slopes: ByteArray) -> None:
+        box = bounding_box(scan)
+        grew = [level.update(scan, min_slopes, self._wall_slope, box) for level in self.pyramid.maps]
         if any(grew):
             self.pyramid.refresh()
 

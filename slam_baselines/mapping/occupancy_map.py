@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -19,6 +19,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.growing_grid import GrowingGrid
+from slam_baselines.scan.leveling import ScanPoints
 
 __all__ = ["FULL", "SLOPE_STEP", "STEP", "TOP_STEP", "UNKNOWN", "UNSEEN", "OccupancyMap", "UpdateConfig"]
 
@@ -88,24 +89,14 @@ class OccupancyMap:
         """Edge of a cell, metres."""
         return self.grid.resolution
 
-    def update(
-        self,
-        origin: FloatArray,
-        hits: FloatArray,
-        free: FloatArray,
-        min_slopes: ByteArray,
-        wall_slope: int,
-        box: FloatArray,
-    ) -> bool:
+    def update(self, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int, box: FloatArray) -> bool:
         """Enter a scan; return whether the arrays were replaced because the map grew.
 
         Args:
-            origin: (3,) x, y, height of the laser in the map frame, metres.
-            hits: (n, 3) where beams ended.
-            free: (m, 3) ends of beams that met nothing up to there.
+            scan: in the map frame.
             min_slopes: (n,) of each hit, SLOPE_STEP.
             wall_slope: minimum slope from which on a cell is a wall, SLOPE_STEP.
-            box: (4,) west, south, east, north of all of them, metres.
+            box: (4,) west, south, east, north of the scan, metres.
         """
         bounds = box.tolist()
         grew = self.grid.ensure(*bounds)
@@ -113,23 +104,11 @@ class OccupancyMap:
             self._take_over()
         west, south, east, north = (math.floor(v / self.resolution) for v in bounds)
         corner = south - 1 - self.grid.row0, west - 1 - self.grid.col0
-        touched = self._scratch(north - south + 3, east - west + 3)
-        enter_scan(
-            self.layers,
-            self.frame,
-            touched,
-            self._mark,
-            corner,
-            origin,
-            hits,
-            free,
-            min_slopes,
-            wall_slope,
-            self._steps,
-        )
+        scratch = Scratch(self._blank(north - south + 3, east - west + 3), self._mark, corner)
+        enter_scan(self.layers, self.frame, scratch, scan, min_slopes, wall_slope, self._steps)
         return grew
 
-    def _scratch(self, rows: int, cols: int) -> ByteArray:
+    def _blank(self, rows: int, cols: int) -> ByteArray:
         """Return a scratch that nowhere holds the new mark; it is wiped only when the marks run out."""
         if len(self._touched) < rows * cols:
             self._touched, self._mark = np.zeros(rows * cols * 3 // 2, np.uint8), 0
@@ -203,25 +182,37 @@ class Layers(NamedTuple):
     top: NDArray[np.int16]
 
 
+class Scratch(NamedTuple):
+    """Which cells a scan has touched.
+
+    Attributes:
+        touched: (rows, cols) nowhere `mark` before the scan; holds all beams.
+        mark: of the cells that this scan has touched.
+        corner: row and column in the layers of the scratch's cell (0, 0).
+    """
+
+    touched: ByteArray
+    mark: int
+    corner: tuple[int, int]
+
+
 @njit(cache=True)
-def enter_scan(  # type: ignore[no-untyped-def]
-    layers, frame, touched, mark, corner, origin, hits, free, min_slopes, wall_slope, steps
-):
+def enter_scan(
+    layers: Any, frame: Any, scratch: Any, scan: Any, min_slopes: Any, wall_slope: int, steps: Any
+) -> None:
     """Raise the cells where beams end, then lower those that beams pass; no cell twice, a hit wins.
 
     Args:
         layers: of the map.
         frame: (3,) lattice row and column of the arrays' cell (0, 0), resolution in metres.
-        touched: (rows, cols) uint8, nowhere `mark`; scratch that holds all beams.
-        mark: of the cells that this scan has touched.
-        corner: row and column in the layers of the scratch's cell (0, 0).
-        origin: (3,) the laser, metres.
-        hits: (n, 3) where beams ended.
-        free: (m, 3) ends of beams that met nothing.
+        scratch: of this scan.
+        scan: in the map frame.
         min_slopes: (n,) of each hit.
         wall_slope: minimum slope from which on a cell is a wall.
         steps: miss, hit and limit of the log-odds.
     """
+    origin, hits, free = scan
+    touched, mark, corner = scratch
     scale = 1 / frame[2]
     east, north = frame[1] + corner[1], frame[0] + corner[0]
     cells = np.empty((len(hits), 2), np.int64)
@@ -238,19 +229,20 @@ def enter_scan(  # type: ignore[no-untyped-def]
     start = origin[1] * scale - north, origin[0] * scale - east, origin[2]
     for i in range(len(hits)):
         end = hits[i, 1] * scale - north, hits[i, 0] * scale - east, hits[i, 2]
-        _pass(layers, touched, mark, corner, start, end, -1, wall_slope, steps)
+        _pass(layers, scratch, start, end, -1, wall_slope, steps)
     for i in range(len(free)):
         end = free[i, 1] * scale - north, free[i, 0] * scale - east, free[i, 2]
-        _pass(layers, touched, mark, corner, start, end, 1, wall_slope, steps)
+        _pass(layers, scratch, start, end, 1, wall_slope, steps)
 
 
 @njit(cache=True)
-def _pass(layers, touched, mark, corner, start, end, more, wall_slope, steps):  # type: ignore[no-untyped-def]
+def _pass(layers: Any, scratch: Any, start: Any, end: Any, more: int, wall_slope: int, steps: Any) -> None:
     """Lower the cells between laser and end of a beam, given in cells of the scratch.
 
     The last cell before a hit (`more` = -1) is spared: noise would wear the wall's near face away and
     so push it back. A beam that passes above where a wall was hit says nothing about the wall.
     """
+    touched, mark, corner = scratch
     y, x, z = start
     dy, dx, dz = end[0] - y, end[1] - x, end[2] - z
     n = int(max(abs(dx), abs(dy))) + 1
@@ -278,7 +270,7 @@ def _pass(layers, touched, mark, corner, start, end, more, wall_slope, steps):  
 
 
 @njit(cache=True, inline="always")
-def _change(layers, r, c, step, wall_slope, limit):  # type: ignore[no-untyped-def]
+def _change(layers: Any, r: int, c: int, step: int, wall_slope: int, limit: int) -> None:
     """Add to the log-odds of a cell and renew what the matcher sees of it."""
     before = np.int64(layers.log_odds[r, c])
     after = (0 if before == UNKNOWN else before) + step
@@ -290,11 +282,11 @@ def _change(layers, r, c, step, wall_slope, limit):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True)
-def bounding_box(origin, hits, free):  # type: ignore[no-untyped-def]
-    """Return (4,) west, south, east, north of the laser and all ends of beams, metres."""
-    west = east = origin[0]
-    south = north = origin[1]
-    for ends in (hits, free):
+def bounding_box(scan: Any) -> Any:
+    """Return (4,) west, south, east, north of the laser and all ends of a scan's beams, metres."""
+    west = east = scan.origin[0]
+    south = north = scan.origin[1]
+    for ends in (scan.hits, scan.free):
         for i in range(len(ends)):
             west, east = min(west, ends[i, 0]), max(east, ends[i, 0])
             south, north = min(south, ends[i, 1]), max(north, ends[i, 1])
@@ -302,7 +294,7 @@ def bounding_box(origin, hits, free):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def look_up(layer, frame, points, out):  # type: ignore[no-untyped-def]
+def look_up(layer: Any, frame: Any, points: Any, out: Any) -> None:
     """Read a layer under points (n, 2 or more) into `out`; what lies outside keeps its value there."""
     rows, cols = layer.shape
     for i in range(len(points)):

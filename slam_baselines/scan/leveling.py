@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -15,6 +16,20 @@ from numba import njit
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
+
+
+class ScanPoints(NamedTuple):
+    """The points of a leveled scan in one frame, metres.
+
+    Attributes:
+        origin: (3,) the laser.
+        hits: (n, 3) where beams ended.
+        free: (m, 3) ends of beams that met nothing up to there.
+    """
+
+    origin: FloatArray
+    hits: FloatArray
+    free: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +57,11 @@ class LeveledScan:
         """Whether an attitude was known."""
         return not math.isnan(self.tilt)
 
-    def transformed(self, T_map_base: Pose2, height: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return origin, hits and free ends in the map frame, the base being at `height`."""
-        T = T_map_base
-        origin, hits, free = np.empty(3), np.empty_like(self.hits), np.empty_like(self.free)
-        _transform(self.origin, self.hits, self.free, T.x, T.y, T.yaw, height, origin, hits, free)
-        return origin, hits, free
+    def transformed(self, T_map_base: Pose2, height: float) -> ScanPoints:
+        """Return the points in the map frame, the base being at `height`."""
+        T, out = T_map_base, ScanPoints(np.empty(3), np.empty_like(self.hits), np.empty_like(self.free))
+        _transform(ScanPoints(self.origin, self.hits, self.free), (T.x, T.y, T.yaw, height), out)
+        return out
 
 
 class ScanLeveler:
@@ -75,38 +89,56 @@ class ScanLeveler:
         clear = min(farthest, self._clear_range)
         roll, pitch = (0.0, 0.0) if imu is None else (imu.roll, imu.pitch)
         ends, origin = np.empty((len(scan.ranges), 3)), np.empty(3)
-        hits, free = _level(
-            scan.ranges, self._directions, self._R, self._t, roll, pitch,
-            scan.range_min, farthest, clear, ends, origin,
-        )  # fmt: skip
+        limits, mount = RangeLimits(scan.range_min, farthest, clear), Mount(self._R, self._t)
+        hits, free = _level(scan.ranges, self._directions, mount, limits, (roll, pitch), ends, origin)
         # z of the base in the leveled frame is (sin p cos r, -sin r, cos p cos r).
         slope = (-math.tan(pitch), math.tan(roll) / math.cos(pitch))
         tilt = math.nan if imu is None else math.acos(min(1.0, math.cos(roll) * math.cos(pitch)))
         return LeveledScan(origin, ends[:hits], ends[len(ends) - free :], slope, tilt, scan.stamp)
 
 
+class RangeLimits(NamedTuple):
+    """Range of the nearest and farthest hit, and up to where a beam without return is free, metres."""
+
+    nearest: float
+    farthest: float
+    clear: float
+
+
+class Mount(NamedTuple):
+    """Rotation (3, 3) and position (3,) of the laser in the base frame."""
+
+    rotation: FloatArray
+    position: FloatArray
+
+
 @njit(cache=True)
-def _transform(origin, hits, free, x, y, yaw, z, new_origin, new_hits, new_free):  # type: ignore[no-untyped-def]
-    """Fill the new arrays with the old ones turned by yaw and shifted."""
+def _transform(scan: Any, pose: Any, out: Any) -> None:
+    """Fill `out` with a scan turned by the yaw of a pose (x, y, yaw, z) and shifted."""
+    x, y, yaw, z = pose
     c, s = np.cos(yaw), np.sin(yaw)
-    for old, new in ((origin.reshape(1, 3), new_origin.reshape(1, 3)), (hits, new_hits), (free, new_free)):
+    origin, new_origin = scan.origin.reshape(1, 3), out.origin.reshape(1, 3)
+    for old, new in ((origin, new_origin), (scan.hits, out.hits), (scan.free, out.free)):
         for i in range(len(old)):
             u, v = old[i, 0], old[i, 1]
             new[i, 0], new[i, 1], new[i, 2] = x + c * u - s * v, y + s * u + c * v, z + old[i, 2]
 
 
 @njit(cache=True)
-def _level(  # type: ignore[no-untyped-def]
-    ranges, directions, mount, shift, roll, pitch, nearest, farthest, clear, ends, origin
-):
+def _level(
+    ranges: Any, directions: Any, mount: Any, limits: Any, attitude: Any, ends: Any, origin: Any
+) -> tuple[int, int]:
     """Fill `ends` with hits from its top and with free ends from its bottom; return how many of each."""
+    nearest, farthest, clear = limits
+    rotation, shift = mount
+    roll, pitch = attitude
     sr, cr, sp, cp = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
     A = np.array(((cp, sp * sr, sp * cr), (0.0, cr, -sr), (-sp, cp * sr, cp * cr)))
     R = np.zeros((3, 2))
     for i in range(3):
         origin[i] = A[i, 0] * shift[0] + A[i, 1] * shift[1] + A[i, 2] * shift[2]
         for j in range(2):
-            R[i, j] = A[i, 0] * mount[0, j] + A[i, 1] * mount[1, j] + A[i, 2] * mount[2, j]
+            R[i, j] = A[i, 0] * rotation[0, j] + A[i, 1] * rotation[1, j] + A[i, 2] * rotation[2, j]
     hits = free = 0
     n = len(ranges)
     for i in range(n):

@@ -26,6 +26,7 @@ from slam_baselines.cartographer.global_slam import GlobalSlam
 from slam_baselines.cartographer.node_trajectory import NodeTrajectory
 from slam_baselines.cartographer.submap import Submap, SubmapConfig, Submaps
 from slam_baselines.mapper import make_mapper
+from slam_baselines.scan.leveling import ScanPoints
 from tests.slam_baselines.synthetic import ranges_to
 
 OUTER, INNER = 9.0, 6.0
@@ -179,14 +180,9 @@ def test_the_map_grows_as_if_drawn_at_once():
 
 def test_submaps_overlap_and_finish():
     submaps = Submaps(SubmapConfig(num_range_data=3))
-    hits = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    scan = ScanPoints(np.zeros(3), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.empty((0, 3)))
     entered = [
-        list(
-            submaps.insert_range_data(
-                i, Pose2(i, 0), np.zeros(3), hits, np.empty((0, 3)), np.zeros(2, np.uint8), 0
-            )
-        )
-        for i in range(10)
+        list(submaps.insert_range_data(i, Pose2(i, 0), scan, np.zeros(2, np.uint8), 0)) for i in range(10)
     ]
     assert entered == [[0]] * 3 + [[0, 1]] * 3 + [[1, 2]] * 3 + [[2, 3]]
     assert [s.finished for s in submaps.all] == [True, True, False, False]
@@ -202,9 +198,8 @@ def test_a_scan_is_found_in_a_submap():
     scan = corridor_scan(pose, 0.0, rng)
     hits = ends(scan)
     for _ in range(4):
-        submap.draw_range_data(
-            0, np.zeros(3), lifted(pose.apply(hits)), np.empty((0, 3)), np.zeros(len(hits), np.uint8), 0
-        )
+        placed = ScanPoints(np.zeros(3), lifted(pose.apply(hits)), np.empty((0, 3)))
+        submap.draw_range_data(0, placed, np.zeros(len(hits), np.uint8), 0)
     builder = ConstraintBuilder(ConstraintConfig())
     for distance_traveled, shift in ((0.0, Pose2(0.1, -0.1, 0.02)), (100.0, Pose2(0.9, 0.6, -0.2))):
         found = builder.compute_constraint(submap, lifted(hits), pose @ shift, distance_traveled)

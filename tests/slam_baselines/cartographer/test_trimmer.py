@@ -13,6 +13,7 @@ from slam_baselines.cartographer.config import GlobalConfig, LocalConfig
 from slam_baselines.cartographer.mapper import CartographerConfig, CartographerMapper
 from slam_baselines.cartographer.submap import Submap, SubmapConfig
 from slam_baselines.cartographer.trimmer import Trimmer, TrimmingConfig
+from slam_baselines.scan.leveling import ScanPoints
 from tests.slam_baselines.synthetic import loop, room_scan
 
 LAP = 100
@@ -24,7 +25,9 @@ def submap_at(x: float, size: float = 4.0) -> Submap:
     angle = np.linspace(0, 2 * np.pi, 2000)
     reach = size / 2 / np.maximum(abs(np.cos(angle)), abs(np.sin(angle)))
     hits = np.stack((x + reach * np.cos(angle), reach * np.sin(angle), 0 * angle), axis=-1)
-    submap.draw_range_data(0, np.array((x, 0, 0)), hits, np.empty((0, 3)), np.zeros(2000, np.uint8), 0)
+    submap.draw_range_data(
+        0, ScanPoints(np.array((x, 0.0, 0.0)), hits, np.empty((0, 3))), np.zeros(2000, np.uint8), 0
+    )
     return submap
 
 

@@ -8,6 +8,7 @@ import pytest
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.gmapping.copy_on_write_map import ABSENT, PatchMaps
 from slam_baselines.mapping.occupancy_map import OccupancyMap
+from slam_baselines.scan.leveling import ScanPoints
 
 NO_FREE = np.zeros((0, 3))
 
@@ -20,7 +21,9 @@ def a_circle(radius: float, beams: int = 400) -> np.ndarray:
 def enter(
     maps: PatchMaps, poses: list[tuple[float, float, float]], hits: np.ndarray, wall_slope: int = 0
 ) -> None:
-    maps.enter(np.array(poses), np.zeros(3), hits, NO_FREE, np.zeros(len(hits), np.uint8), wall_slope)
+    maps.enter(
+        np.array(poses), ScanPoints(np.zeros(3), hits, NO_FREE), np.zeros(len(hits), np.uint8), wall_slope
+    )
 
 
 def cells(maps: PatchMaps, particle: int) -> tuple[np.ndarray, Pose2]:
@@ -37,7 +40,7 @@ def test_one_map_holds_the_same_as_the_plain_occupancy_map() -> None:
         origin = np.array((pose[0], pose[1], 0.0))
         ends = np.concatenate((moved[:, :2], origin[None, :2]))
         box = np.concatenate((ends.min(axis=0), ends.max(axis=0)))
-        plain.update(origin, moved, NO_FREE, np.zeros(len(hits), np.uint8), 0, box)
+        plain.update(ScanPoints(origin, moved, NO_FREE), np.zeros(len(hits), np.uint8), 0, box)
     ours, theirs = maps.occupancy_grid(0, 0), plain.occupancy_grid(0)
     assert (ours.origin.x, ours.origin.y) == pytest.approx((theirs.origin.x, theirs.origin.y))
     same = np.isclose(ours.log_odds, theirs.log_odds, equal_nan=True)

@@ -8,7 +8,9 @@ import pytest
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
-from slam_baselines.gmapping.proposal import Proposal, ProposalConfig, Proposer
+from slam_baselines.gmapping.likelihood_field import Beams
+from slam_baselines.gmapping.proposal import PoseDistributions, Proposal, ProposalConfig, Proposer
+from slam_baselines.scan.leveling import ScanPoints
 
 
 def ends(
@@ -31,17 +33,16 @@ def mapped(particles: int, *box: float, beams: int = 360, most: float = 12) -> P
     for x, y, yaw in ((0, 0, 0), (0.5, 0.3, 0.7), (-0.6, -0.2, 2.0), (0.1, -0.4, -1.1)):
         hits = ends(Pose2(x, y, yaw), *box, beams=beams, most=most)
         maps.enter(
-            np.tile((x, y, yaw), (particles, 1)), np.zeros(3), hits, np.zeros((0, 3)),
+            np.tile((x, y, yaw), (particles, 1)), ScanPoints(np.zeros(3), hits, np.zeros((0, 3))),
             np.zeros(len(hits), np.uint8), 0,
         )  # fmt: skip
     return maps
 
 
 def proposed(maps: PatchMaps, points: np.ndarray, expected: np.ndarray, seed: int = 0) -> Proposal:
-    covariances = np.tile(np.diag((0.1**2, 0.1**2, 0.1**2)), (len(expected), 1, 1))
-    return Proposer(ProposalConfig()).propose(
-        maps, points, np.ones(len(points)), 0, expected, covariances, 0, np.random.default_rng(seed)
-    )
+    odometry = PoseDistributions(expected, np.tile(np.diag((0.01, 0.01, 0.01)), (len(expected), 1, 1)))
+    beams = Beams(points, np.ones(len(points)))
+    return Proposer(ProposalConfig()).propose(maps, beams, 0, odometry, 0, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize(
@@ -82,9 +83,8 @@ def test_a_scan_that_fits_better_weighs_more() -> None:
 
 def test_without_walls_the_odometry_is_drawn_from() -> None:
     maps = PatchMaps(2000, 0.05)
-    maps.enter(
-        np.zeros((2000, 3)), np.zeros(3), np.array([[1.0, 0, 0]]), np.zeros((0, 3)), np.zeros(1, np.uint8), 0
-    )
+    scan = ScanPoints(np.zeros(3), np.array([[1.0, 0, 0]]), np.zeros((0, 3)))
+    maps.enter(np.zeros((2000, 3)), scan, np.zeros(1, np.uint8), 0)
     got = proposed(maps, np.array([[5.0, 0.0, 0.0]]), np.tile((1.0, 2.0, 0.5), (2000, 1)))
     np.testing.assert_allclose(got.poses.mean(axis=0), (1.0, 2.0, 0.5), atol=0.01)
     np.testing.assert_allclose(got.poses.std(axis=0), 0.1, rtol=0.08)

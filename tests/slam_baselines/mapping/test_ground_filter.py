@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
 from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
-from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
+from slam_baselines.scan.leveling import LeveledScan, ScanLeveler, ScanPoints
 from tests.slam_baselines.synthetic import Drive, wavy
 
 Array = NDArray[np.float64]
@@ -58,8 +58,8 @@ def test_height_follows_the_slope() -> None:
 def test_one_height_proves_nothing_two_heights_do() -> None:
     ground_filter = on_hills()
     low, high = (np.array(((6.0, 0.0, z),)) for z in (0.1, 0.75))
-    assert ground_filter.observe(LASER, low, NONE, Pose2())[0] < ground_filter.wall_slope
-    assert ground_filter.observe(LASER, high, NONE, Pose2())[0] >= ground_filter.wall_slope
+    assert ground_filter.observe(ScanPoints(LASER, low, NONE), Pose2())[0] < ground_filter.wall_slope
+    assert ground_filter.observe(ScanPoints(LASER, high, NONE), Pose2())[0] >= ground_filter.wall_slope
 
 
 def test_noise_of_the_attitude_proves_nothing() -> None:
@@ -67,25 +67,25 @@ def test_noise_of_the_attitude_proves_nothing() -> None:
     most = 0
     for _ in range(300):
         hit = np.array(((8.0, 0.0, 0.3 + 8.0 * rng.normal(0, math.radians(0.15))),))
-        most = max(most, int(ground_filter.observe(LASER, hit, NONE, Pose2())[0]))
+        most = max(most, int(ground_filter.observe(ScanPoints(LASER, hit, NONE), Pose2())[0]))
     assert most < ground_filter.wall_slope
 
 
 def test_what_rises_too_steeply_from_under_the_robot_is_a_wall_at_once() -> None:
     ground_filter = on_hills()
     assert (
-        ground_filter.observe(LASER, np.array(((0.6, 0.0, 0.32),)), NONE, Pose2())[0]
+        ground_filter.observe(ScanPoints(LASER, np.array(((0.6, 0.0, 0.32),)), NONE), Pose2())[0]
         >= ground_filter.wall_slope
     )
 
 
 def test_a_beam_that_passes_low_in_front_proves_a_wall() -> None:
     ground_filter = on_hills()
-    ground_filter.observe(LASER, NONE, np.array(((6.0, 1.0, 0.0),)), Pose2())
+    ground_filter.observe(ScanPoints(LASER, NONE, np.array(((6.0, 1.0, 0.0),))), Pose2())
     passing = np.array(((5.9, -3.0, 0.0),))
-    ground_filter.observe(np.array((5.9, 3.0, 0.0)), NONE, passing, Pose2())
+    ground_filter.observe(ScanPoints(np.array((5.9, 3.0, 0.0)), NONE, passing), Pose2())
     assert (
-        ground_filter.observe(LASER, np.array(((6.0, 0.0, 0.7),)), NONE, Pose2())[0]
+        ground_filter.observe(ScanPoints(LASER, np.array(((6.0, 0.0, 0.7),)), NONE), Pose2())[0]
         >= ground_filter.wall_slope
     )
 
@@ -94,9 +94,10 @@ def test_old_heights_are_believed_less_after_a_long_way() -> None:
     min_slope = []
     for drift in (0.0001, 0.02):
         ground_filter = GroundFilter(GroundFilterConfig(drift=drift))
-        ground_filter.observe(LASER, np.array(((6.0, 0.0, 0.1),)), NONE, Pose2())
+        ground_filter.observe(ScanPoints(LASER, np.array(((6.0, 0.0, 0.1),)), NONE), Pose2())
         ground_filter.move(Pose2(20.0), leaning(0.0))
-        min_slope.append(int(ground_filter.observe(LASER, np.array(((6.0, 0.0, 0.75),)), NONE, Pose2())[0]))
+        high = ScanPoints(LASER, np.array(((6.0, 0.0, 0.75),)), NONE)
+        min_slope.append(int(ground_filter.observe(high, Pose2())[0]))
     assert min_slope[1] < min_slope[0]
 
 
@@ -114,9 +115,9 @@ def test_hills_are_never_taken_for_walls_while_blocks_are() -> None:
         pose, level = truth.to_pose2(), leveler.level(scan, imu)
         ground_filter.move(last.inverse() @ pose, level)
         last = pose
-        origin, hits, free = level.transformed(pose, ground_filter.height)
-        taken = ground_filter.observe(origin, hits, free, pose) >= ground_filter.wall_slope
-        cells = np.round((hits[:, :2] - surface.origin) / surface.cell).astype(int)
+        placed = level.transformed(pose, ground_filter.height)
+        taken = ground_filter.observe(placed, pose) >= ground_filter.wall_slope
+        cells = np.round((placed.hits[:, :2] - surface.origin) / surface.cell).astype(int)
         rows, cols = surface.shape[0] - 1 - cells[:, 1], cells[:, 0]
         near = np.array([slope[max(0, r - 3) : r + 4, max(0, c - 3) : c + 4].max(initial=0) > 0.8
                          for r, c in zip(rows, cols, strict=True)])  # fmt: skip

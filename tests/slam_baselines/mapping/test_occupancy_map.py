@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError
-from slam_baselines.mapping.occupancy_map import STEP, OccupancyMap, UpdateConfig
+from slam_baselines.mapping.occupancy_map import STEP, OccupancyMap, UpdateConfig, bounding_box
+from slam_baselines.scan.leveling import ScanPoints
 
 Array = NDArray[np.float64]
 NONE = np.zeros((0, 3))
@@ -28,7 +29,9 @@ def enter(
     origin = np.array((0.02, 0.02, 0.4)) if origin is None else origin
     ends = np.concatenate((hits, free, origin[None]))
     box = np.concatenate((ends[:, :2].min(axis=0), ends[:, :2].max(axis=0)))
-    grid.update(origin, hits, free, np.full(len(hits), min_slopes, np.uint8), wall_slope, box)
+    scan = ScanPoints(origin, hits, free)
+    np.testing.assert_array_equal(bounding_box(scan), box)
+    grid.update(scan, np.full(len(hits), min_slopes, np.uint8), wall_slope, box)
 
 
 def at(grid: OccupancyMap, x: float, y: float) -> float:
