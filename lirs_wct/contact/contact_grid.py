@@ -14,8 +14,8 @@ import numpy as np
 from numba import njit
 
 from lirs_wct.arrays import BoolArray, Float32Array
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.validation import require_above
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,10 +41,8 @@ class ContactBudget:
     max_cell: float = 0.5
 
     def __post_init__(self) -> None:
-        for name in ("vertical", "horizontal", "match", "steep", "max_cell"):
-            value = getattr(self, name)
-            if not 0 < value < math.inf:
-                raise ConfigError(f"contact budget: {name} must be a finite number above 0, got {value}")
+        names = ("vertical", "horizontal", "match", "steep", "max_cell")
+        require_above(self, 0, *names, of="the contact budget", finite=True)
 
 
 @dataclass(frozen=True, kw_only=True)

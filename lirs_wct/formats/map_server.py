@@ -9,17 +9,19 @@ from typing import Any
 
 import cv2
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
-from lirs_wct.formats import flat_yaml
 from lirs_wct.formats.images.header import MAX_PIXELS
 from lirs_wct.formats.images.picture import read_picture
 from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 
+Entry = str | list[str]
+"""A value in a map's YAML, not yet read as number."""
 MODES = ("trinary", "scale", "raw")
 BLACK, WHITE, UNKNOWN = 0, 254, 205
 """Pixels of occupied, free and unknown cells, as map_saver writes them."""
@@ -72,16 +74,15 @@ def read_metadata(path: Path) -> MapMetadata:
         SourceError: missing, no YAML of a map, or a value that is not legal.
     """
     try:
-        entry = flat_yaml.parse(path.read_text(encoding="utf-8"))
+        entry = _entries(path.read_text(encoding="utf-8"))
         missing = [key for key in ("image", "resolution", "origin") if key not in entry]
         if missing:
             raise ValueError(f"a map needs image, resolution and origin, this has no {', '.join(missing)}")
-        origin = _numbers(entry, "origin", (2, 3))
         return _checked(
             MapMetadata(
                 image=path.parent / str(entry["image"]),
                 resolution=_number(entry, "resolution", math.nan),
-                origin=Pose2(*origin),
+                origin=_pose(entry, "origin"),
                 occupied_thresh=_number(entry, "occupied_thresh", OCCUPIED),
                 free_thresh=_number(entry, "free_thresh", WRITTEN_FREE),
                 negate=bool(_number(entry, "negate", 0.0)),
@@ -165,15 +166,49 @@ def _checked(metadata: MapMetadata) -> MapMetadata:
     return metadata
 
 
-def _number(entry: dict[str, flat_yaml.Value], key: str, default: float) -> float:
-    value = entry.get(key, default)
-    if not isinstance(value, float):
-        raise ValueError(f"{key} must be a number, got {value!r}")
-    return value
+def _entries(text: str) -> dict[str, Entry]:
+    """Return the keys of a map's YAML with scalars as text, so that `1e-2` is a number and a date a name.
+
+    Raises:
+        ValueError: no YAML, or something that a map has no use for (nesting, two documents).
+    """
+    try:
+        # BaseLoader makes texts, lists and dictionaries only.
+        found = yaml.load(text, yaml.BaseLoader) or {}
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        reasons = ", ".join(reason for reason in (error.context, error.problem) if reason)
+        raise ValueError(f"line {mark.line + 1 if mark else 1}: {reasons}") from error
+    except (yaml.YAMLError, RecursionError) as error:
+        raise ValueError(f"is not YAML: {str(error).splitlines()[0]}") from error
+    if not isinstance(found, dict):
+        raise ValueError("line 1 is not `key: value`")
+    for key, value in found.items():
+        if not all(isinstance(item, str) for item in (value if isinstance(value, list) else [value])):
+            raise ValueError(f"{key}: a map has no use for nested values")
+    return found
 
 
-def _numbers(entry: dict[str, flat_yaml.Value], key: str, counts: tuple[int, ...]) -> list[float]:
+def _number(entry: dict[str, Entry], key: str, default: float) -> float:
+    value = entry.get(key, str(default))
+    try:
+        return _float(value)
+    except ValueError:
+        raise ValueError(f"{key} must be a number, got {value!r}") from None
+
+
+def _pose(entry: dict[str, Entry], key: str) -> Pose2:
     value = entry[key]
-    if not isinstance(value, list) or len(value) not in counts or not all(map(math.isfinite, value)):
+    try:
+        numbers = [_float(item) for item in value] if isinstance(value, list) else []
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
         raise ValueError(f"{key} must be [x, y, yaw], got {value!r}")
-    return value
+    return Pose2(*numbers)
+
+
+def _float(text: Entry) -> float:
+    if isinstance(text, list):
+        raise ValueError("a list is no number")
+    return float({"true": "1", "false": "0"}.get(text.lower(), text))

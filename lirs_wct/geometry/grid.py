@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.validation import require_above
 
 OCCUPIED = 0.65
 """A cell is occupied where its probability exceeds this (ROS map_saver's `occupied_thresh`)."""
@@ -35,8 +36,7 @@ class OccupancyGrid:
     origin: Pose2 = field(default_factory=Pose2)
 
     def __post_init__(self) -> None:
-        if not self.resolution > 0:
-            raise ConfigError(f"resolution must be above 0 m, got {self.resolution}")
+        require_above(self, 0, "resolution", unit="m")
         if self.log_odds.ndim != 2 or self.log_odds.dtype != np.float32:
             raise ConfigError(
                 f"log_odds must be a float32 matrix, got {self.log_odds.dtype} {self.log_odds.shape}"

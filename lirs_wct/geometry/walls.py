@@ -9,6 +9,7 @@ import numpy as np
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.validation import require_above
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,10 +37,8 @@ class WallGrid:
     def __post_init__(self) -> None:
         if self.solid.ndim != 2 or self.solid.dtype != np.bool_:
             raise ConfigError(f"walls must be a bool matrix, got {self.solid.dtype} {self.solid.shape}")
-        if not self.resolution > 0:
-            raise ConfigError(f"resolution must be above 0 m, got {self.resolution}")
-        if not self.height > 0:
-            raise ConfigError(f"wall height must be above 0 m, got {self.height}")
+        require_above(self, 0, "resolution", unit="m")
+        require_above(self, 0, "height", of="the walls", unit="m")
         if self.hole is None:
             return
         if self.hole.shape != self.solid.shape or self.hole.dtype != np.bool_:

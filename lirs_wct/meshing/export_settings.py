@@ -8,6 +8,7 @@ from pathlib import Path
 
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.images.picture import read_picture
+from lirs_wct.validation import require_above
 
 TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 """What Gazebo and MuJoCo viewers alike can show."""
@@ -37,10 +38,8 @@ class ExportSettings:
     def __post_init__(self) -> None:
         if self.max_error is not None and self.max_triangles is not None:
             raise ConfigError("both limit the mesh: give one of --max-error, --max-triangles")
-        for name in ("max_error", "max_triangles", "texture_size"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < math.inf:
-                raise ConfigError(f"{name.replace('_', ' ')} must be a finite number above 0, got {value}")
+        given = (n for n in ("max_error", "max_triangles", "texture_size") if getattr(self, n) is not None)
+        require_above(self, 0, *given, finite=True)
         if not math.isfinite(self.rotate_x):
             raise ConfigError(f"x rotation must be finite, got {self.rotate_x} degrees")
 

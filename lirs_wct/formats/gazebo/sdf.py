@@ -6,26 +6,11 @@ from dataclasses import dataclass
 from xml.sax.saxutils import escape, quoteattr
 
 from lirs_wct.errors import ConfigError
+from lirs_wct.validation import require_above, require_at_least
 
 VERSION = "1.6"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Ground:
-    """How a wheel holds on the world's surface.
-
-    Attributes:
-        friction: Coulomb's coefficient.
-
-    Raises:
-        ConfigError: it is not above 0.
-    """
-
-    friction: float = 0.9
-
-    def __post_init__(self) -> None:
-        if not 0 < self.friction < float("inf"):
-            raise ConfigError(f"friction must be a finite number above 0, got {self.friction}")
+FRICTION = 0.9
+"""Coulomb's coefficient of the ground."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,10 +31,8 @@ class Physics:
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.80665)
 
     def __post_init__(self) -> None:
-        if not self.timestep > 0:
-            raise ConfigError(f"timestep must be above 0 s, got {self.timestep}")
-        if not self.real_time_factor >= 0:
-            raise ConfigError(f"real time factor must be at least 0, got {self.real_time_factor}")
+        require_above(self, 0, "timestep", unit="s")
+        require_at_least(self, 0, "real_time_factor")
 
 
 def model_config(name: str, *, author: str = "LIRS-WCT", description: str = "") -> str:
@@ -68,16 +51,20 @@ def model_config(name: str, *, author: str = "LIRS-WCT", description: str = "") 
 """
 
 
-def model_sdf(name: str, *, mesh: str | None = None, ground: Ground | None = None) -> str:
+def model_sdf(name: str, *, mesh: str | None = None, friction: float = FRICTION) -> str:
     """Return `model.sdf`: one static link that is seen and felt as the same mesh.
 
     Args:
         name: of the model and of its folder.
         mesh: path of the mesh inside the package; default `meshes/NAME.dae`.
-        ground: friction of the surface.
+        friction: Coulomb's coefficient of the surface.
+
+    Raises:
+        ConfigError: the name holds spaces, or friction is not above 0.
     """
+    if not 0 < friction < float("inf"):
+        raise ConfigError(f"friction must be a finite number above 0, got {friction}")
     uri = model_uri(name, mesh or f"meshes/{name}.dae")
-    friction = (ground or Ground()).friction
     geometry = f"<geometry><mesh><uri>{escape(uri)}</uri></mesh></geometry>"
     return f"""<?xml version="1.0"?>
 <sdf version="{VERSION}">

@@ -118,5 +118,5 @@ def test_bundled_worlds_take_twice_the_spacing(name: str) -> None:
 
 
 def test_bad_budget() -> None:
-    with pytest.raises(ConfigError, match="vertical must be a finite number above 0"):
+    with pytest.raises(ConfigError, match="vertical of the contact budget must be a finite number above 0"):
         ContactBudget(vertical=0.0)

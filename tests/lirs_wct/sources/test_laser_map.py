@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats import flat_yaml
-from lirs_wct.formats.map_server import read_map, read_map_picture, write_map
+from lirs_wct.formats.map_server import MapMetadata, read_map, read_map_picture, read_metadata, write_map
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.rectangles import merged_rectangles
@@ -95,7 +95,16 @@ def test_a_written_map_reads_back(
         (f"image: m.png\n{KEYS}mode: cubic\n", "trinary, scale, raw"),
         ("image: m.png\nresolution: 1\norigin: [0]\n", "origin must be [x, y, yaw]"),
         (f"image: m.png\n{KEYS}free_thresh: 0.9\n", "free_thresh"),
-        ("- what\n", "line 1"),
+        ("- what\n", "line 1 is not `key: value`"),
+        ("image: m.png\norigin: [0, 0\n", "line 3: while parsing a flow sequence, expected ',' or ']'"),
+        ("image: 'm.png\n", "line 2: while scanning a quoted scalar, found unexpected end of stream"),
+        ("image: a.png\n---\nimage: b.png\n", "line 2: expected a single document in the stream"),
+        ("image: {a: b}\n", "image: a map has no use for nested values"),
+        ("image: a\x01.png\n", "is not YAML: unacceptable character"),
+        ("[" * 9999, "is not YAML: maximum recursion depth"),
+        ("image: m.png\nresolution: [1]\norigin: [0, 0]\n", "resolution must be a number, got ['1']"),
+        ("image: m.png\nresolution: 1\norigin: [a, b]\n", "origin must be [x, y, yaw], got ['a', 'b']"),
+        ("image: !!python/object/apply:os.system [x]\n", "origin"),
         (f"image: gone.png\n{KEYS}", "gone.png"),
     ],
 )  # fmt: skip
@@ -108,14 +117,27 @@ def test_a_bad_yaml_is_one_line_with_its_path(text: str, says: str, tmp_path: Pa
     assert "\n" not in str(caught.value)
 
 
-def test_flat_yaml_takes_quotes_comments_and_block_lists() -> None:
-    text = "---\nimage: 'a # b.pgm'  # it\norigin:\n- 1\n  - -2.5\n- 3e-1\nnegate: false\nmode: \"raw\"\n"
-    assert flat_yaml.parse(text) == {
-        "image": "a # b.pgm",
-        "origin": [1.0, -2.5, 0.3],
-        "negate": 0.0,
-        "mode": "raw",
-    }
+def read_text(text: str, folder: Path) -> MapMetadata:
+    path = folder / "text.yaml"
+    path.write_text(text)
+    return read_metadata(path)
+
+
+def test_yaml_takes_quotes_comments_and_block_lists(tmp_path: Path) -> None:
+    text = "---\nimage: 'a # b.pgm'  # it\nresolution: 1e-2\norigin:\n- 1\n- -2.5\n- 3e-1\n"
+    assert read_text(f'{text}negate: false\nmode: "raw"\nfree_thresh: 0.050000\n', tmp_path) == MapMetadata(
+        image=tmp_path / "a # b.pgm",
+        resolution=0.01,
+        origin=Pose2(1.0, -2.5, 0.3),
+        free_thresh=0.05,
+        mode="raw",
+    )
+
+
+def test_names_that_look_like_other_things_stay_names(tmp_path: Path) -> None:
+    for name in ("2020-01-01", "1.0", "yes", "null", "0x10", "12:30"):
+        read = read_text(f"image: {name}\nresolution: 010\norigin: [1_0, 0, 0]\n", tmp_path)
+        assert (read.image.name, read.resolution, read.origin.x) == (name, 10.0, 10.0)
 
 
 @given(masks)
@@ -187,22 +209,20 @@ def test_speckles_are_dropped_by_their_size() -> None:
     assert without_small_walls(grid, 3).occupied[1, 1]
 
 
-def test_flat_yaml_agrees_with_pyyaml(shared_data: Path) -> None:
-    yaml = pytest.importorskip("yaml", reason="PyYAML, the oracle, is not installed")
+def test_yaml_is_read_as_pyyaml_reads_it(shared_data: Path, tmp_path: Path) -> None:
     texts = [path.read_text() for path in sorted(shared_data.glob("maps/*/*.yaml"))]
     texts += [
-        "image: 'a # b.pgm'  # it\norigin:\n- 1\n- -2.5\n- 0.3\nnegate: 0\n",
+        "image: 'a # b.pgm'  # it\nresolution: 1\norigin:\n- 1\n- -2.5\n- 0.3\nnegate: 0\n",
         '---\nimage: "x y.png"\nresolution: 5.0e-2\norigin: [ -1.5,2 , .5 ]\nmode: scale\n',
-        "image: it's.pgm\nfree_thresh:   0.196\n\n# end\n",
+        "image: it's.pgm\nresolution: 1\norigin: [0, 0]\nfree_thresh:   0.196\n\n# end\n",
     ]
     assert len(texts) > 12
     for text in texts:
-        expected = yaml.safe_load(text)
-        ours = flat_yaml.parse(text)
-        assert list(ours) == list(expected)
-        for key, value in expected.items():
-            given = [float(v) for v in value] if isinstance(value, list) else value
-            assert ours[key] == (float(given) if isinstance(given, int | float) else given), (key, text)
+        expected, ours = yaml.safe_load(text), read_text(text, tmp_path)
+        assert ours.image == tmp_path / expected["image"]
+        assert ours.origin == Pose2(*expected["origin"])
+        for key in {"resolution", "occupied_thresh", "free_thresh", "negate", "mode"} & set(expected):
+            assert getattr(ours, key) == expected[key], (key, text)
 
 
 @pytest.mark.shared

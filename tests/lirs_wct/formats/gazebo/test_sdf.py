@@ -5,7 +5,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.gazebo.sdf import Ground, Physics, model_config, model_sdf, world_sdf
+from lirs_wct.formats.gazebo.sdf import Physics, model_config, model_sdf, world_sdf
 
 
 def test_model_is_seen_and_felt_as_the_same_mesh() -> None:
@@ -39,6 +39,8 @@ def test_illegal_values_are_refused() -> None:
         with pytest.raises(ConfigError, match="no names with spaces"):
             make()
     with pytest.raises(ConfigError, match="friction must be"):
-        Ground(friction=0)
+        model_sdf("dune", friction=0)
     with pytest.raises(ConfigError, match="timestep must be"):
         Physics(timestep=0)
+    with pytest.raises(ConfigError, match="real_time_factor must be at least 0"):
+        Physics(real_time_factor=-1)
