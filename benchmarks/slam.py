@@ -99,8 +99,8 @@ def main() -> None:
 
 def seeded(name: str) -> bool:
     """Whether a mapper draws random numbers."""
-    module, config, _ = MAPPERS[name]
-    return "seed" in {f.name for f in fields(getattr(import_module(module), config))}
+    method = MAPPERS[name]
+    return "seed" in {f.name for f in fields(getattr(import_module(method.module), method.config))}
 
 
 def measure(job: tuple[str, str, int, float, Path]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -13,13 +13,31 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 
-# By name and not by import: one method must not drag in the others.
-MAPPERS: Mapping[str, tuple[str, str, str]] = {
-    "hector": ("slam_baselines.hector.mapper", "HectorConfig", "HectorMapper"),
-    "gmapping": ("slam_baselines.gmapping.mapper", "GmappingConfig", "GmappingMapper"),
-    "cartographer": ("slam_baselines.cartographer.mapper", "CartographerConfig", "make_cartographer"),
+
+class Method(NamedTuple):
+    """A SLAM method, by name and not by import: one method must not drag in the others.
+
+    Attributes:
+        module: of its mapper.
+        config: name of the class of its configuration.
+        factory: name of what makes a mapper of a configuration.
+        resolution: field of the configuration that is the edge of the map's cell, metres.
+    """
+
+    module: str
+    config: str
+    factory: str
+    resolution: str
+
+
+MAPPERS: Mapping[str, Method] = {
+    "hector": Method("slam_baselines.hector.mapper", "HectorConfig", "HectorMapper", "map_resolution"),
+    "gmapping": Method("slam_baselines.gmapping.mapper", "GmappingConfig", "GmappingMapper", "delta"),
+    "cartographer": Method(
+        "slam_baselines.cartographer.mapper", "CartographerConfig", "make_cartographer", "map_resolution"
+    ),
 }
-"""Name -> module, class of its configuration, what makes a mapper of one."""
+"""The methods by name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,10 +67,10 @@ class MapperStats:
     counts: Mapping[str, int] = field(default_factory=dict)
 
 
-class Mapper(Protocol):
-    """Simultaneous localisation and mapping, one scan after the other.
+class PoseEstimator(Protocol):
+    """What follows a robot, one scan after the other; attitude and odometry help where they are given.
 
-    The map frame is the first base pose. Attitude and odometry help where they are given.
+    It may have `requires_odometry`: whether it refuses scans without odometry; without it, it does not.
     """
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
@@ -63,10 +81,6 @@ class Mapper(Protocol):
             odometry: absolute `T_odom_base` at the scan's stamp, if there is odometry.
             imu: attitude at the scan's stamp, if there is one.
         """
-        ...
-
-    def map(self) -> OccupancyGrid:
-        """Return the map in the map frame."""
         ...
 
     def trajectory(self) -> Trajectory:
@@ -80,16 +94,52 @@ class Mapper(Protocol):
 
     @property
     def lost(self) -> bool:
-        """Whether the mapper does not know at present where it is."""
+        """Whether the pose is unknown at present."""
         ...
 
 
-def make_mapper(name: str, *, seed: int | None = None, **config: Any) -> Mapper:
-    """Make a mapper by its name.
+class Mapper(PoseEstimator, Protocol):
+    """Simultaneous localization and mapping; the map frame is the first base pose."""
+
+    def map(self) -> OccupancyGrid:
+        """Return the map in the map frame."""
+        ...
+
+
+class Localizer(PoseEstimator, Protocol):
+    """Localization in a known map; the map frame is the known map's."""
+
+    @property
+    def known_map(self) -> OccupancyGrid:
+        """The known map, which stays as it is."""
+        ...
+
+
+def requires_odometry(mapper: PoseEstimator) -> bool:
+    """Return whether a mapper refuses scans without odometry; False where it does not say."""
+    return bool(getattr(mapper, "requires_odometry", False))
+
+
+def required_odometry(mapper: str, odometry: Pose2 | None, stamp: float) -> Pose2:
+    """Return the odometry at a scan's stamp.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if odometry is None:
+        raise ConfigError(f"{mapper} needs odometry, the scan at {stamp} s has none; hector maps without")
+    return odometry
+
+
+def make_mapper(
+    name: str, *, seed: int | None = None, resolution: float | None = None, **config: Any
+) -> Mapper:
+    """Make a mapper by its name; a `map` in cartographer's configuration makes it a Localizer as well.
 
     Args:
         name: one of MAPPERS.
         seed: of the random numbers, for a method that draws any.
+        resolution: edge of the map's cell, metres, whatever the method calls it.
         **config: fields of the method's configuration.
 
     Raises:
@@ -97,16 +147,18 @@ def make_mapper(name: str, *, seed: int | None = None, **config: Any) -> Mapper:
     """
     if name not in MAPPERS:
         raise unknown_name("mapper", name, MAPPERS)
-    module, config_name, class_name = MAPPERS[name]
-    method = importlib.import_module(module)
-    config_class = getattr(method, config_name)
+    method = MAPPERS[name]
+    module = importlib.import_module(method.module)
+    config_class = getattr(module, method.config)
     if seed is not None and "seed" in config_class.__dataclass_fields__:
         config["seed"] = seed
+    if resolution is not None:
+        config[method.resolution] = resolution
     for key in config:
         if key not in config_class.__dataclass_fields__:
             raise unknown_name(f"parameter of {name}", key, config_class.__dataclass_fields__)
     try:
-        mapper: Mapper = getattr(method, class_name)(config_class(**config))
+        mapper: Mapper = getattr(module, method.factory)(config_class(**config))
     except TypeError as error:
         raise ConfigError(f"configuration of {name}: {error}") from error
     return mapper

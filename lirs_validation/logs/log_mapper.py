@@ -8,15 +8,11 @@ from lirs_validation.config import MapConfig
 from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.log import CarmenLog
-from slam_baselines.mapper import MAPPERS, Mapper, make_mapper
+from slam_baselines.mapper import MAPPERS, Mapper, make_mapper, requires_odometry
 from slam_baselines.warmup import warm_up
 
-RESOLUTION = {"hector": "map_resolution", "gmapping": "delta", "cartographer": "map_resolution"}
-"""What each mapper calls the edge of its map's cell."""
 WARM_UP_CONFIG = {"gmapping": {"particles": 4}}
 """Kernels need no more particles than these to be compiled."""
-NEED_ODOMETRY = ("gmapping", "cartographer")
-"""Mappers to which the scans of a log alone, a few a second, do not tell how the robot moved."""
 
 
 def make_log_mapper(config: MapConfig) -> Mapper:
@@ -29,7 +25,7 @@ def make_log_mapper(config: MapConfig) -> Mapper:
     if config.particles is not None:
         given["particles"] = config.particles
     if config.resolution is not None:
-        given[RESOLUTION.get(config.mapper, "resolution")] = config.resolution
+        given["resolution"] = config.resolution
     if config.mapper in MAPPERS:
         return make_mapper(config.mapper, seed=config.seed, **given)
     if given:
@@ -37,7 +33,7 @@ def make_log_mapper(config: MapConfig) -> Mapper:
     return mapper_named(config.mapper, config.seed)
 
 
-def check_log(config: MapConfig, log: CarmenLog) -> None:
+def check_log(config: MapConfig, mapper: Mapper, log: CarmenLog) -> None:
     """Tell whether a log holds what the mapper needs.
 
     Raises:
@@ -45,7 +41,7 @@ def check_log(config: MapConfig, log: CarmenLog) -> None:
     """
     if not any(scan.hits.any() for scan in log.scans):
         raise SourceError(f"{config.log}: none of its {len(log.scans)} scans met anything within range")
-    if config.mapper in NEED_ODOMETRY and log.odometry[0] is None:
+    if requires_odometry(mapper) and log.odometry[0] is None:
         raise SourceError(
             f"{config.log}: holds no odometry (or one that never changes), {config.mapper} needs it; "
             "hector maps without"

@@ -82,7 +82,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
     progress("read", 0.0)
     with _timed(seconds, "read_seconds"):
         name, log = folder_name(config), read_log(config)
-        check_log(config, log)
+        check_log(config, mapper, log)
     progress("compile", 0.0)
     with _timed(seconds, "compile_seconds"):
         warm_up_log_mapper(config)

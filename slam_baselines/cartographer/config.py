@@ -1,19 +1,18 @@
-"""Parameters of global SLAM."""
+"""Parameters of Cartographer and of its parts, under the original's names where they exist."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.validation import require_within
-from slam_baselines.cartographer.constraints.builder import ConstraintConfig
-from slam_baselines.cartographer.constraints.candidates import CandidateConfig
-from slam_baselines.cartographer.constraints.verification import LoopVerificationConfig
-from slam_baselines.cartographer.optimization import OptimizationConfig
-from slam_baselines.cartographer.submap import SubmapConfig
-from slam_baselines.cartographer.trimmer import TrimmingConfig
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.validation import require_above, require_within
 from slam_baselines.mapping.ground_filter import GroundFilterConfig
+from slam_baselines.mapping.occupancy_map import UpdateConfig
 from slam_baselines.matching.gauss_newton import MatchConfig
 from slam_baselines.matching.registration import RegistrationConfig
 from slam_baselines.matching.tracking import TrackingConfig
@@ -33,39 +32,33 @@ SUBMAP_REGISTRATION = RegistrationConfig(
 
 
 @dataclass(frozen=True, kw_only=True)
-class GlobalConfig:
-    """Parameters of global SLAM; names as in Cartographer's pose_graph.
+class SubmapConfig:
+    """Size and resolution of submaps.
 
     Attributes:
-        candidates: pairs of nodes and submaps that are searched.
-        constraints: loop search.
-        verification: of loops that move the map far.
-        optimization: of the graph.
-        trimming: of redundant submaps.
-        optimize_every_n_nodes: number of new nodes after which new loops make an optimization due.
-        searches_per_update: most loop searches in one update.
-        matcher_translation_error: standard deviation of a node's place in a submap that it entered, metres.
-        matcher_rotation_error: likewise of its yaw, radians.
+        num_range_data: scans after which the next submap begins; each gets twice as many.
+        resolution: edge of a cell of the finest level, metres.
+        levels: number of levels, each twice as coarse as the one before.
+        search_level: level on which loops are searched for.
+        branch_and_bound_depth: number of times that four cells become one in the loop search.
+        update: of the occupancy by a scan. Milder than for a map to look at: the mean of many scans shows
+            where within a cell a wall is.
 
     Raises:
-        ConfigError: a value that is not above 0.
+        ConfigError: a number that is not above 0, or a search_level that is no level.
     """
 
-    candidates: CandidateConfig = field(default_factory=CandidateConfig)
-    constraints: ConstraintConfig = field(default_factory=ConstraintConfig)
-    verification: LoopVerificationConfig = field(default_factory=LoopVerificationConfig)
-    optimization: OptimizationConfig = field(default_factory=OptimizationConfig)
-    trimming: TrimmingConfig = field(default_factory=TrimmingConfig)
-    optimize_every_n_nodes: int = 40
-    searches_per_update: int = 1
-    matcher_translation_error: float = 0.03
-    matcher_rotation_error: float = 0.01
+    num_range_data: int = 60
+    resolution: float = 0.05
+    levels: int = 3
+    search_level: int = 1
+    branch_and_bound_depth: int = 6
+    update: UpdateConfig = field(default_factory=UpdateConfig)
 
     def __post_init__(self) -> None:
-        if min(self.optimize_every_n_nodes, self.searches_per_update) < 1:
-            raise ConfigError("optimize_every_n_nodes and searches_per_update must be at least 1")
-        if not (self.matcher_translation_error > 0 and self.matcher_rotation_error > 0):
-            raise ConfigError("matcher_translation_error and matcher_rotation_error must be above 0")
+        names = ("num_range_data", "levels", "branch_and_bound_depth", "resolution")
+        require_above(self, 0, *names, of="the submaps")
+        require_within(self, f"[0, {self.levels - 1}]", "search_level", of="the submaps")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,14 +66,14 @@ class LocalConfig:
     """Parameters of local SLAM.
 
     Attributes:
-        submaps: how submaps are drawn.
-        motion_filter: which scans enter them.
-        motion: confidence in the odometry.
+        submaps: their size and resolution.
+        motion_filter: motion after which a scan enters them.
+        motion: errors of the odometry.
         registration: of a scan in the matching submap.
         ground_filter: separates hits on ground from hits on walls.
-        slip_speed: on uneven ground, a match is not believed that lies farther from where odometry puts the
-            robot than this allows in the time since the last scan, m/s and rad/s ...
-        slip_deviations: ... and so many standard deviations of that prediction.
+        slip_speed: speed at which wheels may slip; on uneven ground, a match that neither slip nor the
+            odometry's errors explain is rejected, m/s and rad/s.
+        slip_deviations: standard deviations of the odometry's errors that are allowed beside the slip.
         tracking: mean occupancy at the ends of the beams below which a scan enters no submap.
 
     Raises:
@@ -102,39 +95,276 @@ class LocalConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LocalisationConfig:
-    """When a place is believed.
+class CandidateConfig:
+    """Number of candidates that are tried.
 
     Attributes:
-        min_score: mean occupancy at the ends of the beams that a place found in the whole map needs.
-        rival: it is not believed if another place has this share of its score ...
-        apart: ... at least so far from it, metres.
-        every: while the place is unknown it is searched for after so much distance, metres ...
-        seconds: ... or so much time.
-        beams: at most so many beams are used to search, evenly spread in space ...
-        min_beams: ... and fewer than this say nothing.
-        bounded: a search is given up after so many nodes of its tree.
-        tracking: mean occupancy at the ends of the beams below which a scan does not fit.
-        start: standard deviation of a pose that is given, metres and radians.
+        sampling_ratio: share of the nodes that are searched for in the submaps around them.
+        max_constraint_distance: largest distance of a node from a submap's nodes, metres.
+        found_per_pair: loops after which no more are searched for between two submaps.
+        tries_per_pair: searches after which no more are made between two submaps.
+        max_num_candidates: length of the queue; the oldest candidates beyond it are dropped, and counted.
 
     Raises:
-        ConfigError: a value that is not above 0, or a share above 1.
+        ConfigError: a value that is not above 0, or a ratio above 1.
+    """
+
+    sampling_ratio: float = 0.2
+    max_constraint_distance: float = 12.0
+    found_per_pair: int = 8
+    tries_per_pair: int = 8
+    max_num_candidates: int = 2000
+
+    def __post_init__(self) -> None:
+        require_within(self, "(0, 1]", "sampling_ratio", of="the candidates")
+        require_above(self, 0, *self.__dataclass_fields__, of="the candidates")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConstraintConfig:
+    """Window of the loop search, and the scores that a loop needs; names as in constraint_builder.
+
+    Attributes:
+        min_score: mean occupancy at the ends of the beams that a loop needs in the narrowest search; unknown
+            cells count as 0.
+        global_min_score: the same in the widest search: the more poses there are, the more fit by chance.
+        min_refined_score: mean occupancy on known cells that a loop needs after refinement.
+        min_known_ratio: share of beams on known cells that a loop needs after refinement.
+        linear_search_window: largest shift in x and in y, metres.
+        angular_search_window: largest turn, radians.
+        linear_start: shift at distance 0 from the last constraint, metres.
+        linear_drift: growth of the shift per metre travelled since the last constraint.
+        angular_start: turn at distance 0 from the last constraint, radians.
+        angular_drift: growth of the turn per metre travelled since the last constraint, radians.
+        max_refined_window: window up to which refinement alone finds the pose, metres.
+        ambiguity_ratio: share of the best score from which on a second pose makes the best one ambiguous.
+        min_separation: distance from the best pose at which a second one counts, metres.
+        max_points: most points for the search, evenly spread in space.
+        min_points: fewest points for the search.
+        voxel_size: edge of the squares of which each keeps one point, metres.
+        max_search_nodes: nodes of the tree after which a search is given up.
+        match: refinement.
+        search_deviation: standard deviation of the search's result for the refinement, metres and radians.
+        min_deviation: smallest standard deviation of a loop, metres and radians: submaps are not perfect.
+
+    Raises:
+        ConfigError: a value that is not above 0, or scores not in order.
+    """
+
+    min_score: float = 0.4
+    global_min_score: float = 0.55
+    min_refined_score: float = 0.5
+    min_known_ratio: float = 0.4
+    linear_search_window: float = 5.0
+    angular_search_window: float = math.radians(20.0)
+    linear_start: float = 0.3
+    linear_drift: float = 0.03
+    angular_start: float = 0.05
+    angular_drift: float = 0.003
+    max_refined_window: float = 0.6
+    ambiguity_ratio: float = 0.9
+    min_separation: float = 0.5
+    max_points: int = 120
+    min_points: int = 20
+    voxel_size: float = 0.1
+    max_search_nodes: int = 60000
+    match: MatchConfig = field(default_factory=lambda: MatchConfig(iterations=(8, 5, 5), exact=True))
+    search_deviation: tuple[float, float] = (0.2, 0.05)
+    min_deviation: tuple[float, float] = (0.02, 0.003)
+
+    def __post_init__(self) -> None:
+        require_above(self, 0, *_numbers(self), of="the constraints")
+        require_within(self, f"[{self.min_score}, 1]", "global_min_score", of="the constraints")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopVerificationConfig:
+    """Loops that need a second one, and what agreement is.
+
+    Attributes:
+        max_translation: correction of a node above which a loop needs a second one, metres.
+        max_rotation: correction of a node's yaw above which a loop needs a second one, radians.
+        max_separation: largest distance travelled between the two nodes, metres.
+        min_separation: smallest distance travelled between the two nodes, so that the second sees something
+            else, metres.
+        linear_tolerance: largest difference between the two corrections, metres.
+        angular_tolerance: largest difference between the two corrections, radians.
+        max_pending: number of loops that may wait.
+
+    Raises:
+        ConfigError: a value that is not above 0.
+    """
+
+    max_translation: float = 0.4
+    max_rotation: float = 0.06
+    max_separation: float = 25.0
+    min_separation: float = 0.5
+    linear_tolerance: float = 0.3
+    angular_tolerance: float = 0.04
+    max_pending: int = 50
+
+    def __post_init__(self) -> None:
+        require_above(self, 0, *self.__dataclass_fields__, of="the loop verification")
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptimizationConfig:
+    """Parameters of the solver; names as in Cartographer's optimization_problem and in Ceres.
+
+    Attributes:
+        cauchy_scale: error of a robust constraint, in standard deviations, at which Cauchy's loss bends.
+        scale_reduction: factor by which the loss is narrowed from step to step, above 1.
+        max_num_iterations: of Levenberg-Marquardt in one optimization.
+        function_tolerance: relative decrease of the cost below which the optimization ends.
+        initial_damping: Levenberg's damping of the first step, as a share of the diagonal.
+        gauge_information: information of the prior that holds the first node.
+
+    Raises:
+        ConfigError: a value that is not above 0, or scale_reduction not above 1.
+    """
+
+    cauchy_scale: float = 3.0
+    scale_reduction: float = 2.0
+    max_num_iterations: int = 30
+    function_tolerance: float = 1e-4
+    initial_damping: float = 1e-4
+    gauge_information: float = 1e8
+
+    def __post_init__(self) -> None:
+        require_above(self, 0, *self.__dataclass_fields__, of="the optimization")
+        require_above(self, 1, "scale_reduction", of="the optimization")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrimmingConfig:
+    """Submaps that are kept; names as in Cartographer's overlapping_submaps_trimmer_2d.
+
+    Attributes:
+        fresh_submaps_count: number of the newest finished submaps that are kept of each place.
+        min_covered_area: smallest area that a submap is kept for, square metres.
+        min_added_submaps_count: number of newly finished submaps after which trimming is due.
+        cell: edge of what counts as one place, metres.
+
+    Raises:
+        ConfigError: a value that is not above 0.
+    """
+
+    fresh_submaps_count: int = 3
+    min_covered_area: float = 4.0
+    min_added_submaps_count: int = 5
+    cell: float = 0.5
+
+    def __post_init__(self) -> None:
+        require_above(self, 0, *self.__dataclass_fields__, of="the trimming")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GlobalConfig:
+    """Parameters of global SLAM; names as in Cartographer's pose_graph.
+
+    Attributes:
+        candidates: pairs of nodes and submaps that are searched.
+        constraints: loop search.
+        verification: of loops that move the map far.
+        optimization: of the graph.
+        trimming: of redundant submaps.
+        optimize_every_n_nodes: number of new nodes after which new loops make an optimization due.
+        searches_per_update: most loop searches in one update.
+        matcher_translation_error: standard deviation of a node's position in its submap, metres.
+        matcher_rotation_error: standard deviation of a node's yaw in its submap, radians.
+
+    Raises:
+        ConfigError: a value that is not above 0.
+    """
+
+    candidates: CandidateConfig = field(default_factory=CandidateConfig)
+    constraints: ConstraintConfig = field(default_factory=ConstraintConfig)
+    verification: LoopVerificationConfig = field(default_factory=LoopVerificationConfig)
+    optimization: OptimizationConfig = field(default_factory=OptimizationConfig)
+    trimming: TrimmingConfig = field(default_factory=TrimmingConfig)
+    optimize_every_n_nodes: int = 40
+    searches_per_update: int = 1
+    matcher_translation_error: float = 0.03
+    matcher_rotation_error: float = 0.01
+
+    def __post_init__(self) -> None:
+        require_above(self, 0, *_numbers(self), of="the graph")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalizationConfig:
+    """Search in a known map, and when its result is accepted.
+
+    Attributes:
+        min_score: mean occupancy at the ends of the beams that a pose found in the whole map needs.
+        ambiguity_ratio: share of the best score from which on a second pose makes the best one ambiguous.
+        min_separation: distance from the best pose at which a second one counts, metres.
+        search_distance: distance traveled after which the search is repeated, metres.
+        search_interval: time after which the search is repeated, seconds.
+        max_points: most points for the search, evenly spread in space.
+        min_points: fewest points for the search.
+        max_search_nodes: nodes of the tree after which a search is given up.
+        tracking: mean occupancy at the ends of the beams below which a scan does not fit.
+        start_deviation: standard deviation of a pose that is given or found, metres and radians.
+
+    Raises:
+        ConfigError: a value that is not above 0, or a score or ratio above 1.
     """
 
     min_score: float = 0.55
-    rival: float = 0.9
-    apart: float = 1.0
-    every: float = 1.0
-    seconds: float = 5.0
-    beams: int = 150
-    min_beams: int = 30
-    bounded: int = 1 << 20
+    ambiguity_ratio: float = 0.9
+    min_separation: float = 1.0
+    search_distance: float = 1.0
+    search_interval: float = 5.0
+    max_points: int = 150
+    min_points: int = 30
+    max_search_nodes: int = 1 << 20
     tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(lost_score=0.2))
-    start: tuple[float, float] = (0.3, 0.1)
+    start_deviation: tuple[float, float] = (0.3, 0.1)
 
     def __post_init__(self) -> None:
-        for name in set(self.__dataclass_fields__) - {"start", "tracking"}:
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"{name} of the localisation must be above 0, got {getattr(self, name)}")
-        if max(self.min_score, self.rival) > 1:
-            raise ConfigError("min_score and rival of the localisation must be at most 1")
+        require_above(self, 0, *_numbers(self), of="the localization")
+        require_within(self, "(0, 1]", "min_score", "ambiguity_ratio", of="the localization")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CartographerConfig:
+    """Parameters, in the parts' configurations under the original's names where they exist.
+
+    Attributes:
+        local: submaps, matching, motion filter.
+        graph: loops and optimization.
+        map_resolution: edge of a cell of the final map, metres.
+        update: of the final map by a scan.
+        first_refinement: on uneven ground, submaps are drawn again after so many metres, and when they have
+            doubled, until the first one is finished.
+        max_range: range from which on hits are not used, metres.
+        clear_range: range up to which a beam without return is free, metres.
+        map: known map, a grid or the path of its YAML, in which the robot is only localized.
+        start: `T_map_base` at the first scan in the known map; None: it is searched for in all of it.
+        localization: search in the known map.
+
+    Raises:
+        ConfigError: a resolution or range that is not above 0, or a start without a map.
+    """
+
+    local: LocalConfig = field(default_factory=LocalConfig)
+    graph: GlobalConfig = field(default_factory=GlobalConfig)
+    map_resolution: float = 0.05
+    update: UpdateConfig = field(default_factory=UpdateConfig)
+    first_refinement: float = 2.0
+    max_range: float = math.inf
+    clear_range: float = 0.0
+    map: OccupancyGrid | str | Path | None = None
+    start: Pose2 | None = None
+    localization: LocalizationConfig = field(default_factory=LocalizationConfig)
+
+    def __post_init__(self) -> None:
+        require_above(self, 0, "map_resolution", "max_range", unit="m")
+        if self.start is not None and self.map is None:
+            raise ConfigError("start is a pose in a known map: map is needed with it")
+
+
+def _numbers(config: Any) -> list[str]:
+    """Return the names of the fields that are numbers."""
+    return [name for name in config.__dataclass_fields__ if isinstance(getattr(config, name), int | float)]

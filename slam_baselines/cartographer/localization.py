@@ -1,33 +1,118 @@
-"""Pure localisation: where the robot is in a map that is given and stays as it is.
+"""Localization: the pose of a robot in a map that is given and stays as it is.
 
 Hess et al. 2016 with the map in the place of the submaps: branch and bound over the whole map finds the
-robot, then each scan is matched from where dead reckoning puts it. A place that looks like another one is
-not believed; the search is made again when the robot has moved on.
+robot, then each scan is matched from where dead reckoning puts it. A pose that another one equals is
+ambiguous; the search is repeated when the robot has moved on.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.errors import ConfigError
+from lirs_wct.formats.map_server import read_map
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.cartographer.config import LocalisationConfig
+from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.constraints.builder import voxel_filter
-from slam_baselines.cartographer.known_map import KnownMap
 from slam_baselines.common.stopwatch import Stopwatch
 from slam_baselines.mapper import MapperStats
-from slam_baselines.matching.branch_and_bound import Exclusion, Window, branch_and_bound
+from slam_baselines.mapping.occupancy_map import OccupancyMap, UpdateConfig
+from slam_baselines.mapping.pyramid import MapPyramid
+from slam_baselines.matching.branch_and_bound import BoundGrids, Exclusion, Window, branch_and_bound
 from slam_baselines.matching.gauss_newton import Match, Prior, ScanMatcher
-from slam_baselines.matching.registration import Registration, RegistrationConfig
+from slam_baselines.matching.registration import Registration
 from slam_baselines.matching.tracking import TrackingMonitor
-from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, PoseEstimate
+from slam_baselines.motion.dead_reckoning import DeadReckoning, PoseEstimate
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
+
+DEPTH = 6
+"""Number of times that four cells become one in the search."""
+COARSE = 0.1
+"""The search is made on the first level of at least this resolution, metres."""
+
+
+@dataclass(frozen=True)
+class KnownMap:
+    """Known map, laid out for matching and for the search over all of it.
+
+    Attributes:
+        grid: as it was given; never changed.
+        pyramid: the same on three levels, for matching.
+        bounds: for branch and bound.
+        center: (2,) middle of the map, metres.
+        reach: half its longer side, metres.
+    """
+
+    grid: OccupancyGrid
+    pyramid: MapPyramid
+    bounds: BoundGrids
+    center: tuple[float, float]
+    reach: float
+
+    @staticmethod
+    def load(source: OccupancyGrid | str | Path) -> KnownMap:
+        """Take a grid, or read a map YAML.
+
+        Raises:
+            SourceError: the file cannot be used.
+            ConfigError: there is no wall in the map.
+        """
+        grid = source if isinstance(source, OccupancyGrid) else read_map(Path(source))
+        if not grid.occupied.any():
+            name = "the known map" if isinstance(source, OccupancyGrid) else str(source)
+            raise ConfigError(f"{name}: localization needs walls, no cell is occupied")
+        sizes = [grid.resolution * 2**k for k in range(3)]
+        search = next((size for size in sizes if size >= COARSE), sizes[-1])
+        height, width = (n * grid.resolution for n in grid.shape)
+        x, y = grid.origin.apply((width / 2, height / 2)).tolist()
+        reach = math.hypot(width, height) / 2 if grid.origin.yaw else max(width, height) / 2
+        pyramid = MapPyramid(tuple(_level(grid, size) for size in sizes))
+        bounds = BoundGrids.of(_dilated(_level(grid, search)).grid, DEPTH)
+        return KnownMap(grid, pyramid, bounds, (x, y), reach)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of all levels."""
+        return sum(level.grid.nbytes for level in self.pyramid.maps) + self.bounds.nbytes
+
+
+def _level(grid: OccupancyGrid, resolution: float) -> OccupancyMap:
+    """Return the grid on a lattice of its frame; a cell that holds a wall is wall."""
+    level, limit = OccupancyMap(resolution), UpdateConfig().steps[2]
+    rows, cols = grid.shape
+    corners = grid.origin.apply(np.array(((0, 0), (cols, 0), (0, rows), (cols, rows))) * grid.resolution)
+    level.grid.ensure(*corners.min(axis=0), *corners.max(axis=0))
+    steps = level.grid.layers["log_odds"]
+    _fill(grid, grid.free, -limit, level, steps)
+    _fill(grid, grid.occupied, limit, level, steps)
+    level._take_over()
+    level.revalue(0)
+    return level
+
+
+def _fill(
+    grid: OccupancyGrid, mask: BoolArray, value: int, level: OccupancyMap, steps: NDArray[np.int8]
+) -> None:
+    points = grid.centres(np.argwhere(mask))
+    cells = np.floor(points[:, ::-1] / level.resolution).astype(np.int64)
+    steps[cells[:, 0] - level.grid.row0, cells[:, 1] - level.grid.col0] = value
+
+
+def _dilated(level: OccupancyMap) -> OccupancyMap:
+    """Let a miss by one cell count half: turns and shifts of the search are as coarse as that."""
+    value = level.layers.value
+    np.maximum(value, maximum_filter(value, 3) // 2, out=value)
+    return level
 
 
 @dataclass
@@ -49,40 +134,42 @@ class _Track:
         self.scans = {stamp: T_map_before @ pose for stamp, pose in self.scans.items()}
 
 
-class Localiser:
-    """A mapper that maps nothing: it says where the robot is in a known map.
+class CartographerLocalizer:
+    """Localizer in a known map; `T_map_base` is in the map's own frame, not from the first base pose."""
 
-    Its map frame is that of the known map, not the first base pose.
-    """
+    requires_odometry = False
 
-    def __init__(
-        self,
-        known: KnownMap,
-        start: Pose2 | None,
-        config: LocalisationConfig,
-        registration: RegistrationConfig,
-        motion: MotionConfig,
-        leveler: ScanLeveler,
-    ) -> None:
-        """Begin at `start` (`T_map_base`); None: anywhere in the map."""
-        self.config = config
+    def __init__(self, config: CartographerConfig, known: KnownMap) -> None:
+        """Begin at the configured start; None: anywhere in the map."""
+        self.config = c = config.localization
         self._known = known
+        registration = config.local.registration
         self._registration, self._refiner = Registration(registration), ScanMatcher(registration.match)
-        self._reckoning = DeadReckoning(motion)
-        self._leveler = leveler
-        metres, radians = config.start
-        self._loose = np.diag((metres**2, metres**2, radians**2))
-        self._located = self._anchored = start is not None
-        self._estimate = PoseEstimate(start or Pose2(), self._loose)
-        self._tracking = TrackingMonitor(config.tracking, map_given=True)
+        self._reckoning = DeadReckoning(config.local.motion)
+        self._leveler = ScanLeveler(config.clear_range, config.max_range)
+        metres, radians = c.start_deviation
+        self._start_covariance = np.diag((metres**2, metres**2, radians**2))
+        self._located = self._anchored = config.start is not None
+        self._estimate = PoseEstimate(config.start or Pose2(), self._start_covariance)
+        self._tracking = TrackingMonitor(c.tracking, map_given=True)
         self._searched: tuple[float, float] | None = None
         self._distance_traveled = 0.0
         self._track, self._counts, self._stopwatch = _Track(), _Counts(), Stopwatch()
 
-    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        """Match the scan to the map, or search for it where the place is unknown; return `T_map_base`.
+    @property
+    def resolution(self) -> float:
+        """Edge of a cell of the known map, metres."""
+        return self._known.grid.resolution
 
-        While `lost`, the answer is dead reckoning from the last place known, at first from the map's origin.
+    @property
+    def known_map(self) -> OccupancyGrid:
+        """The known map as it was given."""
+        return self._known.grid
+
+    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        """Match the scan to the map, or search for the pose where it is unknown; return `T_map_base`.
+
+        While `lost`, the answer is dead reckoning from the last known pose, at first from the map's origin.
         """
         started, counts = self._stopwatch.start(), self._counts
         counts.received += 1
@@ -90,9 +177,9 @@ class Localiser:
         before = self._estimate.pose
         self._estimate = self._reckoning.predict(self._estimate, odometry, imu, scan.stamp)
         if not self._located and self._search_due(scan.stamp):
-            self._search(level)
+            self._search_map(level)
         if self._located:
-            self._fit(level, before)
+            self._register(level, before)
         self._distance_traveled += before.distance(self._estimate.pose)
         self._track.scans[scan.stamp] = self._estimate.pose
         counts.lost += self.lost
@@ -110,7 +197,7 @@ class Localiser:
 
     @property
     def lost(self) -> bool:
-        """Whether the robot's place in the map is unknown."""
+        """Whether the robot's pose in the map is unknown."""
         return not self._located
 
     @property
@@ -131,7 +218,7 @@ class Localiser:
             **self._stopwatch.summary(),
         )
 
-    def _fit(self, scan: LeveledScan, before: Pose2) -> None:
+    def _register(self, scan: LeveledScan, before: Pose2) -> None:
         self._estimate, match = self._registration.register(
             self._known.pyramid, scan.hits, None, self._estimate, before
         )
@@ -145,39 +232,44 @@ class Localiser:
     def _search_due(self, stamp: float) -> bool:
         """Whether there is something new to search with since the last search."""
         c, last = self.config, self._searched
-        return last is None or self._distance_traveled - last[0] >= c.every or stamp - last[1] >= c.seconds
+        return (
+            last is None
+            or self._distance_traveled - last[0] >= c.search_distance
+            or stamp - last[1] >= c.search_interval
+        )
 
-    def _search(self, scan: LeveledScan) -> None:
-        """Search the whole map; take over the place found if it is the only one."""
+    def _search_map(self, scan: LeveledScan) -> None:
+        """Search the whole map; accept the best pose unless it is ambiguous."""
         c, known = self.config, self._known
-        sparse = voxel_filter(scan.hits, known.bounds.resolution, c.beams)
-        if len(sparse) < c.min_beams:
+        sparse = voxel_filter(scan.hits, known.bounds.resolution, c.max_points)
+        if len(sparse) < c.min_points:
             return
         self._counts.searches += 1
         self._searched = self._distance_traveled, scan.stamp
-        start, window = np.array((*known.centre, 0.0)), Window(known.reach, math.pi)
-        found = branch_and_bound(known.bounds, sparse, start, window, c.min_score, c.bounded)
+        start, window = np.array((*known.center, 0.0)), Window(known.reach, math.pi)
+        found = branch_and_bound(known.bounds, sparse, start, window, c.min_score, c.max_search_nodes)
         if found.score < 0:
             return
-        least = c.rival * found.score
-        other = branch_and_bound(
-            known.bounds, sparse, start, window, least, c.bounded, Exclusion(found.pose, c.apart)
-        )
-        best, second = self._refined(scan, found.pose), None
+        least, excluded = c.ambiguity_ratio * found.score, Exclusion(found.pose, c.min_separation)
+        other = branch_and_bound(known.bounds, sparse, start, window, least, c.max_search_nodes, excluded)
+        best, second = self._refine(scan, found.pose), None
         if other.score >= 0:
-            best, second = sorted((best, self._refined(scan, other.pose)), key=lambda match: -match.score)
-        if not (found.complete and other.complete) or (second and second.score >= c.rival * best.score):
+            best, second = sorted((best, self._refine(scan, other.pose)), key=lambda match: -match.score)
+        alike = second is not None and second.score >= c.ambiguity_ratio * best.score
+        if alike or not (found.complete and other.complete):
             self._counts.ambiguous += 1
             return
         self._locate(Pose2(*best.pose.tolist()))
 
-    def _refined(self, scan: LeveledScan, pose: FloatArray) -> Match:
-        """Return where the scan fits on the finest level near a pose of the search."""
-        return self._refiner.match(self._known.pyramid, scan.hits, None, Prior(pose, self._loose), levels=3)
+    def _refine(self, scan: LeveledScan, pose: FloatArray) -> Match:
+        """Match the scan on the finest level from a pose of the search."""
+        return self._refiner.match(
+            self._known.pyramid, scan.hits, None, Prior(pose, self._start_covariance), levels=3
+        )
 
     def _locate(self, pose: Pose2) -> None:
         if not self._anchored:
             self._track.anchor(pose @ self._estimate.pose.inverse())
             self._anchored = True
-        self._estimate, self._located = PoseEstimate(pose, self._loose), True
+        self._estimate, self._located = PoseEstimate(pose, self._start_covariance), True
         self._tracking = TrackingMonitor(self.config.tracking, map_given=True)

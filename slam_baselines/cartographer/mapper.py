@@ -7,65 +7,20 @@ Beyond it: the odometry is a prior of the matching, and ground is told from wall
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from pathlib import Path
 
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.cartographer.config import GlobalConfig, LocalConfig, LocalisationConfig
+from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.constraints.loop_event import LoopEvent
 from slam_baselines.cartographer.global_slam import GlobalSlam
-from slam_baselines.cartographer.known_map import KnownMap
 from slam_baselines.cartographer.local_slam import LocalSlam
-from slam_baselines.cartographer.localization import Localiser
+from slam_baselines.cartographer.localization import CartographerLocalizer, KnownMap
 from slam_baselines.cartographer.node_map import NodeMap
 from slam_baselines.cartographer.node_trajectory import NodeTrajectory
 from slam_baselines.common.stopwatch import Stopwatch
-from slam_baselines.mapper import Mapper, MapperStats
-from slam_baselines.mapping.occupancy_map import UpdateConfig
-from slam_baselines.scan.leveling import ScanLeveler
-
-
-@dataclass(frozen=True, kw_only=True)
-class CartographerConfig:
-    """Parameters, in the parts' configurations under the original's names where they exist.
-
-    Attributes:
-        local: submaps, matching, motion filter.
-        graph: loops and optimisation.
-        map_resolution: edge of a cell of the final map, metres.
-        update: how a scan changes the final map.
-        first_refinement: on uneven ground, submaps are drawn again after so many metres, and when they have
-            doubled, until the first one is finished.
-        max_range: hits farther away are not used, metres.
-        clear_range: a beam without return is believed to be free up to here, metres.
-        map: a known map, a grid or the path of its YAML: the robot is only localised in it.
-        start: `T_map_base` at the first scan in that map; None: it is searched for in all of it.
-        localisation: when a place in the known map is believed.
-
-    Raises:
-        ConfigError: a resolution or range that is not above 0, or a start without a map.
-    """
-
-    local: LocalConfig = field(default_factory=LocalConfig)
-    graph: GlobalConfig = field(default_factory=GlobalConfig)
-    map_resolution: float = 0.05
-    update: UpdateConfig = field(default_factory=UpdateConfig)
-    first_refinement: float = 2.0
-    max_range: float = math.inf
-    clear_range: float = 0.0
-    map: OccupancyGrid | str | Path | None = None
-    start: Pose2 | None = None
-    localisation: LocalisationConfig = field(default_factory=LocalisationConfig)
-
-    def __post_init__(self) -> None:
-        if not (self.map_resolution > 0 and self.max_range > 0):
-            raise ConfigError("map_resolution and max_range must be above 0 m")
-        if self.start is not None and self.map is None:
-            raise ConfigError("start is a pose in a known map: map is needed with it")
+from slam_baselines.mapper import Mapper, MapperStats, required_odometry
 
 
 def make_cartographer(config: CartographerConfig) -> Mapper:
@@ -78,14 +33,13 @@ def make_cartographer(config: CartographerConfig) -> Mapper:
     c = config
     if c.map is None:
         return CartographerMapper(c)
-    leveler = ScanLeveler(c.clear_range, c.max_range)
-    return Localiser(
-        KnownMap.of(c.map), c.start, c.localisation, c.local.registration, c.local.motion, leveler
-    )
+    return CartographerLocalizer(c, KnownMap.load(c.map))
 
 
 class CartographerMapper:
     """Submaps that are matched against, and a graph that puts them right when a loop closes."""
+
+    requires_odometry = True
 
     def __init__(self, config: CartographerConfig | None = None) -> None:
         self.config = c = config or CartographerConfig()
@@ -97,16 +51,18 @@ class CartographerMapper:
         self._refinements = 0
         self._stopwatch = Stopwatch()
 
+    @property
+    def resolution(self) -> float:
+        """Edge of a cell of the map, metres."""
+        return self.config.map_resolution
+
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Match the scan to its submap, do a share of the work on the graph, return `T_map_base`.
 
         Raises:
             ConfigError: there is no odometry.
         """
-        if odometry is None:
-            raise ConfigError(
-                f"cartographer needs odometry, the scan at {scan.stamp} s has none; hector maps without"
-            )
+        odometry = required_odometry("cartographer", odometry, scan.stamp)
         started = self._stopwatch.start()
         node = self._local.add_range_data(scan, odometry, imu)
         if node is not None:

@@ -18,37 +18,9 @@ import numpy as np
 from scipy.sparse.linalg import splu
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.validation import require_above
+from slam_baselines.cartographer.config import OptimizationConfig
 from slam_baselines.common.linalg import block_matrix, inverted, sum_blocks, sum_vectors
 from slam_baselines.common.se2 import relative_poses, wrap
-
-
-@dataclass(frozen=True, kw_only=True)
-class OptimizationConfig:
-    """Parameters of the solver; names as in Cartographer's optimization_problem and in Ceres.
-
-    Attributes:
-        cauchy_scale: error of a robust constraint, in standard deviations, at which Cauchy's loss bends.
-        scale_reduction: factor by which the loss is narrowed from step to step, above 1.
-        max_num_iterations: of Levenberg-Marquardt in one optimization.
-        function_tolerance: relative decrease of the cost below which the optimization ends.
-        initial_damping: Levenberg's damping of the first step, as a share of the diagonal.
-        gauge_information: information of the prior that holds the first node.
-
-    Raises:
-        ConfigError: a value that is not above 0, or scale_reduction not above 1.
-    """
-
-    cauchy_scale: float = 3.0
-    scale_reduction: float = 2.0
-    max_num_iterations: int = 30
-    function_tolerance: float = 1e-4
-    initial_damping: float = 1e-4
-    gauge_information: float = 1e8
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, *self.__dataclass_fields__, of="the optimization")
-        require_above(self, 1, "scale_reduction", of="the optimization")
 
 
 class PoseConstraint(NamedTuple):

@@ -7,50 +7,15 @@ younger has, too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
-from slam_baselines.mapping.occupancy_map import UNKNOWN, OccupancyMap, UpdateConfig, bounding_box
+from slam_baselines.cartographer.config import SubmapConfig
+from slam_baselines.mapping.occupancy_map import UNKNOWN, OccupancyMap, bounding_box
 from slam_baselines.mapping.pyramid import MapPyramid
 from slam_baselines.matching.branch_and_bound import BoundGrids
 from slam_baselines.scan.leveling import ScanPoints
-
-
-@dataclass(frozen=True, kw_only=True)
-class SubmapConfig:
-    """How submaps are drawn.
-
-    Attributes:
-        num_range_data: scans after which the next submap begins; each gets twice as many.
-        resolution: edge of a cell of the finest level, metres.
-        levels: number of levels, each twice as coarse as the one before.
-        search_level: level on which loops are searched for.
-        branch_and_bound_depth: how often four cells become one in the search for loops.
-        update: how a scan changes the map. Milder than for a map to look at: the mean of many scans
-            shows where within a cell a wall is.
-
-    Raises:
-        ConfigError: a number that is not above 0, or a search_level that is no level.
-    """
-
-    num_range_data: int = 60
-    resolution: float = 0.05
-    levels: int = 3
-    search_level: int = 1
-    branch_and_bound_depth: int = 6
-    update: UpdateConfig = field(default_factory=UpdateConfig)
-
-    def __post_init__(self) -> None:
-        if min(self.num_range_data, self.levels, self.branch_and_bound_depth) < 1 or not self.resolution > 0:
-            raise ConfigError(
-                "num_range_data, levels, branch_and_bound_depth and resolution of submaps must be above 0"
-            )
-        if not 0 <= self.search_level < self.levels:
-            raise ConfigError(f"search_level must be within 0 ... {self.levels - 1}, got {self.search_level}")
 
 
 class Submap:

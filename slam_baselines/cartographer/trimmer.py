@@ -8,37 +8,13 @@ freshest submaps are kept.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from lirs_wct.arrays import FloatArray, IntArray
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.validation import require_above
+from slam_baselines.cartographer.config import TrimmingConfig
 from slam_baselines.cartographer.submap import Submap
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrimmingConfig:
-    """Submaps that are kept; names as in Cartographer's overlapping_submaps_trimmer_2d.
-
-    Attributes:
-        fresh_submaps_count: number of the newest finished submaps that are kept of each place.
-        min_covered_area: smallest area that a submap is kept for, square metres.
-        min_added_submaps_count: number of newly finished submaps after which trimming is due.
-        cell: edge of what counts as one place, metres.
-
-    Raises:
-        ConfigError: a value that is not above 0.
-    """
-
-    fresh_submaps_count: int = 3
-    min_covered_area: float = 4.0
-    min_added_submaps_count: int = 5
-    cell: float = 0.5
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, *self.__dataclass_fields__, of="the trimming")
 
 
 class Trimmer:

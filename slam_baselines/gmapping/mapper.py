@@ -14,7 +14,6 @@ from functools import partial
 import numpy as np
 
 from lirs_wct.arrays import ByteArray, IntArray
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
@@ -27,7 +26,7 @@ from slam_baselines.gmapping.likelihood_field import Beams
 from slam_baselines.gmapping.proposal import Proposal, Proposer, propagated
 from slam_baselines.gmapping.resampling import effective_number, normalized, systematic_resample
 from slam_baselines.gmapping.trajectory_tree import TrajectoryTree
-from slam_baselines.mapper import MapperStats
+from slam_baselines.mapper import MapperStats, required_odometry
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.matching.tracking import TrackingMonitor
 from slam_baselines.motion.increment import MotionIncrement
@@ -38,6 +37,8 @@ __all__ = ["GmappingConfig", "GmappingMapper"]
 
 class GmappingMapper:
     """A filter over whole paths; a loop closes when the particles that fit survive."""
+
+    requires_odometry = True
 
     def __init__(self, config: GmappingConfig | None = None) -> None:
         self.config = c = config or GmappingConfig()
@@ -56,16 +57,18 @@ class GmappingMapper:
         self._best = self._received = self._resamplings = self._lost_scans = 0
         self._stopwatch = Stopwatch()
 
+    @property
+    def resolution(self) -> float:
+        """Edge of a cell of the map, metres."""
+        return self.config.delta
+
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Follow the odometry; where the robot has moved enough, process the scan. Return `T_map_base`.
 
         Raises:
             ConfigError: there is no odometry.
         """
-        if odometry is None:
-            raise ConfigError(
-                f"gmapping needs odometry, the scan at {scan.stamp} s has none; hector maps without"
-            )
+        odometry = required_odometry("gmapping", odometry, scan.stamp)
         started = self._stopwatch.start()
         self._received += 1
         level = self._leveler.level(scan, imu)

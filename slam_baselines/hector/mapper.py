@@ -73,6 +73,8 @@ class HectorConfig(BuilderConfig):
 class HectorMapper:
     """Scan matching against one map that is taken for the truth; no loop is ever closed."""
 
+    requires_odometry = False
+
     def __init__(self, config: HectorConfig | None = None) -> None:
         self.config = config or HectorConfig()
         self._leveler = ScanLeveler(self.config.laser_clear_dist, self.config.laser_max_dist)
@@ -87,6 +89,11 @@ class HectorMapper:
         self._tracking = TrackingMonitor(self.config.tracking)
         self._earlier: Pose2 | None = None
         self._stopwatch = Stopwatch()
+
+    @property
+    def resolution(self) -> float:
+        """Edge of a cell of the map, metres."""
+        return self.config.map_resolution
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Match the scan to the map, enter it, return `T_map_base`."""

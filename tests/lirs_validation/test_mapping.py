@@ -232,3 +232,7 @@ def test_a_mapper_of_your_own(room: Path, tmp_path: Path, monkeypatch: pytest.Mo
         map_log(room / "room.clf", mapper="wct_bad_log_mapper:Still")
     with pytest.raises(ConfigError, match="resolution can be given for hector, gmapping, cartographer only"):
         map_log(room / "room.clf", mapper="wct_own_log_mapper:Still", resolution=0.1)
+    needy = OWN.replace("lost = False", "lost, requires_odometry = False, True").replace("ANSWER", "Pose2()")
+    (tmp_path / "wct_needy_log_mapper.py").write_text(needy)
+    with pytest.raises(SourceError, match=r"holds no odometry.*wct_needy_log_mapper:Still needs it"):
+        map_log(room / "blind.clf", mapper="wct_needy_log_mapper:Still")

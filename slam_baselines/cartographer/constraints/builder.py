@@ -6,77 +6,18 @@ by Gauss-Newton on the interpolated map.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2, wrap_angle
-from lirs_wct.validation import require_above, require_within
+from slam_baselines.cartographer.config import ConstraintConfig
 from slam_baselines.cartographer.submap import Submap
 from slam_baselines.common.linalg import inverted
 from slam_baselines.matching.branch_and_bound import Exclusion, Window, branch_and_bound
-from slam_baselines.matching.gauss_newton import Match, MatchConfig, Prior, ScanMatcher
-
-
-@dataclass(frozen=True, kw_only=True)
-class ConstraintConfig:
-    """Window of the loop search, and the scores that a loop needs; names as in constraint_builder.
-
-    Attributes:
-        min_score: mean occupancy at the ends of the beams that a loop needs in the narrowest search; unknown
-            cells count as 0.
-        global_min_score: the same in the widest search: the more poses there are, the more fit by chance.
-        min_refined_score: mean occupancy on known cells that a loop needs after refinement.
-        min_known_ratio: share of beams on known cells that a loop needs after refinement.
-        linear_search_window: largest shift in x and in y, metres.
-        angular_search_window: largest turn, radians.
-        linear_start: shift at distance 0 from the last constraint, metres.
-        linear_drift: growth of the shift per metre travelled since the last constraint.
-        angular_start: turn at distance 0 from the last constraint, radians.
-        angular_drift: growth of the turn per metre travelled since the last constraint, radians.
-        max_refined_window: window up to which refinement alone finds the pose, metres.
-        ambiguity_ratio: share of the best score from which on a second pose makes the best one ambiguous.
-        min_separation: distance from the best pose at which a second one counts, metres.
-        max_points: most points for the search, evenly spread in space.
-        min_points: fewest points for the search.
-        voxel_size: edge of the squares of which each keeps one point, metres.
-        max_search_nodes: nodes of the tree after which a search is given up.
-        match: refinement.
-        search_deviation: standard deviation of the search's result for the refinement, metres and radians.
-        min_deviation: smallest standard deviation of a loop, metres and radians: submaps are not perfect.
-
-    Raises:
-        ConfigError: a value that is not above 0, or scores not in order.
-    """
-
-    min_score: float = 0.4
-    global_min_score: float = 0.55
-    min_refined_score: float = 0.5
-    min_known_ratio: float = 0.4
-    linear_search_window: float = 5.0
-    angular_search_window: float = math.radians(20.0)
-    linear_start: float = 0.3
-    linear_drift: float = 0.03
-    angular_start: float = 0.05
-    angular_drift: float = 0.003
-    max_refined_window: float = 0.6
-    ambiguity_ratio: float = 0.9
-    min_separation: float = 0.5
-    max_points: int = 120
-    min_points: int = 20
-    voxel_size: float = 0.1
-    max_search_nodes: int = 60000
-    match: MatchConfig = field(default_factory=lambda: MatchConfig(iterations=(8, 5, 5), exact=True))
-    search_deviation: tuple[float, float] = (0.2, 0.05)
-    min_deviation: tuple[float, float] = (0.02, 0.003)
-
-    def __post_init__(self) -> None:
-        names = [name for name in self.__dataclass_fields__ if isinstance(getattr(self, name), float | int)]
-        require_above(self, 0, *names, of="the constraints")
-        require_within(self, f"[{self.min_score}, 1]", "global_min_score", of="the constraints")
+from slam_baselines.matching.gauss_newton import Match, Prior, ScanMatcher
 
 
 @dataclass(frozen=True, slots=True)

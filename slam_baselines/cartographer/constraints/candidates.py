@@ -7,38 +7,11 @@ finished follow when there is time. Two submaps need only so many constraints be
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass
 
-from lirs_wct.validation import require_above, require_within
+from slam_baselines.cartographer.config import CandidateConfig
 
 Candidate = tuple[int, int]
 """Index of a node, index of a submap."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CandidateConfig:
-    """Number of candidates that are tried.
-
-    Attributes:
-        sampling_ratio: share of the nodes that are searched for in the submaps around them.
-        max_constraint_distance: largest distance of a node from a submap's nodes, metres.
-        found_per_pair: loops after which no more are searched for between two submaps.
-        tries_per_pair: searches after which no more are made between two submaps.
-        max_num_candidates: length of the queue; the oldest candidates beyond it are dropped, and counted.
-
-    Raises:
-        ConfigError: a value that is not above 0, or a ratio above 1.
-    """
-
-    sampling_ratio: float = 0.2
-    max_constraint_distance: float = 12.0
-    found_per_pair: int = 8
-    tries_per_pair: int = 8
-    max_num_candidates: int = 2000
-
-    def __post_init__(self) -> None:
-        require_within(self, "(0, 1]", "sampling_ratio", of="the candidates")
-        require_above(self, 0, *self.__dataclass_fields__, of="the candidates")
 
 
 class CandidateQueue:

@@ -8,41 +8,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from lirs_wct.geometry.pose import Pose2, wrap_angle
-from lirs_wct.validation import require_above
+from slam_baselines.cartographer.config import LoopVerificationConfig
 from slam_baselines.cartographer.constraints.builder import LoopConstraint
-
-
-@dataclass(frozen=True, kw_only=True)
-class LoopVerificationConfig:
-    """Loops that need a second one, and what agreement is.
-
-    Attributes:
-        max_translation: correction of a node above which a loop needs a second one, metres.
-        max_rotation: correction of a node's yaw above which a loop needs a second one, radians.
-        max_separation: largest distance travelled between the two nodes, metres.
-        min_separation: smallest distance travelled between the two nodes, so that the second sees something
-            else, metres.
-        linear_tolerance: largest difference between the two corrections, metres.
-        angular_tolerance: largest difference between the two corrections, radians.
-        max_pending: number of loops that may wait.
-
-    Raises:
-        ConfigError: a value that is not above 0.
-    """
-
-    max_translation: float = 0.4
-    max_rotation: float = 0.06
-    max_separation: float = 25.0
-    min_separation: float = 0.5
-    linear_tolerance: float = 0.3
-    angular_tolerance: float = 0.04
-    max_pending: int = 50
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, *self.__dataclass_fields__, of="the loop verification")
 
 
 class LoopVerification:

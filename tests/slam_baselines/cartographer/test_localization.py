@@ -1,4 +1,4 @@
-"""Localisation in a known map: a room, a real map with simulated scans, a bundled world."""
+"""Localization in a known map: a room, a real map with simulated scans, a bundled world."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import LaserScan
-from slam_baselines.cartographer.known_map import KnownMap
+from slam_baselines.cartographer.localization import KnownMap
 from slam_baselines.mapper import Mapper, make_mapper
 from tests.slam_baselines.synthetic import ROOM, loop, room_scan
 
@@ -170,7 +170,7 @@ def start_poses_in(grid: OccupancyGrid) -> list[Pose2]:
 def test_a_map_written_and_read_is_the_same_place(tmp_path: Path) -> None:
     grid = room_map()
     write_map(tmp_path / "room", grid)
-    of_file, of_grid = KnownMap.of(tmp_path / "room.yaml"), KnownMap.of(grid)
+    of_file, of_grid = KnownMap.load(tmp_path / "room.yaml"), KnownMap.load(grid)
     for a, b in zip(of_file.pyramid.levels.values, of_grid.pyramid.levels.values, strict=True):
         np.testing.assert_array_equal(a, b)
 

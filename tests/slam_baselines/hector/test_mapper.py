@@ -85,9 +85,9 @@ def test_unknown_names_list_the_legal_ones() -> None:
     with pytest.raises(ConfigError, match=r"unknown mapper 'hektor'; legal: .*hector"):
         make_mapper("hektor")
     with pytest.raises(
-        ConfigError, match=r"unknown parameter of hector 'resolution'; legal: .*map_resolution"
+        ConfigError, match=r"unknown parameter of hector 'cell_size'; legal: .*map_resolution"
     ):
-        make_mapper("hector", resolution=0.1)
+        make_mapper("hector", cell_size=0.1)
     assert isinstance(make_mapper("hector", map_resolution=0.1), HectorMapper)
 
 
