@@ -39,7 +39,8 @@ def collide(
 ) -> None:
     """Drive robots at random into everything, and evaluate every contact: penetration, energy, slopes."""
     from lirs_envs.robots.catalog import make_robot
-    from lirs_validation.collision.files import verdicts_table, write_verdicts
+    from lirs_validation.collision.files import write_verdicts
+    from lirs_validation.report.tables.collision_table import verdicts_table
 
     robots = [make_robot(name) for name in words(robot, "--robot")]
     terrains = [mujoco_terrain(name) for name in words(terrain, "--terrain")]

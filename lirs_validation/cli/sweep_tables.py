@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from rich import box
 from rich.table import Table
-from rich.text import Text
 
 from lirs_validation.analysis.groups import by_group, distinguishing_fields
 from lirs_validation.record.run_record import read_record
+from lirs_validation.report.tables.collision_table import verdicts_table
 from lirs_validation.report.tables.metric_tables import failures_table, summary_table
 from lirs_validation.report.tables.results_table import results_table
-from lirs_validation.report.tables.table import ReportTable
+from lirs_validation.report.tables.screen import on_screen
 from lirs_validation.sweep.collision_experiment import CollisionExperiment, read_verdict
 from lirs_validation.sweep.sweep import Sweep
 
@@ -23,8 +22,6 @@ FIELDS = {"world", "robot", "mapper"}
 
 def sweep_tables(sweep: Sweep) -> Iterator[Table]:
     """Yield the tables of what is finished: means of groups, or single runs, and verdicts."""
-    from lirs_validation.collision.files import verdicts_table
-
     finished = [found for found in sweep.experiments if found.name in sweep.outcomes]
     entries = [_entry(sweep, run.name) for run in finished if not isinstance(run, CollisionExperiment)]
     groups = by_group(entries)
@@ -42,25 +39,8 @@ def _by_group(entries: Sequence[dict[str, Any]]) -> Iterator[Table]:
     """Yield the failures, if any, and the means of each group."""
     failures = failures_table(entries)
     if failures.rows:
-        yield _shown(failures, style="bold red")
-    yield _shown(summary_table(entries))
-
-
-def _shown(shown: ReportTable, style: str = "") -> Table:
-    table = Table(
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-        caption=Text(shown.caption),
-        caption_justify="left",
-    )
-    for k, heading in enumerate(shown.headings):
-        table.add_column(
-            Text(heading), justify="left" if k < shown.text_columns else "right", overflow="fold"
-        )
-    for row in shown.texts():
-        table.add_row(*map(Text, row), style=style)
-    return table
+        yield on_screen(failures, style="bold red")
+    yield on_screen(summary_table(entries))
 
 
 def _entry(sweep: Sweep, name: str) -> dict[str, Any]:

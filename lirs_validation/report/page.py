@@ -58,30 +58,37 @@ def page(report: Report, command: str) -> str:
         undefined=StrictUndefined,
     )
     style, _, _ = PackageLoader("lirs_validation.report").get_source(environment, "report.css")
+    context = {"style": style, "report_command": command} | _context(report)
+    context["contents"] = _contents(context)
+    return environment.get_template("report.html.j2").render(context)
+
+
+def _context(report: Report) -> dict[str, Any]:
+    """Return what the template shows; None where a table has no rows."""
     pictures, note = _pictures(report.runs)
-    context: dict[str, Any] = {
+    return {
         "title": report.title,
         "subtitle": report.subtitle,
-        "style": style,
         "tiles": _tiles(report),
-        "failures": report.failures if report.failures.rows else None,
-        "checks_failed": report.checks_failed if report.checks_failed.rows else None,
-        "skipped": report.skipped if report.skipped.rows else None,
+        "failures": _filled(report.failures),
+        "checks_failed": _filled(report.checks_failed),
+        "skipped": _filled(report.skipped),
         "summary": report.summary,
         "paper": report.paper,
         "sections": [_section(report, key, groups, runs) for key, groups, runs in report.sections],
-        "collisions": report.collisions if report.collisions.rows else None,
+        "collisions": _filled(report.collisions),
         "spread": _spread(report),
         "pictures": pictures,
         "pictures_note": note,
         "succeeded": sum(map(succeeded, report.entries)),
         "command": report.command,
-        "report_command": command,
         "origins": report.origins,
         "commands": report.commands,
     }
-    context["contents"] = _contents(context)
-    return environment.get_template("report.html.j2").render(context)
+
+
+def _filled(table: ReportTable) -> ReportTable | None:
+    return table if table.rows else None
 
 
 def _section(report: Report, key: Section, groups: ReportTable, runs: ReportTable) -> dict[str, Any]:

@@ -18,11 +18,12 @@ from lirs_envs.robots.catalog import ROBOTS, make_robot
 from lirs_validation.cli.app import app
 from lirs_validation.collision.contact_log import ContactRecorder
 from lirs_validation.collision.figures import energy_gain, penetrations, stuck_seconds
-from lirs_validation.collision.files import verdicts_table, write_verdicts
+from lirs_validation.collision.files import write_verdicts
 from lirs_validation.collision.random_drive import PERIOD, Leg, places
 from lirs_validation.collision.slope_test import climb
 from lirs_validation.collision.touched import Touched
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions
+from lirs_validation.report.tables.collision_table import verdicts_table
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField

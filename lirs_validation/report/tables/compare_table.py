@@ -9,13 +9,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rich import box
 from rich.table import Table
 from rich.text import Text
 
 from lirs_validation.analysis.compare import LEVEL, Comparison, Difference
 from lirs_validation.analysis.groups import FIELDS, Group, distinguishing_fields
 from lirs_validation.record.formatting import NOTHING
+from lirs_validation.report.tables.screen import screen_table
 from lirs_wct.files import atomic_write
 
 
@@ -23,8 +23,7 @@ def compare_table(comparison: Comparison, names: tuple[str, str]) -> Table:
     """Return the differences group by group, significant ones bold; below, how to read them."""
     differences = comparison.differences
     shown = distinguishing_fields(d.group for d in differences)
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, caption_justify="left")
-    table.title, table.title_justify = Text(f"a = {names[0]}, b = {names[1]}"), "left"
+    table = screen_table(f"a = {names[0]}, b = {names[1]}", reading(comparison))
     for heading in ("group", "metric"):
         table.add_column(heading, overflow="fold")
     for heading in ("a", "b", "b - a", "95 %", "n", "p", ""):
@@ -34,7 +33,6 @@ def compare_table(comparison: Comparison, names: tuple[str, str]) -> Table:
         named = "" if d.group == before else d.group.named(shown)
         before = d.group
         table.add_row(*map(Text, (named, *formatted(d))), style="bold" if d.significant else "")
-    table.caption = Text(reading(comparison))
     return table
 
 

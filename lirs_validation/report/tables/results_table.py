@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from rich import box
 from rich.table import Table
 from rich.text import Text
 
 from lirs_validation.record.catalog import Metric, metrics_shown
 from lirs_validation.record.formatting import Entry, as_entry, text_at
 from lirs_validation.record.run_record import RunRecord, succeeded
+from lirs_validation.report.tables.screen import screen_table
 
 FACTS = {
     "world": "world.name",
@@ -44,15 +44,7 @@ def results_table(records: Sequence[RunRecord | Entry]) -> Table:
     reasons = _reasons(entries)
     shown = _columns(entries)
     common = [c for c in shown if c.heading in COMMON and len({c.text(e) for e in entries}) == 1]
-    table = Table(
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-        title=Text(", ".join(_named(entries[0], c) for c in common)) if common else None,
-        title_justify="left",
-        caption=None if reasons is None else Text(reasons),
-        caption_justify="left",
-    )
+    table = screen_table(", ".join(_named(entries[0], c) for c in common), reasons)
     columns = [c for c in shown if c not in common]
     for column in columns:
         width = max(len(column.text(entry)) for entry in entries)
@@ -107,11 +99,9 @@ def _named(entry: Entry, column: Column) -> str:
     return f"seed {column.text(entry)}" if column.heading == "seed" else column.text(entry)
 
 
-def _reasons(entries: Sequence[Entry]) -> str | None:
-    """Return what failed or was stopped and why, one line each; None where nothing was."""
+def _reasons(entries: Sequence[Entry]) -> str:
+    """Return what failed or was stopped and why, one line each."""
     ended = [entry for entry in entries if entry["status"] != "ok"]
-    if not ended:
-        return None
     lines = []
     for entry in ended:
         who = [text_at(entry, FACTS[fact]) for fact in ("world", "robot", "mapper")]

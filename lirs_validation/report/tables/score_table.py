@@ -8,20 +8,22 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rich import box
 from rich.table import Table
 from rich.text import Text
 
 from lirs_validation.analysis.score import Score
 from lirs_validation.record.catalog import metrics_in
 from lirs_validation.record.formatting import NOTHING
+from lirs_validation.report.tables.screen import screen_table
 from lirs_wct.files import atomic_write
 
 
 def score_table(score: Score, record: Mapping[str, Any]) -> Table:
     """Return the metrics of the score beside those of the run's own mapper."""
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, caption_justify="left")
-    table.title, table.title_justify = Text(score.run), "left"
+    lines = [f"read in the {score.frame} frame"]
+    if score.trajectory:
+        lines.append(f"{score.trajectory['poses']} of {score.given} poses lie at stamps of the run's scans")
+    table = screen_table(score.run, "; ".join(lines))
     table.add_column("metric")
     for heading in ("scored", str(record["config"]["mapper"])):
         table.add_column(Text(heading), justify="right")
@@ -29,10 +31,6 @@ def score_table(score: Score, record: Mapping[str, Any]) -> Table:
         scored = metric.formatted(metric.of(asdict(score)))
         if scored != NOTHING:
             table.add_row(*map(Text, (metric.heading, scored, metric.formatted(metric.of(record)))))
-    lines = [f"read in the {score.frame} frame"]
-    if score.trajectory:
-        lines.append(f"{score.trajectory['poses']} of {score.given} poses lie at stamps of the run's scans")
-    table.caption = Text("; ".join(lines))
     return table
 
 
