@@ -23,7 +23,6 @@ RETURNED = math.exp(-4)
 """Share of an impact's energy that a critically damped contact gives back."""
 STANDS = 0.1
 """Below this share of the commanded way a robot counts as stuck."""
-GRAVITY = 9.81
 
 
 @dataclass(frozen=True)
@@ -57,12 +56,17 @@ def _impact(log: ContactLog, contact: DeepContact) -> Bounded:
     return Bounded(contact.depth, max(DEEP, IMPACT * float(speed.max())))
 
 
-def energy_gain(legs: Sequence[Leg], mass: float) -> Bounded:
-    """Return the energy gained within a second beyond the motors' work where it is worst; joules."""
-    return worst(_gain(leg.log, mass) for leg in legs)
+def energy_gain(legs: Sequence[Leg], weight: float) -> Bounded:
+    """Return the energy gained within a second beyond the motors' work where it is worst; joules.
+
+    Args:
+        legs: of the drive.
+        weight: of the robot, newtons.
+    """
+    return worst(_gain(leg.log, weight) for leg in legs)
 
 
-def _gain(log: ContactLog, mass: float) -> Bounded:
+def _gain(log: ContactLog, weight: float) -> Bounded:
     span = max(1, round(WINDOW / log.timestep))
     # A window that ends at each step: the filters are centred.
     size, origin = span + 1, span // 2
@@ -71,7 +75,7 @@ def _gain(log: ContactLog, mass: float) -> Bounded:
     # The impact whose energy comes back lies before the lowest point.
     since = span + round(ONSET / log.timestep)
     kinetic = maximum_filter1d(log.kinetic, since + 1, origin=since // 2, mode="nearest")
-    limit = mass * GRAVITY * DEEP + RETURNED * kinetic
+    limit = weight * DEEP + RETURNED * kinetic
     k = int(np.argmax(gain / limit))
     return Bounded(float(gain[k]), float(limit[k]))
 

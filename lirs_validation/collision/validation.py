@@ -156,7 +156,7 @@ def check_collisions(
     legs = list(drive_at_random(body, world, robot, seconds, np.random.default_rng((seed, STREAM))))
     slope = None if robot.flies or legs[-1].diverged else climb(body, world, robot)
     p999, peak = figures.penetrations(legs)
-    gain = figures.energy_gain(legs, float(body.model.body_mass.sum()))
+    gain = figures.energy_gain(legs, float(body.model.body_mass.sum()) * body.gravity)
     force_peak, force_mean = figures.forces(legs)
     return CollisionVerdict(
         world=world.name,

@@ -51,13 +51,26 @@ def test_a_hit_lies_on_the_surface(surface: HeightField, point, direction) -> No
         assert abs(z - float(surface.height_at(x, y))) < 1e-9 * (1 + steepest)
 
 
+FLAT = HeightField(np.zeros((2, 2), np.float32), (1.0, 1.0), (0.0, 0.0))
+
+
 @settings(max_examples=400, deadline=None)
+@example(FLAT, (0.5, 0.25, -1e-45), np.array((1.0, 0.0, -1e-16)))
 @given(FIELDS, POINTS, DIRECTIONS)
 def test_never_through(surface: HeightField, point, direction) -> None:
-    """Nothing that is well inside a triangle may be missed or passed."""
-    ours = RayCaster(surface).cast(point, direction[None])[0]
-    sure = triangle_ranges(triangles_of(surface), np.array([point]), direction[None], grow=-1e-6)[0]
-    assert ours <= sure + 1e-6
+    """Nothing that is well inside a triangle may be missed or passed, but by a ray that lies in its plane."""
+    found = RayCaster(surface).cast(point, direction[None])[0]
+    triangles, rays = triangles_of(surface), (np.array([point]), direction[None])
+    assert found <= triangle_ranges(triangles, *rays, grow=-1e-6, grazing=1e-9)[0] + 1e-6
+
+
+def test_the_oracle_leaves_out_rays_in_the_plane_only() -> None:
+    triangles, down = triangles_of(FLAT), np.array(((0.6, 0.0, -0.8),))
+    along = np.array(((1.0, 0.0, -1e-16),))
+    for height, directions, expected in ((0.0, along, np.inf), (0.0, down, 0.0), (1e-3, down, 1.25e-3)):
+        origin = np.array(((0.5, 0.25, height),))
+        found = triangle_ranges(triangles, origin, directions, grow=-1e-6, grazing=1e-9)[0]
+        assert found == expected or abs(found - expected) < 1e-12
 
 
 @settings(max_examples=200, deadline=None)

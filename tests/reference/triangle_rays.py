@@ -26,15 +26,24 @@ def triangles_of(surface: HeightField) -> Array:
 
 
 def triangle_ranges(
-    triangles: Array, origins: Array, directions: Array, *, grow: float = 0.0, max_range: float = math.inf
+    triangles: Array,
+    origins: Array,
+    directions: Array,
+    *,
+    grow: float = 0.0,
+    grazing: float = -1.0,
+    max_range: float = math.inf,
 ) -> Array:
     """(n,) range to the nearest triangle (Moeller and Trumbore 1997), both sides, inf = none.
 
     `grow` widens each triangle in barycentric coordinates (below 0: shrinks it), so that what lies between
-    the answers of a little more and a little less is a matter of rounding.
+    the answers of a little more and a little less is a matter of rounding. A triangle is left out where the
+    ray lies in its plane: starts within `grazing` metres of it, and rises out of it by no more a metre.
     """
     a = triangles[:, 0]
     e1, e2 = triangles[:, 1] - a, triangles[:, 2] - a
+    normal = np.cross(e1, e2)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     nearest = np.full(len(directions), np.inf)
     for k in range(0, len(directions), 256):
         o, d = origins[k : k + 256, None], directions[k : k + 256, None]
@@ -47,6 +56,8 @@ def triangle_ranges(
             v = np.einsum("nmk,nmk->nm", np.broadcast_to(d, q.shape), q) * inverse
             t = np.einsum("nmk,mk->nm", q, e2) * inverse
             hit = (u >= -grow) & (v >= -grow) & (u + v <= 1 + grow) & (t >= 0) & (t <= max_range)
+        if grazing >= 0:
+            hit &= np.maximum(abs((s * normal).sum(axis=2)), abs((d * normal).sum(axis=2))) > grazing
         nearest[k : k + 256] = np.where(hit, t, np.inf).min(axis=1)
     return nearest
 

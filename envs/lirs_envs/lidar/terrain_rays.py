@@ -12,7 +12,7 @@ from numba import njit
 
 from lirs_envs.lidar.clipping import FAR, clip, inverse
 from lirs_envs.lidar.mipmap import EDGE, LEAF, ROW, TerrainMipmap
-from lirs_wct.arrays import Float32Array, FloatArray, IntArray
+from lirs_wct.arrays import Float32Array, FloatArray
 
 Ray = tuple[float, float, float, float, float, float]
 """u, v, w: start, in cells from the south-west node and metres up; du, dv, dw: its change per metre."""
@@ -33,16 +33,13 @@ def terrain_ranges(
     terrain: TerrainMipmap, origin: FloatArray, directions: FloatArray, max_range: float, ranges: FloatArray
 ) -> None:
     """Shorten `ranges` (n,) to the first triangle on each ray within `max_range`."""
-    block, bound, start, width, frame = (
-        terrain.block, terrain.bound, terrain.start, terrain.width, terrain.frame,
-    )  # fmt: skip
-    nx, ny = terrain.cells
+    frame, (nx, ny) = terrain.frame, terrain.cells
     per_x, per_y = 1.0 / frame[2], 1.0 / frame[3]
     u, v, w = (origin[0] - frame[0]) * per_x, (origin[1] - frame[1]) * per_y, origin[2]
     low, high = frame[4] - frame[6], frame[5] + frame[6]
     i0, j0 = min(max(int(u), 0), nx - 1), min(max(int(v), 0), ny - 1)
     # Where a ray starts in the field's box, which is the same for all.
-    above = w - _surface(block, width, i0, j0, u - i0, v - j0)
+    above = w - _surface(terrain, i0, j0, u - i0, v - j0)
     for k in range(len(directions)):
         du, dv, dw = directions[k, 0] * per_x, directions[k, 1] * per_y, directions[k, 2]
         per_u, per_v = inverse(du), inverse(dv)
@@ -53,21 +50,17 @@ def terrain_ranges(
             i, j, height = i0, j0, above
             if t > 0.0:
                 i, j = min(max(int(u + t * du), 0), nx - 1), min(max(int(v + t * dv), 0), ny - 1)
-                height = w + t * dw - _surface(block, width, i, j, u + t * du - i, v + t * dv - j)
+                height = w + t * dw - _surface(terrain, i, j, u + t * du - i, v + t * dv - j)
             far_u, far_v = 0.0 if per_u != 0.0 else FAR, 0.0 if per_v != 0.0 else FAR
             step = (per_u, per_v, far_u, far_v, 1 if du > 0.0 else 0, 1 if dv > 0.0 else 0)
             ray = (u, v, w, du, dv, dw)
-            hit = _traverse(block, bound, start, width, (nx, ny), (i, j), ray, step, height, t, t_end)
+            hit = _traverse(terrain, (i, j), ray, step, height, t, t_end)
             ranges[k] = min(ranges[k], hit)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True, fastmath=FUSED)
 def _traverse(
-    block: Float32Array,
-    bound: Float32Array,
-    start: IntArray,
-    width: IntArray,
-    cells: tuple[int, int],
+    terrain: TerrainMipmap,
     cell: tuple[int, int],
     ray: Ray,
     step: GridStep,
@@ -83,7 +76,8 @@ def _traverse(
     """
     if height == 0.0:
         return t
-    (nx, ny), (i, j), top = cells, cell, len(width) - 1
+    bound, start, width = terrain.bound, terrain.start, terrain.width
+    (nx, ny), (i, j), top = terrain.cells, cell, len(width) - 1
     u, v, w, du, dv, dw = ray
     per_u, per_v, far_u, far_v, east, north = step
     side = 1.0 if height > 0.0 else -1.0
@@ -102,7 +96,9 @@ def _traverse(
                 level -= 1
                 continue
             number = np.uint64(r * width[LEAF] + c)
-            hit: float = _block_range(block, number, (i, j), (u, v, w, du, dv, dw), step, side, t, t_out)
+            hit: float = _block_range(
+                terrain.block, number, (i, j), (u, v, w, du, dv, dw), step, side, t, t_out
+            )
             if hit < np.inf:
                 return hit
         if t_out >= t_end:
@@ -121,9 +117,9 @@ def _traverse(
 
 
 @njit(cache=True, error_model="numpy", forceinline=True, fastmath=FUSED)
-def _surface(block: Float32Array, width: IntArray, i: int, j: int, a: float, b: float) -> float:
+def _surface(terrain: TerrainMipmap, i: int, j: int, a: float, b: float) -> float:
     """Return the height of the surface in cell (j, i), a to the east and b to the north of its corner."""
-    number = np.uint64((j >> LEAF) * width[LEAF] + (i >> LEAF))
+    block, number = terrain.block, np.uint64((j >> LEAF) * terrain.width[LEAF] + (i >> LEAF))
     node = ROW * (j % EDGE) + i % EDGE
     # float() of a float32 stays one in numba, and the differences below would be rounded to it.
     sw, ne = np.float64(block[number, node]), np.float64(block[number, node + ROW + 1])
