@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lirs_validation import validate
-from lirs_validation.experiment.evaluation import judge_trajectory
+from lirs_validation.experiment.evaluation import evaluate_trajectory
 from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_validation.experiment.run import Run
 
@@ -63,7 +63,7 @@ def levelled_ate(run: Run) -> float | None:
         imu = None if seen.imu is None else replace(seen.imu, roll=truth.roll, pitch=truth.pitch)
         answers.append(mapper.update(seen.scan, seen.odometry, imu))
     again = replace(log, estimates=answers, final=mapper.trajectory())
-    ate: float | None = judge_trajectory(again).get("ate_rmse")
+    ate: float | None = evaluate_trajectory(again).get("ate_rmse")
     return ate
 
 

@@ -23,7 +23,6 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.cartographer.config import CartographerConfig
-from slam_baselines.cartographer.constraints.builder import voxel_filter
 from slam_baselines.common.stopwatch import Stopwatch
 from slam_baselines.mapper import MapperStats
 from slam_baselines.mapping.occupancy_map import OccupancyMap, UpdateConfig
@@ -34,6 +33,7 @@ from slam_baselines.matching.registration import Registration
 from slam_baselines.matching.tracking import TrackingMonitor
 from slam_baselines.motion.dead_reckoning import DeadReckoning, PoseEstimate
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
+from slam_baselines.scan.voxel_filter import voxel_filter
 
 DEPTH = 6
 """Number of times that four cells become one in the search."""

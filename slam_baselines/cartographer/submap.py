@@ -1,4 +1,4 @@
-"""Submaps: pieces of map, each drawn from a stretch of scans and rigid from then on.
+"""Submaps: pieces of the map, each drawn from a stretch of scans and rigid from then on.
 
 Hess et al. 2016, "Real-time loop closure in 2D LIDAR SLAM", section IV: a scan enters two submaps, the
 older of which is matched against; it has seen enough to match well, and when it is finished the
@@ -78,13 +78,6 @@ class Submap:
             level = self.pyramid.maps[self._config.search_level]
             self._bounds = BoundGrids.of(level.grid, self._config.branch_and_bound_depth)
         return self._bounds
-
-    @property
-    def centre(self) -> tuple[float, float]:
-        """Middle of the submap in the local frame, metres."""
-        grid = self.pyramid.maps[0].grid
-        rows, cols = grid.shape
-        return (grid.col0 + cols / 2) * grid.resolution, (grid.row0 + rows / 2) * grid.resolution
 
     @property
     def nbytes(self) -> int:

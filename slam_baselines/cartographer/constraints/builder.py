@@ -18,6 +18,7 @@ from slam_baselines.cartographer.submap import Submap
 from slam_baselines.common.linalg import inverted
 from slam_baselines.matching.branch_and_bound import Exclusion, Window, branch_and_bound
 from slam_baselines.matching.gauss_newton import Match, Prior, ScanMatcher
+from slam_baselines.scan.voxel_filter import voxel_filter
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,12 +157,3 @@ class ConstraintBuilder:
             self.counts.ambiguous += 1
             return None
         return best.pose
-
-
-def voxel_filter(points: FloatArray, size: float, max_points: int) -> FloatArray:
-    """Return at most `max_points` of the points, the first one of each square of the given size."""
-    cells = np.floor(points[:, :2] / size).astype(np.int64)
-    _, first = np.unique(cells[:, 0] * (1 << 20) + cells[:, 1], return_index=True)
-    first.sort()
-    stride = max(1, -(-len(first) // max_points))
-    return np.asarray(points[first[::stride]], dtype=np.float64)

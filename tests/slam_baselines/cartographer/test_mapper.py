@@ -18,7 +18,6 @@ from slam_baselines.cartographer.constraints.builder import (
     ConstraintBuilder,
     ConstraintConfig,
     LoopConstraint,
-    voxel_filter,
 )
 from slam_baselines.cartographer.constraints.candidates import CandidateConfig, CandidateQueue
 from slam_baselines.cartographer.constraints.verification import LoopVerification, LoopVerificationConfig
@@ -263,15 +262,6 @@ def test_scans_between_nodes_follow_both():
     track.add(1.5, Pose2(1.5, 0), 2, local[1])
     poses = track.trajectory(local, [Pose2(0, 0), Pose2(1, 0.4)], Pose2())
     np.testing.assert_allclose(poses.xy, [[0, 0], [0.5, 0.2], [1, 0.4], [1.5, 0.4]], atol=1e-9)
-
-
-def test_the_voxel_filter_keeps_one_point_a_square():
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-1, 1, (500, 3))
-    thin = voxel_filter(points, 0.5, 1000)
-    cells = {tuple(c) for c in np.floor(thin[:, :2] / 0.5).astype(int).tolist()}
-    assert len(thin) == len(cells) == 16
-    assert len(voxel_filter(points, 0.05, 40)) <= 40
 
 
 @pytest.mark.parametrize(
