@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -14,6 +15,30 @@ TURN = math.radians(-28)
 """The viewer stands to the south and a little to the west."""
 CUT = (0.62, 0.60, 0.57)
 """Colour of the block's cut faces."""
+
+
+class _Screen(NamedTuple):
+    """Where the picture's rows and columns lie; lengths in metres about the block's middle.
+
+    Attributes:
+        left: rightward coordinate of the picture's left edge.
+        near: depth of the block's nearest corner.
+        far: depth of its farthest corner.
+        lowest: upward coordinate of the picture's lower edge.
+        unit: edge of the picture's pixels.
+        base: height of the cut face below the lowest ground.
+        pixel: edge of the canvas's pixels.
+        tilt: angle by which the viewer looks down, radians.
+    """
+
+    left: float
+    near: float
+    far: float
+    lowest: float
+    unit: float
+    base: float
+    pixel: float
+    tilt: float
 
 
 def oblique_view(
@@ -48,8 +73,17 @@ def oblique_view(
     highest = depth.max() * math.sin(tilt) + float(np.nanmax(heights)) * math.cos(tilt)
     rows = int((highest - lowest) / unit) + 2
     picture = np.zeros((rows, width, 4))
-    reach = (float(right.min()), float(depth.min()), float(depth.max()))
-    _draw(picture, heights, tops, sides, canvas.pixel, reach, unit, lowest, base, np.array(CUT), TURN, tilt)
+    screen = _Screen(
+        left=float(right.min()),
+        near=float(depth.min()),
+        far=float(depth.max()),
+        lowest=float(lowest),
+        unit=float(unit),
+        base=base,
+        pixel=canvas.pixel,
+        tilt=tilt,
+    )
+    _draw(picture, heights, tops, sides, screen)
     return picture[::-1]
 
 
@@ -60,12 +94,12 @@ def _turned(xy: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @njit(cache=True)
-def _draw(picture, z, tops, sides, pixel, reach, unit, lowest, base, cut, turn, tilt):  # type: ignore[no-untyped-def]
+def _draw(picture: FloatArray, z: FloatArray, tops: FloatArray, sides: Any, screen: _Screen) -> None:
     """Go from front to back in each column and paint what rises above all before it; row 0 = bottom."""
     rows, cols = z.shape
     height, width = picture.shape[0], picture.shape[1]
-    left, near, far = reach
-    c, s = math.cos(turn), math.sin(turn)
+    left, near, far, lowest, unit, base, pixel, tilt = screen
+    c, s = math.cos(TURN), math.sin(TURN)
     step = 0.5 * pixel
     for u in range(width):
         right = left + (u + 0.5) * unit
@@ -82,7 +116,7 @@ def _draw(picture, z, tops, sides, pixel, reach, unit, lowest, base, cut, turn, 
                     # The cut face of the block, from its base up to the ground.
                     horizon, last = int((ground - base * math.cos(tilt)) / unit) - 1, z[i, j]
                     for v in range(max(0, horizon + 1), min(top, height - 1) + 1):
-                        picture[v, u, :3] = cut
+                        picture[v, u, :3] = CUT
                         picture[v, u, 3] = 1.0
                     horizon = max(horizon, top)
                 elif top > horizon:

@@ -1,8 +1,9 @@
-"""Which points lie near an obstacle of the world's geometry: a steep face or a wall cell."""
+"""Points near an obstacle of the world's geometry: a steep face or a wall cell."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -38,7 +39,9 @@ def near_obstacle(
 
 
 @njit(cache=True)
-def _near_steep(points, z, cell, origin, distance, rise):  # type: ignore[no-untyped-def]
+def _near_steep(
+    points: FloatArray, z: Any, cell: Any, origin: Any, distance: float, rise: float
+) -> BoolArray:
     """Search the cells under each point's square of half side `distance`; z has row 0 = south."""
     rows, cols = z.shape
     cx, cy = cell
@@ -64,7 +67,7 @@ def _near_steep(points, z, cell, origin, distance, rise):  # type: ignore[no-unt
 
 
 @njit(cache=True)
-def _near_wall(points, solid, resolution, distance):  # type: ignore[no-untyped-def]
+def _near_wall(points: FloatArray, solid: BoolArray, resolution: float, distance: float) -> BoolArray:
     """Search the wall cells round points given in the wall grid's frame."""
     rows, cols = solid.shape
     near = np.zeros(len(points), np.bool_)
@@ -82,7 +85,9 @@ def _near_wall(points, solid, resolution, distance):  # type: ignore[no-untyped-
 
 
 @njit(cache=True)
-def _to_triangle(x, y, ax, ay, bx, by, cx, cy):  # type: ignore[no-untyped-def]
+def _to_triangle(
+    x: float, y: float, ax: float, ay: float, bx: float, by: float, cx: float, cy: float
+) -> float:
     """Return the distance of a point to a triangle given counter-clockwise; 0 inside."""
     inside = (
         (bx - ax) * (y - ay) - (by - ay) * (x - ax) >= 0
@@ -91,15 +96,16 @@ def _to_triangle(x, y, ax, ay, bx, by, cx, cy):  # type: ignore[no-untyped-def]
     )
     if inside:
         return 0.0
-    return min(
+    nearest: float = min(
         _to_segment(x, y, ax, ay, bx, by),
         _to_segment(x, y, bx, by, cx, cy),
         _to_segment(x, y, cx, cy, ax, ay),
     )
+    return nearest
 
 
 @njit(cache=True)
-def _to_segment(x, y, ax, ay, bx, by):  # type: ignore[no-untyped-def]
+def _to_segment(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> float:
     """Return the distance of a point to a segment."""
     dx, dy = bx - ax, by - ay
     t = ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy)
