@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -16,6 +17,7 @@ from lirs_validation.cli.reports import compare, report, score
 from lirs_validation.cli.robot_card import robot
 from lirs_validation.cli.runs import validate
 from lirs_validation.cli.worlds import build, convert, info, view
+from lirs_validation.experiment.import_path import importable
 from lirs_validation.sweep.interrupts import is_interrupt
 from lirs_wct.errors import WctError
 
@@ -35,7 +37,8 @@ def main() -> None:
     """Run the command line; bad input is one line on stderr and exit code 2."""
     warnings.showwarning = _one_line
     try:
-        code = app(standalone_mode=False)
+        with importable(Path.cwd()):
+            code = app(standalone_mode=False)
         if code == INTERRUPTED:
             # Typer turns Ctrl-C into its exit code, and says nothing.
             raise KeyboardInterrupt

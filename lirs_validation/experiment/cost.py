@@ -1,11 +1,14 @@
-"""What a run costs beside wall time: processor time and memory of this process."""
+"""What a run costs beside wall time: processor time, memory and compilation of this process."""
 
 from __future__ import annotations
 
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from numba.core.event import TimingListener, install_listener
 
 if sys.platform != "win32":
     import resource
@@ -37,3 +40,14 @@ class CostMeter:
             return None
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return peak if sys.platform == "darwin" else peak * 1024
+
+
+@contextmanager
+def compile_timer() -> Iterator[Callable[[], float]]:
+    """Measure what Numba's compiler takes in a block; the function that is given returns the seconds so far.
+
+    Kernels are compiled, or loaded from Numba's cache.
+    """
+    timer = TimingListener()
+    with install_listener("numba:compiler_lock", timer):
+        yield lambda: float(timer.duration) if timer.done else 0.0

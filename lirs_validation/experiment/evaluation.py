@@ -9,9 +9,10 @@ import numpy as np
 
 from lirs_envs.simulation import Simulation
 from lirs_validation.experiment.loop import DriveLog, per_second
-from lirs_validation.experiment.mapper_checks import final_map
+from lirs_validation.experiment.mapper_checks import final_map, final_stats
 from lirs_validation.experiment.scenario import Scenario
 from lirs_validation.metrics import map_scores, trajectory_errors
+from lirs_validation.record.run_record import RunRecord
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.world import World
 from slam_baselines.mapper import Mapper
@@ -25,6 +26,39 @@ class Maps:
     built: OccupancyGrid
     true_pose: OccupancyGrid
     scores: dict[str, Any]
+
+
+def evaluate(
+    scenario: Scenario,
+    simulation: Simulation,
+    mapper: Mapper,
+    log: DriveLog,
+    maps: Maps,
+    cost: dict[str, Any],
+) -> RunRecord:
+    """Return the record of a finished drive.
+
+    Args:
+        scenario: where it took place.
+        simulation: that was driven.
+        mapper: that mapped.
+        log: of the drive.
+        maps: compared already.
+        cost: processor time, peak memory, seconds of compilation.
+    """
+    stats = final_stats(mapper)
+    return RunRecord(
+        config=scenario.config,
+        world=evaluate_world(scenario, simulation),
+        status=log.status,
+        reason=log.reason,
+        rtf=evaluate_rtf(log, simulation) | {"compile_seconds": cost["compile_seconds"]},
+        trajectory=evaluate_trajectory(log),
+        map=maps.scores,
+        collisions=evaluate_collisions(simulation),
+        mapper=asdict(stats),
+        cost=cost | {"scans_dropped": log.scans_dropped(stats.received)},
+    )
 
 
 def evaluate_maps(world: World, log: DriveLog, mapper: Mapper) -> Maps:

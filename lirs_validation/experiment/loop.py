@@ -57,10 +57,12 @@ class DriveLog:
         """Return the mapper's answers as it gave them, in the map frame."""
         return Trajectory.from_poses(self.stamps, self.estimates)
 
-    def scans_dropped(self, driven: float, period: float) -> int:
-        """Return how many of the scans due in a time, one at its start, the mapper was not given."""
-        due = round(driven / period) + 1 - (self.status == "diverged")
-        return due - len(self.estimates)
+    def scans_dropped(self, received: int) -> int:
+        """Return how many scans the mapper was given beyond those that it says it received.
+
+        A mapper with a queue may drop scans; one that counts none (`received` 0) says nothing.
+        """
+        return max(0, len(self.observations) - received) if received else 0
 
     def trajectories(self) -> tuple[Trajectory, Trajectory, Trajectory]:
         """Return truth, final estimate and odometry, all in the world frame.

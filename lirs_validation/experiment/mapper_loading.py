@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from lirs_validation.experiment.import_path import importable
 from lirs_wct.errors import ConfigError, unknown_name
 from slam_baselines.mapper import MAPPERS, Mapper, make_mapper
 from slam_baselines.warmup import warm_up
@@ -22,8 +22,8 @@ METHODS, PROPERTIES = ("update", "map", "trajectory"), ("stats", "lost")
 def mapper_named(name: str, seed: int) -> Mapper:
     """Make a mapper by its name, or by `module:name` of a class (or function) that makes one.
 
-    A class of your own gets `seed` and `resolution` as keywords where it takes them. The current folder
-    is importable.
+    A class of your own gets `seed` and `resolution` as keywords where it takes them. Its module is looked
+    for in the current folder too, which is on `sys.path` only while the module is imported.
 
     Raises:
         ConfigError: nothing has that name, it cannot be imported or made, or it is no mapper.
@@ -58,11 +58,10 @@ def source_file(name: str) -> Path | None:
 
 
 def _module(module: str, name: str) -> ModuleType:
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.insert(0, here)
+    here = Path.cwd()
     try:
-        return importlib.import_module(module)
+        with importable(here):
+            return importlib.import_module(module)
     except ModuleNotFoundError as error:
         if error.name is not None and (module == error.name or module.startswith(f"{error.name}.")):
             raise ConfigError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,21 +11,14 @@ from lirs_envs.simulation import Simulation
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.drivers import CoverageDriver
 from lirs_validation.driving.tour import plan
-from lirs_validation.experiment.cost import CostMeter
+from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.cpu_contention import cpu_contention
-from lirs_validation.experiment.evaluation import (
-    Maps,
-    evaluate_collisions,
-    evaluate_maps,
-    evaluate_rtf,
-    evaluate_trajectory,
-    evaluate_world,
-)
+from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
 from lirs_validation.experiment.loop import DriveLog, drive
-from lirs_validation.experiment.mapper_checks import final_stats, final_trajectory
+from lirs_validation.experiment.mapper_checks import final_trajectory
 from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_validation.experiment.results import write_results
-from lirs_validation.experiment.scenario import Scenario, ScenarioCache
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.experiment.warm_up import warm_up
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.contact.contact_geometry import ContactGeometry
@@ -116,19 +109,18 @@ def run(
     robot, mapper = make_robot(config.robot), mapper_named(config.mapper, config.seed)
     progress("build", 0.0)
     scenario = (scenarios or ScenarioCache()).scenario(config)
-    progress("plan", 0.0)
-    driver = plan(scenario.world, robot, config)
-    progress("compile", 0.0)
-    compiled = {"compile_seconds": warm_up(scenario, robot)}
+    with compile_timer() as compile_seconds:
+        progress("plan", 0.0)
+        driver = plan(scenario.world, robot, config)
+        progress("compile", 0.0)
+        warm_up(scenario, robot)
     simulation = scenario.simulation(robot)
     log, cost = _timed_drive(simulation, driver, mapper, config, progress)
-    if not log.walls:
-        raise SimulationError(f"{config.source}: nothing was driven: {log.reason}")
-    progress("evaluate", 1.0)
-    log.final = final_trajectory(mapper)
     log.concurrent = log.concurrent or concurrent
+    progress("evaluate", 1.0)
     maps = evaluate_maps(scenario.world, log, mapper)
-    record = evaluate(scenario, simulation, mapper, log, maps, cost | compiled)
+    cost |= {"compile_seconds": compile_seconds()}
+    record = evaluate(scenario, simulation, mapper, log, maps, cost)
     folder = None if out is None else write_results(out / record.name, record, log, maps, scenario.world)
     return Run(record, log, maps, scenario.world, folder)
 
@@ -136,40 +128,17 @@ def run(
 def _timed_drive(
     simulation: Simulation, driver: CoverageDriver, mapper: Mapper, config: RunConfig, progress: Progress
 ) -> tuple[DriveLog, dict[str, Any]]:
-    """Drive; return the log and what the drive cost."""
+    """Drive; return the log and what the drive cost.
+
+    Raises:
+        SimulationError: not a single scan was driven.
+    """
     with cpu_contention() as others:
         meter = CostMeter()
-        log = drive(
-            simulation,
-            driver,
-            mapper,
-            config.seconds,
-            progress,
-            wall_limit=config.wall_limit,
-        )
+        log = drive(simulation, driver, mapper, config.seconds, progress, wall_limit=config.wall_limit)
         cost = {"cpu_seconds": meter.cpu_seconds(), "peak_memory": meter.peak_memory()}
+    if not log.walls:
+        raise SimulationError(f"{config.source}: nothing was driven: {log.reason}")
     log.concurrent = others.found
-    return log, cost | {"scans_dropped": log.scans_dropped(simulation.time, simulation.period)}
-
-
-def evaluate(
-    scenario: Scenario,
-    simulation: Simulation,
-    mapper: Mapper,
-    log: DriveLog,
-    maps: Maps,
-    cost: dict[str, Any],
-) -> RunRecord:
-    """Turn a finished drive into a record."""
-    return RunRecord(
-        config=scenario.config,
-        world=evaluate_world(scenario, simulation),
-        status=log.status,
-        reason=log.reason,
-        rtf=evaluate_rtf(log, simulation) | {"compile_seconds": cost["compile_seconds"]},
-        trajectory=evaluate_trajectory(log),
-        map=maps.scores,
-        collisions=evaluate_collisions(simulation),
-        mapper=asdict(final_stats(mapper)),
-        cost=cost,
-    )
+    log.final = final_trajectory(mapper)
+    return log, cost

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 from lirs_envs.robots.robot import Robot
@@ -19,20 +18,18 @@ _WARM: set[tuple[str | None, ...]] = set()
 """What this process has driven already."""
 
 
-def warm_up(scenario: Scenario, robot: Robot) -> float:
-    """Drive a throw-away simulation for a moment, so that every kernel is compiled; return the seconds.
+def warm_up(scenario: Scenario, robot: Robot) -> None:
+    """Drive a throw-away simulation for a moment, so that every kernel is compiled.
 
-    What this process drove before is compiled: then it takes none.
+    What this process drove before is compiled: it is not driven again.
     """
     c = scenario.config
     kind = (scenario.world.kind, c.robot, c.lidar, c.terrain, c.rays, c.mapper)
     if kind in _WARM:
-        return 0.0
-    begun = time.perf_counter()
+        return
     warm_up_mapper(c.mapper)
     slow = c.rays == "mujoco" and c.terrain == "hfield"
     config = replace(c, seconds=BRIEF if slow else WARM_UP)
     driver = plan(scenario.world, robot, config)
     drive(scenario.simulation(robot), driver, mapper_named(c.mapper, c.seed), config.seconds)
     _WARM.add(kind)
-    return time.perf_counter() - begun

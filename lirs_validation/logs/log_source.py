@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lirs_validation.config import MapConfig, SourceOptions
 from lirs_validation.logs.mapping import folder_name, run_mapping
-from lirs_validation.record.provenance import versions
+from lirs_validation.record.staleness import is_stale
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
 from lirs_wct.progress import Progress, no_progress
@@ -51,9 +51,13 @@ def resolve_source(
 
 def _status(folder: Path) -> str | None:
     """Return how the mapping ended whose results lie in a folder; None where none of ours do."""
+    path = folder / "record.json"
     try:
-        record = json.loads((folder / "record.json").read_text(encoding="utf-8"))
-        fresh = record["versions"] == versions() and (folder / "map.yaml").is_file()
-        return str(record["status"]) if fresh else None
+        record = json.loads(path.read_text(encoding="utf-8"))
+        status, written_by = str(record["status"]), record["versions"]
     except (OSError, ValueError, KeyError, TypeError):
         return None
+    # The folder's name holds the digest of the log: another content is another folder.
+    if is_stale(path, written_by, inputs=()) or not (folder / "map.yaml").is_file():
+        return None
+    return status

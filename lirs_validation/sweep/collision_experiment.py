@@ -11,9 +11,9 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import RunConfig, run_name
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.provenance import versions
+from lirs_validation.record.staleness import is_stale, world_files
 from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.slam_experiment import world_name
-from lirs_validation.sweep.staleness import is_older, same_code, world_files
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_folder
@@ -99,7 +99,7 @@ class CollisionExperiment:
             status, reason, written_by = found["status"], found["reason"], found["versions"]
         except (OSError, ValueError, KeyError, TypeError):
             return None
-        if not same_code(written_by) or is_older(path, world_files(self.world_config)):
+        if is_stale(path, written_by, world_files(self.world_config)):
             return None
         return Outcome(experiment=self.name, status=status, reason=reason, written=True)
 

@@ -15,8 +15,8 @@ from lirs_validation.experiment.mapper_loading import mapper_named, source_file
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.run_record import RunRecord, read_record
+from lirs_validation.record.staleness import is_stale, world_files
 from lirs_validation.sweep.outcome import Outcome
-from lirs_validation.sweep.staleness import is_older, same_code, world_files
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import Progress
@@ -83,7 +83,7 @@ class SlamExperiment:
         except (SourceError, KeyError, TypeError):
             return None
         inputs = [*world_files(self.config), source_file(self.config.mapper)]
-        if not same_code(record.get("versions")) or is_older(folder / "record.json", inputs):
+        if is_stale(folder / "record.json", record.get("versions"), inputs):
             return None
         if status == "wall limit" and limit != self.config.wall_limit:
             return None

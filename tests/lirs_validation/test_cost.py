@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numba import njit
 
-from lirs_validation.experiment.cost import CostMeter
+from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.cpu_contention import cpu_contention
 from lirs_validation.sweep.interrupts import is_interrupt
 
@@ -49,6 +50,18 @@ def test_processor_time_is_counted_and_waiting_is_not() -> None:
         pass
     assert waited < 0.15
     assert 0.2 <= meter.cpu_seconds() < 0.6
+
+
+def test_compilation_is_timed_and_all_else_is_not() -> None:
+    kernel = njit(lambda x: x + 1)
+    with compile_timer() as compile_seconds:
+        time.sleep(0.1)
+        assert compile_seconds() == 0.0
+        kernel(1)
+        first = compile_seconds()
+        kernel(2)
+    assert first > 0.0
+    assert compile_seconds() == first
 
 
 def test_both_of_two_that_overlap_notice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

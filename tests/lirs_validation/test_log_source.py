@@ -15,6 +15,7 @@ from lirs_validation import cli, resolve_source
 from lirs_validation.analysis.result_folders import read_results
 from lirs_validation.config import SourceOptions
 from lirs_validation.experiment.run import validate
+from lirs_validation.record.staleness import is_stale
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import SourceError
 from lirs_wct.geometry.pose import Pose2
@@ -70,6 +71,18 @@ def test_a_map_that_is_there_is_used_again(folder: Path) -> None:
     write_log(folder / "my room.clf", room_lines(90)[0])
     assert resolve_source("my room.clf", options, folder) == first
     assert json.loads(record.read_text())["versions"] == entry["versions"]
+
+
+@pytest.mark.parametrize(("changed", "again"), [({"numpy": "0.0"}, False), ({"code": "0"}, True)])
+def test_a_map_is_stale_where_a_run_would_be(changed: dict[str, str], again: bool, folder: Path) -> None:
+    options = BuildOptions(log_mapper="hector")
+    record = Path(resolve_source("my room.clf", options, folder)).with_name("record.json")
+    entry = json.loads(record.read_text())
+    versions = entry["versions"] | changed
+    record.write_text(json.dumps(entry | {"versions": versions}))
+    assert is_stale(record, versions, ()) == again
+    resolve_source("my room.clf", options, folder)
+    assert (json.loads(record.read_text())["versions"] == entry["versions"]) == again
 
 
 def test_what_is_no_log_stays_as_it_is(folder: Path) -> None:

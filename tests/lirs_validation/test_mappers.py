@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 from lirs_validation import validate
 from lirs_validation.experiment import mapper_checks
-from lirs_validation.experiment.mapper_loading import RESOLUTION, mapper_named
+from lirs_validation.experiment.mapper_loading import RESOLUTION, mapper_named, source_file
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
@@ -61,6 +62,17 @@ def test_a_constructor_gets_what_it_takes() -> None:
         "resolution": RESOLUTION,
     }
     assert mapper_named("their_slam:Seeded", 7).given == {"seed": 7}  # type: ignore[attr-defined]
+
+
+@pytest.mark.usefixtures("here")
+def test_a_library_call_leaves_the_import_path_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry])
+    before = list(sys.path)
+    mapper_named("their_slam:Whole", 7)
+    assert source_file("their_slam:Whole") == Path.cwd() / "their_slam.py"
+    with pytest.raises(ConfigError):
+        mapper_named("their_broken:X", 7)
+    assert sys.path == before
 
 
 @pytest.mark.usefixtures("here")

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from lirs_validation.experiment.import_path import importable
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
 from lirs_validation.sweep.engines.base import Limits, ProgressOf
 from lirs_validation.sweep.engines.processes import Processes, cores
@@ -119,7 +120,7 @@ def perform_remotely(
     """Run an experiment on a machine of the cluster; return the files that it wrote."""
     with suppress(OSError):
         os.chdir(here)  # a mapper of your own lies there, where the machines share a file system
-    with tempfile.TemporaryDirectory(prefix="lirs-wct-") as temporary:
+    with tempfile.TemporaryDirectory(prefix="lirs-wct-") as temporary, importable(Path(here)):
         out = Path(temporary)
         if limits.any:
             engine = Processes(jobs=1, limits=limits, scenario=scenario, concurrent=True)

@@ -1,4 +1,4 @@
-"""Whether results that lie in a folder are still those that running again would give."""
+"""Staleness: whether results in a folder are still those that running again would give."""
 
 from __future__ import annotations
 
@@ -27,6 +27,17 @@ def world_files(config: RunConfig) -> list[Path]:
         return [path / "world.json", path / "world.npz"]
     siblings = path.parent.glob(f"{path.stem}.*") if path.suffix in (".yaml", ".yml") else ()
     return [path, *siblings, *([config.build.texture] if config.build.texture else [])]
+
+
+def is_stale(result: Path, found: Any, inputs: Iterable[Path | None]) -> bool:
+    """Tell whether other code wrote a result, or an input changed after it was written.
+
+    Args:
+        result: file that was written last.
+        found: the versions that the result says it is of.
+        inputs: files that it was made from, where they are known.
+    """
+    return not same_code(found) or is_older(result, inputs)
 
 
 def is_older(result: Path, inputs: Iterable[Path | None]) -> bool:
