@@ -8,8 +8,11 @@ never joins more than two triangles.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -20,6 +23,7 @@ SLAB = 0.1
 """Thickness of the floor, metres."""
 VOID, GROUND, WALL = 0, 1, 2
 """What a cell is."""
+CellKinds = NDArray[np.int8]
 BOTTOM, TWIN_BOTTOM, FLOOR, TOP, TWIN_TOP, LEVELS = 0, 1, 2, 3, 4, 5
 """Heights that a corner of the plan can have; the twin is the vertex of a second body."""
 
@@ -77,7 +81,9 @@ def _placed(
 
 
 @njit(cache=True)
-def _triangles(rectangles, is_wall, kind, marked, holed):  # type: ignore[no-untyped-def]
+def _triangles(
+    rectangles: IntArray, is_wall: BoolArray, kind: CellKinds, marked: BoolArray, holed: bool
+) -> IntArray:
     """Return (m, 3) vertex codes; `kind` are the cells with a rim of void around them."""
     rows, cols = marked.shape[0] - 1, marked.shape[1] - 1
     base = (rows + 1) * (cols + 1) * LEVELS + len(rectangles)
@@ -117,7 +123,7 @@ def _triangles(rectangles, is_wall, kind, marked, holed):  # type: ignore[no-unt
 
 
 @njit(cache=True)
-def _ring(r0, c0, r1, c1, marked):  # type: ignore[no-untyped-def]
+def _ring(r0: int, c0: int, r1: int, c1: int, marked: BoolArray) -> IntArray:
     """Return (m, 2) the marked points (row, col) around a rectangle, counter-clockwise with row = north."""
     ring = np.empty((2 * (r1 - r0 + c1 - c0), 2), np.int64)
     m = 0
@@ -141,12 +147,12 @@ def _ring(r0, c0, r1, c1, marked):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _code(point, level, cols):  # type: ignore[no-untyped-def]
+def _code(point: IntArray, level: int, cols: int) -> Any:
     return (point[0] * (cols + 1) + point[1]) * LEVELS + level
 
 
 @njit(cache=True)
-def _beside(p, q, kind):  # type: ignore[no-untyped-def]
+def _beside(p: IntArray, q: IntArray, kind: CellKinds) -> Any:
     """Return what lies on the outer (right) side of p -> q; `kind` begins one cell before the grid."""
     if q[1] != p[1]:
         return kind[p[0], p[1] + 1] if q[1] > p[1] else kind[p[0] + 1, p[1]]
@@ -154,7 +160,7 @@ def _beside(p, q, kind):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _twin(point, row, kind, least):  # type: ignore[no-untyped-def]
+def _twin(point: IntArray, row: int, kind: CellKinds, least: int) -> Any:
     """Whether a body has the twin at a corner: of two that only touch there the northern one has it."""
     r, c = point[0] + 1, point[1] + 1
     south_west, north_east = kind[r - 1, c - 1] >= least, kind[r, c] >= least
@@ -164,7 +170,7 @@ def _twin(point, row, kind, least):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _cap(faces, n, ring, middle):  # type: ignore[no-untyped-def]
+def _cap(faces: IntArray, n: int, ring: IntArray, middle: int) -> int:
     """Fill a ring with triangles: two, or a fan around its middle."""
     m = len(ring)
     for i in range(m):
@@ -178,7 +184,7 @@ def _cap(faces, n, ring, middle):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _quad(faces, n, a, b, c, d):  # type: ignore[no-untyped-def]
+def _quad(faces: IntArray, n: int, a: int, b: int, c: int, d: int) -> int:
     faces[n, 0], faces[n, 1], faces[n, 2] = a, b, c
     faces[n + 1, 0], faces[n + 1, 1], faces[n + 1, 2] = a, c, d
     return n + 2

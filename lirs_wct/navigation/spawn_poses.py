@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.navigation.traversability import distance_to, largest_area
@@ -48,7 +48,7 @@ def _inner(area: BoolArray) -> BoolArray:
 
 
 @njit(cache=True)
-def _farthest(points, bonus, first, count):  # type: ignore[no-untyped-def]
+def _farthest(points: FloatArray, bonus: FloatArray, first: int, count: int) -> IntArray:
     """Return (count,) indices: each next point has the largest distance to those before, plus its bonus."""
     chosen = np.empty(count, np.int64)
     gap = np.full(len(points), np.inf)

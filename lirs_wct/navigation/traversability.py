@@ -143,7 +143,9 @@ def _lookup(mask: BoolArray, resolution: float, origin: Pose2, grid: OccupancyGr
 
 
 @njit(cache=True)
-def _values_at(mask, resolution, T_mask_grid, step, rows, cols):  # type: ignore[no-untyped-def]
+def _values_at(
+    mask: BoolArray, resolution: float, T_mask_grid: FloatArray, step: float, rows: int, cols: int
+) -> BoolArray:
     """Return (rows, cols) values of a mask at cell centres `step` metres apart; False outside."""
     x0, y0, yaw = T_mask_grid
     c, s = math.cos(yaw), math.sin(yaw)

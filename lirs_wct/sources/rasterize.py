@@ -39,7 +39,9 @@ def layers(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> Int32Array
 
 
 @njit(cache=True)
-def _rasterize(vertices, faces, grid, slack, top, count):  # type: ignore[no-untyped-def]
+def _rasterize(
+    vertices: FloatArray, faces: Int32Array, grid: Grid, slack: float, top: FloatArray, count: Int32Array
+) -> None:
     """Raise `top` to each triangle's height at the nodes inside it, and count the triangles there."""
     rows, cols = top.shape
     x0, y0, cell_x, cell_y = grid
