@@ -118,7 +118,7 @@ def _cannot_write(path: Path, error: OSError) -> OutputError:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Pass over trouble while tidying up: the first error is the one to tell."""
+    """Pass over trouble while tidying up: the first error is the one to report."""
     try:
         yield
     except OSError:

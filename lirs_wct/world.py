@@ -10,7 +10,6 @@ from typing import Literal
 
 from lirs_wct.arrays import BoolArray
 from lirs_wct.errors import ConfigError, LogSourceError
-from lirs_wct.formats.map_server import read_map, read_map_picture
 from lirs_wct.formats.world_json import WorldFile, checked_content, read_world, write_world
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
@@ -22,12 +21,12 @@ from lirs_wct.meshing.export_settings import ExportSettings, checked_texture
 from lirs_wct.navigation.spawn_poses import spawn_poses
 from lirs_wct.navigation.traversability import traversable
 from lirs_wct.sources.kinds import SourceKind
-from lirs_wct.sources.laser_map import level_floor, walls_of, without_small_walls
+from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.picture import read_terrain
 from lirs_wct.sources.source import Source, find_source, warn_of_useless
-from lirs_wct.sources.window import Window, cut_map, cut_nodes, cut_surface
+from lirs_wct.sources.window import Window, cut_nodes, cut_surface
 
 SPAWN_CLEARANCE = 0.8
 """Metres of free ground around a spawn pose: a Husky and a step."""
@@ -175,11 +174,14 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
 def _place(found: Source, options: BuildOptions) -> World:
     if found.kind is SourceKind.FOLDER:
         return _loaded_world(found, options)
+    ground: Ground
     if found.kind is SourceKind.MESH:
-        return _mesh_world(found, options)
-    if found.kind in (SourceKind.MAP, SourceKind.MAP_PICTURE):
-        return _map_world(found, options)
-    return _terrain_world(found, options)
+        ground, scale = read_mesh_source(found.path, options)
+    elif found.kind in (SourceKind.MAP, SourceKind.MAP_PICTURE):
+        ground, scale = read_laser_map(found, options)
+    else:
+        ground, scale = read_terrain(found, options)
+    return _with_spawn_poses(World(found.name, ground, scale=scale))
 
 
 def _loaded_world(source: Source, options: BuildOptions) -> World:
@@ -191,40 +193,6 @@ def _loaded_world(source: Source, options: BuildOptions) -> World:
     if isinstance(world.ground, LaserMap) or world.overhangs:
         raise ConfigError(f"{source.path}: --window cuts a built terrain only; give the world's own source")
     return _with_spawn_poses(replace(world, ground=_cut(world.ground, options.window)))
-
-
-def _terrain_world(source: Source, options: BuildOptions) -> World:
-    surface, scale = read_terrain(source, options)
-    if options.window is not None:
-        surface = cut_surface(surface, options.window)
-    return _with_spawn_poses(World(source.name, Terrain(surface), scale=scale))
-
-
-def _mesh_world(source: Source, options: BuildOptions) -> World:
-    read = read_mesh_source(source.path, options)
-    given = options.size or options.height or options.scale or options.z_scale
-    ground = (
-        Terrain(read.surface, read.no_ground)
-        if read.solid is None
-        else ClosedMesh(read.surface, read.solid, read.overhangs, read.no_ground)
-    )
-    scale = "as given" if given else "the file's own"
-    return _with_spawn_poses(World(source.name, ground, scale=scale))
-
-
-def _map_world(source: Source, options: BuildOptions) -> World:
-    if source.kind is SourceKind.MAP:
-        truth = read_map(source.path, options.max_pixels)
-    elif options.resolution is None:
-        raise ConfigError(f"{source.path}: a map picture without YAML needs --resolution (metres a pixel)")
-    else:
-        truth = read_map_picture(source.path, options.resolution, options.origin, options.max_pixels)
-    if options.window is not None:
-        truth = cut_map(truth, options.window)
-    truth = without_small_walls(truth, options.speckle)
-    walls = walls_of(truth, options.wall_height, options.unknown)
-    scale = f"{truth.resolution:g} m a cell"
-    return _with_spawn_poses(World(source.name, LaserMap(level_floor(walls), walls, truth), scale=scale))
 
 
 def _cut(ground: Terrain | ClosedMesh, window: Window) -> Terrain:

@@ -1,4 +1,4 @@
-"""Suffixes by which files are told apart."""
+"""Suffixes by which a file's format is recognized."""
 
 MESHES = (".stl", ".dae", ".obj", ".ply", ".glb")
 """Mesh files."""

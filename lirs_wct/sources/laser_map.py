@@ -5,11 +5,36 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from lirs_wct.errors import unknown_name
+from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.formats.map_server import read_map, read_map_picture
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
-from lirs_wct.sources.options import UNKNOWN, Unknown
+from lirs_wct.ground import LaserMap
+from lirs_wct.sources.kinds import SourceKind
+from lirs_wct.sources.options import UNKNOWN, BuildOptions, Unknown
+from lirs_wct.sources.source import Source
+from lirs_wct.sources.window import cut_map
+
+
+def read_laser_map(source: Source, options: BuildOptions) -> tuple[LaserMap, str]:
+    """Return a ROS map, or a map's picture, as ground, and a text that says where its metres come from.
+
+    Raises:
+        SourceError: a file cannot be used.
+        ConfigError: a picture has no resolution, or an option does not fit the map.
+    """
+    if source.kind is SourceKind.MAP:
+        truth = read_map(source.path, options.max_pixels)
+    elif options.resolution is None:
+        raise ConfigError(f"{source.path}: a map picture without YAML needs --resolution (metres a pixel)")
+    else:
+        truth = read_map_picture(source.path, options.resolution, options.origin, options.max_pixels)
+    if options.window is not None:
+        truth = cut_map(truth, options.window)
+    truth = without_small_walls(truth, options.speckle)
+    walls = walls_of(truth, options.wall_height, options.unknown)
+    return LaserMap(level_floor(walls), walls, truth), f"{truth.resolution:g} m a cell"
 
 
 def walls_of(grid: OccupancyGrid, height: float, unknown: Unknown = "floor") -> WallGrid:

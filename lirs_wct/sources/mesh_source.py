@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.meshes.mesh_file import read_upright
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.ground import ClosedMesh, Terrain
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.rasterize import layers, rasterize_heights
 from lirs_wct.sources.window import Window
@@ -23,25 +23,10 @@ FINEST = 0.02
 """Metres between the nodes of a small mesh: what a wheel feels."""
 
 
-@dataclass(frozen=True)
-class MeshSource:
-    """What a mesh file gives.
+def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | ClosedMesh, str]:
+    """Return a mesh as ground, and a text that says where its metres come from.
 
-    Attributes:
-        surface: its highest points, from above.
-        solid: the mesh itself where it is closed, else None.
-        overhangs: whether a vertical line somewhere meets more than a top and a bottom.
-        no_ground: (rows, cols) nodes of the surface where a closed mesh has no ground; None = no such node.
-    """
-
-    surface: HeightField
-    solid: TriangleMesh | None
-    overhangs: bool
-    no_ground: BoolArray | None
-
-
-def read_mesh_source(path: Path, options: BuildOptions) -> MeshSource:
-    """Read a mesh as a world; it keeps its own frame, metres and z up.
+    It keeps its own frame, metres and z up. What is open, or cut by a window, is its heights from above.
 
     Raises:
         SourceError: the file cannot be used, has no extent in the plane, or is open and has overhangs.
@@ -62,8 +47,12 @@ def read_mesh_source(path: Path, options: BuildOptions) -> MeshSource:
         )
     if options.window is not None and overhangs:
         raise ConfigError(f"{path}: has overhangs, --window cannot cut it")
-    solid = mesh if closed and options.window is None else None
-    return MeshSource(surface, solid, overhangs, no_ground if closed and no_ground.any() else None)
+    given = options.size or options.height or options.scale or options.z_scale
+    scale = "as given" if given else "the file's own"
+    gaps = no_ground if closed and no_ground.any() else None
+    if closed and options.window is None:
+        return ClosedMesh(surface, mesh, overhangs, gaps), scale
+    return Terrain(surface, gaps), scale
 
 
 def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[HeightField, bool, BoolArray]:

@@ -16,12 +16,14 @@ from lirs_wct.errors import SourceError
 from lirs_wct.formats.images import tiff
 from lirs_wct.formats.images.picture import Picture, check_size, read_picture
 from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.ground import Terrain
 from lirs_wct.sources.bundled import SIZE, bundled_picture
 from lirs_wct.sources.dequantize import dequantize
 from lirs_wct.sources.filters import apply_filters
 from lirs_wct.sources.kinds import SourceKind
 from lirs_wct.sources.options import DEFAULT_HEIGHT, DEFAULT_SIZE, BuildOptions
 from lirs_wct.sources.source import Source
+from lirs_wct.sources.window import cut_surface
 
 GRAY_TOLERANCE = 2
 """Levels of 255 by which the channels of a gray picture may differ (rounding of colour conversions)."""
@@ -31,25 +33,32 @@ UNTAGGED_NODATA = (-9999.0, -32768.0)
 """What elevation rasters hold where nothing was measured, even without a tag; below -1e30 likewise."""
 
 
-def read_terrain(source: Source, options: BuildOptions) -> tuple[HeightField, str]:
-    """Return the ground of a picture or of a bundled world, and a text that says where its metres come from.
+def read_terrain(source: Source, options: BuildOptions) -> tuple[Terrain, str]:
+    """Return a picture or a bundled world as ground, and a text that says where its metres come from.
 
     Raises:
         SourceError: the picture cannot be used.
+        ConfigError: the window lies outside the terrain.
     """
-    if source.kind is not SourceKind.BUNDLED:
-        return read_scaled(source.path, options)
-    bundled = bundled_picture(source.path.name)
+    bundled = source.kind is SourceKind.BUNDLED
+    surface, scale = _read_bundled(source.path, options) if bundled else read_scaled(source.path, options)
+    if options.window is not None:
+        surface = cut_surface(surface, options.window)
+    return Terrain(surface), scale
+
+
+def _read_bundled(path: Path, options: BuildOptions) -> tuple[HeightField, str]:
+    bundled = bundled_picture(path.name)
     own = replace(
         options,
         size=options.size if options.size or options.pixel_size else SIZE,
         height=options.height or bundled.height,
     )
     rows, cols = bundled.pixels.shape
-    check_size(source.path, cols, rows, options.max_pixels)
+    check_size(path, cols, rows, options.max_pixels)
     resized = options.size or options.pixel_size or options.height
     scale = "as given" if resized else "as bundled"
-    return _height_field(source.path, Picture(bundled.pixels, {}), own), scale
+    return _height_field(path, Picture(bundled.pixels, {}), own), scale
 
 
 def read_height_field(path: Path, options: BuildOptions) -> HeightField:

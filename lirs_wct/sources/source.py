@@ -24,7 +24,7 @@ class Source:
 
 
 def find_source(given: str | Path, options: BuildOptions) -> Source:
-    """Tell what a source is.
+    """Return what a source is.
 
     Raises:
         SourceError: there is no such bundled world, file or built folder.
@@ -40,7 +40,7 @@ def find_source(given: str | Path, options: BuildOptions) -> Source:
 
 
 def is_log(path: Path) -> bool:
-    """Tell whether a file's name is that of a CARMEN log."""
+    """Return whether a file's name is that of a CARMEN log."""
     return _unzipped(path).suffix.lower() in LOGS
 
 

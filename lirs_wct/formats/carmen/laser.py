@@ -11,7 +11,7 @@ import numpy as np
 
 from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.carmen.lines import Message, Sweep
+from lirs_wct.formats.carmen.lines import LaserConfig, Message
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import LaserScan
 
@@ -34,7 +34,7 @@ CODE_SHARE, CODE_BEAMS, CODE_CONTRAST, CODE_MOST = 0.001, 0.05, 20, 100
 """A range is a code where it is the largest, makes up this share of all, comes on this share of the beams,
 is so many times as frequent as each of the three metres below it, and at most so many times as all others."""
 MOUNT_SPREAD = 0.05
-"""Metres and radians within which the laser's pose must follow the base's to tell the mount."""
+"""Metres and radians within which the laser's pose must follow the base's to give the mount."""
 MOUNT_REACH = 3.0
 """A laser farther from its base than this is not mounted on it, metres."""
 
@@ -82,13 +82,13 @@ def scans_of(
         codes = int(((ranges >= limit) & (ranges < NO_RETURN)).sum())
         repaired[f"readings of {limit:.2f} m or more, a code for no return"] = codes
     mount = _mount(name, messages, parameters, repaired)
-    field = None if facts.fov is None else _sweep(n, facts.fov)
+    field = None if facts.fov is None else _config(n, facts.fov)
     scans = []
     for message, meant in zip(messages, _decoded(ranges), strict=True):
-        sweep = field or message.sweep or _usual_sweep(name, n, parameters)
-        most = min(limit, NO_RETURN if message.sweep is None else message.sweep.most)
+        config = field or message.config or _usual_config(name, n, parameters)
+        most = min(limit, NO_RETURN if message.config is None else message.config.most)
         r = np.where(meant >= most, np.float32(np.inf), meant)
-        scans.append(LaserScan(r, sweep.start, sweep.step, RANGE_MIN, most, message.stamp, mount))
+        scans.append(LaserScan(r, config.start, config.step, RANGE_MIN, most, message.stamp, mount))
     return scans
 
 
@@ -130,10 +130,10 @@ def _decoded(ranges: Float32Array) -> Float32Array:
     return decoded
 
 
-def _usual_sweep(name: str, n: int, parameters: Mapping[str, float]) -> Sweep:
+def _usual_config(name: str, n: int, parameters: Mapping[str, float]) -> LaserConfig:
     """Return the beams of a message that says nothing about them: by their number, else by PARAM lines."""
     if n in FIELDS:
-        return _sweep(n, math.radians(FIELDS[n]))
+        return _config(n, math.radians(FIELDS[n]))
     side = "rear" if name in REAR else "front"
     resolution = parameters.get(f"laser_{side}_laser_resolution", 0.0)
     fov = resolution * (n - n % 2)
@@ -141,12 +141,12 @@ def _usual_sweep(name: str, n: int, parameters: Mapping[str, float]) -> Sweep:
         raise ConfigError(
             f"{name} messages of {n} beams do not say how wide they see: give it (lirs-wct map --fov DEG)"
         )
-    return _sweep(n, math.radians(fov))
+    return _config(n, math.radians(fov))
 
 
-def _sweep(n: int, fov: float) -> Sweep:
+def _config(n: int, fov: float) -> LaserConfig:
     """Spread beams; an even number leaves out the last of the field of view (180 beams: -90..+89 deg)."""
-    return Sweep(-fov / 2, fov / max(n - n % 2, 1), math.inf)
+    return LaserConfig(-fov / 2, fov / max(n - n % 2, 1), math.inf)
 
 
 def _mount(

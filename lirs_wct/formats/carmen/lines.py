@@ -19,12 +19,12 @@ from lirs_wct.geometry.pose import Pose2
 BINARY_TEST = 65_536
 """Bytes that are searched for a zero: text has none."""
 AFTER_STAMP = 2
-"""Words that may follow a stamp: host and logger's stamp."""
+"""Tokens that may follow a stamp: host and logger's stamp."""
 
 
 @dataclass(frozen=True, slots=True)
-class Sweep:
-    """What a laser message says of its beams: first angle and increment, radians; largest range, metres."""
+class LaserConfig:
+    """Beams as a laser message states them: first angle and increment, radians; largest range, metres."""
 
     start: float
     step: float
@@ -41,7 +41,7 @@ class Message:
         base: `T_odom_base`; None where the message holds none.
         laser: `T_odom_laser`; None where the message holds none.
         ranges: (n,) metres, as logged; empty where the message holds none.
-        sweep: None where the message does not say it.
+        config: None where the message has none.
     """
 
     line: int
@@ -49,7 +49,7 @@ class Message:
     base: Pose2 | None
     laser: Pose2 | None = None
     ranges: Float32Array = field(default_factory=lambda: np.empty(0, np.float32))
-    sweep: Sweep | None = None
+    config: LaserConfig | None = None
 
 
 Lines = dict[str, list[tuple[int, str]]]
@@ -109,35 +109,35 @@ def parameters_of(lines: Sequence[tuple[int, str]]) -> dict[str, float]:
     return found
 
 
-def _odom(words: list[str], line: int) -> Message:
+def _odom(tokens: list[str], line: int) -> Message:
     """`ODOM x y theta tv rv accel stamp`."""
-    return Message(line, _stamp(words, 7), _pose(words[1:4]))
+    return Message(line, _stamp(tokens, 7), _pose(tokens[1:4]))
 
 
-def _old_laser(words: list[str], line: int) -> Message:
+def _old_laser(tokens: list[str], line: int) -> Message:
     """`FLASER n r... x y theta odom_x odom_y odom_theta stamp`: the laser's pose and the base's."""
-    n = _count(words[1])
-    rest = words[2 + n :]
-    return Message(line, _stamp(rest, 6), _pose(rest[3:6]), _pose(rest[:3]), _ranges(words[2 : 2 + n]))
+    n = _count(tokens[1])
+    rest = tokens[2 + n :]
+    return Message(line, _stamp(rest, 6), _pose(rest[3:6]), _pose(rest[:3]), _ranges(tokens[2 : 2 + n]))
 
 
-def _raw_laser(words: list[str], line: int) -> Message:
+def _raw_laser(tokens: list[str], line: int) -> Message:
     """`RAWLASER1 type start fov step max accuracy remission n r... m rem... stamp`."""
-    ranges, sweep, rest = _new_laser(words, 1)
-    return Message(line, _stamp(rest, 0), None, None, ranges, sweep)
+    ranges, config, rest = _new_laser(tokens, 1)
+    return Message(line, _stamp(rest, 0), None, None, ranges, config)
 
 
-def _robot_laser(words: list[str], line: int) -> Message:
+def _robot_laser(tokens: list[str], line: int) -> Message:
     """`ROBOTLASER1 (as RAWLASER1) laser_x y theta robot_x y theta tv rv forward side turn stamp`."""
-    ranges, sweep, rest = _new_laser(words, 12)
-    return Message(line, _stamp(rest, 11), _pose(rest[3:6]), _pose(rest[:3]), ranges, sweep)
+    ranges, config, rest = _new_laser(tokens, 12)
+    return Message(line, _stamp(rest, 11), _pose(rest[3:6]), _pose(rest[:3]), ranges, config)
 
 
-def _new_laser(words: list[str], tail: int) -> tuple[Float32Array, Sweep, list[str]]:
-    """Return ranges, sweep and what follows the remissions, which is `tail` words or a few more."""
-    start, fov, step, most = map(float, words[2:6])
-    n = _count(words[8])
-    rest = words[9 + n :]
+def _new_laser(tokens: list[str], tail: int) -> tuple[Float32Array, LaserConfig, list[str]]:
+    """Return ranges, config and what follows the remissions, which is `tail` tokens or a few more."""
+    start, fov, step, most = map(float, tokens[2:6])
+    n = _count(tokens[8])
+    rest = tokens[9 + n :]
     if not tail <= len(rest) <= tail + AFTER_STAMP:  # else the remissions were left out with their number
         rest = rest[1 + _count(rest[0], least=0) :]
     if not (math.isfinite(start) and step > 0 and most > 0 and (n - 1) * step < math.tau + 1e-3):
@@ -145,11 +145,11 @@ def _new_laser(words: list[str], tail: int) -> tuple[Float32Array, Sweep, list[s
     # Programs disagree whether the field of view ends at the last beam or one step behind it.
     if fov > 0 and abs(fov / step - n) > 1.5:
         raise ValueError
-    return _ranges(words[9 : 9 + n]), Sweep(start, step, most), rest
+    return _ranges(tokens[9 : 9 + n]), LaserConfig(start, step, most), rest
 
 
 def _stamp(rest: list[str], at: int) -> float:
-    """Return the stamp; a wrong number of words before it is told by a wrong number behind it."""
+    """Return the stamp; a wrong number of tokens before it shows as a wrong number behind it."""
     if not 0 <= len(rest) - at - 1 <= AFTER_STAMP:
         raise ValueError
     return float(rest[at])
@@ -162,14 +162,14 @@ def _count(word: str, least: int = 1) -> int:
     return n
 
 
-def _pose(words: list[str]) -> Pose2:
-    x, y, yaw = map(float, words)
+def _pose(tokens: list[str]) -> Pose2:
+    x, y, yaw = map(float, tokens)
     return Pose2(x, y, yaw)
 
 
-def _ranges(words: list[str]) -> Float32Array:
+def _ranges(tokens: list[str]) -> Float32Array:
     with np.errstate(over="ignore"):  # nothing is that far: it becomes infinite, as it should
-        return np.array([*map(float, words)]).astype(np.float32)
+        return np.array([*map(float, tokens)]).astype(np.float32)
 
 
 def _finite(message: Message) -> bool:

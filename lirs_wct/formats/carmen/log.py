@@ -146,6 +146,6 @@ def _by_stamp(messages: Sequence[Message], skipped: Counter[str]) -> list[Messag
 def _formatted(skipped: Counter[str]) -> str:
     if not skipped:
         return ""
-    told = ", ".join(f"{n} x {why}" for why, n in skipped.most_common(REASONS))
+    listed = ", ".join(f"{n} x {why}" for why, n in skipped.most_common(REASONS))
     more = len(skipped) - REASONS
-    return f"; skipped: {told}" + (f" and {more} other reasons" if more > 0 else "")
+    return f"; skipped: {listed}" + (f" and {more} other reasons" if more > 0 else "")

@@ -17,7 +17,7 @@ JUMP, JUMP_SPEED = 5.0, 30.0
 LOOK = 5
 """Poses after a leap among which the track may have come back."""
 AGREEMENT = 1.0
-"""Metres within which two sources tell of one frame."""
+"""Metres within which two sources share one frame."""
 
 
 def odometry_of(
@@ -108,7 +108,7 @@ def _moves(track: Trajectory) -> bool:
 
 
 def _merged(own: Trajectory, wheels: Trajectory) -> Trajectory:
-    """Add the poses between scans, where ODOM lines tell of the same frame."""
+    """Add the poses between scans, where ODOM lines are of the same frame."""
     if len(wheels) == 0:
         return own
     far = np.linalg.norm(wheels.planar_at(own.stamps)[:, :2] - own.xy, axis=1)

@@ -76,9 +76,9 @@ def _pose(pose: Pose2) -> str:
 
 
 def _ranges(scan: LaserScan) -> str:
-    words = _formatted_ranges(math.ceil(scan.range_max * 1000) + 1)
-    mm = _millimetres(scan.ranges, len(words) - 2)
-    return " ".join([words[k] for k in mm.tolist()])
+    texts = _formatted_ranges(math.ceil(scan.range_max * 1000) + 1)
+    mm = _millimetres(scan.ranges, len(texts) - 2)
+    return " ".join([texts[k] for k in mm.tolist()])
 
 
 def _millimetres(ranges: Float32Array, most: int) -> IntArray:

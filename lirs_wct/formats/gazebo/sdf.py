@@ -52,7 +52,7 @@ def model_config(name: str, *, author: str = "LIRS-WCT", description: str = "") 
 
 
 def model_sdf(name: str, *, mesh: str | None = None, friction: float = FRICTION) -> str:
-    """Return `model.sdf`: one static link that is seen and felt as the same mesh.
+    """Return `model.sdf`: one static link whose visual and collision geometry is the same mesh.
 
     Args:
         name: of the model and of its folder.

@@ -98,7 +98,7 @@ def _decode(data: ByteArray, flags: int) -> NDArray[Any] | None:
 
 @contextmanager
 def _quiet_codecs() -> Iterator[None]:
-    """Keep OpenCV's log off stderr: unknown TIFF tags and broken files are told by us, once."""
+    """Keep OpenCV's log off stderr: unknown TIFF tags and broken files are reported by us, once."""
     log = cv2.utils.logging
     with _LOG_LEVEL:
         before = log.getLogLevel()

@@ -1,4 +1,4 @@
-"""Tags of TIFF and GeoTIFF: what the decoder does not tell (scale, nodata, pages, truncation).
+"""Tags of TIFF and GeoTIFF: what the decoder does not report (scale, nodata, pages, truncation).
 
 Layouts: TIFF 6.0, section 2; BigTIFF; OGC GeoTIFF 1.1 (19-008r4), annexes B and C.
 """

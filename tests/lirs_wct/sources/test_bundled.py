@@ -59,11 +59,11 @@ def test_a_bundled_picture_is_not_sent_through_a_file(monkeypatch: pytest.Monkey
     for name in ("imwrite", "imencode", "imdecode"):
         monkeypatch.setattr(cv2, name, refused)
     options = BuildOptions()
-    surface, scale = read_terrain(find_source("simple", options), options)
+    ground, scale = read_terrain(find_source("simple", options), options)
     picture = bundled_picture("simple")
     assert scale == "as bundled"
-    assert surface.size == (SIZE, SIZE)
-    np.testing.assert_allclose(surface.z, picture.pixels / 65535 * picture.height, atol=1e-6)
+    assert ground.surface.size == (SIZE, SIZE)
+    np.testing.assert_allclose(ground.surface.z, picture.pixels / 65535 * picture.height, atol=1e-6)
 
 
 def test_a_bundled_picture_may_be_too_large() -> None:
