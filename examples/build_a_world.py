@@ -25,7 +25,7 @@ def main() -> None:
     west, south, east, north = world.surface.bounds
     print(f"{world.name}: {east - west:g} x {north - south:g} m, {world.surface.z.max():.2f} m high")
     print(f"{len(world.mesh.faces)} triangles, closed: {world.mesh.is_watertight}")
-    print(f"a Husky may start at {World.load(folder).starts[0]}")
+    print(f"a Husky may start at {World.load(folder).spawn_poses[0]}")
     print(*sorted(path.relative_to(given.out) for path in folder.rglob("*") if path.is_file()), sep="\n")
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from lirs_wct.errors import ConfigError, unknown_name
@@ -73,7 +73,7 @@ def declared(options: type[Options]) -> Iterator[tuple[str, Option]]:
     for entry in fields(options):
         found: Option = entry.metadata[_KEY]
         usual = (f"--{entry.name.replace('_', '-')}",)
-        yield entry.name, found if found.flags else Option(**vars(found) | {"flags": usual})
+        yield entry.name, found if found.flags else replace(found, flags=usual)
 
 
 @dataclass(frozen=True, kw_only=True)
