@@ -15,15 +15,15 @@ import pytest
 from lirs_validation.sweep.engines.serial import Serial
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.files import remove_leftovers
-from tests.lirs_validation.fake_experiments import FakeExperiment
+from tests.lirs_validation.sweep.fake_experiments import FakeExperiment
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[4]
 SCRIPT = """
 import sys
 from pathlib import Path
 from lirs_validation.sweep.engines.processes import Processes
 from lirs_validation.sweep.sweep import Sweep
-from tests.lirs_validation.fake_experiments import FakeExperiment
+from tests.lirs_validation.sweep.fake_experiments import FakeExperiment
 
 if __name__ == "__main__":
     notes, out = sys.argv[1:]

@@ -14,7 +14,7 @@ from lirs_validation.sweep.engines.serial import Serial
 from lirs_validation.sweep.manifest import Manifest
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.errors import WctError
-from tests.lirs_validation.fake_experiments import FakeExperiment, Manner
+from tests.lirs_validation.sweep.fake_experiments import FakeExperiment, Manner
 
 
 @pytest.fixture

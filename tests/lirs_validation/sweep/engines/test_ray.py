@@ -9,9 +9,9 @@ import pytest
 from lirs_validation.sweep.engines.factory import make_executor
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.errors import ConfigError
-from tests.lirs_validation.fake_experiments import FakeExperiment
+from tests.lirs_validation.sweep.fake_experiments import FakeExperiment
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[4]
 
 
 @pytest.mark.slow
