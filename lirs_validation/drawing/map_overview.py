@@ -10,13 +10,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from lirs_validation.drawing.canvas import Canvas, bounds_shown
+from lirs_validation.drawing.panels import headline, path_ends, value_list
 from lirs_validation.drawing.style import (
     BLACK,
     BLUE,
     GRAY,
     GREEN,
-    TEXT,
-    TITLE,
     VERMILLION,
     legend,
     map_axes,
@@ -59,15 +58,12 @@ def map_overview(
     tall = max(WIDTH * min(max(rows / cols, 0.4), 1.6), 3.6)
     figure = new_figure(WIDTH + 4.4, tall + 1.0)
     c = record.config
-    figure.suptitle(
-        f"{Path(c.log).name}: mapped by {c.mapper}, seed {c.seed}",
-        fontsize=TITLE + 1.5, x=0.012, ha="left", color=BLACK,
-    )  # fmt: skip
+    headline(figure, f"{Path(c.log).name}: mapped by {c.mapper}, seed {c.seed}")
     halves = figure.add_gridspec(1, 2, width_ratios=(WIDTH, 4.0))
     _map(figure.add_subplot(halves[0]), canvas, grid, estimate, _moved(reference, accuracy))
     rows = max(len(plots), LEAST_PLOTS)
     cells = halves[1].subgridspec(1 + rows, 1, height_ratios=(1.5, *[1.0] * rows))
-    _metrics(figure.add_subplot(cells[0]), record)
+    value_list(figure.add_subplot(cells[0]), map_lines(record))
     for k, (name, unit, stamps, errors) in enumerate(plots, start=1):
         _errors(figure.add_subplot(cells[k]), name, unit, stamps - estimate.stamps[0], errors)
     return figure
@@ -83,10 +79,17 @@ def _plots(record: MapRecord, accuracy: Accuracy) -> list[tuple[str, str, FloatA
     if constraints is not None and len(constraints.stamps):
         errors = record.accuracy["relations"]
         mean, turn = errors["translation_mean"], errors["rotation_mean_deg"]
-        plots.append((f"Of relations (mean {mean:.3f} m)", "m", constraints.stamps, constraints.translation))
         plots.append(
             (
-                f"... and their turn (mean {turn:.2f} deg)",
+                f"Relative-pose constraints (mean {mean:.3f} m)",
+                "m",
+                constraints.stamps,
+                constraints.translation,
+            )
+        )
+        plots.append(
+            (
+                f"... their rotation (mean {turn:.2f} deg)",
                 "deg",
                 constraints.stamps,
                 np.degrees(constraints.rotation),
@@ -112,30 +115,10 @@ def _map(
         axes.plot(*reference.xy.T, color=BLUE, linewidth=2.0, alpha=0.6, zorder=3)
         handles.append(Line2D([], [], color=BLUE, linewidth=2.0, alpha=0.6, label="reference"))
     axes.plot(*estimate.xy.T, color=VERMILLION, linewidth=0.8, zorder=4)
-    axes.plot(*estimate.xy[0], "o", color="white", markeredgecolor=BLACK, markersize=5, zorder=5)
-    axes.plot(*estimate.xy[-1], "s", color="white", markeredgecolor=BLACK, markersize=4.5, zorder=5)
     handles.append(Line2D([], [], color=VERMILLION, linewidth=0.8, label="path"))
-    for shape, label in (("o", "start"), ("s", "end")):
-        handles.append(
-            Line2D([], [], color="white", marker=shape, markeredgecolor=BLACK, markersize=5, linestyle="",
-                   label=label)
-        )  # fmt: skip
+    handles += path_ends(axes, estimate)
     title(axes, "Map and path")
     legend(axes, handles)
-
-
-def _metrics(axes: Axes, record: MapRecord) -> None:
-    """Write the metrics, name to the left and value to the right."""
-    axes.set_axis_off()
-    axes.set_xlim(0, 1)
-    axes.set_ylim(0, 1)
-    lines = map_lines(record)
-    step = 1.0 / max(len(lines), 10)
-    for k, (name, value) in enumerate(lines):
-        y = 1.0 - (k + 0.5) * step
-        axes.text(0.0, y, name, fontsize=TEXT, color=GRAY, va="center")
-        axes.text(1.0, y, value, fontsize=TEXT, color=BLACK, va="center", ha="right")
-    title(axes, "Figures")
 
 
 def _errors(axes: Axes, name: str, unit: str, seconds: FloatArray, errors: FloatArray) -> None:

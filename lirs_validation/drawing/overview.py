@@ -13,13 +13,12 @@ from matplotlib.patches import Patch
 
 from lirs_validation.drawing.canvas import MARGIN, Canvas, bounds_shown
 from lirs_validation.drawing.hillshade import shaded_heights
+from lirs_validation.drawing.panels import headline, path_ends, value_list
 from lirs_validation.drawing.style import (
     BLACK,
     BLUE,
     GRAY,
     GREEN,
-    TEXT,
-    TITLE,
     VERMILLION,
     legend,
     map_axes,
@@ -61,11 +60,11 @@ def overview_figure(
     upper = max(tall, 4.2)
     figure = new_figure(2 * width + 0.6, 1.2 + upper + tall)
     grid = figure.add_gridspec(2, 2, height_ratios=(upper, tall))
-    figure.suptitle(_headline(record), fontsize=TITLE + 1.5, x=0.012, ha="left", color=BLACK)
+    headline(figure, _headline(record))
     _terrain(figure.add_subplot(grid[0, 0]), world, canvas, truth, estimate)
     speed = grid[0, 1].subgridspec(2, 1, height_ratios=(1.0, 1.05))
     _rtf(figure.add_subplot(speed[0]), record.rtf)
-    _metrics(figure.add_subplot(speed[1]), record)
+    value_list(figure.add_subplot(speed[1]), picture_lines(record))
     _reference(figure.add_subplot(grid[1, 0]), canvas, true_pose)
     _built(figure.add_subplot(grid[1, 1]), canvas, built, true_pose)
     return figure
@@ -97,22 +96,13 @@ def _terrain(axes: Axes, world: World, canvas: Canvas, truth: Trajectory, estima
     axes.set_anchor("N")
     axes.plot(*truth.xy.T, color=BLUE, linewidth=2.6, solid_capstyle="round", zorder=4)
     axes.plot(*estimate.xy.T, color=VERMILLION, linewidth=1.1, zorder=5)
-    axes.plot(*truth.xy[0], "o", color="white", markeredgecolor=BLACK, markersize=6, zorder=6)
-    axes.plot(*truth.xy[-1], "s", color="white", markeredgecolor=BLACK, markersize=5.5, zorder=6)
     title(axes, "Terrain and paths" if world.walls is None else "Input map and paths")
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=BLUE, linewidth=2.6, label="true"),
         Line2D([], [], color=VERMILLION, linewidth=1.1, label="estimated"),
-        _marker("o", "start"),
-        _marker("s", "end"),
+        *path_ends(axes, truth),
     ]
     legend(axes, handles)
-
-
-def _marker(shape: str, label: str) -> Line2D:
-    return Line2D(
-        [], [], color="white", marker=shape, markeredgecolor=BLACK, markersize=5, linestyle="", label=label
-    )
 
 
 def _reference(axes: Axes, canvas: Canvas, true_pose: OccupancyGrid) -> None:
@@ -145,17 +135,3 @@ def _rtf(axes: Axes, rtf: Mapping[str, Any]) -> None:
     axes.grid(axis="y", color=GRAY, alpha=0.2, linewidth=0.6)
     title(axes, "Real-time factor")
     legend(axes, [Line2D([], [], color=GREEN, linewidth=1.2, label=f"mean {mean:.1f}, std {std:.1f}")])
-
-
-def _metrics(axes: Axes, record: RunRecord) -> None:
-    """Write the metrics, name to the left and value to the right."""
-    axes.set_axis_off()
-    axes.set_xlim(0, 1)
-    axes.set_ylim(0, 1)
-    lines = picture_lines(record)
-    step = 1.0 / max(len(lines), 10)
-    for k, (name, value) in enumerate(lines):
-        y = 0.94 - k * step
-        axes.text(0.0, y, name, fontsize=TEXT, color=BLACK, va="center")
-        axes.text(1.0, y, value, fontsize=TEXT, color=BLACK, va="center", ha="right")
-        axes.plot((0.0, 1.0), (y - step / 2,) * 2, color=GRAY, linewidth=0.4, alpha=0.5)
