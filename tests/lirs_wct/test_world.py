@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import cv2
@@ -11,8 +12,13 @@ import pytest
 
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
+from lirs_wct.meshing.export_settings import ExportSettings
+from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.window import cut_surface
 
 
@@ -119,6 +125,35 @@ def test_a_window_has_its_size_however_coarse_the_terrain(cell: float) -> None:
     np.testing.assert_allclose(np.ptp(whole.height_at(*at) - part.height_at(*at)), 0, atol=1e-3)
 
 
+def test_every_kind_of_ground_reads_back(tmp_path: Path) -> None:
+    """Keys and arrays of `world.json` are what folders in use hold."""
+    surface = HeightField.centred(np.eye(3, dtype=np.float32), (0.5, 0.5))
+    solid, gaps = solid_mesh(surface), np.eye(3, dtype=np.bool_)
+    walls = WallGrid(gaps, 0.1, Pose2(1.0, 2.0, 0.5), 1.5, ~gaps & gaps[0])
+    truth = OccupancyGrid.from_probability(np.where(gaps, 0.9, 0.1), 0.1, Pose2(1.0, 2.0, 0.5))
+    grounds: tuple[tuple[Ground, set[str], set[str]], ...] = (
+        (Terrain(surface), set(), {"surface"}),
+        (Terrain(surface, gaps), set(), {"surface", "bare"}),
+        (LaserMap(surface, walls, truth), {"walls", "truth"}, {"surface", "walls", "hole", "truth"}),
+        (ClosedMesh(surface, solid), {"overhangs"}, {"surface", "vertices", "faces"}),
+        (
+            ClosedMesh(surface, solid, True, gaps),
+            {"overhangs"},
+            {"bare", "surface", "vertices", "faces"},
+        ),
+    )
+    common = {"schema", "name", "kind", "scale", "surface", "starts", "arrays", "finish"}
+    for ground, keys, arrays in grounds:
+        world = World("w", ground, (Pose2(0.1, 0.2, 0.3),), "as given", ExportSettings(max_error=0.1))
+        folder = world.save(tmp_path)
+        assert set(json.loads((folder / "world.json").read_text())) == common | keys
+        assert set(np.load(folder / "world.npz")) == arrays
+        loaded = World.load(folder)
+        np.testing.assert_equal(asdict(loaded.ground), asdict(ground))
+        assert type(loaded.ground) is type(ground)
+        assert (loaded.spawn_poses, loaded.export_settings) == (world.spawn_poses, world.export_settings)
+
+
 def test_damaged_folders_are_named(picture: Path, tmp_path: Path) -> None:
     folder = build_world(picture).save(tmp_path / "w")
     entry = json.loads((folder / "world.json").read_text())
@@ -129,6 +164,8 @@ def test_damaged_folders_are_named(picture: Path, tmp_path: Path) -> None:
         "{}",
         json.dumps(entry | {"schema": 99}),
         json.dumps(entry | {"surface": {}}),
+        json.dumps(entry | {"finish": {"max_error": -1.0}}),
+        json.dumps(entry | {"finish": {"polish": 1}}),
     ):
         (folder / "world.json").write_text(text)
         with pytest.raises(SourceError, match=r"^.*world\.json: "):
