@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
-from typing import Any
 
 from lirs_validation.collision.validation import CollisionVerdict
+from lirs_validation.record.formatting import Entry
 from lirs_validation.record.map_record import is_mapped_log
 from lirs_validation.record.run_record import read_record
 from lirs_validation.record.schema import schema_error
@@ -17,7 +16,6 @@ from lirs_validation.sweep.collision_experiment import STATUS, read_verdict
 from lirs_validation.sweep.manifest import NAME as MANIFEST
 from lirs_wct.errors import SourceError
 
-Entry = Mapping[str, Any]
 TEXTS = ("world", "robot", "terrain", "diverged")
 """Of a collision verdict, what is not a number."""
 

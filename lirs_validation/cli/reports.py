@@ -72,7 +72,7 @@ def compare(
     """Compare two results: which differences are statistically significant (Holm)."""
     from lirs_validation.analysis.compare import compare as compared
     from lirs_validation.analysis.result_folders import read_results
-    from lirs_validation.record.catalog import metrics_named, metrics_shown
+    from lirs_validation.record.catalog import metrics_named, metrics_selected
     from lirs_validation.report.tables.compare_table import (
         compare_table,
         write_compare_csv,
@@ -85,7 +85,7 @@ def compare(
     comparison = compared(
         [run.entry for run in first.runs],
         [run.entry for run in second.runs],
-        metrics_named(_words(figures)) if figures else metrics_shown("compared"),
+        metrics_named(_words(figures)) if figures else metrics_selected("compared"),
         _words(across),
     )
     out.print(compare_table(comparison, names))

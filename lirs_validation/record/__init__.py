@@ -1,1 +1,1 @@
-"""The run record: config, provenance, schema, catalogue of metrics."""
+"""The run record: what was run, metrics, provenance; its schema and the catalog of metrics."""

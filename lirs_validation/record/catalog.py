@@ -17,9 +17,10 @@ from lirs_wct.errors import unknown_name
 
 Better = Literal["more", "less"] | None
 Section = Literal["rtf", "trajectory", "map", "contacts", "cost"]
-View = Literal["picture", "runs", "summary", "compared", "distribution", "headline"]
-"""Where a metric is shown beside its section of the report: a run's picture, the table of runs on the screen,
-the summary of groups, comparisons unless others are named, the report's distributions, its median on top."""
+Selection = Literal["picture", "runs", "summary", "compared", "distribution", "headline"]
+"""Where metrics are shown beside their section of the report: a run's picture, the table of runs on the
+screen, the summary of groups, comparisons unless others are named, the report's distributions, its medians
+on top."""
 MS, MM, DEGREES, MEGABYTE = 1e3, 1e3, math.degrees(1.0), 1e-6
 
 
@@ -35,9 +36,9 @@ class Metric:
         digits: behind the point; None = three significant digits.
         scale: factor from the record's unit to this one.
         better: direction that is good, if any.
-        views: other places where it is shown.
+        selections: where else it is shown.
         title: name in a run's picture; empty = the same.
-        short: heading of a narrow column; empty = the same.
+        short: heading of a narrow column, with the unit; empty = the same.
         optional: whether the table of runs leaves it out where no run has it.
         detail: whether the report's tables leave it out; comparisons take it by its key.
     """
@@ -49,7 +50,7 @@ class Metric:
     digits: int | None = 3
     scale: float = 1.0
     better: Better = None
-    views: tuple[View, ...] = ()
+    selections: tuple[Selection, ...] = ()
     title: str = ""
     short: str = ""
     optional: bool = False
@@ -78,7 +79,7 @@ class Metric:
 
 METRICS: tuple[Metric, ...] = (
     Metric("rtf.mean", "RTF", "rtf", digits=None, better="more",
-           views=("runs", "summary", "compared", "distribution")),
+           selections=("runs", "summary", "compared", "distribution")),
     Metric("rtf.std", "std over time", "rtf", digits=None),
     Metric("rtf.min", "least", "rtf", digits=None, better="more"),
     Metric("rtf.parts.physics", "physics", "rtf", "ms/s", None, MS, "less"),
@@ -87,22 +88,23 @@ METRICS: tuple[Metric, ...] = (
     Metric("rtf.parts.rest", "rest", "rtf", "ms/s", None, MS, "less"),
     Metric("rtf.physics_only", "physics only", "rtf", digits=None, better="more"),
     Metric("trajectory.length", "driven", "trajectory", "m", 1,
-           views=("picture", "runs", "summary"), title="distance driven"),
+           selections=("picture", "runs", "summary"), title="distance driven"),
     Metric("trajectory.ate_rmse", "ATE", "trajectory", "m", better="less", title="ATE (RMSE, aligned)",
-           views=("picture", "runs", "summary", "compared", "distribution", "headline")),
+           selections=("picture", "runs", "summary", "compared", "distribution", "headline")),
     Metric("trajectory.ate_rmse_unaligned", "ATE unaligned", "trajectory", "m", better="less",
-           views=("picture",), title="ATE (RMSE, unaligned)"),
+           selections=("picture",), title="ATE (RMSE, unaligned)"),
     Metric("trajectory.odometry_ate_rmse", "ATE of odometry", "trajectory", "m", better="less",
-           views=("picture",), title="ATE of the odometry"),
+           selections=("picture",), title="ATE of the odometry"),
     Metric("trajectory.rpe_metre.translation_rmse", "RPE per m", "trajectory", "mm", 1, MM, "less",
-           views=("compared",)),
+           selections=("compared",)),
     Metric("trajectory.rpe_metre.rotation_rmse", "RPE per m", "trajectory", "deg", 3, DEGREES, "less"),
     Metric("trajectory.rpe_second.translation_rmse", "RPE per s", "trajectory", "mm", 1, MM, "less"),
     Metric("trajectory.rpe_second.rotation_rmse", "RPE per s", "trajectory", "deg", 3, DEGREES, "less"),
     Metric("trajectory.relations.translation_mean", "relations", "trajectory", "mm", 1, MM, "less",
-           views=("compared",)),
+           selections=("compared",)),
     Metric("trajectory.relations.rotation_mean", "relations", "trajectory", "deg", 3, DEGREES, "less"),
-    Metric("trajectory.final_drift", "final drift", "trajectory", "m", better="less", views=("compared",)),
+    Metric("trajectory.final_drift", "final drift", "trajectory", "m", better="less",
+           selections=("compared",)),
     Metric("trajectory.ate_max", "ATE, largest", "trajectory", "m", better="less", detail=True),
     Metric("trajectory.ate_rmse_online", "ATE online", "trajectory", "m", better="less", detail=True),
     Metric("trajectory.yaw_rmse", "yaw error", "trajectory", "deg", 3, DEGREES, "less", detail=True),
@@ -112,30 +114,30 @@ METRICS: tuple[Metric, ...] = (
     Metric("trajectory.relations.rotation_std", "relations, std", "trajectory", "deg", 3, DEGREES,
            detail=True),
     Metric("map.f1", "F1", "map", better="more", title="F1 against the true-pose map",
-           views=("picture", "runs", "summary", "compared", "distribution", "headline")),
+           selections=("picture", "runs", "summary", "compared", "distribution", "headline")),
     Metric("map.precision", "precision", "map", better="more"),
     Metric("map.recall", "recall", "map", better="more"),
-    Metric("map.iou", "IoU", "map", better="more", views=("picture", "summary", "compared")),
-    Metric("map.ssim", "SSIM", "map", better="more", views=("compared",)),
-    Metric("map.f1_input", "F1 input map", "map", better="more", views=("picture", "runs"),
+    Metric("map.iou", "IoU", "map", better="more", selections=("picture", "summary", "compared")),
+    Metric("map.ssim", "SSIM", "map", better="more", selections=("compared",)),
+    Metric("map.f1_input", "F1 input map", "map", better="more", selections=("picture", "runs"),
            title="F1 against the input map", short="F1 input", optional=True),
     Metric("map.precision_input", "precision input map", "map", better="more", detail=True),
     Metric("map.recall_input", "recall input map", "map", better="more", detail=True),
     Metric("map.false_occupied", "false occupied", "map", better="less", short="false occ.",
-           views=("picture", "runs", "summary", "compared", "distribution")),
+           selections=("picture", "runs", "summary", "compared", "distribution")),
     Metric("map.to_reference.mean", "to true, mean", "map", "mm", 1, MM, "less"),
     Metric("map.to_reference.p95", "to true, 95 %", "map", "mm", 1, MM, "less"),
     Metric("map.from_reference.mean", "from true, mean", "map", "mm", 1, MM, "less"),
     Metric("map.from_reference.p95", "from true, 95 %", "map", "mm", 1, MM, "less"),
-    Metric("map.unknown", "unknown", "map", better="less", views=("picture",),
+    Metric("map.unknown", "unknown", "map", better="less", selections=("picture",),
            title="unknown of what could be seen"),
     Metric("collisions.max_penetration", "deepest", "contacts", "mm", 2, MM, "less",
-           views=("picture", "compared"), title="deepest penetration"),
+           selections=("picture", "compared"), title="deepest penetration"),
     Metric("collisions.penetration_p999", "99.9 %", "contacts", "mm", 2, MM, "less"),
     Metric("collisions.body_contacts", "body contacts", "contacts", digits=0, better="less"),
     Metric("collisions.body_contact_seconds", "for", "contacts", "s", 2, better="less"),
-    Metric("cost.cpu_seconds", "CPU time", "cost", "s", 1, better="less", views=("compared",)),
-    Metric("cost.peak_memory", "peak memory", "cost", "MB", 0, MEGABYTE, "less", views=("compared",)),
+    Metric("cost.cpu_seconds", "CPU time", "cost", "s", 1, better="less", selections=("compared",)),
+    Metric("cost.peak_memory", "peak memory", "cost", "MB", 0, MEGABYTE, "less", selections=("compared",)),
     Metric("cost.compile_seconds", "JIT", "cost", "s", 1, better="less"),
     Metric("cost.scans_dropped", "scans dropped", "cost", digits=0, better="less"),
     Metric("mapper.ms_p50", "scan, median", "cost", "ms", 2, better="less"),
@@ -149,9 +151,9 @@ def metrics_in(*sections: Section) -> tuple[Metric, ...]:
     return tuple(metric for metric in METRICS if metric.section in sections and not metric.detail)
 
 
-def metrics_shown(view: View) -> tuple[Metric, ...]:
-    """Return the metrics that a view shows."""
-    return tuple(metric for metric in METRICS if view in metric.views)
+def metrics_selected(selection: Selection) -> tuple[Metric, ...]:
+    """Return the metrics of a selection."""
+    return tuple(metric for metric in METRICS if selection in metric.selections)
 
 
 def metrics_named(keys: Sequence[str]) -> tuple[Metric, ...]:
@@ -176,7 +178,7 @@ def picture_lines(record: RunRecord | Entry) -> list[tuple[str, str]]:
     """Return the names and formatted values of a run's picture, the status first; what exists alone."""
     entry = as_entry(record)
     lines = [("status", str(entry["status"]))]
-    for metric in metrics_shown("picture"):
+    for metric in metrics_selected("picture"):
         value = metric.of(entry)
         if value is not None:
             unit = f" {metric.unit}" if metric.unit else ""

@@ -19,7 +19,7 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
         ("status", record.status),
         ("scans", f"{log['scans']} of {log['beams']} beams ({log['laser']})"),
         ("time", f"{log['seconds']:.0f} s"),
-        ("way by odometry", "no odometry" if driven is None else f"{driven:.0f} m"),
+        ("distance by odometry", "no odometry" if driven is None else f"{driven:.0f} m"),
         ("map", f"{width:.1f} x {depth:.1f} m, {grid['resolution']:g} m a cell"),
         ("known", f"{grid['known_area']:.0f} m2"),
         ("scans received, used", f"{mapper['received']}, {mapper['used']}"),

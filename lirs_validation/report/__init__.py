@@ -1,1 +1,1 @@
-"""What a run looks like: pictures and tables."""
+"""Reports: pages and tables of runs, comparisons and scores."""

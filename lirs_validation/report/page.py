@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from lirs_validation.analysis.groups import Group
 from lirs_validation.analysis.result_folders import RunFolder
-from lirs_validation.record.catalog import Section, metrics_shown, rtf_counts
+from lirs_validation.record.catalog import Section, metrics_selected, rtf_counts
 from lirs_validation.record.formatting import span
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.charts import AROUND, distribution_chart, rtf_chart
@@ -112,7 +112,7 @@ def _section(report: Report, key: Section, groups: ReportTable, runs: ReportTabl
 
 
 def _spread(report: Report) -> dict[str, str] | None:
-    made = distribution_chart(report.entries, metrics_shown("distribution"))
+    made = distribution_chart(report.entries, metrics_selected("distribution"))
     if made is None:
         return None
     caption = "Every run that succeeded is a dot, the bar their median; one row a group."
@@ -164,7 +164,7 @@ def _tiles(report: Report) -> list[dict[str, Any]]:
     alone = [float(e["rtf"]["mean"]) for e in good if rtf_counts(e) and not e["rtf"]["extrapolated"]]
     if alone:
         tiles.append({"value": span(alone), "name": "RTF", "bad": False})
-    for metric in metrics_shown("headline"):
+    for metric in metrics_selected("headline"):
         values = [v for e in good if (v := metric.of(e)) is not None]
         if values:
             name = f"median {metric.heading}"

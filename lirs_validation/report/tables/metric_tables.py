@@ -7,7 +7,7 @@ from typing import Any
 
 from lirs_validation.analysis.groups import FIELDS, Group, by_group, distinguishing_fields
 from lirs_validation.analysis.repeats import repeats
-from lirs_validation.record.catalog import Metric, Section, metrics_in, metrics_shown, rtf_counts
+from lirs_validation.record.catalog import Metric, Section, metrics_in, metrics_selected, rtf_counts
 from lirs_validation.record.formatting import Entry
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.tables.table import Content, ReportTable, Spread
@@ -38,7 +38,7 @@ def failures_table(entries: Sequence[Entry]) -> ReportTable:
 
 def summary_table(entries: Sequence[Entry]) -> ReportTable:
     """Return the metrics that one asks for first, group by group, with how many runs succeeded."""
-    return group_table("summary", "Summary", metrics_shown("summary"), entries, count=True)
+    return group_table("summary", "Summary", metrics_selected("summary"), entries, count=True)
 
 
 def section_by_group(section: Section, entries: Sequence[Entry]) -> ReportTable:

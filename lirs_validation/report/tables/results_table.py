@@ -9,7 +9,7 @@ from functools import partial
 from rich.table import Table
 from rich.text import Text
 
-from lirs_validation.record.catalog import Metric, metrics_shown
+from lirs_validation.record.catalog import Metric, metrics_selected
 from lirs_validation.record.formatting import Entry, as_entry, text_at
 from lirs_validation.record.run_record import RunRecord, succeeded
 from lirs_validation.report.tables.screen import screen_table
@@ -85,7 +85,7 @@ def _columns(entries: Sequence[Entry]) -> list[Column]:
     facts = [Column(name, partial(text_at, key=key), name != "seed") for name, key in FACTS.items()]
     metrics = [
         m
-        for m in metrics_shown("runs")
+        for m in metrics_selected("runs")
         if not m.optional or any(m.of(entry) is not None for entry in entries)
     ]
     return facts + [_metric_column(metric) for metric in metrics]

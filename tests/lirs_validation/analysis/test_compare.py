@@ -18,7 +18,7 @@ from scipy import stats
 from lirs_validation.analysis.compare import compare
 from lirs_validation.analysis.paired import holm, paired_test
 from lirs_validation.analysis.repeats import repeats
-from lirs_validation.record.catalog import metrics_named, metrics_shown
+from lirs_validation.record.catalog import metrics_named, metrics_selected
 from lirs_validation.report.tables.compare_table import compare_table, write_compare_csv, write_compare_json
 from lirs_wct.errors import ConfigError
 from tests.lirs_validation.records import entry
@@ -104,7 +104,7 @@ def test_what_may_be_chance_is_not_called_significant() -> None:
 
 
 def test_one_seed_says_nothing() -> None:
-    comparison = compare(results(0, 0.01, 1), results(0.5, 0.01, 1), metrics_shown("compared"))
+    comparison = compare(results(0, 0.01, 1), results(0.5, 0.01, 1), metrics_selected("compared"))
     assert all(d.significant is None and d.p is None and d.low is None for d in comparison.differences)
     assert "nothing can be said" in shown(comparison)
 
@@ -137,7 +137,7 @@ def test_what_only_one_has_is_named() -> None:
 
 
 def test_files(tmp_path: Path) -> None:
-    comparison = compare(results(0, 0.001), results(0.01, 0.001), metrics_shown("compared"))
+    comparison = compare(results(0, 0.001), results(0.01, 0.001), metrics_selected("compared"))
     write_compare_csv(tmp_path / "d.csv", comparison)
     write_compare_json(tmp_path / "d.json", comparison, ("a", "b"))
     rows = list(csv.DictReader((tmp_path / "d.csv").open()))

@@ -17,7 +17,7 @@ from rich.table import Table
 from lirs_validation.analysis.compare import compare
 from lirs_validation.analysis.result_folders import read_results
 from lirs_validation.record import catalog
-from lirs_validation.record.catalog import METRICS, Metric, metrics_named, metrics_shown, picture_lines
+from lirs_validation.record.catalog import METRICS, Metric, metrics_named, metrics_selected, picture_lines
 from lirs_validation.record.schema import record_schema
 from lirs_validation.report.contents import report_of
 from lirs_validation.report.page import page
@@ -82,8 +82,8 @@ def runs_with(**values: float) -> list[dict[str, Any]]:
 
 def test_a_metric_is_added_in_one_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The table on the screen, Markdown, CSV, the report's page, comparison and picture all have it."""
-    views = ("picture", "runs", "summary", "compared", "distribution", "headline")
-    new = Metric("map.blur", "blur", "map", "cm", 2, 100.0, "less", views)
+    selections = ("picture", "runs", "summary", "compared", "distribution", "headline")
+    new = Metric("map.blur", "blur", "map", "cm", 2, 100.0, "less", selections)
     monkeypatch.setattr(catalog, "METRICS", (*METRICS, new))
     runs = runs_with(blur=0.0123)
     for run in runs:
@@ -101,7 +101,7 @@ def test_a_metric_is_added_in_one_place(tmp_path: Path, monkeypatch: pytest.Monk
     html = page(report, "lirs-wct report out")
     assert "median blur [cm]" in html
     assert html.count("blur [cm]") >= 5  # tile, summary, section by group and by run, distributions
-    comparison = compare(runs, runs_with(blur=0.0100), metrics_shown("compared"))
+    comparison = compare(runs, runs_with(blur=0.0100), metrics_selected("compared"))
     assert "blur [cm]" in shown(compare_table(comparison, ("a", "b")))
     write_compare_csv(tmp_path / "d.csv", comparison)
     write_compare_json(tmp_path / "d.json", comparison, ("a", "b"))

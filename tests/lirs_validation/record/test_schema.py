@@ -37,7 +37,7 @@ def test_the_schema_knows_every_option_of_a_run() -> None:
 
 
 @pytest.mark.parametrize(
-    ("place", "value", "told"),
+    ("place", "value", "message"),
     [
         ("rtf.mean", "fast", "rtf.mean: 'fast' is not of type 'number'"),
         ("rtf.mean", math.nan, "not finite"),
@@ -50,7 +50,7 @@ def test_the_schema_knows_every_option_of_a_run() -> None:
         ("world", [], "world: [] is not of type 'object'"),
     ],
 )
-def test_what_does_not_fit_is_named(place: str, value: Any, told: str) -> None:
+def test_what_does_not_fit_is_named(place: str, value: Any, message: str) -> None:
     made = entry()
     *path, last = place.split(".")
     at = made
@@ -59,7 +59,7 @@ def test_what_does_not_fit_is_named(place: str, value: Any, told: str) -> None:
     at[last] = value
     error = schema_error(made)
     assert error is not None
-    assert told in error
+    assert message in error
 
 
 def test_damaged_folders_are_named_and_skipped(tmp_path: Path) -> None:
