@@ -8,7 +8,7 @@ from gymnasium.envs.registration import register
 
 
 def _choose_opengl() -> None:
-    """Let MuJoCo render without a screen where EGL is installed; it looks once, when it is imported.
+    """Let MuJoCo render without a screen where EGL is installed; it decides when it is imported.
 
     Where EGL is missing nothing is set: with EGL asked for, MuJoCo could not even be imported.
     """

@@ -24,6 +24,8 @@ CONTROL_PERIOD = 0.008
 """Longest time between two control updates, seconds."""
 SETTLING_TIME = 0.6
 """Time that a robot is given to come to rest after it was set down, seconds."""
+TIPPED = 0.5
+"""Cosine of the tilt from which a robot counts as tipped: 60 deg."""
 
 
 class RobotModel:
@@ -60,8 +62,9 @@ class RobotModel:
         self.contact: ContactGrid = contact_grid(world.surface)
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
         steps = math.ceil(period / spec.option.timestep - 1e-9)
-        self.timestep = period / steps
-        spec.option.timestep = self.timestep
+        spec.option.timestep = self.timestep = period / steps
+        most = max(1, int(CONTROL_PERIOD / self.timestep + 1e-9))
+        self.substeps = tuple(min(most, steps - done) for done in range(0, steps, most))
         add_props(spec, world, props)
         self.model = world_spec(
             world,
@@ -71,33 +74,18 @@ class RobotModel:
             ray_surface=mujoco_rays,
         ).compile()
         self.data = mujoco.MjData(self.model)
-        most = max(1, int(CONTROL_PERIOD / self.timestep + 1e-9))
-        self.substeps = tuple(min(most, steps - done) for done in range(0, steps, most))
+        self.wheel_geoms = _wheel_geoms(self.model, robot)
+        self.own_geoms = _own_geoms(self.model) if props else None
+        self._flies = robot.flies
         wheel_sides: list[tuple[str, ...]] = [robot.left_wheels, robot.right_wheels]
         sides = [(rotor,) for rotor in robot.rotors] or wheel_sides
         self._actuators = [[self.model.actuator(name).id for name in side] for side in sides]
-        self._flies = robot.flies
-        wheels = (*robot.left_wheels, *robot.right_wheels)
         self._left_angles, self._right_angles = (
-            [int(self.model.joint(name).qposadr[0]) for name in side]
-            for side in (robot.left_wheels, robot.right_wheels)
+            [int(self.model.joint(name).qposadr[0]) for name in side] for side in wheel_sides
         )
-        bodies = {int(self.model.joint(name).bodyid[0]) for name in wheels}
-        self.wheel_geoms = frozenset(
-            g
-            for g in range(self.model.ngeom)
-            if int(self.model.geom_bodyid[g]) in bodies
-            or ((name := self.model.geom(g).name).endswith("caster") and not name.startswith(STATIC_ROBOT))
-        )
-        base = self.model.body("base_link").id
-        self.own_geoms = (
-            frozenset(np.flatnonzero(self.model.body_rootid[self.model.geom_bodyid] == base).tolist())
-            if props
-            else None
-        )
-        self._force = self.data.sensor("accelerometer").data
         # Views into the data, made once: making one costs as much as reading it.
         self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
+        self._force = self.data.sensor("accelerometer").data
 
     @property
     def gravity(self) -> float:
@@ -109,6 +97,12 @@ class RobotModel:
         x, y, z, qw, qx, qy, qz = self._qpos[:7].tolist()
         norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
         return Pose3(x, y, z, qw / norm, qx / norm, qy / norm, qz / norm)
+
+    @property
+    def tipped(self) -> bool:
+        """Whether the robot tilts by more than 60 deg or lies on its back."""
+        p = self.pose()
+        return 1 - 2 * (p.qx * p.qx + p.qy * p.qy) < TIPPED
 
     def rates(self) -> Vector3:
         """Return the true rates about x, y, z of the base, rad/s.
@@ -179,3 +173,21 @@ class RobotModel:
         pose = self.pose()
         mujoco.mj_setState(self.model, self.data, present, FULL_STATE)
         return seconds, pose
+
+
+def _wheel_geoms(model: mujoco.MjModel, robot: Robot) -> frozenset[int]:
+    """Return the ids of the geoms of a robot's wheels and casters."""
+    wheels = {int(model.joint(name).bodyid[0]) for name in (*robot.left_wheels, *robot.right_wheels)}
+    names = [model.geom(geom).name for geom in range(model.ngeom)]
+    return frozenset(
+        geom
+        for geom, name in enumerate(names)
+        if int(model.geom_bodyid[geom]) in wheels
+        or (name.endswith("caster") and not name.startswith(STATIC_ROBOT))
+    )
+
+
+def _own_geoms(model: mujoco.MjModel) -> frozenset[int]:
+    """Return the ids of all geoms of the robot, not of props."""
+    base = model.body("base_link").id
+    return frozenset(np.flatnonzero(model.body_rootid[model.geom_bodyid] == base).tolist())

@@ -83,10 +83,10 @@ def standing_pose(world: World, robot: Robot, start: Pose2) -> Pose3:
         raise SimulationError(f"{where}: a wall or a hole is within {robot.radius:g} m")
     x, y = _disc(start, robot.radius)
     z = world.surface.height_at(x, y)
-    plane, *_ = np.linalg.lstsq(np.stack((x - start.x, y - start.y, np.ones_like(x)), axis=1), z)
-    a, b, height = plane.tolist()
     if robot.flies:
         return Pose3.from_pose2(start, float(np.max(z)) + robot.base_height)
+    plane, *_ = np.linalg.lstsq(np.stack((x - start.x, y - start.y, np.ones_like(x)), axis=1), z)
+    a, b, height = plane.tolist()
     rough = float(np.max(z - (a * (x - start.x) + b * (y - start.y) + height)))
     if rough > robot.base_height:
         raise SimulationError(f"{where}: an obstacle stands {rough:.2f} m out of the ground there")
@@ -96,12 +96,16 @@ def standing_pose(world: World, robot: Robot, start: Pose2) -> Pose3:
             f"{where}: the ground slopes by {math.degrees(slope):.0f} deg, "
             f"legal: up to {math.degrees(robot.max_slope):.0f}"
         )
-    ahead = a * math.cos(start.yaw) + b * math.sin(start.yaw)
-    left = b * math.cos(start.yaw) - a * math.sin(start.yaw)
-    pitch = -math.atan(ahead)
-    roll = math.atan(left * math.cos(pitch))
     height += robot.base_height / math.cos(slope) + max(rough, 0.0) + CLEARANCE
-    return Pose3.from_rpy(start.x, start.y, height, roll, pitch, start.yaw)
+    return Pose3.from_rpy(start.x, start.y, height, *_attitude_on(a, b, start.yaw), start.yaw)
+
+
+def _attitude_on(a: float, b: float, yaw: float) -> tuple[float, float]:
+    """Return roll and pitch of a robot that stands on the plane z = a x + b y, radians."""
+    forward = a * math.cos(yaw) + b * math.sin(yaw)
+    left = b * math.cos(yaw) - a * math.sin(yaw)
+    pitch = -math.atan(forward)
+    return math.atan(left * math.cos(pitch)), pitch
 
 
 def _disc(centre: Pose2, radius: float) -> tuple[FloatArray, FloatArray]:

@@ -39,7 +39,7 @@ class Prop:
         mass: kg; 0 = fixed.
 
     Raises:
-        ConfigError: a figure is not legal.
+        ConfigError: a value is not legal.
     """
 
     shape: Literal["box", "cylinder", "sphere"]

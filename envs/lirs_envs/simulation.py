@@ -25,8 +25,6 @@ from lirs_wct.world import World
 
 MAX_SETTLING_DISTANCE = 0.1
 """A robot that moves farther than this while it settles cannot stand there, metres."""
-MAX_TILT = math.radians(60)
-"""Tilt beyond which a robot counts as tipped, radians."""
 
 
 class Simulation:
@@ -36,7 +34,7 @@ class Simulation:
         world: the world.
         config: robot, sensors and props.
         robot: the config's.
-        preset: figures of the lidar.
+        preset: specification of the lidar.
         period: time between two scans, seconds; one `advance`.
         body: MuJoCo's model of robot and world.
         caster: what the lidar sees of the world and of the props; for sensors of your own.
@@ -146,15 +144,13 @@ class Simulation:
     @property
     def tipped(self) -> bool:
         """Whether the robot tilts by more than 60 deg or lies on its back."""
-        p = self.body.pose()
-        return 1 - 2 * (p.qx * p.qx + p.qy * p.qy) < math.cos(MAX_TILT)
+        return self.body.tipped
 
     @property
     def off_world(self) -> bool:
         """Whether base_link is beyond the world's border."""
-        p = self.body.pose()
-        west, south, east, north = self.world.surface.bounds
-        return not (west <= p.x <= east and south <= p.y <= north)
+        x, y, _ = self.body.pose().position
+        return not self.world.surface.contains(x, y)
 
     @property
     def contact(self) -> ContactGrid:

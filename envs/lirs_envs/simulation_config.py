@@ -65,5 +65,5 @@ class SimulationConfig:
 
     @property
     def preset(self) -> LidarPreset:
-        """Figures of the lidar."""
+        """Specification of the lidar."""
         return make_lidar_preset(self.preset_name)

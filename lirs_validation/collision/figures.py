@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
+from lirs_envs.model import TIPPED
 from lirs_validation.collision.contact_log import DEEP, ContactLog, DeepContact
-from lirs_validation.collision.random_drive import LEANS, Leg
+from lirs_validation.collision.random_drive import Leg
 from lirs_validation.collision.touched import Touched
 
 IMPACT = 0.010
@@ -96,7 +97,7 @@ def stuck_seconds(legs: Sequence[Leg]) -> float:
         for k in range(0, len(log.depth) - span, span):
             told = abs(sum(leg.commanded[k : k + span])) * log.timestep
             moved = float(np.linalg.norm(log.position[k + span] - log.position[k]))
-            upright = bool((log.upright[k : k + span] >= LEANS).all())
+            upright = bool((log.upright[k : k + span] >= TIPPED).all())
             total += told > 0 and upright and moved < STANDS * told
     return total * WINDOW
 

@@ -37,8 +37,6 @@ PLACES, TRIES = 8, 64
 """Places of each kind, and how many are tried."""
 MARGIN = 0.1
 """Metres beyond the robot's radius that are free where it is set down."""
-LEANS = 0.5
-"""Cosine of the angle from which a robot counts as tipped: 60 deg."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +130,7 @@ def _leg(body: RobotModel, world: World, robot: Robot, steps: int, rng: np.rando
         x, y, _ = body.pose().position.tolist()
         if not world.surface.contains(x, y) or _fallen(body, world):
             break
-        if not tipped and body.pose().rotation[2, 2] < LEANS:
+        if not tipped and body.tipped:
             tipped, rest = True, min(rest, round(LYING / body.timestep))
     return Leg(recorder.log(), tuple(commanded), tipped, diverged)
 

@@ -1,4 +1,4 @@
-"""The planar lidar: a preset of figures, a mount, and noise on the ranges."""
+"""The planar lidar: a preset, a mount, and noise on the ranges."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Lidar:
     """A planar lidar on a robot in a world.
 
     Args:
-        preset: figures of the device.
+        preset: specification of the device.
         caster: what the beams meet.
         T_base_laser: mount.
         rng: of the noise.

@@ -41,7 +41,7 @@ class LidarNoise:
         edge_threshold: difference between the ranges of two neighbours that makes an edge, metres.
 
     Raises:
-        ConfigError: a figure is not legal.
+        ConfigError: a value is not legal.
     """
 
     sigma: float = 0.0

@@ -1,4 +1,4 @@
-"""Planar lidars (laser range finders) as data: one row of figures for each device."""
+"""Planar lidars (laser range finders) as data: one row for each device."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lirs_wct.validation import require_above, require_at_least, require_within
 
 @dataclass(frozen=True, kw_only=True)
 class LidarPreset:
-    """Figures of a planar lidar.
+    """Specification of a planar lidar.
 
     Attributes:
         name: how users call it.
@@ -28,7 +28,7 @@ class LidarPreset:
         sigma_relative: the part of it that grows with the range, metres a metre; both add.
 
     Raises:
-        ConfigError: a figure is not legal.
+        ConfigError: a value is not legal.
     """
 
     name: str
