@@ -64,7 +64,7 @@ def compare(
     ] = None,
     figures: Annotated[
         str | None,
-        typer.Option(metavar="PLACE,...", help="Figures of the record to compare, such as map.f1,rtf.mean."),
+        typer.Option(metavar="KEY,...", help="Metrics of the record to compare, such as map.f1,rtf.mean."),
     ] = None,
     csv: CsvFile = None,
     json: JsonFile = None,
