@@ -21,6 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lirs_validation import validate
+from lirs_validation.cli.arguments import read_seeds
 from lirs_validation.experiment.evaluation import evaluate_trajectory
 from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_validation.experiment.run import Run
@@ -37,18 +38,17 @@ def main() -> None:
     """Run every source with every seed and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("sources", nargs="*", default=WORLDS)
-    parser.add_argument("--seeds", default="1-5", help="first-last")
+    parser.add_argument("--seeds", default="1-5", help="such as 1-5 or 1,3")
     parser.add_argument("--seconds", type=float, default=120.0)
     parser.add_argument("--mapper", default="hector")
     parser.add_argument("--quick", action="store_true", help="one seed, 20 s")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
-    first, _, last = ("1" if given.quick else given.seeds).partition("-")
     seconds = 20.0 if given.quick else given.seconds
     rows = [
         row(source, validate(source, mapper=given.mapper, seconds=seconds, seed=seed))
         for source in given.sources
-        for seed in range(int(first), int(last or first) + 1)
+        for seed in read_seeds("1" if given.quick else given.seeds)
     ]
     Console(width=210).print(table(rows))
     if given.json:

@@ -23,8 +23,8 @@ from rich.console import Console
 
 from lirs_validation import RunRecord, validate
 from lirs_validation.cli.progress import run_with_progress
-from lirs_validation.cli.sweep_tables import sweep_tables
 from lirs_validation.experiment.scenario import ScenarioCache
+from lirs_validation.report.tables.sweep_tables import sweep_tables
 from lirs_validation.sweep.engines.base import Executor
 from lirs_validation.sweep.engines.processes import Processes
 from lirs_validation.sweep.engines.serial import Serial

@@ -1,4 +1,4 @@
-"""The command line, `lirs-wct`: every command is a function of `lirs_validation.commands`."""
+"""The command line, `lirs-wct`: every command is a function of a module beside this one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lirs_validation.cli.console import BAD_INPUT, INTERRUPTED, err
 from lirs_validation.cli.mapping import map_log
 from lirs_validation.cli.reports import compare, report, score
 from lirs_validation.cli.robot_card import robot
-from lirs_validation.cli.runs import validate
+from lirs_validation.cli.validate import validate
 from lirs_validation.cli.worlds import build, convert, info, view
 from lirs_validation.experiment.import_path import importable
 from lirs_validation.sweep.interrupts import is_interrupt

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lirs_validation.cli.arguments import Sources
+from lirs_validation.cli.arguments import Sources, read_names, read_seeds
 from lirs_validation.cli.build_options import mujoco_terrain, with_build_options
 from lirs_validation.cli.console import RUN_FAILED, err, out
 from lirs_validation.cli.progress import progress_bar
 from lirs_validation.config import SourceOptions
-from lirs_wct.errors import ConfigError, WctError
+from lirs_wct.errors import WctError
 
 if TYPE_CHECKING:
     from lirs_envs.robots.robot import Robot
@@ -42,13 +42,12 @@ def collide(
     from lirs_validation.collision.files import write_verdicts
     from lirs_validation.report.tables.collision_table import verdicts_table
 
-    robots = [make_robot(name) for name in words(robot, "--robot")]
-    terrains = [mujoco_terrain(name) for name in words(terrain, "--terrain")]
-    numbers = seed_numbers(seeds)
+    robots = [make_robot(name) for name in read_names(robot, "--robot")]
+    terrains = [mujoco_terrain(name) for name in read_names(terrain, "--terrain")]
     verdicts: list[CollisionVerdict] = []
     refused: list[WctError] = []
     try:
-        for found in _checked(sources, options, robots, terrains, seconds, numbers):
+        for found in _checked(sources, options, robots, terrains, seconds, read_seeds(seeds)):
             if isinstance(found, WctError):
                 refused.append(found)
             else:
@@ -66,44 +65,13 @@ def collide(
         raise typer.Exit(RUN_FAILED)
 
 
-def words(text: str, option: str) -> list[str]:
-    """Return the comma-separated names of an option.
-
-    Raises:
-        ConfigError: there is none.
-    """
-    found = [word.strip() for word in text.split(",") if word.strip()]
-    if not found:
-        raise ConfigError(f"{option} must name at least one, got {text!r}")
-    return found
-
-
-def seed_numbers(text: str) -> list[int]:
-    """Return the seeds of `1,2,5-7`.
-
-    Raises:
-        ConfigError: it is no list of whole numbers from 0 up.
-    """
-    numbers: list[int] = []
-    for part in text.split(","):
-        first, dash, last = part.partition("-")
-        try:
-            low, high = int(first), int(last if dash else first)
-        except ValueError:
-            low, high = 0, -1
-        if low > high:
-            raise ConfigError(f"--seeds must be whole numbers or ranges like 1-5, got {text!r}")
-        numbers += range(low, high + 1)
-    return numbers
-
-
 def _checked(
     sources: list[str],
     options: SourceOptions,
     robots: list[Robot],
     terrains: list[ContactGeometry],
     seconds: float,
-    seeds: list[int],
+    seeds: tuple[int, ...],
 ) -> Iterator[CollisionVerdict | WctError]:
     """Yield a verdict for each robot, terrain and seed in each world, or why there can be none."""
     from lirs_validation.collision.validation import check_collisions

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from lirs_validation.cli.console import out
+from lirs_validation.cli.arguments import read_names
+from lirs_validation.cli.console import err, out
 from lirs_wct.errors import ConfigError
 
 CsvFile = Annotated[Path | None, typer.Option("--csv", help="Write the table there as CSV, too.")]
@@ -28,14 +29,13 @@ def report(
 ) -> None:
     """Report on a folder of results: one HTML page that opens anywhere, offline."""
     from lirs_validation.analysis.result_folders import read_results
-    from lirs_validation.cli.console import err
     from lirs_validation.report.contents import report_of
     from lirs_validation.report.page import page
     from lirs_validation.report.tables.table import as_csv, as_markdown
 
     with err.status(f"reading {results}") as status:
         read = read_results(results)
-        _tell_skipped(read.skipped)
+        _print_skipped(read.skipped)
         contents = report_of(read)
         status.update("drawing")
         html = page(contents, shlex.join(["lirs-wct", "report", str(results), "-o", str(output)]))
@@ -81,12 +81,12 @@ def compare(
 
     names = (str(a), str(b))
     first, second = read_results(a), read_results(b)
-    _tell_skipped(first.skipped + second.skipped)
+    _print_skipped(first.skipped + second.skipped)
     comparison = compared(
         [run.entry for run in first.runs],
         [run.entry for run in second.runs],
-        metrics_named(_words(figures)) if figures else metrics_selected("compared"),
-        _words(across),
+        metrics_named(read_names(figures, "--figures")) if figures else metrics_selected("compared"),
+        read_names(across, "--across") if across else (),
     )
     out.print(compare_table(comparison, names))
     if csv is not None:
@@ -133,12 +133,7 @@ def _write(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def _words(text: str | None) -> tuple[str, ...]:
-    return tuple(word.strip() for word in (text or "").split(",") if word.strip())
-
-
-def _tell_skipped(skipped: tuple[tuple[str, str], ...]) -> None:
-    from lirs_validation.cli.console import err
+def _print_skipped(skipped: tuple[tuple[str, str], ...]) -> None:
 
     for name, reason in skipped:
         err.print(f"skipped {name}: {reason}", markup=False, highlight=False, soft_wrap=True, style="yellow")

@@ -1,40 +1,152 @@
-"""From the words of `validate` to the experiments of a sweep."""
+"""The options of `validate`, and the experiments that they ask for."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+import typer
+
+from lirs_validation.cli.arguments import read_names, read_seeds
 from lirs_validation.cli.build_options import mujoco_terrain
+from lirs_validation.config import SourceOptions
 from lirs_wct.errors import ConfigError
-from lirs_wct.sources.options import BuildOptions
 
 if TYPE_CHECKING:
     from lirs_validation.sweep.experiment import Experiment
 
 DEFAULT_SECONDS = 120.0
+AXES, ENGINE = "Axes of a sweep: every combination is run", "How a sweep is run"
+
+Robots = Annotated[
+    str | None,
+    typer.Option("--robot", metavar="R,R,...", show_default="husky", help="Robots.", rich_help_panel=AXES),
+]
+Mappers = Annotated[
+    str | None,
+    typer.Option(
+        "--mapper",
+        metavar="M,M,...",
+        show_default="hector",
+        help="SLAM methods; module:Class for your own.",
+        rich_help_panel=AXES,
+    ),
+]
+Lidars = Annotated[
+    str | None,
+    typer.Option(
+        "--lidar", metavar="L,L,...", show_default="the robot's own", help="LRFs.", rich_help_panel=AXES
+    ),
+]
+Terrains = Annotated[
+    str | None,
+    typer.Option(
+        "--terrain",
+        metavar="hfield|mesh|prisms|convex",
+        show_default="hfield",
+        help="What MuJoCo touches: a height field; the same, and the mesh is seen; a prism for each "
+        "triangle within --max-error; the convex parts of a closed mesh.",
+        rich_help_panel=AXES,
+    ),
+]
+RayKinds = Annotated[
+    str | None,
+    typer.Option(
+        "--rays",
+        metavar="builtin|mujoco",
+        show_default="builtin",
+        help="Whose rays the lidar takes (builtin = ours); MuJoCo's for comparison.",
+        rich_help_panel=AXES,
+    ),
+]
+Seeds = Annotated[
+    str | None,
+    typer.Option(metavar="1-5|1,3,7-9", help="Several seeds of every random number.", rich_help_panel=AXES),
+]
+Seed = Annotated[
+    int | None, typer.Option(show_default="1", help="One seed of every random number.", rich_help_panel=AXES)
+]
+SuiteName = Annotated[
+    str | None,
+    typer.Option("--suite", metavar="paper", help="A published experiment, instead of sources and axes."),
+]
+Seconds = Annotated[
+    float | None, typer.Option(show_default="120", help="Simulated seconds to drive in each run.")
+]
+WallLimit = Annotated[
+    float | None,
+    typer.Option(
+        metavar="S", help="Stop a drive after so many wall seconds; its RTF is extrapolated and marked so."
+    ),
+]
+EngineName = Annotated[
+    str | None,
+    typer.Option(
+        "--engine",
+        metavar="serial|processes|ray",
+        show_default="serial",
+        help="Where runs take place. With anything beside it, a run's RTF is marked as concurrent.",
+        rich_help_panel=ENGINE,
+    ),
+]
+Jobs = Annotated[
+    int | None,
+    typer.Option(metavar="N", help="Runs at a time, in processes of their own.", rich_help_panel=ENGINE),
+]
+Address = Annotated[
+    str | None, typer.Option(help="Of a Ray cluster; default: one of its own.", rich_help_panel=ENGINE)
+]
+CellTimeout = Annotated[
+    float | None,
+    typer.Option(metavar="S", help="End a run after so many wall seconds in all.", rich_help_panel=ENGINE),
+]
+CellMemory = Annotated[
+    float | None,
+    typer.Option(metavar="GB", help="End a run that takes more memory.", rich_help_panel=ENGINE),
+]
+RetryFailed = Annotated[
+    bool, typer.Option("--retry-failed", help="Run again what failed before.", rich_help_panel=ENGINE)
+]
 
 
-def listed(text: str | None, option: str, default: str) -> tuple[str, ...]:
-    """Return the words of a comma-separated list.
+def read_experiments(
+    sources: list[str] | None,
+    suite: str | None,
+    axes: Mapping[str, str | None],
+    seeds: tuple[int, ...] | None,
+    seconds: float | None,
+    wall_limit: float | None,
+    build: SourceOptions,
+) -> tuple[Experiment, ...]:
+    """Return the experiments of a suite, or at the crossings of axes.
+
+    Args:
+        sources: worlds; none with a suite.
+        suite: its name; None = sources and axes are given.
+        axes: axis -> what was said of it, for `robot`, `mapper`, `lidar`, `terrain` and `rays`.
+        seeds: None = the suite's own, or 1.
+        seconds: simulated seconds of each run; None = the suite's own, or 120.
+        wall_limit: of each drive; None = the suite's own, or none.
+        build: how sources become worlds.
 
     Raises:
-        ConfigError: a word is missing.
+        ConfigError: neither or both were asked for, or what was asked for is not legal.
     """
-    words = tuple(word.strip() for word in (default if text is None else text).split(","))
-    if not all(words):
-        raise ConfigError(f"{option} must be a list such as a,b,c, got {text!r}")
-    return tuple(dict.fromkeys(words))
+    if suite is not None:
+        others = {f"--{axis}": said is not None for axis, said in axes.items()}
+        others |= {"sources": bool(sources), "options of build": build != SourceOptions()}
+        return _suite_experiments(suite, others, seeds, seconds, wall_limit)
+    if not sources:
+        raise ConfigError("nothing to validate: name a source (simple, a picture, a map, ...) or a --suite")
+    return _axes_experiments(sources, axes, seeds, seconds, wall_limit, build)
 
 
-def seeds_of(seed: int | None, seeds: str | None) -> tuple[int, ...] | None:
+def read_seed_options(seed: int | None, seeds: str | None) -> tuple[int, ...] | None:
     """Return the seeds; None = not said.
 
     Raises:
         ConfigError: both options are given, or they are no seeds.
     """
-    from lirs_validation.sweep.axes import read_seeds
-
     if seed is not None and seeds is not None:
         raise ConfigError("both name seeds: give one of --seed, --seeds")
     if seeds is not None:
@@ -42,39 +154,27 @@ def seeds_of(seed: int | None, seeds: str | None) -> tuple[int, ...] | None:
     return None if seed is None else (seed,)
 
 
-def axes_experiments(
+def _axes_experiments(
     sources: list[str],
     given: Mapping[str, str | None],
     seeds: tuple[int, ...] | None,
     seconds: float | None,
     wall_limit: float | None,
-    build: BuildOptions,
+    build: SourceOptions,
 ) -> tuple[Experiment, ...]:
-    """Return the experiments at the crossings of the axes that were given.
-
-    Args:
-        sources: worlds.
-        given: axis -> what was said of it, for `robot`, `mapper`, `lidar`, `terrain` and `rays`.
-        seeds: None = 1.
-        seconds: None = 120.
-        wall_limit: of each drive.
-        build: how sources become worlds.
-
-    Raises:
-        ConfigError: an axis is empty or holds what is not legal.
-    """
+    """Return the experiments at the crossings of the axes that were given (see `read_experiments`)."""
     from lirs_envs.lidar.casters import ALIASES, RAYS
     from lirs_validation.sweep.axes import Axes, Representation
 
-    terrains = [mujoco_terrain(word) for word in listed(given["terrain"], "--terrain", "hfield")]
-    rays = listed(given["rays"], "--rays", "builtin")
+    terrains = [mujoco_terrain(word) for word in _names(given, "terrain", "hfield")]
+    rays = _names(given, "rays", "builtin")
     if not set(rays) <= {*RAYS, *ALIASES}:
         raise ConfigError(f"--rays must be {' or '.join(RAYS)}, got {given['rays']!r}")
     return Axes(
         sources=tuple(sources),
-        robots=listed(given["robot"], "--robot", "husky"),
-        mappers=listed(given["mapper"], "--mapper", "hector"),
-        lidars=(None,) if given["lidar"] is None else listed(given["lidar"], "--lidar", ""),
+        robots=_names(given, "robot", "husky"),
+        mappers=_names(given, "mapper", "hector"),
+        lidars=(None,) if given["lidar"] is None else read_names(given["lidar"], "--lidar"),
         representations=tuple(
             Representation(terrain=terrain, rays=ray) for terrain in terrains for ray in rays
         ),
@@ -85,25 +185,14 @@ def axes_experiments(
     ).experiments()
 
 
-def suite_experiments(
+def _suite_experiments(
     name: str,
     others: Mapping[str, bool],
     seeds: tuple[int, ...] | None,
     seconds: float | None,
     wall_limit: float | None,
 ) -> tuple[Experiment, ...]:
-    """Return the experiments of a suite.
-
-    Args:
-        name: of the suite.
-        others: options that a suite leaves no room for -> whether they were given.
-        seeds: None = the suite's own; so for the others.
-        seconds: simulated seconds of each run.
-        wall_limit: of each drive.
-
-    Raises:
-        ConfigError: there is no such suite, or one of the others was given.
-    """
+    """Return the experiments of a suite; `others` are the options that it leaves no room for."""
     from lirs_validation.sweep.suites import suite_named
 
     suite = suite_named(name)
@@ -111,3 +200,8 @@ def suite_experiments(
     if clash:
         raise ConfigError(f"--suite {name} has its own worlds and axes: leave out {', '.join(clash)}")
     return suite.experiments(seconds=seconds, seeds=seeds, wall_limit=wall_limit)
+
+
+def _names(given: Mapping[str, str | None], axis: str, default: str) -> tuple[str, ...]:
+    said = given[axis]
+    return (default,) if said is None else read_names(said, f"--{axis}")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lirs_validation.cli.arguments import Source
+from lirs_validation.cli.arguments import Source, read_names
 from lirs_validation.cli.build_options import gazebo_terrain, typer_option, with_build_options
 from lirs_validation.cli.console import err, out
 from lirs_validation.cli.progress import progress_bar
@@ -41,14 +41,13 @@ def build(
     from lirs_wct.export.package import write_package
     from lirs_wct.world import build_world
 
-    formats = [word.strip() for word in to.split(",") if word.strip()]
     with progress_bar(source, err) as progress:
         progress("build", 0.0)
         world = build_world(source, options)
         folder = write_package(
             world,
             output,
-            formats=formats,
+            formats=read_names(to, "--to"),
             terrain=gazebo_terrain(terrain),
             progress=progress,
         )

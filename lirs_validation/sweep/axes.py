@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import itertools
-import re
 from dataclasses import dataclass, field
 
 from lirs_validation.config import RunConfig
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.contact.contact_geometry import ContactGeometry
-from lirs_wct.errors import ConfigError
 from lirs_wct.sources.options import BuildOptions
-
-MAX_SEEDS = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,19 +72,3 @@ class Axes:
             )
             for source, representation, robot, lidar, mapper, seed in crossings
         )
-
-
-def read_seeds(text: str) -> tuple[int, ...]:
-    """Return the seeds of a list such as `1-5` or `1,3,7-9`.
-
-    Raises:
-        ConfigError: it is no such list, or has too many seeds.
-    """
-    seeds: list[int] = []
-    for part in text.split(","):
-        found = re.fullmatch(r"\s*(\d{1,9})(?:-(\d{1,9}))?\s*", part)
-        first, last = (int(found[1]), int(found[2] or found[1])) if found else (1, 0)
-        if last < first or last - first >= MAX_SEEDS:
-            raise ConfigError(f"--seeds must be a list such as 1-5 or 1,3,7-9, got {text!r}")
-        seeds += range(first, last + 1)
-    return tuple(dict.fromkeys(seeds))

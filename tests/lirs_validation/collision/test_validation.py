@@ -314,8 +314,8 @@ def test_the_command(tmp_path: Path) -> None:
     assert len(json.loads((tmp_path / "collisions.json").read_text())["collisions"]) == 1
     for words, says in (
         (("simple", "--robot", "huksy"), "unknown robot 'huksy'"),
-        (("simple", "--robot", ","), "--robot must name at least one"),
-        (("simple", "--seeds", "5-1"), "--seeds must be whole numbers or ranges"),
+        (("simple", "--robot", ","), "--robot must be a list such as a,b,c"),
+        (("simple", "--seeds", "5-1"), "--seeds must be a list such as 1-5"),
         (("simple", "--terrain", "mud"), "--terrain must be hfield, mesh, prisms or convex"),
         (("simple", "--seconds", "0"), "seconds must be a finite number above 0"),
         (("nope.png",), "no such file"),

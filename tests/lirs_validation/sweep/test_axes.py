@@ -5,10 +5,8 @@ from __future__ import annotations
 from itertools import groupby
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from lirs_validation.sweep.axes import Axes, Representation, read_seeds
+from lirs_validation.sweep.axes import Axes, Representation
 from lirs_validation.sweep.collision_experiment import CollisionExperiment
 from lirs_validation.sweep.engines.base import Limits
 from lirs_validation.sweep.engines.factory import make_executor
@@ -17,19 +15,6 @@ from lirs_validation.sweep.engines.serial import Serial
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.suites import SUITES, suite_named
 from lirs_wct.errors import ConfigError
-
-
-@given(st.lists(st.tuples(st.integers(0, 999), st.integers(0, 20)), min_size=1, max_size=6))
-def test_seeds_are_read_as_written(ranges: list[tuple[int, int]]) -> None:
-    text = ",".join(f"{a}-{a + n}" if n else f"{a}" for a, n in ranges)
-    expected = [seed for a, n in ranges for seed in range(a, a + n + 1)]
-    assert read_seeds(text) == tuple(dict.fromkeys(expected))
-
-
-@pytest.mark.parametrize("text", ["", "a", "1-", "-3", "5-1", "1,,2", "1.5", "0-99999999999", "1-999999999"])
-def test_what_is_no_list_of_seeds_is_told(text: str) -> None:
-    with pytest.raises(ConfigError, match="--seeds must be a list such as"):
-        read_seeds(text)
 
 
 def test_every_crossing_is_a_cell_world_by_world() -> None:

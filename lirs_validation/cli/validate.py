@@ -1,4 +1,4 @@
-"""Commands about runs: `validate`."""
+"""The command `validate`: robots driven through worlds with SLAM running, one run or a sweep."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lirs_validation.cli import sweep_help as word
+from lirs_validation.cli import sweep_options as option
 from lirs_validation.cli.arguments import SOURCE_HELP
 from lirs_validation.cli.build_options import with_build_options
 from lirs_validation.cli.console import RUN_FAILED, err, out
 from lirs_validation.config import SourceOptions
-from lirs_wct.errors import ConfigError, OutputError
+from lirs_wct.errors import OutputError
 
 if TYPE_CHECKING:
     from lirs_validation.sweep.engines.base import Executor
@@ -27,22 +27,22 @@ FEW = 10
 @with_build_options
 def validate(
     sources: Annotated[list[str] | None, typer.Argument(help=SOURCE_HELP)] = None,
-    suite: word.SuiteName = None,
-    robot: word.Robots = None,
-    mapper: word.Mappers = None,
-    lidar: word.Lidars = None,
-    terrain: word.Terrains = None,
-    rays: word.RayKinds = None,
-    seconds: word.Seconds = None,
-    seed: word.Seed = None,
-    seeds: word.Seeds = None,
-    wall_limit: word.WallLimit = None,
-    engine: word.EngineName = None,
-    jobs: word.Jobs = None,
-    address: word.Address = None,
-    cell_timeout: word.CellTimeout = None,
-    cell_memory: word.CellMemory = None,
-    retry_failed: word.RetryFailed = False,
+    suite: option.SuiteName = None,
+    robot: option.Robots = None,
+    mapper: option.Mappers = None,
+    lidar: option.Lidars = None,
+    terrain: option.Terrains = None,
+    rays: option.RayKinds = None,
+    seconds: option.Seconds = None,
+    seed: option.Seed = None,
+    seeds: option.Seeds = None,
+    wall_limit: option.WallLimit = None,
+    engine: option.EngineName = None,
+    jobs: option.Jobs = None,
+    address: option.Address = None,
+    cell_timeout: option.CellTimeout = None,
+    cell_memory: option.CellMemory = None,
+    retry_failed: option.RetryFailed = False,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the runs' folders.")] = Path(
         "out"
     ),
@@ -53,26 +53,16 @@ def validate(
 
     Run again, the same command goes on where it was interrupted.
     """
-    from lirs_validation.cli.sweep_options import axes_experiments, seeds_of, suite_experiments
     from lirs_validation.sweep.engines.base import Limits
     from lirs_validation.sweep.engines.factory import make_executor
     from lirs_validation.sweep.manifest import Manifest
     from lirs_validation.sweep.sweep import Sweep
 
-    chosen = seeds_of(seed, seeds)
     axes = {"robot": robot, "mapper": mapper, "lidar": lidar, "terrain": terrain, "rays": rays}
-    if suite is not None:
-        others = {f"--{axis}": given is not None for axis, given in axes.items()}
-        others |= {"sources": bool(sources), "options of build": options != SourceOptions()}
-        experiments = suite_experiments(suite, others, chosen, seconds, wall_limit)
-    elif sources:
-        experiments = axes_experiments(sources, axes, chosen, seconds, wall_limit, options)
-    else:
-        raise ConfigError("nothing to validate: name a source (simple, a picture, a map, ...) or a --suite")
-    memory = None if cell_memory is None else cell_memory * 1e9
-    executor = make_executor(
-        engine, jobs=jobs, address=address, limits=Limits(seconds=cell_timeout, memory=memory)
-    )
+    chosen = option.read_seed_options(seed, seeds)
+    experiments = option.read_experiments(sources, suite, axes, chosen, seconds, wall_limit, options)
+    limits = Limits(seconds=cell_timeout, memory=None if cell_memory is None else cell_memory * 1e9)
+    executor = make_executor(engine, jobs=jobs, address=address, limits=limits)
     manifest = Manifest(command=shlex.join(["lirs-wct", *sys.argv[1:]]), suite=suite)
     sweep = Sweep(experiments, output, manifest=manifest, retry_failed=retry_failed)
     _run(sweep, executor)
@@ -98,7 +88,7 @@ def _run(sweep: Sweep, executor: Executor) -> None:
 
 
 def _show(sweep: Sweep) -> None:
-    from lirs_validation.cli.sweep_tables import sweep_tables
+    from lirs_validation.report.tables.sweep_tables import sweep_tables
 
     if not sweep.outcomes:
         return

@@ -1,0 +1,33 @@
+"""Lists in arguments: names and seeds, one reader each for every command."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lirs_validation.cli.arguments import read_names, read_seeds
+from lirs_wct.errors import ConfigError
+
+
+def test_names_are_read_each_once() -> None:
+    assert read_names("husky, jackal,husky", "--robot") == ("husky", "jackal")
+
+
+@pytest.mark.parametrize("text", ["", ",", "a,,b", "a,"])
+def test_a_list_with_a_missing_name_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="--robot must be a list such as a,b,c"):
+        read_names(text, "--robot")
+
+
+@given(st.lists(st.tuples(st.integers(0, 999), st.integers(0, 20)), min_size=1, max_size=6))
+def test_seeds_are_read_as_written(ranges: list[tuple[int, int]]) -> None:
+    text = ",".join(f"{a}-{a + n}" if n else f"{a}" for a, n in ranges)
+    expected = [seed for a, n in ranges for seed in range(a, a + n + 1)]
+    assert read_seeds(text) == tuple(dict.fromkeys(expected))
+
+
+@pytest.mark.parametrize("text", ["", "a", "1-", "-3", "5-1", "1,,2", "1.5", "0-99999999999", "1-999999999"])
+def test_what_is_no_list_of_seeds_is_told(text: str) -> None:
+    with pytest.raises(ConfigError, match="--seeds must be a list such as"):
+        read_seeds(text)
