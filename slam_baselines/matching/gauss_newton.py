@@ -52,8 +52,7 @@ class MatchConfig:
         require_above(self, 0, "sigma", "converged", of="the scan matcher")
 
 
-@dataclass(frozen=True, slots=True)
-class Match:
+class Match(NamedTuple):
     """A scan matched to a map.
 
     Attributes:
@@ -84,10 +83,9 @@ class Prior(NamedTuple):
 
 
 class _Settings(NamedTuple):
-    """MatchConfig for the kernels; `variance` is that of a beam."""
+    """MatchConfig for the kernels."""
 
     iterations: IntArray
-    variance: float
     converged: float
     lever: float
     exact: bool
@@ -97,8 +95,9 @@ class ScanMatcher:
     """Gauss-Newton matching against a pyramid."""
 
     def __init__(self, config: MatchConfig) -> None:
-        self._config = config
-        self._iterations = np.array(config.iterations)
+        c = config
+        self._variance = c.sigma**2
+        self._settings = _Settings(np.array(c.iterations), c.converged, c.lever, c.exact)
         self._ones: FloatArray = np.ones(0)
 
     def match(
@@ -117,23 +116,15 @@ class ScanMatcher:
                 of two standard deviations of the prior.
             information_share: share of its information that the scan adds.
         """
-        c, n = self._config, len(points)
         if weights is None:
-            if len(self._ones) < n:
-                self._ones = np.ones(n)
-            weights = self._ones[:n]
-        settings = _Settings(self._iterations, c.sigma**2 / information_share, c.converged, c.lever, c.exact)
+            if len(self._ones) < len(points):
+                self._ones = np.ones(len(points))
+            weights = self._ones[: len(points)]
         out = np.empty(23)
         _match(
-            pyramid.levels,
-            points,
-            weights,
-            prior,
-            prior.pose if start is None else start,
-            levels,
-            settings,
-            out,
-        )
+            pyramid.levels, points, weights, prior, prior.pose if start is None else start, levels,
+            self._settings, self._variance / information_share, out,
+        )  # fmt: skip
         score, known = out[21:].tolist()
         return Match(out[:3], out[3:12].reshape(3, 3), out[12:21].reshape(3, 3), score, known)
 
@@ -154,15 +145,21 @@ def levels_for(frames: Any, covariance: Any, lever: float) -> int:
 
 @njit(cache=True)
 def _match(
-    pyramid: Levels, points: Any, weights: Any, prior: Prior, start: Any, levels: int, settings: Any, out: Any
-) -> None:
-    """Match, and fill `out` (23,): pose, covariance with the prior's, information, score, known share."""
+    pyramid: Levels, points: Any, weights: Any, prior: Prior, start: Any, levels: int, settings: _Settings,
+    variance: float, out: Any,
+) -> None:  # fmt: skip
+    """Match with beams of a `variance`; fill `out` (23,).
+
+    That is pose, covariance with the prior's in it, information, score, share of beams on known cells.
+    """
     information = invert3(prior.covariance)
     if levels == 0:
         levels = levels_for(pyramid.frames, prior.covariance, settings.lever)
     pose, H = start.copy(), np.empty((3, 3))
-    score, known = _iterate(pyramid, points, weights, prior.pose, information, levels, settings, pose, H)
-    H /= settings.variance
+    score, known = _iterate(
+        pyramid, points, weights, prior.pose, information, levels, settings, variance, pose, H
+    )
+    H /= variance
     out[:3] = pose
     out[3:12] = invert3(information + H).ravel()
     out[12:21] = H.ravel()
@@ -171,8 +168,8 @@ def _match(
 
 @njit(cache=True)
 def _iterate(
-    pyramid: Levels, points: Any, weights: Any, prior: Any, information: Any, levels: int, settings: Any,
-    pose: Any, H: Any,
+    pyramid: Levels, points: Any, weights: Any, prior: Any, information: Any, levels: int,
+    settings: _Settings, variance: float, pose: Any, H: Any,
 ) -> tuple[float, float]:  # fmt: skip
     """Run Gauss-Newton from the coarsest level to the finest; return score and known weight.
 
@@ -181,7 +178,7 @@ def _iterate(
     g, A, b = np.empty(3), np.empty((3, 3)), np.empty(3)
     score = known = 0.0
     settled = False
-    variance, converged = settings.variance, settings.converged
+    converged = settings.converged
     for level in range(min(levels, len(settings.iterations)) - 1, -1, -1):
         value, frame = pyramid.values[level], pyramid.frames[level]
         cell = frame[2]
