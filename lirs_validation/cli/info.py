@@ -1,4 +1,4 @@
-"""What a world is, in figures: size, heights, slopes, where robots can drive, its mesh and its error."""
+"""Facts of a world: size, heights, slopes, where robots can drive, its mesh and its error."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def world_facts(world: World) -> WorldFacts:
 
 
 def facts_table(world: World, facts: WorldFacts) -> Table:
-    """Return the figures as a table to print."""
+    """Return the facts as a table to print."""
     table = Table(title=f"{world.name}: {world.kind}, {world.scale}", show_header=False, title_justify="left")
     rows = [
         ("size", f"{facts.size[0]:g} x {facts.size[1]:g} m"),

@@ -23,7 +23,7 @@ MapperName = Annotated[
 Particles = Annotated[int | None, typer.Option(help="Paths that gmapping follows; default: 30.")]
 Relations = Annotated[
     str | None,
-    typer.Option(metavar="FILE", help="True relations between poses: the record then tells the accuracy."),
+    typer.Option(metavar="FILE", help="True relations between poses: the record then holds the accuracy."),
 ]
 Reference = Annotated[
     str | None,
@@ -77,7 +77,7 @@ def map_log(
 
 
 def figures_table(record: MapRecord) -> Table:
-    """Return the figures of a mapped log, and what was wrong with it, as a table to print."""
+    """Return the metrics of a mapped log, and what was wrong with it, as a table to print."""
     from lirs_validation.record.map_formatting import map_lines, repair_lines
 
     table = Table(title=record.config.log, show_header=False, title_justify="left")

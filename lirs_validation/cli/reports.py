@@ -106,7 +106,7 @@ def score(
         typer.Option(
             metavar="auto|map|world",
             help="Frame of both: map, whose origin is the first base pose; world, as the run's own files; "
-            "auto: told by where the trajectory begins.",
+            "auto: by where the trajectory begins.",
         ),
     ] = "auto",
     output: Annotated[Path, typer.Option("-o", "--output", help="JSON to write.")] = Path("score.json"),

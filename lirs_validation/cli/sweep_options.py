@@ -166,7 +166,7 @@ def _axes_experiments(
     from lirs_envs.lidar.casters import ALIASES, RAYS
     from lirs_validation.sweep.axes import Axes, Representation
 
-    terrains = [mujoco_terrain(word) for word in _names(given, "terrain", "hfield")]
+    terrains = [mujoco_terrain(name) for name in _names(given, "terrain", "hfield")]
     rays = _names(given, "rays", "builtin")
     if not set(rays) <= {*RAYS, *ALIASES}:
         raise ConfigError(f"--rays must be {' or '.join(RAYS)}, got {given['rays']!r}")

@@ -34,7 +34,7 @@ class Climb:
     Attributes:
         slope: of the ground under the robot, degrees.
         slid: while its wheels held, metres.
-        climbed: share of the commanded way that it came uphill.
+        climbed: share of the commanded distance that it came uphill.
     """
 
     slope: float
@@ -57,13 +57,13 @@ def climb(body: RobotModel, world: World, robot: Robot) -> Climb | None:
 
 
 def _climbed(body: RobotModel, robot: Robot, uphill: float) -> float:
-    """Return the share of the commanded way; both counted once the robot is up to speed."""
+    """Return the share of the commanded distance; both counted once the robot is up to speed."""
     drive, v = DifferentialDrive(robot), min(SPEED, robot.max_speed)
-    ramp, way = v / robot.max_acceleration + 0.2, 2 * robot.radius
+    ramp, distance = v / robot.max_acceleration + 0.2, 2 * robot.radius
     axis = np.array((math.cos(uphill), math.sin(uphill)))
     before, time = body.pose().position, 0.0
     began: float | None = None
-    while time < ramp + way / v:
+    while time < ramp + distance / v:
         for piece in body.substeps:
             dt = piece * body.timestep
             body.step(drive.update(Twist(v), body.rates()[2], dt), piece)

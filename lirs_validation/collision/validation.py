@@ -1,12 +1,12 @@
 """Collision validation (the paper's III-D): do a robot and a world touch each other as solids do?
 
 A robot is driven at random at full speed, again and again from other places, and every step of MuJoCo is
-looked at; then it holds and climbs on the steepest ground that it may drive. Each figure that has a limit is
+looked at; then it holds and climbs on the steepest ground that it may drive. Each metric that has a limit is
 held against it:
 
 - penetration stays below 10 mm in 99.9 % of the steps; beyond that only impacts go deeper, by at most 10 ms
   times the speed at which the robot came;
-- no centre of a body is ever inside ground or wall, told by the world's own heights and cells;
+- no centre of a body is ever inside ground or wall, by the world's own heights and cells;
 - energy: contacts and brakes only take it. What a robot gains within a second beyond the work of its motors
   can only have been stored in a contact: at most the weight raised by the legal penetration, m g 10 mm, and
   what a critically damped contact gives back of an impact, exp(-4) of the kinetic energy (the spring
@@ -14,7 +14,7 @@ held against it:
 - the simulation never diverges;
 - on the slope the robot does not slide and comes up.
 
-Forces, tip-overs and stuck time are told without a limit: they belong to the drive, not to the contacts.
+Forces, tip-overs and stuck time are reported without a limit: they belong to the drive, not to the contacts.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ import numpy as np
 from lirs_envs.model import RobotModel
 from lirs_envs.placement import check_fit
 from lirs_envs.robots.robot import Robot
-from lirs_validation.collision import figures
+from lirs_validation.collision import metrics
 from lirs_validation.collision.contact_log import DEEP
+from lirs_validation.collision.contact_solid import ContactSolid
 from lirs_validation.collision.random_drive import PERIOD, drive_at_random
 from lirs_validation.collision.slope_test import climb
-from lirs_validation.collision.touched import Touched
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.validation import require_seed
@@ -42,12 +42,12 @@ STREAM = 21
 SLIDES = 0.05
 """Metres that a robot may move on its steepest slope while its wheels hold."""
 CLIMBS = 0.8
-"""Share of the commanded way that it must come uphill."""
+"""Share of the commanded distance that it must come uphill."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """A figure with its limit; `least` = the limit is the smallest legal value, not the largest."""
+    """A metric with its limit; `least` = the limit is the smallest legal value, not the largest."""
 
     name: str
     value: float
@@ -57,7 +57,7 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """Whether the figure keeps its limit."""
+        """Whether the metric keeps its limit."""
         return self.value >= self.limit if self.least else self.value <= self.limit
 
 
@@ -74,7 +74,7 @@ class CollisionVerdict:
         driven: metres, in all legs.
         legs: times that the robot was set down.
         tip_overs: legs that ended with the robot lying.
-        stuck: seconds that it was told to drive, stood upright and came nowhere.
+        stuck: seconds that it was commanded to drive, stood upright and came nowhere.
         force_peak: largest normal force of a contact, newtons.
         force_mean: mean of the sum of all normal forces while anything touched, newtons.
         penetration_p999: what penetration stayed below in 99.9 % of the steps, metres.
@@ -85,7 +85,7 @@ class CollisionVerdict:
         energy_limit: its limit there, joules.
         slope: steepest drivable ground that was found, degrees; None for a robot that flies, or none found.
         slid: metres that the robot moved there while its wheels held.
-        climbed: share of the commanded way that it came up there.
+        climbed: share of the commanded distance that it came up there.
         diverged: why the simulation could not go on; empty = it could.
     """
 
@@ -113,7 +113,7 @@ class CollisionVerdict:
 
     @property
     def checks(self) -> tuple[Check, ...]:
-        """Every figure that has a limit."""
+        """Every metric that has a limit."""
         peak, limit = 1e3 * self.penetration_peak, 1e3 * self.penetration_limit
         found = [
             Check(name="penetration, 99.9 %", value=1e3 * self.penetration_p999, limit=1e3 * DEEP, unit="mm"),
@@ -131,11 +131,11 @@ class CollisionVerdict:
 
     @property
     def passed(self) -> bool:
-        """Whether every figure keeps its limit."""
+        """Whether every metric keeps its limit."""
         return all(check.passed for check in self.checks)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all figures, the checks with their limits, and the verdict, ready for JSON."""
+        """Return all metrics, the checks with their limits, and the verdict, ready for JSON."""
         checks = [asdict(check) | {"passed": check.passed} for check in self.checks]
         return asdict(self) | {"checks": checks, "passed": self.passed}
 
@@ -155,25 +155,25 @@ def check_collisions(
     body = RobotModel(world, robot, PERIOD, contact_geometry=terrain)
     legs = list(drive_at_random(body, world, robot, seconds, np.random.default_rng((seed, STREAM))))
     slope = None if robot.flies or legs[-1].diverged else climb(body, world, robot)
-    p999, peak = figures.penetrations(legs)
-    gain = figures.energy_gain(legs, float(body.model.body_mass.sum()) * body.gravity)
-    force_peak, force_mean = figures.forces(legs)
+    p999, peak = metrics.penetrations(legs)
+    gain = metrics.energy_gain(legs, float(body.model.body_mass.sum()) * body.gravity)
+    force_peak, force_mean = metrics.forces(legs)
     return CollisionVerdict(
         world=world.name,
         robot=robot.name,
         terrain=terrain,
         seconds=sum(len(leg.commanded) for leg in legs) * body.timestep,
         seed=seed,
-        driven=figures.driven(legs),
+        driven=metrics.driven(legs),
         legs=len(legs),
         tip_overs=sum(leg.tipped for leg in legs),
-        stuck=figures.stuck_seconds(legs),
+        stuck=metrics.stuck_seconds(legs),
         force_peak=force_peak,
         force_mean=force_mean,
         penetration_p999=p999,
         penetration_peak=peak.value,
         penetration_limit=peak.limit,
-        inside_steps=figures.inside_steps(legs, Touched(world, body, terrain)),
+        inside_steps=metrics.inside_steps(legs, ContactSolid(world, body, terrain)),
         energy_gain=gain.value,
         energy_limit=gain.limit,
         slope=slope.slope if slope else None,

@@ -10,10 +10,10 @@ import numpy as np
 from lirs_envs.robots.command import Twist
 from lirs_validation.driving.planning import CoveragePlanner, TourConfig
 from lirs_validation.driving.pursuit import Pursuit, PursuitConfig, speed_profile
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.validation import require_above
 
 DriverState = Literal["driving", "backing off", "stuck"]
 
@@ -59,9 +59,8 @@ class DriverConfig:
     straight: float = 1.2
 
     def __post_init__(self) -> None:
-        for name in ("patience", "step", "back_off", "back_speed", "tries", "off_path", "straight"):
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"{name} of a driver must be above 0, got {getattr(self, name)}")
+        own = ("patience", "step", "back_off", "back_speed", "tries", "off_path", "straight")
+        require_above(self, 0, *own, of="a driver")
 
 
 class CoverageDriver:

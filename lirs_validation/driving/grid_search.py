@@ -108,7 +108,7 @@ def cells_ahead(grid: OccupancyGrid, free: BoolArray, start: Pose2, distance: fl
 
 
 def penalize_behind(weight: FloatArray, cell: IntArray, heading: float, radius: float) -> FloatArray:
-    """Return weights with the ground just behind a robot made dear: a path then turns round in an arc.
+    """Return weights with a penalty on the ground just behind a robot: a path then turns round in an arc.
 
     Args:
         weight: (rows, cols) cost of a metre in each cell.

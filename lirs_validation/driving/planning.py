@@ -1,6 +1,6 @@
 """The coverage planner: an endless tour over the places where a robot may be.
 
-Greedy, like a person who is told to see everything: go to the nearest place not seen yet, rather ahead
+Greedy, like a person who wants to see everything: go to the nearest place not seen yet, rather ahead
 than behind, and now and then back to an old place, which is what closes loops.
 """
 
@@ -15,9 +15,9 @@ import numpy as np
 from lirs_validation.driving.grid_search import Reach, area_round, cells_ahead, penalize_behind, search
 from lirs_validation.driving.path_smoothing import arc_length, smoothed
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.validation import require_above
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,9 +45,7 @@ class TourConfig:
     arc: float = 1.2
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value > 0:
-                raise ConfigError(f"{name} of a tour must be above 0, got {value}")
+        require_above(self, 0, *vars(self), of="a tour")
 
 
 class CoveragePlanner:
@@ -136,7 +134,7 @@ class CoveragePlanner:
         self._covered_at[self._covered_at > self._length] = -np.inf
 
     def avoid(self, point: tuple[float, float], radius: float) -> None:
-        """Make cells round a point in the grid's frame so dear that only the last way leads there."""
+        """Penalize cells round a point in the grid's frame: only the last resort leads there."""
         cells = np.argwhere(self._free)
         near = cells[np.linalg.norm(self._grid.centres(cells) - np.array(point), axis=1) < radius]
         self._weight[near[:, 0], near[:, 1]] += 50.0

@@ -10,9 +10,9 @@ import numpy as np
 from lirs_envs.robots.command import Twist
 from lirs_validation.driving.path_smoothing import SPACING, arc_length, curvature
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.validation import require_above
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,9 +45,7 @@ class PursuitConfig:
     steep: float = math.radians(8)
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value > 0:
-                raise ConfigError(f"{name} of a pursuit must be above 0, got {value}")
+        require_above(self, 0, *vars(self), of="a pursuit")
 
 
 def speed_profile(

@@ -30,7 +30,7 @@ class CostMeter:
         return time.process_time() - self._begun
 
     def peak_memory(self) -> int | None:
-        """Return the largest resident memory since then, bytes; None where the system does not tell."""
+        """Return the largest resident memory since then, bytes; None where the system has no such count."""
         with suppress(OSError):
             lines = (_SELF / "status").read_text(encoding="utf-8").splitlines()
             peaks = [line.split()[1] for line in lines if line.startswith("VmHWM:")]

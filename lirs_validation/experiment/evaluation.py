@@ -1,4 +1,4 @@
-"""From the log of a drive to the figures of the record."""
+"""Evaluation of a drive: from its log to the metrics of the record."""
 
 from __future__ import annotations
 
@@ -79,9 +79,9 @@ def evaluate_trajectory(log: DriveLog) -> dict[str, Any]:
     truth, estimate, odometry = log.trajectories()
     if len(truth) < 2:
         return {"length": 0.0, "poses": len(truth)}
-    figures = asdict(trajectory_errors(truth, estimate))
+    errors = asdict(trajectory_errors(truth, estimate))
     online = log.online().moved(log.truth[0].to_pose2())
-    return figures | {
+    return errors | {
         "ate_rmse_online": trajectory_errors(truth, online).ate_rmse,
         "odometry_ate_rmse": trajectory_errors(truth, odometry).ate_rmse,
     }
@@ -122,7 +122,7 @@ def evaluate_contact(simulation: Simulation) -> dict[str, Any]:
 
 
 def evaluate_collisions(simulation: Simulation) -> dict[str, Any]:
-    """Return contact figures of the whole run."""
+    """Return contact metrics of the whole run."""
     return asdict(simulation.collisions)
 
 

@@ -34,7 +34,7 @@ class DriveLog:
         final: the mapper's trajectory in the map frame after the drive; None while it lasts.
         walls: wall-clock seconds of each tick.
         mapper_seconds: of these, spent in the mapper.
-        status: how it ended, `reason` in words.
+        status: how it ended; `reason` says why.
         concurrent: whether something else of ours ran at the same time.
     """
 

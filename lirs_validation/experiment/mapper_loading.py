@@ -15,7 +15,7 @@ from slam_baselines.mapper import MAPPERS, Mapper, make_mapper
 from slam_baselines.warmup import warm_up
 
 RESOLUTION = 0.05
-"""Edge of a map's cell that your own mapper is told where it takes it, metres; ours use the same."""
+"""Edge of a map's cell for a mapper of your own that takes it, metres; ours use the same."""
 METHODS, PROPERTIES = ("update", "map", "trajectory"), ("stats", "lost")
 
 

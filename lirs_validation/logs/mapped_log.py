@@ -1,4 +1,4 @@
-"""A mapped log: its record, and the values that its figures come from."""
+"""A mapped log: its record, and the values that its metrics come from."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class MappedLog:
     """What mapping a log leaves behind.
 
     Attributes:
-        record: every figure.
+        record: config and metrics.
         log: as read.
         grid: the map; its frame is the first base pose.
         trajectory: pose of every scan in the map, by the log's stamps.

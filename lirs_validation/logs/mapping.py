@@ -52,7 +52,7 @@ def map_log(
         resolution: edge of a cell, metres; None = the mapper's own.
         fov: field of view of the laser, degrees; None = as the log says.
         range_max: ranges from here on are no return, metres; None = as the log says.
-        relations: file of relations that are known to be true; the record then tells the accuracy.
+        relations: file of relations that are known to be true; the record then holds the accuracy.
         reference: file of a reference trajectory (TUM, or a CARMEN log of corrected poses); the same.
         out: folder that receives the map's folder; None = nothing is written.
         progress: of the mapping.
@@ -130,7 +130,7 @@ def read_log(config: MapConfig) -> CarmenLog:
 
 
 def folder_name(config: MapConfig) -> str:
-    """Return the name of the map's folder: it tells log, mapper, seed, and all else by a digest.
+    """Return the name of the map's folder: log, mapper, seed, and a digest of all else.
 
     Raises:
         SourceError: the log cannot be read.

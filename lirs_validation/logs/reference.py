@@ -27,15 +27,15 @@ def read_reference(path: Path) -> Trajectory:
 
 
 def _begins_with_a_number(path: Path) -> bool:
-    """Tell by the first word that is no comment; what cannot be read is told by the reader."""
+    """Whether the first token that is no comment is a number; the readers report what cannot be read."""
     try:
         with path.open("rb") as raw:
             zipped = raw.read(2) == b"\x1f\x8b"
         with gzip.open(path, "rb") if zipped else path.open("rb") as lines:
             for line in lines:
-                words = line.split(None, 1)
-                if words and not words[0].startswith(b"#"):
-                    float(words[0])
+                tokens = line.split(None, 1)
+                if tokens and not tokens[0].startswith(b"#"):
+                    float(tokens[0])
                     return True
     except (OSError, EOFError, zlib.error, ValueError):
         return False

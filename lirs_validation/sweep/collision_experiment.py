@@ -69,7 +69,7 @@ class CollisionExperiment:
     def perform(
         self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
     ) -> Outcome:
-        """Check the contacts; a figure over its limit is a finding, and no failure of the experiment."""
+        """Check the contacts; a metric over its limit is a finding, and no failure of the experiment."""
         from lirs_validation.collision.files import write_verdicts
         from lirs_validation.collision.validation import check_collisions
 

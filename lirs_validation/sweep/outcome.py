@@ -17,7 +17,7 @@ class Outcome:
     Attributes:
         experiment: its name.
         status: that of its record.
-        reason: in words, one line.
+        reason: one line.
         trace: where it failed, several lines; empty where it did not.
         bad_input: whether something that the user gave cannot be used.
         written: whether its folder is written.
@@ -33,7 +33,7 @@ class Outcome:
     unwritable: bool = False
 
     @property
-    def sound(self) -> bool:
+    def succeeded(self) -> bool:
         """Whether nothing failed."""
         return self.status in SUCCEEDED
 
@@ -47,11 +47,11 @@ def outcome_of(error: Exception, experiment: str) -> Outcome:
     if is_interrupt(error):
         raise KeyboardInterrupt from error
     ours = isinstance(error, WctError)
-    words = str(error) if ours else ": ".join(filter(None, (type(error).__name__, str(error))))
+    message = str(error) if ours else ": ".join(filter(None, (type(error).__name__, str(error))))
     return Outcome(
         experiment=experiment,
         status="error",
-        reason=" ".join(words.split()),
+        reason=" ".join(message.split()),
         trace="".join(traceback.format_exception(error)),
         bad_input=ours and not isinstance(error, (MapperError, OutputError)),
         unwritable=isinstance(error, OutputError),

@@ -30,7 +30,7 @@ class SlamExperiment:
 
     Attributes:
         config: what to run.
-        tables: parts of the suite that its figures belong to; empty outside suites.
+        tables: parts of the suite that its metrics belong to; empty outside suites.
     """
 
     config: RunConfig
@@ -66,7 +66,7 @@ class SlamExperiment:
         return Outcome(experiment=self.name, status=record.status, reason=record.reason, written=True)
 
     def write_failure(self, out: Path, outcome: Outcome) -> None:
-        """Write a record without figures, and where the run failed."""
+        """Write a record without metrics, and where the run failed."""
         record = RunRecord(
             config=self.config, world={"name": self.world}, status=outcome.status, reason=outcome.reason
         )

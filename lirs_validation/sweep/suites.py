@@ -20,7 +20,7 @@ OURS = Representation(terrain="hfield", rays="ours")
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
-    """Experiments that belong together: some axes, and the published tables that their figures are for."""
+    """Experiments that belong together: some axes, and the published tables that their metrics are for."""
 
     axes: Axes
     tables: tuple[str, ...]

@@ -55,7 +55,7 @@ class Sweep:
         self.outcomes = {
             name: outcome
             for name, outcome in found.items()
-            if outcome is not None and (outcome.sound or not retry_failed)
+            if outcome is not None and (outcome.succeeded or not retry_failed)
         }
         self.kept = len(self.outcomes)
         self.unwritten: dict[str, str] = {}
@@ -68,7 +68,7 @@ class Sweep:
     @property
     def failed(self) -> bool:
         """Whether an experiment failed, or was not finished."""
-        return bool(self.pending) or not all(outcome.sound for outcome in self.outcomes.values())
+        return bool(self.pending) or not all(outcome.succeeded for outcome in self.outcomes.values())
 
     def run(
         self, executor: Executor, progress_of: ProgressOf = lambda name: no_progress

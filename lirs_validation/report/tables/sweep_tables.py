@@ -30,7 +30,7 @@ def sweep_tables(sweep: Sweep) -> Iterator[Table]:
     elif entries:
         yield results_table(entries)
     checks = [check for check in finished if isinstance(check, CollisionExperiment)]
-    verdicts = [read_verdict(sweep.out / c.name) for c in checks if sweep.outcomes[c.name].sound]
+    verdicts = [read_verdict(sweep.out / c.name) for c in checks if sweep.outcomes[c.name].succeeded]
     if verdicts:
         yield verdicts_table(verdicts)
 

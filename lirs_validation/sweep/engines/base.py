@@ -47,7 +47,7 @@ class Limits:
 
 
 class Executor(Protocol):
-    """Runs experiments, each at least once, and tells of each exactly once, as it ends."""
+    """Runs experiments, each at least once, and yields one outcome for each, as it ends."""
 
     def run(self, experiments: Sequence[Experiment], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
         """Run experiments into folders of `out`; failures are outcomes, which the caller writes."""

@@ -159,8 +159,8 @@ def _connected(address: str | None, jobs: int | None) -> Iterator[Any]:
             logging_level=logging.ERROR,
         )
     except (ConnectionError, ValueError, RuntimeError) as error:
-        words = " ".join(str(error).split())
-        raise ConfigError(f"--address {address}: no Ray cluster answers there: {words}") from error
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"--address {address}: no Ray cluster answers there: {reason}") from error
     try:
         yield ray
     finally:
@@ -168,10 +168,10 @@ def _connected(address: str | None, jobs: int | None) -> Iterator[Any]:
 
 
 def _probe_address(address: str) -> None:
-    """Tell at once where nobody listens: Ray itself would try for minutes.
+    """Connect once to the address: Ray itself would try for minutes.
 
     Raises:
-        ConfigError: nobody does.
+        ConfigError: nothing answers there.
     """
     host, _, port = address.rpartition("://")[2].rpartition(":")
     if not port.isdigit():

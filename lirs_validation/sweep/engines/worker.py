@@ -65,7 +65,7 @@ class Worker:
         return self._process.pid
 
     def begin(self, job: Job) -> None:
-        """Give it a job; it is told of the time left from when it says that it began."""
+        """Give it a job; its time counts from when it says that it began."""
         self.job, self._since = job, float("inf")
         with contextlib.suppress(OSError):  # it has died: the pipe will say so
             self.pipe.send(job)
@@ -88,7 +88,7 @@ class Worker:
         return self._trace.read_text(encoding="utf-8", errors="replace")
 
     def cause_of_death(self) -> str:
-        """Return in words how the process ended."""
+        """Return how the process ended."""
         self._process.join(GRACE)
         code = self._process.exitcode
         if code is None or code >= 0:

@@ -17,11 +17,11 @@ from lirs_envs.model import RobotModel
 from lirs_envs.robots.catalog import ROBOTS, make_robot
 from lirs_validation.cli.app import app
 from lirs_validation.collision.contact_log import ContactRecorder
-from lirs_validation.collision.figures import energy_gain, penetrations, stuck_seconds
+from lirs_validation.collision.contact_solid import ContactSolid
 from lirs_validation.collision.files import write_verdicts
+from lirs_validation.collision.metrics import energy_gain, penetrations, stuck_seconds
 from lirs_validation.collision.random_drive import PERIOD, Leg, places
 from lirs_validation.collision.slope_test import climb
-from lirs_validation.collision.touched import Touched
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions
 from lirs_validation.report.tables.collision_table import verdicts_table
 from lirs_wct.contact.contact_geometry import ContactGeometry
@@ -128,10 +128,10 @@ def test_a_soft_ground_is_found_out(blocks: World, monkeypatch: pytest.MonkeyPat
 
 
 def test_a_robot_under_the_ground_is_found_out(blocks: World) -> None:
-    touched = Touched(blocks, body_in(blocks, "husky"), "hfield")
+    solid = ContactSolid(blocks, body_in(blocks, "husky"), "hfield")
     ground = float(blocks.surface.height_at(0.3, 0.2))
     points = np.array([(0.3, 0.2, ground + 0.01), (0.3, 0.2, ground - 0.02), (30.0, 0.0, -5.0)])
-    assert touched.holds(points).tolist() == [False, True, False]
+    assert solid.holds(points).tolist() == [False, True, False]
 
 
 def test_inside_of_walls_holes_and_floors() -> None:
@@ -140,12 +140,12 @@ def test_inside_of_walls_holes_and_floors() -> None:
     walls = WallGrid(solid, 0.1, Pose2(1.0, 2.0, 0.5), 1.5, hole)
     floor = HeightField(np.zeros((2, 2), np.float32), (8.0, 8.0), (-4.0, -1.0))
     world = World("walled", LaserMap(floor, walls))
-    touched = Touched(world, body_in(world, "turtlebot2"), "hfield")
+    solid = ContactSolid(world, body_in(world, "turtlebot2"), "hfield")
     middle = walls.origin.apply(np.array([(2.0, 2.05), (2.0, 1.0), (2.0, 0.55), (9.0, 9.0)]))
     for z, expected in ((0.5, [True, False, False, False]), (-0.1, [True, True, False, False])):
         points = np.column_stack((middle, np.full(4, z)))
-        assert touched.holds(points).tolist() == expected
-    assert not touched.holds(np.array([(*middle[0], 1.6)])).any()
+        assert solid.holds(points).tolist() == expected
+    assert not solid.holds(np.array([(*middle[0], 1.6)])).any()
 
 
 def test_energy_of_a_fall_is_kept_and_a_push_is_found_out() -> None:

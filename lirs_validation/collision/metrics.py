@@ -1,4 +1,4 @@
-"""From the steps of a drive to figures: penetration, impacts, energy, forces, standing still."""
+"""Metrics of a random drive: penetration, impacts, energy, forces, standing still."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from lirs_envs.model import TIPPED
 from lirs_validation.collision.contact_log import DEEP, ContactLog, DeepContact
+from lirs_validation.collision.contact_solid import ContactSolid
 from lirs_validation.collision.random_drive import Leg
-from lirs_validation.collision.touched import Touched
 
 IMPACT = 0.010
 """Metres of penetration that an impact may reach for each metre a second."""
@@ -23,7 +23,7 @@ WINDOW = 1.0
 RETURNED = math.exp(-4)
 """Share of an impact's energy that a critically damped contact gives back."""
 STANDS = 0.1
-"""Below this share of the commanded way a robot counts as stuck."""
+"""Below this share of the commanded distance a robot counts as stuck."""
 
 
 @dataclass(frozen=True)
@@ -81,24 +81,24 @@ def _gain(log: ContactLog, weight: float) -> Bounded:
     return Bounded(float(gain[k]), float(limit[k]))
 
 
-def inside_steps(legs: Sequence[Leg], touched: Touched) -> int:
+def inside_steps(legs: Sequence[Leg], solid: ContactSolid) -> int:
     """Return the number of steps in which a body's centre was inside ground or wall."""
     return sum(
-        int(touched.holds(leg.log.bodies.reshape(-1, 3)).reshape(len(leg.log.depth), -1).any(axis=1).sum())
+        int(solid.holds(leg.log.bodies.reshape(-1, 3)).reshape(len(leg.log.depth), -1).any(axis=1).sum())
         for leg in legs
     )
 
 
 def stuck_seconds(legs: Sequence[Leg]) -> float:
-    """Return the time that the robot stood upright, was told to drive, and came nowhere."""
+    """Return the time that the robot stood upright, was commanded to drive, and came nowhere."""
     total = 0
     for leg in legs:
         log, span = leg.log, round(WINDOW / leg.log.timestep)
         for k in range(0, len(log.depth) - span, span):
-            told = abs(sum(leg.commanded[k : k + span])) * log.timestep
+            commanded = abs(sum(leg.commanded[k : k + span])) * log.timestep
             moved = float(np.linalg.norm(log.position[k + span] - log.position[k]))
             upright = bool((log.upright[k : k + span] >= TIPPED).all())
-            total += told > 0 and upright and moved < STANDS * told
+            total += commanded > 0 and upright and moved < STANDS * commanded
     return total * WINDOW
 
 
@@ -111,7 +111,7 @@ def forces(legs: Sequence[Leg]) -> tuple[float, float]:
 
 
 def driven(legs: Sequence[Leg]) -> float:
-    """Return the way of base_link, metres."""
+    """Return the distance that base_link travelled, metres."""
     return sum(float(np.linalg.norm(np.diff(leg.log.position, axis=0), axis=1).sum()) for leg in legs)
 
 

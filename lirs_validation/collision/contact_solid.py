@@ -15,8 +15,8 @@ from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
 
 
-class Touched:
-    """What MuJoCo touches in a world, as a solid of its own: told without MuJoCo's collision detection."""
+class ContactSolid:
+    """What MuJoCo touches in a world as a solid, independent of MuJoCo's collision detection."""
 
     def __init__(self, world: World, body: RobotModel, terrain: ContactGeometry) -> None:
         self._walls = world.walls
