@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import TYPE_CHECKING
 
 from lirs_wct.errors import unknown_name
+from lirs_wct.option import option
 from lirs_wct.sources.kinds import SourceKind
-from lirs_wct.sources.option import option
 from lirs_wct.sources.options import MAP_PANEL, BuildOptions
 from lirs_wct.validation import require_above, require_at_least, require_within
 

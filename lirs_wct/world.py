@@ -17,7 +17,8 @@ from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
-from lirs_wct.meshing.export_settings import ExportSettings, checked_texture
+from lirs_wct.meshing.export_settings import ExportSettings
+from lirs_wct.meshing.ground_texture import checked_texture
 from lirs_wct.navigation.spawn_poses import spawn_poses
 from lirs_wct.navigation.traversability import traversable
 from lirs_wct.sources.kinds import SourceKind

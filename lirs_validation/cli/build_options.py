@@ -12,7 +12,7 @@ import typer
 from lirs_validation.cli.mapping import with_logs_mapped
 from lirs_validation.config import SourceOptions
 from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
-from lirs_wct.sources.option import Option, Options, declared
+from lirs_wct.option import Option, Options, declared
 from lirs_wct.sources.option_text import chosen
 
 Given = TypeVar("Given", bound=Options)

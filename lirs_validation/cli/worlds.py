@@ -12,7 +12,7 @@ from lirs_validation.cli.build_options import gazebo_terrain, typer_option, with
 from lirs_validation.cli.console import err, out
 from lirs_validation.cli.progress import progress_bar
 from lirs_validation.config import SourceOptions
-from lirs_wct.sources.options import MeshOptions
+from lirs_wct.meshing.export_settings import ExportSettings
 
 if TYPE_CHECKING:
     from lirs_wct.world import World
@@ -96,7 +96,7 @@ def info(
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Mesh: stl, dae, obj, ply, glb.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="Mesh in another of these formats.")],
-    rotate_x: Annotated[float, typer_option(MeshOptions, "rotate_x")] = 0.0,
+    rotate_x: Annotated[float, typer_option(ExportSettings, "rotate_x")] = 0.0,
 ) -> None:
     """Convert a mesh between stl, dae, obj, ply and glb; up stays up."""
     from lirs_wct.export.mesh_file import write_mesh

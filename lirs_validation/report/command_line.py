@@ -8,7 +8,7 @@ from typing import Any
 
 from lirs_validation.config import RunConfig
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.sources.option import declared
+from lirs_wct.option import declared
 from lirs_wct.sources.options import BuildOptions
 
 

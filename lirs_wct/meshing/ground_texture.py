@@ -1,19 +1,39 @@
-"""The texture that a world wears unless the user brings one: its own heights and slopes in earth colours."""
+"""The texture that a world wears: the user's, or its own heights and slopes in earth colours."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
+from lirs_wct.errors import SourceError
+from lirs_wct.formats.images.picture import read_picture
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
 
+TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
+"""What Gazebo and MuJoCo viewers alike can show."""
 PIXELS = 1024
 EARTH = np.array(((92, 110, 70), (146, 138, 96), (178, 158, 122), (222, 214, 200)), np.float64)
 """Meadow, dry grass, rock, scree: red, green, blue from the lowest to the highest ground."""
 FLOOR, WALL = np.array((205, 203, 196), np.float64), np.array((120, 116, 112), np.float64)
 SUN = np.array((-0.5, 0.5, 0.7071))
 """Unit vector towards the light: north-west, 45 deg up."""
+
+
+def checked_texture(path: Path | None, max_pixels: int) -> Path | None:
+    """Return the path of a texture that can be used.
+
+    Raises:
+        SourceError: it is missing, damaged, or neither PNG nor JPEG.
+    """
+    if path is None:
+        return None
+    if path.suffix.lower() not in TEXTURE_SUFFIXES:
+        raise SourceError(f"{path}: a texture must be a PNG or JPEG picture ({', '.join(TEXTURE_SUFFIXES)})")
+    read_picture(path, max_pixels, alpha=True)
+    return path
 
 
 def ground_texture(surface: HeightField, walls: WallGrid | None = None) -> ByteArray:

@@ -7,7 +7,7 @@ from typing import Any
 
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.sources.option import Reader
+from lirs_wct.option import Reader
 
 
 def numbers(form: str, *counts: int) -> Reader:

@@ -5,16 +5,15 @@ Each field declares its help, its command-line spelling and what is legal (see `
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.images.header import MAX_PIXELS
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.meshing.export_settings import ExportSettings
+from lirs_wct.option import Options, Switch, declared, documented, one_of, option, positive
 from lirs_wct.sources.kinds import SourceKind
-from lirs_wct.sources.option import Options, Switch, declared, one_of, option, positive
 from lirs_wct.sources.option_text import (
     choice,
     name_of,
@@ -37,7 +36,7 @@ MAX_SIDE = 32_000
 """Pixels along a side to which a picture may be resized."""
 
 TERRAIN_PANEL, FILTER_PANEL = "Terrain pictures", "Picture filters"
-MAP_PANEL, MESH_PANEL = "Laser maps", "Mesh files"
+MAP_PANEL = "Laser maps"
 _PICTURES = {SourceKind.BUNDLED, SourceKind.PICTURE}
 _MESHES = {*_PICTURES, SourceKind.MESH}
 _MAPS = {SourceKind.MAP, SourceKind.MAP_PICTURE}
@@ -45,7 +44,6 @@ _SCALE: dict[str, Any] = {"panel": TERRAIN_PANEL, "kinds": _MESHES}
 _GRAY: dict[str, Any] = {"panel": TERRAIN_PANEL, "kinds": _PICTURES}
 _FILTER: dict[str, Any] = {"panel": FILTER_PANEL, "kinds": _PICTURES}
 _MAP: dict[str, Any] = {"panel": MAP_PANEL, "kinds": _MAPS}
-_MESH: dict[str, Any] = {"panel": MESH_PANEL}
 
 
 def _window(value: tuple[float, float, float], _: str) -> None:
@@ -65,11 +63,6 @@ def _resize(value: tuple[int, int], _: str) -> None:
 def _min_cells(value: int, _: str) -> None:
     if value < 0:
         raise ConfigError(f"speckle must be 0 or more cells, got {value}")
-
-
-def _finite_turn(value: float, _: str) -> None:
-    if not math.isfinite(value):
-        raise ConfigError(f"x rotation must be finite, got {value} degrees")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,55 +195,9 @@ class MapOptions(Options):
     speckle: int = option(0, "Drop walls of fewer connected cells.", metavar="N", check=_min_cells, **_MAP)
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
-class MeshOptions(Options):
-    """Options of the mesh files that are written of any source."""
-
-    max_error: float | None = option(
-        None,
-        "Fewest triangles that stay this near the ground, vertically, at every pixel.",
-        metavar="METRES",
-        check=positive,
-        **_MESH,
-    )
-    max_triangles: int | None = option(
-        None,
-        "The best mesh of so many triangles, instead of --max-error.",
-        metavar="N",
-        check=positive,
-        **_MESH,
-    )
-    rotate_x: float = option(
-        0.0,
-        "Turn the mesh files about the x axis. 0 is upright in every consumer. The paper's tool writes "
-        "its Z-up STL into a Y-up Collada, which stands on its edge until it is turned by its default of "
-        "-90; what it shows then is what 0 shows here.",
-        metavar="DEG",
-        check=_finite_turn,
-        **_MESH,
-    )
-    texture: Path | None = option(
-        None,
-        "PNG or JPEG that the mesh wears, projected from the sides of a cube; default: drawn.",
-        metavar="FILE",
-        **_MESH,
-    )
-    texture_size: float | None = option(
-        None,
-        "What the texture spans before it repeats; default: the longest side, once.",
-        metavar="METRES",
-        check=positive,
-        **_MESH,
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.max_error is not None and self.max_triangles is not None:
-            raise ConfigError("both limit the mesh: give one of --max-error, --max-triangles")
-
-
-@dataclass(frozen=True, kw_only=True)
-class BuildOptions(MeshOptions, MapOptions, PictureOptions, CommonOptions):
+class BuildOptions(ExportSettings, MapOptions, PictureOptions, CommonOptions):
     """How a source becomes a world; None means "as the source says, else the default".
 
     Lengths are metres in the world's frame, angles of poses radians, a crop is column, row, width and height.

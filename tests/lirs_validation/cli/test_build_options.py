@@ -15,8 +15,8 @@ from lirs_validation.config import RunConfig, SourceOptions
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.report.command_line import command_of
 from lirs_wct.errors import ConfigError, LogSourceError
+from lirs_wct.option import Switch, option, positive
 from lirs_wct.sources.kinds import SourceKind
-from lirs_wct.sources.option import Switch, option, positive
 from lirs_wct.sources.option_text import numbers
 from lirs_wct.sources.options import BuildOptions, without_effect
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from enum import Enum
+from typing import Any, TypeVar
 
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.sources.kinds import SourceKind
 
 _KEY = "option"
 
@@ -60,7 +60,7 @@ class Option:
     check: Check | None = None
     read: Reader | None = None
     switch: Switch | None = None
-    kinds: Collection[SourceKind] | None = None
+    kinds: Collection[Enum] | None = None
 
 
 def option(default: Any, help: str, **given: Any) -> Any:
@@ -89,6 +89,16 @@ class Options:
             value = getattr(self, name)
             if value is not None and found.check is not None:
                 found.check(value, found.label or name.replace("_", " "))
+
+
+Declared = TypeVar("Declared", bound=type[Options])
+
+
+def documented(options: Declared) -> Declared:
+    """Return a class of options with the help of each in its docstring."""
+    lines = (f"    {name}: {found.help}" for name, found in declared(options))
+    options.__doc__ = "\n".join((options.__doc__ or "", "Attributes:", *lines))
+    return options
 
 
 def positive(value: float | Iterable[float], label: str) -> None:
