@@ -1,1 +1,1 @@
-"""Simultaneous localisation and mapping: one file per method, the parts that they share beside them."""
+"""Simultaneous localization and mapping: one folder per method, the parts that they share beside them."""

@@ -133,9 +133,9 @@ class ConstraintConfig:
         linear_search_window: largest shift in x and in y, metres.
         angular_search_window: largest turn, radians.
         linear_start: shift at distance 0 from the last constraint, metres.
-        linear_drift: growth of the shift per metre travelled since the last constraint.
+        linear_drift: growth of the shift per metre traveled since the last constraint.
         angular_start: turn at distance 0 from the last constraint, radians.
-        angular_drift: growth of the turn per metre travelled since the last constraint, radians.
+        angular_drift: growth of the turn per metre traveled since the last constraint, radians.
         max_refined_window: window up to which refinement alone finds the pose, metres.
         ambiguity_ratio: share of the best score from which on a second pose makes the best one ambiguous.
         min_separation: distance from the best pose at which a second one counts, metres.
@@ -184,8 +184,8 @@ class LoopVerificationConfig:
     Attributes:
         max_translation: correction of a node above which a loop needs a second one, metres.
         max_rotation: correction of a node's yaw above which a loop needs a second one, radians.
-        max_separation: largest distance travelled between the two nodes, metres.
-        min_separation: smallest distance travelled between the two nodes, so that the second sees something
+        max_separation: largest distance traveled between the two nodes, metres.
+        min_separation: smallest distance traveled between the two nodes, so that the second sees something
             else, metres.
         linear_tolerance: largest difference between the two corrections, metres.
         angular_tolerance: largest difference between the two corrections, radians.

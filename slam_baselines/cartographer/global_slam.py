@@ -156,7 +156,7 @@ class GlobalSlam:
         walls = self._local.walls(node.scan, node.pose, node.height, node.min_slopes) > 0
         expected = submap.pose @ self.submap_poses[submap_index].inverse() @ self.poses[index]
         match = self.builder.compute_constraint(
-            submap, node.scan.hits[walls], expected, self._travelled_between(node, submap_index)
+            submap, node.scan.hits[walls], expected, self._traveled_between(node, submap_index)
         )
         self.candidates.record_result(index, submap_index, found=match is not None)
         if match is None:
@@ -174,8 +174,8 @@ class GlobalSlam:
             self.loops.append(accepted)
             self.events.append(self._loop_event(accepted))
 
-    def _travelled_between(self, node: Node, submap: int) -> float:
-        """Return the distance travelled between a node and the nearest one with a constraint to a submap."""
+    def _traveled_between(self, node: Node, submap: int) -> float:
+        """Return the distance traveled between a node and the nearest one with a constraint to a submap."""
         members = self._local.submaps.all[submap].nodes
         known = self._constrained_at.setdefault(submap, [self.nodes[i].distance_traveled for i in members])
         return min(abs(node.distance_traveled - distance_traveled) for distance_traveled in known)

@@ -1,6 +1,6 @@
 """Local SLAM: each scan is matched to the matching submap; drift is left to the pose graph.
 
-Hess et al. 2016, section IV. The local frame is continuous: what is added to it never moves again.
+Hess et al. 2016, section IV. The local frame is continuous: nothing that was added to it moves again.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class LocalSlam:
         registration: of scans in the matching submap.
         estimate: `T_local_base`.
         received: scans so far.
-        matched: of these, fitted into a submap.
+        matched: of these, registered in a submap.
         lost_scans: scans during which the mapper was lost.
         implausible: matches that no motion of the robot explains.
     """
@@ -59,7 +59,7 @@ class LocalSlam:
 
     @property
     def lost(self) -> bool:
-        """Whether so many scans in a row fit nowhere that the pose is not to be believed."""
+        """Whether so many scans in a row contradict the map that the pose is not to be trusted."""
         return self._tracking.lost
 
     def add_range_data(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Node | None:
@@ -77,7 +77,7 @@ class LocalSlam:
         return self._insert_into_submaps(level) if due else None
 
     def walls(self, scan: LeveledScan, pose: Pose2, height: float, known: ByteArray | None) -> FloatArray:
-        """Return (n,) 1 for hits on what is known by now to be a wall, 0 for those that may be ground.
+        """Return (n,) weights of hits by the ground known by now: 1 for walls, 0 for possible ground.
 
         Args:
             scan: leveled.
@@ -109,7 +109,7 @@ class LocalSlam:
     def _plausible(self, expected: PoseEstimate, pose: Pose2, seconds: float) -> bool:
         """Return whether the robot can be at `pose`, by odometry and what wheels may slip.
 
-        Asked on uneven ground only: a hill taken for a wall pulls a scan away at once, and no wheel does.
+        Checked on uneven ground only: a hill taken for a wall pulls a scan away at once, and no wheel does.
         """
         c, sd = self.config, np.sqrt(np.diag(expected.covariance))
         slip, turn = pose.distance(expected.pose), abs(wrap_angle(pose.yaw - expected.pose.yaw))

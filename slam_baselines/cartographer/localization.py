@@ -43,7 +43,7 @@ COARSE = 0.1
 
 @dataclass(frozen=True)
 class KnownMap:
-    """Known map, laid out for matching and for the search over all of it.
+    """Known map, prepared for matching and for the search over all of it.
 
     Attributes:
         grid: as it was given; never changed.

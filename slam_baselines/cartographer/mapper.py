@@ -1,7 +1,7 @@
 """Cartographer: local SLAM on submaps, loops by branch and bound, a sparse pose graph.
 
 Hess, Kohler, Rapp, Andor 2016, "Real-time loop closure in 2D LIDAR SLAM", written from the paper.
-Beyond it: the odometry is a prior of the matching, and ground is told from walls.
+Beyond it: the odometry is a prior of the registration, and a ground filter separates ground from walls.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from slam_baselines.mapper import Mapper, MapperStats, required_odometry
 
 
 def make_cartographer(config: CartographerConfig) -> Mapper:
-    """Return a mapper, or where a map is given, what finds the robot in it.
+    """Return a mapper; where a map is given, a localizer in it.
 
     Raises:
         SourceError: the map's file cannot be used.
@@ -37,7 +37,7 @@ def make_cartographer(config: CartographerConfig) -> Mapper:
 
 
 class CartographerMapper:
-    """Submaps that are matched against, and a graph that puts them right when a loop closes."""
+    """Local SLAM on submaps, and a pose graph that corrects their drift when a loop closes."""
 
     requires_odometry = True
 
@@ -89,7 +89,7 @@ class CartographerMapper:
             self._graph.add_node(node)
 
     def map(self) -> OccupancyGrid:
-        """Return the map, drawn from all nodes where they are believed to be now."""
+        """Return the map, drawn from all nodes at their optimized poses."""
         poses, _ = self._graph.optimized_poses()
         return self._map.render(self._graph.nodes, poses)
 
@@ -100,12 +100,12 @@ class CartographerMapper:
 
     @property
     def loops(self) -> list[LoopEvent]:
-        """The loops closed so far, in the order in which they were believed."""
+        """The loops closed so far, in the order in which they were accepted."""
         return list(self._graph.events)
 
     @property
     def lost(self) -> bool:
-        """Whether so many scans in a row fit nowhere that the pose is not to be believed."""
+        """Whether so many scans in a row contradict the map that the pose is not to be trusted."""
         return self._local.lost
 
     @property

@@ -1,6 +1,6 @@
 """Redundant submaps: those of places that have been seen often enough since.
 
-A robot that drives the same way again and again sees nothing new; without trimming its memory would grow
+A robot that drives the same path again and again sees nothing new; without trimming its memory would grow
 with time and not with the area. After Cartographer's trimmer of overlapping submaps: of each place, the
 freshest submaps are kept.
 """

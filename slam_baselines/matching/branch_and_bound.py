@@ -38,7 +38,7 @@ class BoundGrids:
 
     @staticmethod
     def of(grid: GrowingGrid, depth: int) -> BoundGrids:
-        """Precompute the bounds of a grid's layer `value`, of which only what is not 0 matters."""
+        """Precompute the bounds of a grid's layer `value`, whose zeros do not matter."""
         value = grid.layers["value"]
         rows, cols = (np.flatnonzero(value.any(axis=axis)) for axis in (1, 0))
         if len(rows) == 0:

@@ -177,12 +177,12 @@ def _iterate(
     """
     g, A, b = np.empty(3), np.empty((3, 3)), np.empty(3)
     score = known = 0.0
-    settled = False
+    converged_step = False
     converged = settings.converged
     for level in range(min(levels, len(settings.iterations)) - 1, -1, -1):
         value, frame = pyramid.values[level], pyramid.frames[level]
         cell = frame[2]
-        stride = 2**level  # a coarse level needs fewer beams to show the way
+        stride = 2**level  # a coarse level needs fewer beams
         for _ in range(settings.iterations[level]):
             score, known = linearize(value, frame, points, weights, stride, pose, H, g)
             for i in range(3):
@@ -193,10 +193,10 @@ def _iterate(
             step = solve3(A, b)
             length = np.hypot(step[0], step[1])
             pose += step * (4 * cell / max(4 * cell, length, abs(step[2]) * 20 * cell))
-            settled = length < converged * cell and abs(step[2]) < converged * 0.1
-            if settled:
+            converged_step = length < converged * cell and abs(step[2]) < converged * 0.1
+            if converged_step:
                 break
-    if settings.exact or not settled:
+    if settings.exact or not converged_step:
         score, known = linearize(pyramid.values[0], pyramid.frames[0], points, weights, 1, pose, H, g)
     return score, known
 

@@ -62,5 +62,5 @@ class TrackingMonitor:
 
     @property
     def lost(self) -> bool:
-        """Whether so many scans in a row contradict the map that the pose is not to be believed."""
+        """Whether so many scans in a row contradict the map that the pose is not to be trusted."""
         return self._in_a_row >= self._config.lost_after

@@ -27,7 +27,7 @@ def random_grid(rng, share):
     return grid
 
 
-def exhaustive(grid, points, start, linear, angular, left_out=None, apart=0.0):
+def exhaustive(grid, points, start, linear, angular, center=None, radius=0.0):
     """The best score of all poses in the window, as plain loops have it."""
     value, res = grid.layers["value"].astype(int), grid.resolution
     step = angular_step(points, res)
@@ -40,7 +40,7 @@ def exhaustive(grid, points, start, linear, angular, left_out=None, apart=0.0):
         for dr in range(-reach, reach + 1):
             for dc in range(-reach, reach + 1):
                 place = start[:2] + np.array((dc, dr)) * res
-                if left_out is not None and np.hypot(*(place - left_out)) < apart - 1e-9:
+                if center is not None and np.hypot(*(place - center)) < radius - 1e-9:
                     continue
                 r, q = row + dr, col + dc
                 inside = (r >= 0) & (q >= 0) & (r < value.shape[0]) & (q < value.shape[1])

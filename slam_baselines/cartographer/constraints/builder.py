@@ -90,7 +90,7 @@ class ConstraintBuilder:
     def compute_constraint(
         self, submap: Submap, points: FloatArray, start: Pose2, distance_traveled: float
     ) -> SubmapMatch | None:
-        """Match a scan to a submap; the search window grows with the distance travelled.
+        """Match a scan to a submap; the search window grows with the distance traveled.
 
         Args:
             submap: finished.

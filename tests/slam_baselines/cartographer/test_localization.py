@@ -105,7 +105,7 @@ def test_scans_before_the_place_is_found_are_led_back_from_it() -> None:
     assert off(mapper, truth)[20:].max() < 0.06
 
 
-def test_a_room_that_looks_the_same_both_ways_is_not_believed() -> None:
+def test_a_room_that_looks_the_same_both_ways_is_ambiguous() -> None:
     p = np.zeros((120, 200))
     p[[0, -1]] = p[:, [0, -1]] = 1.0
     grid = OccupancyGrid.from_probability(p, 0.05)
@@ -143,7 +143,7 @@ def test_a_real_map(shared_data: Path, name: str) -> None:
             answer = mapper.update(scan_in(grid, pose, 0.2 * i, rng), pose, None)
         if not mapper.lost:
             found += 1
-            # Never a wrong place: what is believed is right.
+            # Never a wrong place: what is accepted is right.
             assert answer.distance(truth[-1]) < 1.5 * grid.resolution
             assert abs(wrap_angle(answer.yaw - truth[-1].yaw)) < 0.03
     assert found >= len(starts) - 2

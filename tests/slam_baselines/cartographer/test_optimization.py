@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import ConfigError
+from slam_baselines.cartographer.config import OptimizationConfig
 from slam_baselines.cartographer.optimization import (
-    OptimizationConfig,
     OptimizationProblem,
     PoseConstraint,
     PoseConstraints,
@@ -53,7 +53,7 @@ def constraints_of(nodes, local, per_submap, rng, outliers=0.0):
 
 
 def drifted(nodes, rng):
-    """The same way with a turn that is wrong by a little at each step."""
+    """The same path with a turn that is wrong by a little at each step."""
     wrong = rng.normal((0, 0, 0.003), (0.002, 0.002, 0.002), (len(nodes) - 1, 3))
     steps = relative_poses(nodes[:-1], nodes[1:]) + wrong
     poses = [nodes[0]]

@@ -9,10 +9,16 @@ import pytest
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
-from slam_baselines.cartographer.config import GlobalConfig, LocalConfig
-from slam_baselines.cartographer.mapper import CartographerConfig, CartographerMapper
-from slam_baselines.cartographer.submap import Submap, SubmapConfig
-from slam_baselines.cartographer.trimmer import Trimmer, TrimmingConfig
+from slam_baselines.cartographer.config import (
+    CartographerConfig,
+    GlobalConfig,
+    LocalConfig,
+    SubmapConfig,
+    TrimmingConfig,
+)
+from slam_baselines.cartographer.mapper import CartographerMapper
+from slam_baselines.cartographer.submap import Submap
+from slam_baselines.cartographer.trimmer import Trimmer
 from slam_baselines.scan.leveling import ScanPoints
 from tests.slam_baselines.synthetic import loop, room_scan
 
