@@ -163,13 +163,14 @@ def _axes_experiments(
     build: SourceOptions,
 ) -> tuple[Experiment, ...]:
     """Return the experiments at the crossings of the axes that were given (see `read_experiments`)."""
-    from lirs_envs.lidar.casters import ALIASES, RAYS
+    from lirs_envs.lidar.casters import ALIASES, RAYS, resolve_rays
     from lirs_validation.sweep.axes import Axes, Representation
 
     terrains = [mujoco_terrain(name) for name in _names(given, "terrain", "hfield")]
-    rays = _names(given, "rays", "builtin")
-    if not set(rays) <= {*RAYS, *ALIASES}:
+    names = _names(given, "rays", "builtin")
+    if not set(names) <= {*RAYS, *ALIASES}:
         raise ConfigError(f"--rays must be {' or '.join(RAYS)}, got {given['rays']!r}")
+    rays = dict.fromkeys(map(resolve_rays, names))
     return Axes(
         sources=tuple(sources),
         robots=_names(given, "robot", "husky"),

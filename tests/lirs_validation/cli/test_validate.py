@@ -9,6 +9,8 @@ import pytest
 
 from lirs_validation import cli, read_record
 from lirs_validation.cli import console
+from lirs_validation.cli.sweep_options import read_experiments
+from lirs_validation.config import SourceOptions
 from lirs_validation.record.run_record import RunRecord
 from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.slam_experiment import SlamExperiment
@@ -105,3 +107,13 @@ def test_a_failed_cell_is_told_in_table_and_exit_code_and_the_rest_stand(wct: An
     code, _, notes = wct("validate", "simple", "--seeds", "1-2")
     assert code == 0
     assert "kept 2 of 2 from before" in notes
+
+
+def test_builtin_rays_by_either_name_are_one_experiment() -> None:
+    def chosen(rays: str) -> tuple[Any, ...]:
+        axes = {"robot": None, "mapper": None, "lidar": None, "terrain": None, "rays": rays}
+        return read_experiments(["simple"], None, axes, None, None, None, SourceOptions())
+
+    (experiment,) = chosen("ours,builtin")
+    assert experiment.config.rays == "ours", "as records hold it"
+    assert chosen("builtin,mujoco") == chosen("ours,mujoco")
