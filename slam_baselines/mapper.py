@@ -1,4 +1,4 @@
-"""What every SLAM method offers, and how to make one by its name."""
+"""Protocols of mappers and localizers, and how to make one by its name."""
 
 from __future__ import annotations
 
@@ -68,9 +68,10 @@ class MapperStats:
 
 
 class PoseEstimator(Protocol):
-    """What follows a robot, one scan after the other; attitude and odometry help where they are given.
+    """Estimator of a robot's pose, one scan after the other.
 
-    It may have `requires_odometry`: whether it refuses scans without odometry; without it, it does not.
+    Attitude and odometry help where they are given. An optional attribute `requires_odometry` says that scans
+    without odometry are refused.
     """
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
