@@ -128,7 +128,9 @@ def penalize_behind(weight: FloatArray, cell: IntArray, heading: float, radius: 
 
 
 @njit(cache=True)
-def _dijkstra(weight, sources, resolution, goals, slack, limit):  # type: ignore[no-untyped-def]
+def _dijkstra(
+    weight: FloatArray, sources: IntArray, resolution: float, goals: BoolArray, slack: float, limit: float
+) -> tuple[FloatArray, IntArray]:
     rows, cols = weight.shape
     cost = np.full((rows, cols), np.inf)
     parent = np.full((rows, cols), -1, np.int64)

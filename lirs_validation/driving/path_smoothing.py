@@ -21,11 +21,11 @@ def smoothed(
     *,
     keep: float,
     hold: int = 0,
-    sweeps: int = 250,
+    iterations: int = 250,
 ) -> FloatArray:
     """Pull a path tight like a rubber band that keeps its distance from what is blocked.
 
-    Each sweep moves each point towards the middle of its neighbours (Laplacian smoothing) unless the
+    Each iteration moves each point towards the middle of its neighbours (Laplacian smoothing) unless the
     new place has less room than before and less than `keep`.
 
     Args:
@@ -34,14 +34,14 @@ def smoothed(
         room: (rows, cols) metres to the nearest blocked cell, 0 where blocked.
         keep: room in metres beyond which a point may move freely.
         hold: points at the beginning that stay where they are.
-        sweeps: how long to pull.
+        iterations: how long to pull.
     """
     held = float(arc_length(points)[min(hold, len(points) - 1)])
     path = resampled(points, SPACING)
     if len(path) < 3:
         return path
     local = grid.origin.inverse().apply(path) / grid.resolution
-    tight = _pull(np.ascontiguousarray(local), room, keep, 1 + round(held / SPACING), sweeps)
+    tight = _pull(np.ascontiguousarray(local), room, keep, 1 + round(held / SPACING), iterations)
     return resampled(grid.origin.apply(tight * grid.resolution), SPACING)
 
 
@@ -75,11 +75,11 @@ def curvature(points: FloatArray, baseline: int = 3) -> FloatArray:
 
 
 @njit(cache=True)
-def _pull(points, room, keep, first, sweeps):  # type: ignore[no-untyped-def]
+def _pull(points: FloatArray, room: FloatArray, keep: float, first: int, iterations: int) -> FloatArray:
     """Smooth points given in cells (column, row) from the first one on; the last stays."""
     rows, cols = room.shape
     p = points.copy()
-    for _ in range(sweeps):
+    for _ in range(iterations):
         for k in range(first, len(p) - 1):
             x = p[k, 0] + 0.5 * (0.5 * (p[k - 1, 0] + p[k + 1, 0]) - p[k, 0])
             y = p[k, 1] + 0.5 * (0.5 * (p[k - 1, 1] + p[k + 1, 1]) - p[k, 1])

@@ -105,10 +105,9 @@ def drive(
     spent = 0.0
     for tick in range(max(1, math.ceil(seconds / period - 1e-9))):
         begun = time.perf_counter()
+        command = driver.command(simulation.T_world_base.to_pose2(), tick * period)
         try:
-            observation = simulation.advance(
-                driver.command(simulation.T_world_base.to_pose2(), tick * period)
-            )
+            observation = simulation.advance(command)
         except SimulationError as error:
             return _ended(log, "diverged", str(error))
         _map(log, observation, simulation, mapper, begun)

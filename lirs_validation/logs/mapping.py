@@ -88,7 +88,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
         warm_up_log_mapper(config)
     seconds["compile_seconds"] = compile_seconds()
     with _timed(seconds, "map_seconds"):
-        drive(config, mapper, log, progress)
+        replay(config, mapper, log, progress)
         grid, trajectory = final_map(mapper), final_trajectory(mapper)
     accuracy = trajectory_accuracy(trajectory, log.track, relations, reference)
     cost = {**seconds, "cpu_seconds": meter.cpu_seconds(), "peak_memory": meter.peak_memory()}
@@ -144,8 +144,8 @@ def folder_name(config: MapConfig) -> str:
     return f"{stem}-{config.mapper.rpartition(':')[2]}-s{config.seed}-{digest}"
 
 
-def drive(config: MapConfig, mapper: Mapper, log: CarmenLog, progress: Progress) -> None:
-    """Feed the whole log.
+def replay(config: MapConfig, mapper: Mapper, log: CarmenLog, progress: Progress) -> None:
+    """Replay the whole log into the mapper.
 
     Raises:
         SourceError: the mapper needs what the log does not hold.

@@ -150,6 +150,19 @@ def _connected(address: str | None, jobs: int | None) -> Iterator[Any]:
         return
     if address is not None:
         _probe_address(address)
+    _connect(ray, address, jobs)
+    try:
+        yield ray
+    finally:
+        ray.shutdown()
+
+
+def _connect(ray: Any, address: str | None, jobs: int | None) -> None:
+    """Connect to the cluster at an address, or start one.
+
+    Raises:
+        ConfigError: none answers there.
+    """
     own: dict[str, Any] = {"address": "local", "num_cpus": jobs or cores(), "include_dashboard": False}
     try:
         ray.init(
@@ -161,10 +174,6 @@ def _connected(address: str | None, jobs: int | None) -> Iterator[Any]:
     except (ConnectionError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise ConfigError(f"--address {address}: no Ray cluster answers there: {reason}") from error
-    try:
-        yield ray
-    finally:
-        ray.shutdown()
 
 
 def _probe_address(address: str) -> None:
