@@ -11,6 +11,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.validation import require_above, require_within
+from slam_baselines.mapping.bootstrap import BootstrapConfig
 from slam_baselines.mapping.ground_filter import GroundFilterConfig
 from slam_baselines.mapping.occupancy_map import UpdateConfig
 from slam_baselines.matching.gauss_newton import MatchConfig
@@ -336,8 +337,7 @@ class CartographerConfig:
         graph: loops and optimization.
         map_resolution: edge of a cell of the final map, metres.
         update: of the final map by a scan.
-        first_refinement: on uneven ground, submaps are drawn again after so many metres, and when they have
-            doubled, until the first one is finished.
+        bootstrap: when submaps are drawn again on uneven ground, until the first one is finished.
         max_range: range from which on hits are not used, metres.
         clear_range: range up to which a beam without return is free, metres.
         map: known map, a grid or the path of its YAML, in which the robot is only localized.
@@ -352,7 +352,7 @@ class CartographerConfig:
     graph: GlobalConfig = field(default_factory=GlobalConfig)
     map_resolution: float = 0.05
     update: UpdateConfig = field(default_factory=UpdateConfig)
-    first_refinement: float = 2.0
+    bootstrap: BootstrapConfig = field(default_factory=lambda: BootstrapConfig(first=2.0, last=math.inf))
     max_range: float = math.inf
     clear_range: float = 0.0
     map: OccupancyGrid | str | Path | None = None

@@ -86,7 +86,7 @@ class GlobalSlam:
             z = (submaps[i].pose.inverse() @ node.pose).as_array()
             in_submap = in_axes_of(submaps[i].pose, information)
             self._to_nodes.append(PoseConstraint(i, index, z, in_submap, robust=False))
-        self._since_submap = composed(self._since_submap, node.odometry)
+        self._since_submap = composed(self._since_submap, node.motion)
         if node.submaps and submaps[node.submaps[-1]].nodes[0] == index:
             self._add_odometry_constraint(node.submaps[-1])
         self._add_candidates(index, node)

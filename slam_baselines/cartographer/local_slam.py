@@ -17,6 +17,7 @@ from lirs_wct.geometry.scan import Imu, LaserScan
 from slam_baselines.cartographer.config import LocalConfig
 from slam_baselines.cartographer.node import NOWHERE, Node, composed
 from slam_baselines.cartographer.submap import Submaps
+from slam_baselines.mapping.bootstrap import register_backwards
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.matching.gauss_newton import Match
 from slam_baselines.matching.registration import Registration
@@ -136,7 +137,7 @@ class LocalSlam:
         self.nodes += 1
         self._filter.note(scan, pose)
         return Node(
-            scan, pose, self.estimate.covariance, height, min_slopes, entered, step,
+            scan, pose, height, min_slopes, step, self.estimate.covariance, entered,
             ground_filter.distance_traveled, ground_filter.tilt, self._distance_traveled,
         )  # fmt: skip
 
@@ -153,7 +154,8 @@ class LocalSlam:
         Returns:
             The same nodes with new poses.
         """
-        found = self._backwards(nodes)
+        self.submaps = Submaps(replace(self.config.submaps, num_range_data=len(nodes) + 1))
+        found = register_backwards(nodes, self._register)
         self.submaps = Submaps(self.config.submaps)
         again: list[Node] = []
         for node, estimate in zip(nodes, found, strict=True):
@@ -175,35 +177,20 @@ class LocalSlam:
         self._filter.moved(estimate.pose)
         return again
 
-    def _backwards(self, nodes: Sequence[Node]) -> list[PoseEstimate]:
-        """Match the nodes from the last to the first; return where they are, the first where it was."""
-        self.submaps = Submaps(replace(self.config.submaps, num_range_data=len(nodes) + 1))
-        found: list[PoseEstimate] = []
-        estimate = PoseEstimate(nodes[-1].pose, np.zeros((3, 3)))
-        for i in range(len(nodes) - 1, -1, -1):
-            node = nodes[i]
-            if found:
-                step = nodes[i + 1].odometry
-                estimate = self._refit(
-                    node, composed(estimate, PoseEstimate(step.pose.inverse(), step.covariance))
-                )
-            found.append(estimate)
-            placed, min_slopes = self._known_walls(node, estimate.pose)
-            self.submaps.insert_range_data(
-                i, estimate.pose, placed, min_slopes, self.ground_filter.match_wall_slope
+    def _register(self, node: Node, later: Node | None, last: PoseEstimate) -> PoseEstimate:
+        """Return where a node fits into the submaps so far, and draw it there."""
+        estimate, wall_slope = last, self.ground_filter.match_wall_slope
+        if later is not None:
+            back = PoseEstimate(later.motion.pose.inverse(), later.motion.covariance)
+            expected, submap = composed(last, back), self.submaps.matching_submap
+            weights = self.walls(node.scan, expected.pose, node.height, None)
+            submap.set_wall_slope(wall_slope)
+            estimate, _ = self.registration.register(
+                submap.pyramid, node.scan.hits, weights, expected, expected.pose
             )
-        found.reverse()
-        move = nodes[0].pose @ found[0].pose.inverse()
-        return [PoseEstimate(move @ e.pose, e.covariance) for e in found]
-
-    def _refit(self, node: Node, expected: PoseEstimate) -> PoseEstimate:
-        weights = self.walls(node.scan, expected.pose, node.height, None)
-        submap = self.submaps.matching_submap
-        submap.set_wall_slope(self.ground_filter.match_wall_slope)
-        fitted, _ = self.registration.register(
-            submap.pyramid, node.scan.hits, weights, expected, expected.pose
-        )
-        return fitted
+        placed, min_slopes = self._known_walls(node, estimate.pose)
+        self.submaps.insert_range_data(0, estimate.pose, placed, min_slopes, wall_slope)
+        return estimate
 
     def _known_walls(self, node: Node, pose: Pose2) -> tuple[ScanPoints, ByteArray]:
         """Return a node's scan in the local frame, and the minimum slopes of its hits as known by now."""

@@ -6,8 +6,6 @@ Beyond it: the odometry is a prior of the registration, and a ground filter sepa
 
 from __future__ import annotations
 
-import math
-
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
@@ -17,10 +15,12 @@ from slam_baselines.cartographer.constraints.loop_event import LoopEvent
 from slam_baselines.cartographer.global_slam import GlobalSlam
 from slam_baselines.cartographer.local_slam import LocalSlam
 from slam_baselines.cartographer.localization import CartographerLocalizer, KnownMap
+from slam_baselines.cartographer.node import Node
 from slam_baselines.cartographer.node_map import NodeMap
-from slam_baselines.cartographer.node_trajectory import NodeTrajectory
 from slam_baselines.common.stopwatch import Stopwatch
 from slam_baselines.mapper import Mapper, MapperStats, required_odometry
+from slam_baselines.mapping.bootstrap import Bootstrap
+from slam_baselines.mapping.keyframe_trajectory import KeyframeTrajectory
 
 
 def make_cartographer(config: CartographerConfig) -> Mapper:
@@ -46,9 +46,8 @@ class CartographerMapper:
         self._local = LocalSlam(c.local, c.clear_range, c.max_range)
         self._graph = GlobalSlam(c.graph, self._local)
         self._map = NodeMap(c.map_resolution, c.update, c.local.ground_filter)
-        self._scans = NodeTrajectory()
-        self._refine_at = c.first_refinement
-        self._refinements = 0
+        self._scans = KeyframeTrajectory()
+        self._bootstrap: Bootstrap[Node] = Bootstrap(c.bootstrap)
         self._stopwatch = Stopwatch()
 
     @property
@@ -67,25 +66,23 @@ class CartographerMapper:
         node = self._local.add_range_data(scan, odometry, imu)
         if node is not None:
             self._graph.add_node(node)
-            if self._refine_at <= node.distance_traveled:
+            if self._bootstrap.add(node, node.distance_traveled):
                 self._refine_start()
-        nodes = self._graph.nodes
-        self._scans.add(scan.stamp, self._local.estimate.pose, len(nodes), nodes[-1].pose if nodes else None)
+        nodes, pose = self._graph.nodes, self._local.estimate.pose
+        self._scans.add(scan.stamp, len(nodes) - 1, nodes[-1].pose.inverse() @ pose if nodes else pose)
         self._graph.run_work_share()
         self._stopwatch.stop(started)
         return self._graph.T_map_local @ self._local.estimate.pose
 
     def _refine_start(self) -> None:
         """Begin again with what is known by now about the ground, as long as no submap is finished."""
-        self._refine_at *= 2
         local = self._local
         if local.ground_filter.match_wall_slope == 0 or local.submaps.all[0].finished:
-            self._refine_at = math.inf
+            self._bootstrap.close()
             return
-        self._refinements += 1
-        nodes = local.refine(self._graph.nodes)
+        self._bootstrap.replace(local.refine(self._bootstrap.keyframes))
         self._graph = GlobalSlam(self.config.graph, local)
-        for node in nodes:
+        for node in self._bootstrap.keyframes:
             self._graph.add_node(node)
 
     def map(self) -> OccupancyGrid:
@@ -96,7 +93,8 @@ class CartographerMapper:
     def trajectory(self) -> Trajectory:
         """Return the pose of every scan, by stamp."""
         poses, T_map_local = self._graph.optimized_poses()
-        return self._scans.trajectory([node.pose for node in self._graph.nodes], poses, T_map_local)
+        measured = [node.pose for node in self._graph.nodes]
+        return self._scans.trajectory(poses, measured, None if measured else T_map_local)
 
     @property
     def loops(self) -> list[LoopEvent]:
@@ -131,7 +129,7 @@ class CartographerMapper:
                 "loop_searches_waiting": len(graph.candidates),
                 "loop_searches_dropped": graph.candidates.dropped,
                 "optimizations": graph.optimizations,
-                "second_looks": self._refinements,
+                "second_looks": self._bootstrap.refinements,
                 "searches": local.registration.searches,
                 "matches_implausible": local.implausible,
             },

@@ -7,39 +7,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lirs_wct.arrays import ByteArray, FloatArray
+from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2
+from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.motion.dead_reckoning import PoseEstimate
-from slam_baselines.scan.leveling import LeveledScan
 
 NOWHERE = PoseEstimate(Pose2(), np.zeros((3, 3)))
 """Dead reckoning that has just begun."""
 
 
 @dataclass(frozen=True, slots=True)
-class Node:
-    """A scan that entered submaps.
+class Node(Keyframe[PoseEstimate]):
+    """A keyframe that entered submaps; its pose is `T_local_base`, its motion that by dead reckoning.
 
     Attributes:
-        scan: leveled.
-        pose: `T_local_base`.
         covariance: (3, 3) of x, y, yaw in the local frame, given the matching submap.
-        height: of the base in the local frame, metres.
-        min_slopes: (n,) minimum slopes of its hits as known when it entered, SLOPE_STEP.
         submaps: indices of the submaps that it entered.
-        odometry: its pose in the frame of the node before, by dead reckoning.
         leveled_distance: traveled with known attitude until then, as the ground filter counts it, metres.
-        distance_traveled: until then, metres.
         tilt: largest of the robot until then, radians.
+        distance_traveled: until then, metres.
     """
 
-    scan: LeveledScan
-    pose: Pose2
     covariance: FloatArray
-    height: float
-    min_slopes: ByteArray
     submaps: range
-    odometry: PoseEstimate
     leveled_distance: float
     tilt: float
     distance_traveled: float

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from lirs_wct.errors import ConfigError
 from slam_baselines.gmapping.proposal import ProposalConfig
+from slam_baselines.mapping.bootstrap import BootstrapConfig
 from slam_baselines.mapping.ground_filter import GroundFilterConfig
 from slam_baselines.matching.tracking import TrackingConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
@@ -33,6 +34,7 @@ class GmappingConfig(ProposalConfig):
             return say nothing.
         tracking: share of the beams on known cells that end at a wall, below which a processed scan does not
             enter the maps.
+        bootstrap: when the first metres on uneven ground are refined.
         ground_filter: separates hits on ground from hits on walls.
 
     Raises:
@@ -52,6 +54,7 @@ class GmappingConfig(ProposalConfig):
     delta: float = 0.05
     maxUrange: float = math.inf  # noqa: N815
     tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(lost_score=0.3, lost_after=3))
+    bootstrap: BootstrapConfig = field(default_factory=lambda: BootstrapConfig(first=2.0))
     ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
 
     def __post_init__(self) -> None:

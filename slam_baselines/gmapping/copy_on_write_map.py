@@ -55,7 +55,7 @@ class PatchMaps:
         self.patches.owners[:] = owners
         _list_free(self.patches)
 
-    def enter(self, poses: FloatArray, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int) -> None:
+    def draw_scan(self, poses: FloatArray, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int) -> None:
         """Draw one scan into every map, each from its own pose.
 
         Args:

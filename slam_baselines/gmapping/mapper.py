@@ -8,26 +8,21 @@ is GmappingMapper._process.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from functools import partial
 
-import numpy as np
-
-from lirs_wct.arrays import ByteArray, IntArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.common.stopwatch import Stopwatch
-from slam_baselines.gmapping.bootstrap import Bootstrap, Frame
+from slam_baselines.gmapping.bootstrap import BiasedRegistration, GmappingKeyframe, GyroIncrement
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.likelihood_field import Beams
-from slam_baselines.gmapping.proposal import Proposal, Proposer, propagated
-from slam_baselines.gmapping.resampling import effective_number, normalized, systematic_resample
-from slam_baselines.gmapping.trajectory_tree import TrajectoryTree
+from slam_baselines.gmapping.particle_filter import ParticleFilter
 from slam_baselines.mapper import MapperStats, required_odometry
+from slam_baselines.mapping.bootstrap import Bootstrap
 from slam_baselines.mapping.ground_filter import GroundFilter
+from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.matching.tracking import TrackingMonitor
 from slam_baselines.motion.increment import MotionIncrement
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
@@ -42,19 +37,14 @@ class GmappingMapper:
 
     def __init__(self, config: GmappingConfig | None = None) -> None:
         self.config = c = config or GmappingConfig()
-        self._rng = np.random.default_rng(c.seed)
         self._leveler = ScanLeveler(c.maxUrange if math.isfinite(c.maxUrange) else 0.0, c.maxUrange)
-        self._proposer = Proposer(c)
         self._ground_filter = GroundFilter(c.ground_filter)
-        self._maps = PatchMaps(c.particles, c.delta)
-        self._tree = TrajectoryTree()
-        self._bootstrap = Bootstrap()
-        self._poses = np.zeros((c.particles, 3))
-        self._parents = np.arange(c.particles)
-        self._log_weights, self._totals = np.zeros(c.particles), np.zeros(c.particles)
+        self._filter = ParticleFilter(c)
         self._increment = MotionIncrement(c.motion)
         self._tracking = TrackingMonitor(c.tracking)
-        self._best = self._received = self._resamplings = self._lost_scans = 0
+        self._bootstrap: Bootstrap[GmappingKeyframe] = Bootstrap(c.bootstrap)
+        self._registration = BiasedRegistration(self._filter.proposer, self._ground_filter)
+        self._received = self._lost_scans = 0
         self._stopwatch = Stopwatch()
 
     @property
@@ -73,22 +63,22 @@ class GmappingMapper:
         self._received += 1
         level = self._leveler.level(scan, imu)
         self._follow(level, odometry, imu)
-        if self._tree.generations:
+        if self._filter.tree.generations:
             self._track(level)
         if self._due:
             self._process(level)
-        self._tree.add_scan(scan.stamp, self._increment.pose)
+        self._filter.tree.add_scan(scan.stamp, self._increment.pose)
         self._lost_scans += self.lost
         self._stopwatch.stop(started)
         return self._pose
 
     def map(self) -> OccupancyGrid:
         """Return the map of the best particle."""
-        return self._maps.occupancy_grid(self._best, self._ground_filter.wall_slope)
+        return self._filter.maps.occupancy_grid(self._filter.best, self._ground_filter.wall_slope)
 
     def trajectory(self) -> Trajectory:
         """Return the pose of every scan on the path of the best particle."""
-        return self._tree.trajectory(int(self._parents[self._best]))
+        return self._filter.trajectory
 
     @property
     def lost(self) -> bool:
@@ -98,133 +88,80 @@ class GmappingMapper:
     @property
     def stats(self) -> MapperStats:
         """What was done so far."""
-        processed = self._tree.generations
+        particles, processed = self._filter, self._filter.tree.generations
         return MapperStats(
             received=self._received,
             used=processed,
             skipped={"not moved": self._received - processed},
             lost=self._lost_scans,
-            memory=self._maps.nbytes + self._ground_filter.grid.nbytes,
+            memory=particles.maps.nbytes + self._ground_filter.grid.nbytes,
             counts={
                 "particles": self.config.particles,
-                "resamplings": self._resamplings,
-                "searches": self._proposer.searches,
-                "patches": self._maps.in_use,
+                "resamplings": particles.resamplings,
+                "searches": particles.proposer.searches,
+                "patches": particles.maps.in_use,
             },
             **self._stopwatch.summary(),
         )
 
     @property
     def _pose(self) -> Pose2:
-        return Pose2(*self._poses[self._best].tolist()) @ self._increment.pose
+        return self._filter.pose @ self._increment.pose
 
     @property
     def _due(self) -> bool:
-        c, step = self.config, self._increment
-        return self._tree.generations == 0 or step.distance >= c.linearUpdate or step.turn >= c.angularUpdate
+        c, motion = self.config, self._increment
+        return (
+            self._filter.tree.generations == 0
+            or motion.distance >= c.linearUpdate
+            or motion.turn >= c.angularUpdate
+        )
 
     def _follow(self, scan: LeveledScan, odometry: Pose2, imu: Imu | None) -> None:
-        """Carry the step since the last processed scan on by odometry."""
+        """Add the odometry to the motion since the last processed scan."""
         delta = self._increment.follow(odometry, imu, scan.stamp)
         if scan.leveled:
             self._ground_filter.move(delta, scan)
 
     def _track(self, scan: LeveledScan) -> None:
-        """Correct the step by matching the scan to the best particle's map."""
-        wall_slope = self._ground_filter.match_wall_slope
-        view, expected = self._maps.view(self._best, wall_slope), self._pose.as_array()
-        found = self._proposer.track(view, self._beams(scan), expected, self._increment.newest)
+        """Correct the motion by matching the scan to the best particle's map."""
+        found = self._filter.match_best(
+            self._beams(scan), self._increment, self._ground_filter.match_wall_slope
+        )
         if found is not None:
-            best = Pose2(*self._poses[self._best].tolist())
-            self._increment.pose = best.inverse() @ Pose2(*found.tolist())
+            self._increment.pose = found
 
     def _process(self, scan: LeveledScan) -> None:
-        """Algorithm 1 of the paper, from line 3 on, for all particles."""
-        if self._tree.generations:
-            proposal = self._propose(scan)
-            gain = 1 / (self.config.ogain * self.config.particles)
-            self._poses = proposal.poses
-            self._log_weights += gain * proposal.log_eta
-            self._totals += gain * proposal.log_eta
-            self._best = int(np.argmax(self._totals))
-            self._tracking.observe(proposal.hit_ratio[self._best], proposal.known_ratio[self._best])
-        self._tree.add_generation(self._poses, self._parents, self._increment.pose)
-        self._parents = np.arange(len(self._poses))
-        frame = self._frame(scan)
-        self._increment.begin()
+        """Make the scan a generation of the filter."""
+        particles, motion = self._filter, self._increment
+        if particles.tree.generations:
+            wall_slope = self._ground_filter.match_wall_slope
+            self._tracking.observe(*particles.sample_poses(self._beams(scan), motion, wall_slope))
+        particles.add_generation(motion.pose)
+        come = GyroIncrement(motion.reckoned, motion.seconds)
+        motion.begin()
         # Until the start-up refinement is over, every scan is a link of the trajectory.
-        if self._tracking.fits or (scan.leveled and self._bootstrap.open):
-            self._enter(frame)
-        weights = normalized(self._log_weights)
-        if effective_number(weights) < self.config.resampleThreshold * len(weights):
-            self._descend(systematic_resample(weights, self._rng))
-
-    def _propose(self, scan: LeveledScan) -> Proposal:
-        """Draw the particles' new poses."""
-        reckoned = self._increment.reckoned.covariance
-        odometry = propagated(self._poses, self._increment.pose, reckoned)
-        wall_slope = self._ground_filter.match_wall_slope
-        return self._proposer.propose(
-            self._maps, self._beams(scan), wall_slope, odometry, self._best, self._rng
-        )
+        if self._tracking.fits or (scan.leveled and not self._bootstrap.over):
+            self._enter(scan, come)
+        particles.resample()
 
     def _beams(self, scan: LeveledScan) -> Beams:
-        """Return the scan's hits, weighted by whether the best particle knows them for walls."""
-        ground, drawn = self._ground_filter, partial(self._maps.min_slope, self._best)
-        return Beams(scan.hits, ground.wall_weights(ground.min_slopes(scan, self._pose, drawn=drawn)))
+        """Return the scan's hits, weighted by whether they are known for walls."""
+        ground = self._ground_filter
+        slopes = ground.min_slopes(scan, self._pose, drawn=self._filter.known_slopes)
+        return Beams(scan.hits, ground.wall_weights(slopes))
 
-    def _frame(self, scan: LeveledScan) -> Frame:
-        """Return the scan with how it was come to from the one before."""
-        step, no_min_slope = self._increment, self._ground_filter.no_min_slope(len(scan.hits))
-        reckoned = step.reckoned
-        return Frame(
-            scan, reckoned.pose, reckoned.covariance, step.seconds, self._ground_filter.height, no_min_slope
-        )
-
-    def _enter(self, frame: Frame) -> None:
+    def _enter(self, scan: LeveledScan, motion: GyroIncrement) -> None:
         """Draw the scan; on uneven ground, refine the start of the trajectory when it is due."""
-        frame = replace(frame, min_slopes=self._draw(frame.scan))
-        if not frame.scan.leveled:
+        ground, bootstrap = self._ground_filter, self._bootstrap
+        _, min_slopes = ground.insert(scan, self._pose)
+        points = scan.transformed(Pose2(), ground.height)
+        self._filter.insert_scan(points, min_slopes, ground.match_wall_slope)
+        if not scan.leveled:
             return
-        if (
-            self._bootstrap.note(frame, self._ground_filter.distance_traveled)
-            and self._ground_filter.match_wall_slope > 0
-        ):
-            self._refine_start()
-
-    def _refine_start(self) -> None:
-        """Replace all paths and maps by the refined one."""
-        maps = PatchMaps(1, self.config.delta)
-        path = np.array(
-            [pose.as_array() for pose in self._bootstrap.refine(maps, self._proposer, self._ground_filter)]
-        )
-        self._increment.bias = self._bootstrap.bias
-        self._tree.rewrite(path)
-        n = self.config.particles
-        self._parents, self._best = np.zeros(n, np.int64), 0
-        maps.descend(self._parents)
-        self._maps, self._poses = maps, np.tile(path[-1], (n, 1))
-        self._log_weights, self._totals = np.zeros(n), np.zeros(n)
-
-    def _draw(self, scan: LeveledScan) -> ByteArray:
-        """Enter the scan into every particle's map, and into the ground filter from where the best one is.
-
-        Return the minimum slopes of its hits.
-        """
-        _, min_slopes = self._ground_filter.insert(scan, self._pose)
-        wall_slope = self._ground_filter.match_wall_slope
-        points = scan.transformed(Pose2(), self._ground_filter.height)
-        self._maps.enter(self._poses, points, min_slopes, wall_slope)
-        return min_slopes
-
-    def _descend(self, parents: IntArray) -> None:
-        """Replace the particles by copies of those that live on."""
-        self._resamplings += 1
-        self._maps.descend(parents)
-        self._poses, self._parents, self._totals = (
-            self._poses[parents],
-            self._parents[parents],
-            self._totals[parents],
-        )
-        self._log_weights[:] = 0
-        self._best = int(np.argmax(self._totals))
+        keyframe: GmappingKeyframe = Keyframe(scan, self._pose, ground.height, min_slopes, motion)
+        if bootstrap.add(keyframe, ground.distance_traveled) and ground.match_wall_slope > 0:
+            maps = PatchMaps(1, self.config.delta)
+            bootstrap.replace(self._registration.refined(bootstrap.keyframes, maps))
+            self._increment.bias = self._registration.bias
+            self._filter.restart([k.pose for k in bootstrap.keyframes], maps)

@@ -160,7 +160,7 @@ class Proposer:
         )
         return proposal
 
-    def track(
+    def match_scan(
         self, view: MapView, beams: Beams, expected: FloatArray, covariance: FloatArray
     ) -> FloatArray | None:
         """Return the (3,) pose at which a scan fits into one map; None where it fits nowhere near.
@@ -173,7 +173,7 @@ class Proposer:
         """
         if beams.weights.sum() < self.config.min_beams:
             return None
-        pose, hit, known = track(view, beams, expected, covariance, self._tuning)
+        pose, hit, known = match_alone(view, beams, expected, covariance, self._tuning)
         return pose if hit >= max(self.config.search_threshold * known, self.config.min_beams) else None
 
 
@@ -254,7 +254,7 @@ def propose(
 
 
 @njit(cache=True)
-def track(view: Any, beams: Any, expected: Any, covariance: Any, tuning: Any) -> Any:
+def match_alone(view: Any, beams: Any, expected: Any, covariance: Any, tuning: Any) -> Any:
     """Return the pose that fits best, and the weights of beams that end at a wall and on known cells."""
     prior = Prior(expected, np.linalg.inv(covariance))
     pose = match(view, beams, prior, expected, tuning, np.empty((3, 3)))

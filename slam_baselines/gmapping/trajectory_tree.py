@@ -7,9 +7,7 @@ import numpy as np
 from lirs_wct.arrays import FloatArray, Int32Array, IntArray
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
-
-LEVER = 0.5
-"""Metres that a radian of turn counts as where an error is spread along the trajectory."""
+from slam_baselines.mapping.keyframe_trajectory import KeyframeTrajectory
 
 
 class TrajectoryTree:
@@ -18,8 +16,8 @@ class TrajectoryTree:
     def __init__(self) -> None:
         self._poses: list[FloatArray] = []
         self._parents: list[Int32Array] = []
-        self._scans: dict[float, tuple[int, Pose2, float]] = {}
-        self._steps: list[tuple[Pose2, float]] = []
+        self._measured: list[Pose2] = []
+        self._scans = KeyframeTrajectory()
 
     @property
     def generations(self) -> int:
@@ -36,7 +34,7 @@ class TrajectoryTree:
         """
         self._poses.append(poses.copy())
         self._parents.append(parents.astype(np.int32))
-        self._steps.append((step, _distance(step)))
+        self._measured.append(self._measured[-1] @ step if self._measured else Pose2())
         self._prune()
 
     def add_scan(self, stamp: float, since: Pose2) -> None:
@@ -44,7 +42,7 @@ class TrajectoryTree:
 
         A later scan of the same stamp takes the place of the earlier.
         """
-        self._scans[stamp] = self.generations - 1, since, _distance(since)
+        self._scans.add(stamp, self.generations - 1, since)
 
     def rewrite(self, path: FloatArray) -> None:
         """Replace the paths of all particles by one, (generations, 3); all are children of its end."""
@@ -62,20 +60,10 @@ class TrajectoryTree:
     def trajectory(self, particle: int) -> Trajectory:
         """Return every scan's pose on the path of a particle.
 
-        Between two processed scans the odometry has gone astray by some error: it is spread over them.
+        What the odometry has gone astray by between two processed scans is spread over the scans between.
         """
-        nodes = [Pose2(*p) for p in self.path(particle).tolist()]
-        stamps = sorted(self._scans)
-        return Trajectory.from_poses(stamps, [self._pose(nodes, *self._scans[t]) for t in stamps])
-
-    def _pose(self, nodes: list[Pose2], last: int, since: Pose2, distance: float) -> Pose2:
-        here = nodes[last]
-        if last + 1 == len(nodes):
-            return here @ since
-        step, whole = self._steps[last + 1]
-        error = here.inverse() @ nodes[last + 1] @ step.inverse()
-        share = min(1.0, distance / whole) if whole > 0 else 0.0
-        return here @ Pose2(share * error.x, share * error.y, share * error.yaw) @ since
+        path = [Pose2(*pose) for pose in self.path(particle).tolist()]
+        return self._scans.trajectory(path, self._measured)
 
     def _prune(self) -> None:
         """Forget particles without living descendants."""
@@ -86,7 +74,3 @@ class TrajectoryTree:
             self._parents[i + 1] = renamed.astype(np.int32)
             self._poses[i] = self._poses[i][alive]
             self._parents[i] = self._parents[i][alive]
-
-
-def _distance(step: Pose2) -> float:
-    return float(np.hypot(step.x, step.y)) + LEVER * abs(step.yaw)

@@ -19,9 +19,11 @@ from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.validation import require_within
 from slam_baselines.common.stopwatch import Stopwatch
-from slam_baselines.hector.bootstrap import Bootstrap, BootstrapConfig
-from slam_baselines.hector.keyframes import Keyframe, KeyframeTrajectory
+from slam_baselines.hector.bootstrap import HectorKeyframe, refined
 from slam_baselines.mapper import MapperStats
+from slam_baselines.mapping.bootstrap import Bootstrap, BootstrapConfig
+from slam_baselines.mapping.keyframe import Keyframe
+from slam_baselines.mapping.keyframe_trajectory import KeyframeTrajectory
 from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
 from slam_baselines.matching.gauss_newton import Match
 from slam_baselines.matching.registration import Registration, RegistrationConfig
@@ -81,10 +83,11 @@ class HectorMapper:
         self._reckoning = DeadReckoning(self.config.motion, self.config.calibration)
         self._registration = Registration(self.config.registration)
         self._builder = MapBuilder(self.config)
-        self._bootstrap = Bootstrap(self.config.bootstrap)
+        self._bootstrap: Bootstrap[HectorKeyframe] = Bootstrap(self.config.bootstrap)
         self._estimate = PoseEstimate(Pose2(), np.zeros((3, 3)))
-        self._poses = KeyframeTrajectory()
-        self._moves: list[OdometryIncrement | None] = []
+        self._keyframes: list[Pose2] = []
+        self._scans = KeyframeTrajectory()
+        self._motion: list[OdometryIncrement | None] = []
         self._received = self._matched = self._unmatched = self._lost_scans = 0
         self._tracking = TrackingMonitor(self.config.tracking)
         self._earlier: Pose2 | None = None
@@ -101,12 +104,13 @@ class HectorMapper:
         level = self._leveler.level(scan, imu)
         expected = self._reckoning.predict(self._estimate, odometry, imu, scan.stamp)
         if level.leveled and not self._bootstrap.over:
-            self._moves.append(self._reckoning.increment)
+            self._motion.append(self._reckoning.increment)
         match = self._match(level, expected)
         self._builder.follow(level, self._estimate.pose)
         if self._fits(match) and self._builder.due(level, self._estimate.pose):
             self._enter(level)
-        self._poses.add(scan.stamp, self._estimate.pose)
+        last = self._keyframes[-1] if self._keyframes else Pose2()
+        self._scans.add(scan.stamp, len(self._keyframes) - 1, last.inverse() @ self._estimate.pose)
         self._stopwatch.stop(started)
         return self._estimate.pose
 
@@ -116,7 +120,7 @@ class HectorMapper:
 
     def trajectory(self) -> Trajectory:
         """Return the pose of every scan, by stamp."""
-        return self._poses.trajectory()
+        return self._scans.trajectory(self._keyframes)
 
     @property
     def lost(self) -> bool:
@@ -176,13 +180,15 @@ class HectorMapper:
         """Make the scan a keyframe, and refine all of them when it is due."""
         builder, pose = self._builder, self._estimate.pose
         min_slopes = builder.enter(scan, pose)
-        self._poses.add_keyframe(pose)
+        self._keyframes.append(pose)
         if not scan.leveled:
             return
-        keyframe = Keyframe(scan, pose, builder.ground_filter.height, tuple(self._moves), min_slopes)
-        self._moves.clear()
-        if self._bootstrap.note(keyframe, builder.ground_filter.distance_traveled):
-            poses = self._bootstrap.refine(builder, self._registration, self._reckoning)
-            T_new_old = self._poses.move(poses)
+        ground, bootstrap = builder.ground_filter, self._bootstrap
+        keyframe: HectorKeyframe = Keyframe(scan, pose, ground.height, min_slopes, tuple(self._motion))
+        self._motion.clear()
+        if bootstrap.add(keyframe, ground.distance_traveled):
+            bootstrap.replace(refined(bootstrap.keyframes, builder, self._registration, self._reckoning))
+            self._keyframes[: len(bootstrap.keyframes)] = [k.pose for k in bootstrap.keyframes]
+            T_new_old = self._keyframes[-1] @ pose.inverse()
             self._estimate = PoseEstimate(T_new_old @ pose, self._estimate.covariance)
             builder.moved(self._estimate.pose)

@@ -73,11 +73,11 @@ def drive_room(mapper: Mapper, *, odometry: bool = True, n: int = 240) -> Array:
     return np.array(errors)
 
 
-def wavy(ground_filter: float, nodes: int = 601, cell: float = 0.05) -> HeightField:
+def wavy(relief: float, nodes: int = 601, cell: float = 0.05) -> HeightField:
     """Long hills of a given relief with blocks of 1.2 m on them, on a square of 30 m."""
     axis = (np.arange(nodes) - (nodes - 1) / 2) * cell
     x, y = np.meshgrid(axis, -axis)
-    z = ground_filter / 4 * (np.sin(0.45 * x + 0.3) + np.cos(0.5 * y)) + 0 * x
+    z = relief / 4 * (np.sin(0.45 * x + 0.3) + np.cos(0.5 * y)) + 0 * x
     for cx, cy, w, h in BLOCKS:
         block = (np.abs(x - cx) < w / 2) & (np.abs(y - cy) < h / 2)
         z = np.where(block, z[block].max() + 1.2, z)

@@ -9,7 +9,11 @@ import pytest
 
 from lirs_validation import validate
 from lirs_wct.geometry.pose import Pose2
-from slam_baselines.gmapping.bootstrap import Bootstrap, Frame
+from slam_baselines.gmapping.bootstrap import BiasedRegistration, GmappingKeyframe, GyroIncrement
+from slam_baselines.gmapping.proposal import ProposalConfig, Proposer
+from slam_baselines.mapping.ground_filter import GroundFilter
+from slam_baselines.mapping.keyframe import Keyframe
+from slam_baselines.motion.dead_reckoning import PoseEstimate
 from slam_baselines.motion.increment import unbiased
 from slam_baselines.scan.leveling import LeveledScan
 
@@ -21,16 +25,20 @@ def test_the_bias_is_learnt_from_where_the_walls_put_the_scans(bias: float) -> N
     rng = np.random.default_rng(2)
     nothing = np.empty((0, 3))
     scan = LeveledScan(np.zeros(3), nothing, nothing, (0.0, 0.0), 0.01, 0.0)
-    bootstrap, truth = Bootstrap(), [Pose2()]
-    bootstrap.note(Frame(scan, Pose2(), np.eye(3), 0.0, 0.0, np.empty(0, np.uint8)), 0.0)
+
+    def keyframe(step: Pose2, seconds: float) -> GmappingKeyframe:
+        motion = GyroIncrement(PoseEstimate(step, np.eye(3)), seconds)
+        return Keyframe(scan, Pose2(), 0.0, np.empty(0, np.uint8), motion)
+
+    registration, truth = BiasedRegistration(Proposer(ProposalConfig()), GroundFilter()), [Pose2()]
+    keyframes = [keyframe(Pose2(), 0.0)]
     for _ in range(30):
         step = Pose2(1.0, 0, float(rng.normal(0, 0.3)))
         truth.append(truth[-1] @ step)
-        biased = unbiased(step, -bias, 1.2)
-        bootstrap.note(Frame(scan, biased, np.eye(3), 1.2, 0.0, np.empty(0, np.uint8)), 1.0)
+        keyframes.append(keyframe(unbiased(step, -bias, 1.2), 1.2))
     noisy = [Pose2(p.x, p.y, p.yaw + float(rng.normal(0, math.radians(0.2)))) for p in truth]
-    bootstrap._learn(noisy)
-    assert bootstrap.bias == pytest.approx(bias, abs=math.radians(0.008))
+    registration.learn(registration.reckoned(keyframes), noisy)
+    assert registration.bias == pytest.approx(bias, abs=math.radians(0.008))
 
 
 def test_the_map_of_a_hilly_world_is_not_turned() -> None:

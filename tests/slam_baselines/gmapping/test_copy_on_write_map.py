@@ -21,7 +21,7 @@ def a_circle(radius: float, beams: int = 400) -> np.ndarray:
 def enter(
     maps: PatchMaps, poses: list[tuple[float, float, float]], hits: np.ndarray, wall_slope: int = 0
 ) -> None:
-    maps.enter(
+    maps.draw_scan(
         np.array(poses), ScanPoints(np.zeros(3), hits, NO_FREE), np.zeros(len(hits), np.uint8), wall_slope
     )
 

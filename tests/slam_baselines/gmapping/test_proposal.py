@@ -32,7 +32,7 @@ def mapped(particles: int, *box: float, beams: int = 360, most: float = 12) -> P
     maps = PatchMaps(particles, 0.05)
     for x, y, yaw in ((0, 0, 0), (0.5, 0.3, 0.7), (-0.6, -0.2, 2.0), (0.1, -0.4, -1.1)):
         hits = ends(Pose2(x, y, yaw), *box, beams=beams, most=most)
-        maps.enter(
+        maps.draw_scan(
             np.tile((x, y, yaw), (particles, 1)), ScanPoints(np.zeros(3), hits, np.zeros((0, 3))),
             np.zeros(len(hits), np.uint8), 0,
         )  # fmt: skip
@@ -84,7 +84,7 @@ def test_a_scan_that_fits_better_weighs_more() -> None:
 def test_without_walls_the_odometry_is_drawn_from() -> None:
     maps = PatchMaps(2000, 0.05)
     scan = ScanPoints(np.zeros(3), np.array([[1.0, 0, 0]]), np.zeros((0, 3)))
-    maps.enter(np.zeros((2000, 3)), scan, np.zeros(1, np.uint8), 0)
+    maps.draw_scan(np.zeros((2000, 3)), scan, np.zeros(1, np.uint8), 0)
     got = proposed(maps, np.array([[5.0, 0.0, 0.0]]), np.tile((1.0, 2.0, 0.5), (2000, 1)))
     np.testing.assert_allclose(got.poses.mean(axis=0), (1.0, 2.0, 0.5), atol=0.01)
     np.testing.assert_allclose(got.poses.std(axis=0), 0.1, rtol=0.08)

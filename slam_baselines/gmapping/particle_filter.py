@@ -1,0 +1,111 @@
+"""The particle filter: paths, each with the map that follows from it and a weight.
+
+Algorithm 1 of Grisetti, Stachniss, Burgard 2007, from line 3 on: draw poses from the improved proposal,
+weigh them, resample where the effective number of particles is low, and draw the scan into every map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from lirs_wct.arrays import ByteArray, FloatArray, IntArray
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.gmapping.config import GmappingConfig
+from slam_baselines.gmapping.copy_on_write_map import PatchMaps
+from slam_baselines.gmapping.likelihood_field import Beams
+from slam_baselines.gmapping.proposal import Proposer, propagated
+from slam_baselines.gmapping.resampling import effective_number, normalized, systematic_resample
+from slam_baselines.gmapping.trajectory_tree import TrajectoryTree
+from slam_baselines.motion.increment import MotionIncrement
+from slam_baselines.scan.leveling import ScanPoints
+
+
+class ParticleFilter:
+    """All particles.
+
+    Attributes:
+        maps: of the particles.
+        tree: their paths.
+        proposer: of new poses.
+        best: index of the particle with the largest total weight.
+        resamplings: number of resamplings.
+    """
+
+    def __init__(self, config: GmappingConfig) -> None:
+        n = config.particles
+        self._config = config
+        self._rng = np.random.default_rng(config.seed)
+        self.proposer = Proposer(config)
+        self.maps = PatchMaps(n, config.delta)
+        self.tree = TrajectoryTree()
+        self.best = self.resamplings = 0
+        self._poses = np.zeros((n, 3))
+        self._parents = np.arange(n)
+        self._log_weights, self._totals = np.zeros(n), np.zeros(n)
+
+    @property
+    def pose(self) -> Pose2:
+        """`T_map_base` of the best particle at the last processed scan."""
+        return Pose2(*self._poses[self.best].tolist())
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Pose of every scan on the path of the best particle."""
+        return self.tree.trajectory(int(self._parents[self.best]))
+
+    def known_slopes(self, points: FloatArray) -> ByteArray:
+        """Return (n,) the minimum slopes of the cells under points (n, 2 or more) of the best map."""
+        return self.maps.min_slope(self.best, points)
+
+    def match_best(self, beams: Beams, increment: MotionIncrement, wall_slope: int) -> Pose2 | None:
+        """Return `T_processed_now` by matching a scan to the best map; None where it fits nowhere near."""
+        view, expected = self.maps.view(self.best, wall_slope), self.pose @ increment.pose
+        found = self.proposer.match_scan(view, beams, expected.as_array(), increment.newest)
+        return None if found is None else self.pose.inverse() @ Pose2(*found.tolist())
+
+    def sample_poses(self, beams: Beams, increment: MotionIncrement, wall_slope: int) -> tuple[float, float]:
+        """Draw new poses and weigh them; return hit ratio and known ratio of the best particle."""
+        c = self._config
+        odometry = propagated(self._poses, increment.pose, increment.reckoned.covariance)
+        proposal = self.proposer.propose(self.maps, beams, wall_slope, odometry, self.best, self._rng)
+        gain = 1 / (c.ogain * c.particles)
+        self._poses = proposal.poses
+        self._log_weights += gain * proposal.log_eta
+        self._totals += gain * proposal.log_eta
+        self.best = int(np.argmax(self._totals))
+        return float(proposal.hit_ratio[self.best]), float(proposal.known_ratio[self.best])
+
+    def add_generation(self, step: Pose2) -> None:
+        """Make the poses a generation of the tree, `step` by odometry after the one before."""
+        self.tree.add_generation(self._poses, self._parents, step)
+        self._parents = np.arange(len(self._poses))
+
+    def insert_scan(self, points: ScanPoints, min_slopes: ByteArray, wall_slope: int) -> None:
+        """Draw a scan into every map; arguments as of PatchMaps.draw_scan."""
+        self.maps.draw_scan(self._poses, points, min_slopes, wall_slope)
+
+    def resample(self) -> None:
+        """Replace the particles by copies of those that live on, if few of them carry the weight."""
+        weights = normalized(self._log_weights)
+        if effective_number(weights) < self._config.resampleThreshold * len(weights):
+            self.resamplings += 1
+            self._descend(systematic_resample(weights, self._rng))
+
+    def restart(self, path: Sequence[Pose2], maps: PatchMaps) -> None:
+        """Replace all paths by one and all maps by the one of `maps`."""
+        n, poses = self._config.particles, np.array([pose.as_array() for pose in path])
+        self.tree.rewrite(poses)
+        self._parents, self.best = np.zeros(n, np.int64), 0
+        maps.descend(self._parents)
+        self.maps, self._poses = maps, np.tile(poses[-1], (n, 1))
+        self._log_weights, self._totals = np.zeros(n), np.zeros(n)
+
+    def _descend(self, parents: IntArray) -> None:
+        self.maps.descend(parents)
+        self._poses, self._parents = self._poses[parents], self._parents[parents]
+        self._totals = self._totals[parents]
+        self._log_weights[:] = 0
+        self.best = int(np.argmax(self._totals))

@@ -1,0 +1,105 @@
+"""Start-up refinement: the first keyframes on uneven ground registered again with what is known later.
+
+On uneven ground nothing is known to be a wall at first, so the robot begins on odometry alone and the
+first scans enter the map at poses that are a little wrong; the map would keep that error for ever. After
+some metres most of the walls that the first scans saw are known: a new map is built from them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from lirs_wct.validation import require_above
+from slam_baselines.mapping.keyframe import Keyframe
+from slam_baselines.motion.dead_reckoning import PoseEstimate
+
+K = TypeVar("K", bound=Keyframe[Any])
+Register = Callable[[K, "K | None", PoseEstimate], PoseEstimate]
+"""A method's registration of a keyframe in the new map, which it enters there.
+
+Called with the keyframe, the one registered before it (None for the first, which stays where it is) and
+the estimate of that one; returns the estimate of the keyframe.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BootstrapConfig:
+    """When the start is refined.
+
+    Attributes:
+        first: distance traveled at the first refinement, metres; the next come whenever it has doubled.
+        last: distance after which there is none, metres.
+
+    Raises:
+        ConfigError: a distance that is not above 0.
+    """
+
+    first: float = 4.0
+    last: float = 40.0
+
+    def __post_init__(self) -> None:
+        require_above(self, 0, "first", "last", of="the bootstrap", unit="m")
+
+
+class Bootstrap(Generic[K]):
+    """Schedule of the refinements, and the keyframes that they need.
+
+    Attributes:
+        keyframes: the first ones; empty when the last refinement is over.
+        refinements: number of refinements.
+    """
+
+    def __init__(self, config: BootstrapConfig) -> None:
+        self.keyframes: list[K] = []
+        self.refinements = 0
+        self._last = config.last
+        self._next = config.first
+
+    @property
+    def over(self) -> bool:
+        """Whether there will be no more refinement."""
+        return self._next > self._last or self._next == math.inf
+
+    def add(self, keyframe: K, distance_traveled: float) -> bool:
+        """Keep a keyframe while it may be needed; return whether a refinement is due."""
+        if self.over or distance_traveled > self._last:
+            self.close()
+            return False
+        self.keyframes.append(keyframe)
+        return distance_traveled >= self._next
+
+    def replace(self, keyframes: Sequence[K]) -> None:
+        """Take over refined keyframes; the next refinement is due at twice the distance."""
+        self.keyframes = list(keyframes)
+        self.refinements += 1
+        self._next *= 2
+
+    def close(self) -> None:
+        """Refine no more."""
+        self.keyframes.clear()
+        self._next = math.inf
+
+
+def register_forwards(keyframes: Sequence[K], register: Register[K]) -> list[PoseEstimate]:
+    """Register keyframes from the first, which stays where it is, to the last; return their estimates."""
+    before, estimates = None, [PoseEstimate(keyframes[0].pose, np.zeros((3, 3)))]
+    for keyframe in keyframes:
+        estimates.append(register(keyframe, before, estimates[-1]))
+        before = keyframe
+    return estimates[1:]
+
+
+def register_backwards(keyframes: Sequence[K], register: Register[K]) -> list[PoseEstimate]:
+    """Register keyframes from the last to the first, so that the new map grows from where walls are known.
+
+    Returns:
+        Estimates of the keyframes, moved such that the first is where it was.
+    """
+    estimates = register_forwards(keyframes[::-1], register)[::-1]
+    T_new_old = keyframes[0].pose @ estimates[0].pose.inverse()
+    return [PoseEstimate(T_new_old @ e.pose, e.covariance) for e in estimates]

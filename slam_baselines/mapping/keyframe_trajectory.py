@@ -1,0 +1,80 @@
+"""Every scan's pose beside a keyframe: when keyframes move, the scans between them follow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from lirs_wct.arrays import FloatArray
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.common.se2 import composed, relative_poses, wrap
+
+LEVER = 0.5
+"""Metres that a radian of turn counts as where an error is spread between keyframes."""
+
+
+class KeyframeTrajectory:
+    """Poses of all scans in the frame of the last keyframe before each."""
+
+    def __init__(self) -> None:
+        self._scans: dict[float, tuple[int, Pose2]] = {}
+
+    def __len__(self) -> int:
+        return len(self._scans)
+
+    def add(self, stamp: float, keyframe: int, T_keyframe_scan: Pose2) -> None:
+        """Note a scan; a later scan of the same stamp takes the place of the earlier.
+
+        Args:
+            stamp: seconds.
+            keyframe: index of the last one; -1 before the first, when the pose is in the start frame.
+            T_keyframe_scan: pose of the base at the scan.
+        """
+        self._scans[stamp] = keyframe, T_keyframe_scan
+
+    def trajectory(
+        self,
+        keyframes: Sequence[Pose2],
+        measured: Sequence[Pose2] | None = None,
+        T_map_start: Pose2 | None = None,
+    ) -> Trajectory:
+        """Return the pose of every scan in the map frame, by stamp.
+
+        Args:
+            keyframes: `T_map_base` of the keyframes.
+            measured: poses of the keyframes by the motion that led from one to the next; what `keyframes`
+                differ from it is spread over the scans between. None: scans stay rigidly beside the
+                keyframe before them, as those that were matched one by one do.
+            T_map_start: of the start frame, for scans before the first keyframe; None: where `measured` puts
+                it, else the map frame.
+        """
+        stamps = sorted(self._scans)
+        if not stamps:
+            return Trajectory.from_poses([], [])
+        last = np.array([self._scans[t][0] for t in stamps])
+        scans = np.array([self._scans[t][1].as_array() for t in stamps])
+        if T_map_start is None:
+            T_map_start = keyframes[0] @ measured[0].inverse() if measured and keyframes else Pose2()
+        poses = composed(T_map_start.as_array(), scans)
+        at = last >= 0
+        if at.any():
+            final = np.array([p.as_array() for p in keyframes])
+            poses[at] = composed(final[last[at]], scans[at])
+            if measured is not None:
+                by_motion = np.array([p.as_array() for p in measured])
+                poses[at] = _spread(poses[at], scans[at], last[at], final, by_motion)
+        return Trajectory.from_poses(stamps, [Pose2(x, y, yaw) for x, y, yaw in poses.tolist()])
+
+
+def _spread(
+    poses: FloatArray, scans: FloatArray, last: FloatArray, final: FloatArray, measured: FloatArray
+) -> FloatArray:
+    """Return poses between those seen from the keyframe before and from the one after, by the distance."""
+    after = np.clip(last + 1, 0, len(final) - 1)
+    ahead = relative_poses(measured[after], composed(measured[last], scans))
+    near, far = (np.hypot(d[:, 0], d[:, 1]) + LEVER * abs(wrap(d[:, 2])) for d in (scans, ahead))
+    delta = composed(final[after], ahead) - poses
+    delta[:, 2] = wrap(delta[:, 2])
+    return np.asarray(poses + (near / np.maximum(near + far, 1e-12))[:, None] * delta)
