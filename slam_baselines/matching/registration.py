@@ -66,7 +66,8 @@ class RegistrationConfig:
         ratios = ("search_threshold", "known_ratio", "min_information_share")
         require_within(self, "(0, 1)", *ratios, of="the registration")
         require_above(self, 0, "decorrelation_distance", "mahalanobis_gate", of="the registration")
-        require_at_least(self, 0, "min_gain", "min_beams", "min_walls", of="the registration")
+        require_at_least(self, 0, "min_gain", of="the registration")
+        require_at_least(self, 1, "min_beams", "min_walls", of="the registration")
 
 
 class Registration:
@@ -108,7 +109,7 @@ class Registration:
         share = self._information_share(expected.pose, before)
         prior = Prior(expected.pose.as_array(), expected.covariance)
         match = self._matcher.match(pyramid, hits, weights, prior, information_share=share)
-        if walls * match.known < c.min_beams:
+        if match.known < c.min_beams / walls:
             return expected, None
         if match.known >= c.known_ratio and match.score < c.search_threshold:
             wider = self._search(pyramid, hits, weights, share, prior, _coasting(before, earlier))

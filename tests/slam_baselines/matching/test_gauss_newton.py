@@ -10,22 +10,13 @@ from numpy.typing import NDArray
 
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
-from slam_baselines.matching.correlative import SearchConfig, correlative_search
 from slam_baselines.matching.gauss_newton import MatchConfig, Prior, ScanMatcher, linearize
 from slam_baselines.scan.leveling import ScanLeveler
+from tests.slam_baselines.matching.room import room_map
 from tests.slam_baselines.synthetic import ranges_to, room_scan
 
 Array = NDArray[np.float64]
 LOOSE = np.diag((1e6, 1e6, 1e6))
-
-
-def room_map(pose: Pose2) -> tuple[MapBuilder, Array]:
-    """The map of one scan, and the scan's points."""
-    level = ScanLeveler().level(room_scan(pose, 0.0, np.random.default_rng(0)), None)
-    builder = MapBuilder(BuilderConfig())
-    for _ in range(3):
-        builder.enter(level, pose)
-    return builder, level.hits
 
 
 def cost(value: NDArray[np.uint8], frame: Array, points: Array, pose: Array) -> float:
@@ -103,17 +94,6 @@ def test_open_ground_follows_the_odometry() -> None:
     )
     np.testing.assert_array_equal(match.pose, prior)
     assert not match.information.any()
-
-
-def test_the_wider_search_survives_a_sharp_turn() -> None:
-    true = Pose2(0.5, -0.3, 0.4)
-    builder, points = room_map(true)
-    start = true.as_array() + np.array((0.4, -0.3, 0.42))
-    found = correlative_search(
-        builder.pyramid.maps[2].grid, points, np.ones(len(points)), start, SearchConfig()
-    )
-    np.testing.assert_allclose(found[:2], true.as_array()[:2], atol=0.2)
-    assert found[2] == pytest.approx(0.4, abs=0.04)
 
 
 def test_a_share_of_information_is_as_good_as_small_weights() -> None:

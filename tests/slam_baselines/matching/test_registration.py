@@ -1,0 +1,79 @@
+"""Registration: when it searches, and what it rejects."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.pose import Pose2
+from slam_baselines.cartographer.config import SUBMAP_REGISTRATION
+from slam_baselines.matching.registration import Registration, RegistrationConfig
+from slam_baselines.motion.dead_reckoning import PoseEstimate
+from tests.slam_baselines.matching.room import room_map
+
+TRUE = Pose2(0.5, -0.3, 0.4)
+CONFIGS = [RegistrationConfig(), SUBMAP_REGISTRATION]
+
+
+def near(dx: float, dy: float, dyaw: float, sigma: float = 0.05) -> PoseEstimate:
+    pose = Pose2(TRUE.x + dx, TRUE.y + dy, TRUE.yaw + dyaw)
+    return PoseEstimate(pose, np.diag((sigma**2, sigma**2, sigma**2)))
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+def test_a_small_error_needs_no_search(config: RegistrationConfig) -> None:
+    builder, points = room_map(TRUE)
+    registration, expected = Registration(config), near(0.04, -0.03, 0.02)
+    estimate, match = registration.register(builder.pyramid, points, None, expected, expected.pose)
+    assert match is not None
+    assert estimate.pose.distance(TRUE) < 0.02
+    assert np.trace(estimate.covariance) < np.trace(expected.covariance)
+    assert registration.searches == 0
+
+
+def test_a_sharp_turn_is_searched_for() -> None:
+    builder, points = room_map(TRUE)
+    registration, expected = Registration(RegistrationConfig()), near(0.4, -0.3, 0.42)
+    estimate, _ = registration.register(builder.pyramid, points, None, expected, Pose2())
+    assert registration.searches == 1
+    assert estimate.pose.distance(TRUE) < 0.03
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+def test_fewest_beams_are_enough_however_small_their_share(config: RegistrationConfig) -> None:
+    """Rounding errors of the beams' weights once refused exactly as many as are needed."""
+    builder, points = room_map(TRUE)
+    some = points[:: len(points) // config.min_beams]
+    far = np.tile((300.0, 0.0, 0.0), (7, 1))
+    for share in (0.0, 0.02, 0.05):
+        before, expected = TRUE @ Pose2(share), near(0, 0, 0)
+        for beams in (config.min_beams - 1, config.min_beams):
+            hits = np.concatenate((some[:beams], far))
+            _, match = Registration(config).register(builder.pyramid, hits, None, expected, before)
+            assert (match is not None) == (beams == config.min_beams)
+
+
+def test_on_uneven_ground_a_poor_match_is_rejected_where_that_is_configured() -> None:
+    builder, points = room_map(TRUE)
+    noise = np.column_stack((np.random.default_rng(0).uniform(-2, 2, (len(points), 2)), points[:, 2]))
+    weights: NDArray[np.float64] = np.ones(len(points))
+    expected = near(0, 0, 0)
+    estimate, match = Registration(CONFIGS[0]).register(builder.pyramid, noise, weights, expected, Pose2())
+    assert match is not None
+    assert match.score < CONFIGS[0].search_threshold
+    assert estimate is expected
+    forced = replace(CONFIGS[0], reject_poor=False, mahalanobis_gate=math.inf)
+    assert (
+        Registration(forced).register(builder.pyramid, noise, weights, expected, Pose2())[0] is not expected
+    )
+
+
+@pytest.mark.parametrize("bad", [{"known_ratio": 1.0}, {"decorrelation_distance": 0.0}, {"min_gain": -0.1}])
+def test_illegal_settings_are_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match=next(iter(bad))):
+        RegistrationConfig(**bad)  # type: ignore[arg-type]
