@@ -60,9 +60,7 @@ class Trajectory:
     @property
     def yaw(self) -> FloatArray:
         """(n,) radians."""
-        w, x, y, z = self.quaternions.T
-        yaw: FloatArray = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        return yaw
+        return _yaw(self.quaternions)
 
     @property
     def length(self) -> float:
@@ -71,7 +69,8 @@ class Trajectory:
 
     def pose2(self, i: int) -> Pose2:
         """Return pose i projected on the plane."""
-        return Pose2(float(self.positions[i, 0]), float(self.positions[i, 1]), float(self.yaw[i]))
+        yaw = _yaw(self.quaternions[i][None])
+        return Pose2(float(self.positions[i, 0]), float(self.positions[i, 1]), float(yaw[0]))
 
     def planar_at(self, stamps: FloatArray) -> FloatArray:
         """Return (m, 3) x, y, yaw at stamps (m,): linear between neighbours, the end pose beyond the ends.
@@ -90,3 +89,10 @@ class Trajectory:
             for p, q in zip(self.positions, self.quaternions, strict=True)
         ]
         return Trajectory.from_poses(self.stamps.tolist(), poses)
+
+
+def _yaw(quaternions: FloatArray) -> FloatArray:
+    """Return (n,) the yaw of unit quaternions (n, 4), wxyz, radians."""
+    w, x, y, z = quaternions.T
+    yaw: FloatArray = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return yaw

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from lirs_wct.errors import ConfigError
+from lirs_wct.validation import require_above, require_at_least, require_within
 from slam_baselines.gmapping.proposal import ProposalConfig
 from slam_baselines.mapping.bootstrap import BootstrapConfig
 from slam_baselines.mapping.ground_filter import GroundFilterConfig
@@ -59,13 +59,9 @@ class GmappingConfig(ProposalConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("particles", "srr", "srt", "str", "stt", "ogain", "delta", "maxUrange"):
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"{name} must be above 0, got {getattr(self, name)}")
-        if min(self.linearUpdate, self.angularUpdate) < 0:
-            raise ConfigError("linearUpdate and angularUpdate must not be negative")
-        if not 0 <= self.resampleThreshold <= 1:
-            raise ConfigError(f"resampleThreshold must be within [0, 1], got {self.resampleThreshold}")
+        require_above(self, 0, "particles", "srr", "srt", "str", "stt", "ogain", "delta", "maxUrange")
+        require_at_least(self, 0, "linearUpdate", "angularUpdate")
+        require_within(self, "[0, 1]", "resampleThreshold")
 
     @property
     def motion(self) -> MotionConfig:

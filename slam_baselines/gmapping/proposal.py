@@ -21,6 +21,7 @@ from numba import njit
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.validation import require_above
 from slam_baselines.gmapping.copy_on_write_map import MapView, PatchMaps
 from slam_baselines.gmapping.likelihood_field import (
     Beams,
@@ -75,9 +76,7 @@ class ProposalConfig:
     min_beams: int = 15
 
     def __post_init__(self) -> None:
-        for name in ProposalConfig.__dataclass_fields__:
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"{name} of the proposal must be above 0, got {getattr(self, name)}")
+        require_above(self, 0, *ProposalConfig.__dataclass_fields__, of="the proposal")
         if self.minimumScore > self.search_threshold:
             raise ConfigError(
                 f"minimumScore must be at most search_threshold = {self.search_threshold}, "

@@ -23,8 +23,8 @@ import numpy as np
 from numba import njit
 
 from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.validation import require_above
 from slam_baselines.mapping.growing_grid import GrowingGrid
 from slam_baselines.mapping.occupancy_map import SLOPE_STEP
 from slam_baselines.scan.leveling import LeveledScan, ScanPoints
@@ -73,17 +73,8 @@ class GroundFilterConfig:
     slope_limit: float = math.radians(40.0)
 
     def __post_init__(self) -> None:
-        for name in (
-            "resolution",
-            "attitude_error",
-            "height_error",
-            "confidence",
-            "slope_factor",
-            "full_weight_slope",
-            "slope_limit",
-        ):
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"{name} of the ground filter must be above 0, got {getattr(self, name)}")
+        above = "resolution", "attitude_error", "height_error", "confidence", "slope_factor"
+        require_above(self, 0, *above, "full_weight_slope", "slope_limit", of="the ground filter")
 
 
 class GroundFilter:

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass, field
 
 from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.validation import require_above, require_at_least
 from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
 from slam_baselines.mapping.occupancy_map import OccupancyMap, UpdateConfig, bounding_box
 from slam_baselines.mapping.pyramid import MapPyramid
@@ -29,7 +29,7 @@ class BuilderConfig:
         ground_filter: separates hits on ground from hits on walls.
 
     Raises:
-        ConfigError: a resolution, threshold or number of levels that is not above 0.
+        ConfigError: a resolution that is not above 0, no level, or a negative threshold.
     """
 
     map_resolution: float = 0.05
@@ -41,15 +41,10 @@ class BuilderConfig:
     ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
 
     def __post_init__(self) -> None:
-        if not self.map_resolution > 0:
-            raise ConfigError(f"map_resolution must be above 0 m, got {self.map_resolution}")
-        if self.map_multi_res_levels < 1:
-            raise ConfigError(f"map_multi_res_levels must be at least 1, got {self.map_multi_res_levels}")
-        if (
-            min(self.map_update_distance_thresh, self.map_update_angle_thresh, self.map_update_tilt_thresh)
-            < 0
-        ):
-            raise ConfigError("thresholds of the map update must not be negative")
+        require_above(self, 0, "map_resolution", unit="m")
+        require_at_least(self, 1, "map_multi_res_levels")
+        thresholds = (f"map_update_{what}_thresh" for what in ("distance", "angle", "tilt"))
+        require_at_least(self, 0, *thresholds)
 
 
 class MapBuilder:

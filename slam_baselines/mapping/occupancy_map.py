@@ -15,9 +15,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.validation import require_within
 from slam_baselines.mapping.growing_grid import GrowingGrid
 from slam_baselines.scan.leveling import ScanPoints
 
@@ -45,14 +45,9 @@ class UpdateConfig:
     limit: float = 4.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.update_factor_free < 0.5:
-            raise ConfigError(f"update_factor_free must be within (0, 0.5), got {self.update_factor_free}")
-        if not 0.5 < self.update_factor_occupied < 1:
-            raise ConfigError(
-                f"update_factor_occupied must be within (0.5, 1), got {self.update_factor_occupied}"
-            )
-        if not 0 < self.limit <= 12:
-            raise ConfigError(f"limit must be within (0, 12], got {self.limit}")
+        require_within(self, "(0, 0.5)", "update_factor_free")
+        require_within(self, "(0.5, 1)", "update_factor_occupied")
+        require_within(self, "(0, 12]", "limit")
 
     @property
     def steps(self) -> tuple[int, int, int]:

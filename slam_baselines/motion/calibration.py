@@ -14,8 +14,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.validation import require_above
 
 Slope = tuple[float, float]
 """How far the ground falls per metre ahead and per metre to the left."""
@@ -46,9 +46,7 @@ class CalibrationConfig:
     slide_noise: float = 0.007
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"{name} of the calibration must be above 0, got {getattr(self, name)}")
+        require_above(self, 0, *self.__dataclass_fields__, of="the calibration")
 
 
 class Calibration:

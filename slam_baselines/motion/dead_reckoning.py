@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu
+from lirs_wct.validation import require_above
 from slam_baselines.common.linalg import moved_covariance
 from slam_baselines.motion.calibration import LEVEL, Calibration, CalibrationConfig, Slope
 
@@ -70,9 +70,7 @@ class MotionConfig:
     blind_rotation: float = 0.5
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"{name} of the motion must be above 0, got {getattr(self, name)}")
+        require_above(self, 0, *self.__dataclass_fields__, of="the motion")
 
     def predict(
         self,

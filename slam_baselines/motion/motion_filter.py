@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.validation import require_at_least
 from slam_baselines.scan.leveling import LeveledScan
 
 
@@ -30,11 +30,7 @@ class MotionFilterConfig:
     max_tilt_radians: float = math.radians(1.0)
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            if getattr(self, name) < 0:
-                raise ConfigError(
-                    f"{name} of the motion filter must not be negative, got {getattr(self, name)}"
-                )
+        require_at_least(self, 0, *self.__dataclass_fields__, of="the motion filter")
 
 
 class MotionFilter:

@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lirs_wct.geometry.pose import Pose2
-from slam_baselines.mapping.growing_grid import GrowingGrid
 from slam_baselines.mapping.keyframe_trajectory import KeyframeTrajectory
 
 NEAR = st.floats(-3, 3)
@@ -55,24 +54,3 @@ def test_scans_between_keyframes_follow_both() -> None:
         track.add(stamp, keyframe, Pose2(x, 0))
     poses = track.trajectory([Pose2(0, 0), Pose2(1, 0.4)], [Pose2(0, 0), Pose2(1, 0)])
     np.testing.assert_allclose(poses.xy, [[0, 0], [0.5, 0.2], [1, 0.4], [1.5, 0.4]], atol=1e-9)
-
-
-@settings(max_examples=100, deadline=None)
-@given(
-    st.lists(st.tuples(*[st.floats(-40, 40)] * 2, *[st.floats(0, 30)] * 2), min_size=1, max_size=6),
-    st.sampled_from((0.05, 0.1, 0.2)),
-)
-def test_a_grid_holds_every_box_with_a_cell_to_spare(
-    boxes: list[tuple[float, float, float, float]], resolution: float
-) -> None:
-    grid = GrowingGrid(resolution, {"a": (np.uint8, 7)})
-    for west, south, width, height in boxes:
-        before = grid.layers["a"]
-        grew = grid.ensure(west, south, west + width, south + height)
-        assert grew == (grid.layers["a"] is not before)
-        rows, cols = grid.shape
-        assert grid.col0 <= west / resolution - 1 + 1e-6
-        assert grid.row0 <= south / resolution - 1 + 1e-6
-        assert grid.col0 + cols >= (west + width) / resolution + 2 - 1e-6
-        assert grid.row0 + rows >= (south + height) / resolution + 2 - 1e-6
-        assert not grid.ensure(west, south, west + width, south + height)
