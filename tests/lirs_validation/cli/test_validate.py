@@ -24,6 +24,7 @@ def wct(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     """Run the command line in an empty folder; return exit code, stdout and stderr."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(console.out, "_width", 200)
+    monkeypatch.setattr(console.out, "_height", 50)  # else a dumb terminal has 80 columns whatever the width
 
     def call(*arguments: str) -> Said:
         monkeypatch.setattr("sys.argv", ["lirs-wct", *arguments])
