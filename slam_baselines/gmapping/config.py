@@ -18,20 +18,20 @@ class GmappingConfig(ProposalConfig):
     """Parameters of gmapping where they exist.
 
     Attributes:
-        particles: how many paths are followed.
+        particles: number of paths.
         seed: of the random numbers.
         linearUpdate: metres to drive before the next scan is processed.
         angularUpdate: radians to turn before the next scan is processed.
         resampleThreshold: particles are drawn anew when N_eff falls below this share of them.
         srr: error of the odometry in translation after one metre, metres.
-        srt: ... in translation after one radian, metres.
-        str: ... in rotation after one metre, radians.
-        stt: ... in rotation after one radian, radians.
+        srt: error of the odometry in translation after one radian, metres.
+        str: error of the odometry in rotation after one metre, radians.
+        stt: error of the odometry in rotation after one radian, radians.
         ogain: likelihoods are taken to the power 1 / (ogain * particles), so that single scans with
             their correlated beams do not decide alone.
         delta: edge of a map's cell, metres.
-        maxUrange: hits farther away are not used, but free up to here, metres. Without it, beams without
-            return say nothing.
+        maxUrange: range from which on hits count as free up to here, metres; infinite: beams without return
+            are left out.
         tracking: share of the beams on known cells that end at a wall, below which a processed scan does not
             enter the maps.
         bootstrap: when the first metres on uneven ground are refined.

@@ -119,7 +119,7 @@ class GmappingMapper:
 
     def _follow(self, scan: LeveledScan, odometry: Pose2, imu: Imu | None) -> None:
         """Add the odometry to the motion since the last processed scan."""
-        delta = self._increment.follow(odometry, imu, scan.stamp)
+        delta = self._increment.add_odometry(odometry, imu, scan.stamp)
         if scan.leveled:
             self._ground_filter.move(delta, scan)
 

@@ -106,7 +106,7 @@ class HectorMapper:
         if level.leveled and not self._bootstrap.over:
             self._motion.append(self._reckoning.increment)
         match = self._match(level, expected)
-        self._builder.follow(level, self._estimate.pose)
+        self._builder.move_base(level, self._estimate.pose)
         if self._fits(match) and self._builder.due(level, self._estimate.pose):
             self._enter(level)
         last = self._keyframes[-1] if self._keyframes else Pose2()

@@ -32,7 +32,7 @@ from slam_baselines.scan.leveling import LeveledScan, ScanPoints
 
 @dataclass(frozen=True, kw_only=True)
 class GroundFilterConfig:
-    """What is believed of attitude, height and ground.
+    """Errors of attitude and height, and slopes of the ground.
 
     Attributes:
         resolution: edge of a cell of the upper bound, metres.
@@ -43,14 +43,14 @@ class GroundFilterConfig:
         base_height: of base_link above the ground, metres.
         footprint: radius of the ground that the robot stands on, metres.
         flat_tilt: ground on which the robot never tilted more is a floor: every hit is a wall. Radians.
-        slope_factor: ground is at most so many times as steep as the robot has tilted ...
-        slope_margin: ... plus this, radians ...
-        match_margin: for matching, steeper than the robot has tilted plus this is a wall, radians.
+        slope_factor: ratio of the steepest ground to the robot's largest tilt.
+        slope_margin: added to it, radians.
+        match_margin: the same for matching, where the ratio is 1, radians.
         full_weight_slope: rise over run from which on a hit has full weight in matching; where it is less
             steep, an error of height shifts it more, and its weight falls with the square of the slope.
-        first_margin: at the start, when little ground is known, ground may be steeper by this, radians.
-        first_meters: distance over which this falls to 1/e, metres.
-        slope_limit: ... and never steeper than this, radians.
+        first_margin: added at the start, when little ground is known, radians.
+        first_meters: distance over which the first margin falls to 1/e, metres.
+        slope_limit: of the steepest ground, radians.
 
     Raises:
         ConfigError: a value that is not above 0.

@@ -20,7 +20,7 @@ class KnownPoseMapper:
     def update(self, scan: LaserScan, T_map_base: Pose2, imu: Imu | None) -> None:
         """Take in a scan; it changes the map where the robot has moved enough."""
         level = self._leveler.level(scan, imu)
-        self._builder.follow(level, T_map_base)
+        self._builder.move_base(level, T_map_base)
         if self._builder.due(level, T_map_base):
             self._builder.enter(level, T_map_base)
 

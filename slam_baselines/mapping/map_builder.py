@@ -65,8 +65,8 @@ class MapBuilder:
         self.pyramid = MapPyramid(tuple(OccupancyMap(r, c.update) for r in resolutions))
         self._wall_slope = self.ground_filter.match_wall_slope
 
-    def follow(self, scan: LeveledScan, pose: Pose2) -> None:
-        """Take note that the base has come to `pose`; keeps the height up to date."""
+    def move_base(self, scan: LeveledScan, pose: Pose2) -> None:
+        """Follow the base to `pose`; keeps its height up to date."""
         if scan.leveled:
             self.ground_filter.move(Pose2() if self._last is None else self._last.inverse() @ pose, scan)
         self._last = pose

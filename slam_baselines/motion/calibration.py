@@ -1,4 +1,4 @@
-"""What an odometry always gets wrong, learnt while driving.
+"""Calibration of the odometry: its constant errors, estimated while driving.
 
 Wheels of unequal size, a wrong track, a laser that is not where the log says: such errors are the same
 in every step, so a prior that is right on average needs them taken out. The correction of a step is
@@ -6,7 +6,7 @@ linear in the distance traveled and the angle turned; recursive least squares wi
 the poses that scan matching confirms (Haykin 2002, "Adaptive filter theory", table 9.1).
 
 Wheels that skid in a turn have spent their friction, so on a slope the robot slides downhill as well: by
-so much per radian turned and unit of slope. That is one more gain, learnt likewise.
+so much per radian turned and unit of slope. That is one more gain, estimated likewise.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ LEVEL: Slope = (0.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationConfig:
-    """How fast the correction is learnt.
+    """How fast the correction is estimated.
 
     Attributes:
         per_metre: standard deviation of the correction per metre before anything is known (m/m, rad/m).
         per_radian: the same per radian turned (m/rad, rad/rad).
         noise: of the correction seen in one step, metres and radians.
-        memory: steps after which what was learnt counts 1/e.
+        memory: steps after which an observation counts 1/e.
         slide: standard deviation of the slide before anything is known, metres per radian and unit of slope.
         slide_noise: of the slide seen in one step, metres.
 

@@ -1,4 +1,4 @@
-"""Odometry as a prior: the pose to expect and how much to believe it."""
+"""Odometry as a prior: the expected pose and its covariance."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from lirs_wct.validation import require_above
 from slam_baselines.common.linalg import moved_covariance
 from slam_baselines.motion.calibration import LEVEL, Calibration, CalibrationConfig, Slope
 
-STANDS = 1e-3
-"""A step shorter than this (metres and radians together) is none."""
+STANDSTILL = 1e-3
+"""An increment shorter than this (metres and radians together) is none."""
 
 
 def yaw_rate(imu: Imu) -> float:
@@ -25,7 +25,7 @@ def yaw_rate(imu: Imu) -> float:
 
 @dataclass(frozen=True, slots=True)
 class PoseEstimate:
-    """A pose and how much it is to be believed.
+    """A pose and its covariance.
 
     Attributes:
         pose: `T_map_base`.
@@ -45,7 +45,7 @@ class MotionConfig:
     Attributes:
         translation_per_metre: standard deviation after one metre, metres.
         translation_per_radian: after turning one radian, metres.
-        slide_per_radian: the same again for each radian that the robot is tilted, metres.
+        slide_per_radian: after turning one radian on a slope, metres per radian of tilt.
         translation_per_second: after one second, metres.
         rotation_per_metre: after one metre, radians.
         rotation_per_radian: after turning one radian, radians.
@@ -177,7 +177,10 @@ class DeadReckoning:
     def learn(self, before: Pose2, now: Pose2) -> None:
         """Take note of where the last step truly led: from `before` to `now` in the map."""
         # A robot that stands teaches nothing, and what was learnt is not forgotten over it.
-        if self.increment is not None and abs(self.increment.step.x) + abs(self.increment.step.yaw) > STANDS:
+        if (
+            self.increment is not None
+            and abs(self.increment.step.x) + abs(self.increment.step.yaw) > STANDSTILL
+        ):
             self.calibration.learn(self.increment.step, _between(before, now), self.increment.down)
 
 

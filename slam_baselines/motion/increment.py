@@ -23,10 +23,10 @@ class MotionIncrement:
 
     Attributes:
         pose: `T_begin_now`, corrected.
-        newest: (3, 3) covariance of what was added to it last.
-        reckoned: the same step by odometry and gyro as they are; its covariance is the sum over all.
-        bias: what the gyro says too much, rad/s; taken out of `pose`.
-        seconds: spent moving.
+        newest: (3, 3) covariance of the last addition.
+        reckoned: motion since `begin` by odometry and gyro as they are, with the sum of the covariances.
+        bias: of the gyro, rad/s; taken out of `pose`.
+        seconds: time spent moving.
         distance: traveled, metres.
         turn: radians turned, either way.
     """
@@ -38,14 +38,14 @@ class MotionIncrement:
         self.begin()
 
     def begin(self) -> None:
-        """Start a new step here."""
+        """Start a new increment here."""
         self.pose = Pose2()
         self.newest: FloatArray = np.zeros((3, 3))
         self.reckoned = PoseEstimate(Pose2(), self.newest)
         self.distance = self.turn = self.seconds = self._disagreement = 0.0
 
-    def follow(self, odometry: Pose2, imu: Imu | None, stamp: float) -> Pose2:
-        """Go on by odometry and gyro; return what was added, `T_before_now`."""
+    def add_odometry(self, odometry: Pose2, imu: Imu | None, stamp: float) -> Pose2:
+        """Add the motion by odometry and gyro up to a stamp; return it, `T_before_now`."""
         exact = PoseEstimate(self.pose, np.zeros((3, 3)))
         now = self._reckoning.predict(exact, odometry, imu, stamp)
         delta = self.pose.inverse() @ now.pose

@@ -15,10 +15,10 @@ class MotionFilterConfig:
     """Which scans become nodes; names as in Cartographer's motion_filter.
 
     Attributes:
-        max_time_seconds: a node at least so often ...
-        max_distance_meters: ... and after so much distance ...
-        max_angle_radians: ... or turning ...
-        max_tilt_radians: ... or tilting, since tilting shows other heights of the same things.
+        max_time_seconds: longest time between two nodes.
+        max_distance_meters: largest distance between two nodes.
+        max_angle_radians: largest turn between two nodes.
+        max_tilt_radians: largest change of tilt between two nodes; it shows other heights of the same things.
 
     Raises:
         ConfigError: a negative value.

@@ -1,4 +1,4 @@
-"""A scan made level: ends of beams in the gravity-aligned base frame, with their heights.
+"""Scan leveling: ends of beams in the gravity-aligned base frame, with their heights.
 
 The leveled frame has its origin in base_link, z against gravity and x along the robot's heading, so
 `p_level = Ry(pitch) Rx(roll) T_base_laser p_laser`; the planar pose `T_map_base` does the rest.

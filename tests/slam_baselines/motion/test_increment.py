@@ -20,7 +20,7 @@ def drive(step: MotionIncrement, rates: list[float], turns: list[float], speed: 
     odometry = Pose2(3, 1, 2)
     for i, (rate, turn) in enumerate(zip(rates, turns, strict=True)):
         odometry = odometry @ Pose2(0.1 * speed if i else 0, 0, turn if i else 0)
-        step.follow(odometry, Imu(angular_velocity=(0, 0, rate), stamp=0.1 * i), 0.1 * i)
+        step.add_odometry(odometry, Imu(angular_velocity=(0, 0, rate), stamp=0.1 * i), 0.1 * i)
 
 
 def test_the_bias_is_taken_out_of_a_step() -> None:
@@ -52,7 +52,7 @@ def test_the_noise_of_single_readings_cancels_over_the_way() -> None:
 def test_without_a_gyro_the_odometry_is_believed_as_configured() -> None:
     step, motion = MotionIncrement(MotionConfig()), MotionConfig()
     for i in range(11):
-        step.follow(Pose2(0.1 * i), None, 0.1 * i)
+        step.add_odometry(Pose2(0.1 * i), None, 0.1 * i)
     expected = motion.rotation_per_meter**2 + motion.rotation_per_second**2
     assert step.reckoned.covariance[2, 2] == pytest.approx(expected, rel=1e-6)
     assert step.seconds == 0
