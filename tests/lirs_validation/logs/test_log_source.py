@@ -75,7 +75,7 @@ def test_a_map_that_is_there_is_used_again(folder: Path) -> None:
 
 @pytest.mark.parametrize(("changed", "again"), [({"numpy": "0.0"}, False), ({"code": "0"}, True)])
 def test_a_map_is_stale_where_a_run_would_be(changed: dict[str, str], again: bool, folder: Path) -> None:
-    options = BuildOptions(log_mapper="hector")
+    options = SourceOptions(log_mapper="hector")
     record = Path(resolve_source("my room.clf", options, folder)).with_name("record.json")
     entry = json.loads(record.read_text())
     versions = entry["versions"] | changed
