@@ -132,7 +132,7 @@ def test_illegal_configuration_is_named(name: str, value: float) -> None:
         make_mapper("gmapping", **{name: value})
 
 
-def test_lineage_follows_the_survivors_and_forgets_the_dead() -> None:
+def test_the_tree_follows_the_survivors_and_forgets_the_dead() -> None:
     rng = np.random.default_rng(4)
     tree, plain = TrajectoryTree(), []
     parents = np.arange(6)
@@ -149,7 +149,7 @@ def test_lineage_follows_the_survivors_and_forgets_the_dead() -> None:
     assert sum(len(p) for p in tree._poses) < 40 * 6 / 2
 
 
-def test_between_processed_scans_the_error_is_spread_along_the_way() -> None:
+def test_between_processed_scans_the_error_is_spread() -> None:
     tree = TrajectoryTree()
     tree.add_generation(np.zeros((1, 3)), np.zeros(1, np.int64), Pose2())
     for i in range(4):

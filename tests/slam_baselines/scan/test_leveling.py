@@ -72,7 +72,7 @@ def test_empty_scan() -> None:
     assert level.hits.shape == (0, 3)
 
 
-def test_placed_moves_by_the_planar_pose_and_the_height() -> None:
+def test_transformed_moves_by_the_planar_pose_and_the_height() -> None:
     level = ScanLeveler().level(scan_of([1.0, 2.0]), None)
     pose = Pose2(1.0, 2.0, 0.7)
     origin, hits, free = level.transformed(pose, 0.4)
