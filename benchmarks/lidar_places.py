@@ -29,7 +29,7 @@ def octaves(samples: int, seed: int = 0) -> HeightField:
         lattice = rng.standard_normal((knots + 3, knots + 3)).astype(np.float32) * 2.0 ** (1 - octave)
         weights = _catmull_rom(samples, knots)
         z += (weights @ (weights @ lattice).T).T
-    return HeightField.centred(z, (SIDE / (samples - 1),) * 2)
+    return HeightField.centered(z, (SIDE / (samples - 1),) * 2)
 
 
 def _catmull_rom(samples: int, knots: int) -> sparse.csr_array:

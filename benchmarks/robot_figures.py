@@ -33,7 +33,7 @@ def flat(degrees: float = 0.0) -> World:
     end = 2.0 * math.sin(angle)
     z = 2.0 - np.sqrt(4.0 - np.clip(s, 0, end) ** 2) + np.maximum(s - end, 0) * math.tan(angle)
     heights = np.broadcast_to(z, (201, 201)).astype(np.float32)
-    return World("flat", Terrain(HeightField.centred(heights, (0.1, 0.1))), spawn_poses=(Pose2(),))
+    return World("flat", Terrain(HeightField.centered(heights, (0.1, 0.1))), spawn_poses=(Pose2(),))
 
 
 def within(what: str, value: float, low: float, high: float, unit: str = "") -> Row:
@@ -148,7 +148,7 @@ def flight(robot: Robot) -> list[Row]:
         way.append(sim.T_world_base.x)
     hills, axis = flat(), (np.arange(201) - 100) * 0.1
     z = 1.5 * np.sin(axis / 1.5)[None, :] * np.cos(axis / 2)[:, None]
-    hills = replace(hills, ground=Terrain(HeightField.centred(z.astype(np.float32), (0.1, 0.1))))
+    hills = replace(hills, ground=Terrain(HeightField.centered(z.astype(np.float32), (0.1, 0.1))))
     sim = Simulation(hills, SimulationConfig(robot=robot, lidar=LIDAR))
     sim.reset(Pose2(-8.0, 0.0))
     gaps = []

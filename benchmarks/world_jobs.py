@@ -185,7 +185,7 @@ def warm(job: str, folder: Path, budget: float) -> None:
     JOBS[job](source, folder, budget)
     if any(folder.rglob("*.dae")):
         # What is tiny is not streamed by itself.
-        mesh = solid_mesh(HeightField.centred(np.eye(9, dtype=np.float32), (1, 1)))
+        mesh = solid_mesh(HeightField.centered(np.eye(9, dtype=np.float32), (1, 1)))
         write_collada(folder / "streamed.dae", mesh, stream_above=0)
 
 

@@ -33,7 +33,7 @@ class ContactLog:
         upright: (n,) cosine of the angle by which the robot leans.
         velocity: (n, 3) of base_link in the world, m/s.
         spin: (n, 3) turn rate in the world, rad/s.
-        bodies: (n, bodies, 3) centres of mass of all moving bodies, metres.
+        bodies: (n, bodies, 3) centers of mass of all moving bodies, metres.
         depth: (n,) deepest penetration, metres; 0 without contact.
         peak_force: (n,) largest normal force of a contact, newtons.
         force: (n,) sum of all normal forces, newtons.

@@ -69,7 +69,7 @@ def energy_gain(legs: Sequence[Leg], weight: float) -> Bounded:
 
 def _gain(log: ContactLog, weight: float) -> Bounded:
     span = max(1, round(WINDOW / log.timestep))
-    # A window that ends at each step: the filters are centred.
+    # A window that ends at each step: the filters are centered.
     size, origin = span + 1, span // 2
     balance = log.energy - (np.cumsum(log.work) - log.work)
     gain = balance - minimum_filter1d(balance, size, origin=origin, mode="nearest")

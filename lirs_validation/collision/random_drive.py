@@ -64,7 +64,7 @@ def places(world: World, robot: Robot, rng: np.random.Generator) -> list[Pose2]:
     """
     free = world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope)
     inside = cv2.erode(free.free.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)
-    edge = free.centres(np.argwhere(largest_area(free.free) & (inside == 0)))
+    edge = free.centers(np.argwhere(largest_area(free.free) & (inside == 0)))
     beside = [
         Pose2(float(edge[k, 0]), float(edge[k, 1]), float(rng.uniform(-math.pi, math.pi)))
         for k in rng.integers(len(edge), size=TRIES if len(edge) else 0).tolist()

@@ -79,7 +79,7 @@ def _steepest(world: World, robot: Robot) -> list[tuple[float, Pose2]]:
     """Return slopes (radians) and poses facing uphill, the steepest legal ones first."""
     free = world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope)
     cells = np.argwhere(free.free)
-    x, y = free.centres(cells[:: max(1, len(cells) // PLACES)]).T
+    x, y = free.centers(cells[:: max(1, len(cells) // PLACES)]).T
     if len(x) == 0:
         return []
     r, z = robot.radius, world.surface.height_at

@@ -51,8 +51,8 @@ class Canvas:
         return west, east, south, north
 
     @property
-    def centres(self) -> FloatArray:
-        """(rows, cols, 2) x and y of the pixels' centres, metres."""
+    def centers(self) -> FloatArray:
+        """(rows, cols, 2) x and y of the pixels' centers, metres."""
         west, _, _, north = self.bounds
         x = west + (np.arange(self.shape[1]) + 0.5) * self.pixel
         y = north - (np.arange(self.shape[0]) + 0.5) * self.pixel
@@ -60,12 +60,12 @@ class Canvas:
 
     def heights(self, surface: HeightField) -> FloatArray:
         """Return (rows, cols) metres; NaN off the surface."""
-        xy = self.centres
+        xy = self.centers
         return surface.height_at(xy[..., 0], xy[..., 1])
 
     def marked(self, mask: BoolArray, resolution: float, origin: Pose2) -> BoolArray:
         """Return the pixels that hold a marked cell of a grid, however thin: row 0 of `mask` is south."""
-        local = np.floor(origin.inverse().apply(self.centres) / resolution).astype(np.int64)
+        local = np.floor(origin.inverse().apply(self.centers) / resolution).astype(np.int64)
         col, row = local[..., 0], local[..., 1]
         inside = (row >= 0) & (row < mask.shape[0]) & (col >= 0) & (col < mask.shape[1])
         seen: BoolArray = inside & mask[np.where(inside, row, 0), np.where(inside, col, 0)]

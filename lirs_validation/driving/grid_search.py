@@ -97,7 +97,7 @@ def cells_ahead(grid: OccupancyGrid, free: BoolArray, start: Pose2, distance: fl
         distance: metres.
     """
     first = nearest(free, grid.cells((start.x, start.y)))
-    x, y = grid.centres(first).tolist()
+    x, y = grid.centers(first).tolist()
     steps = np.arange(1, int(distance / grid.resolution) + 1) * grid.resolution
     line = Pose2(x, y, start.yaw).apply(np.column_stack((steps, np.zeros_like(steps))))
     cells = np.concatenate((first[None], grid.cells(line)))

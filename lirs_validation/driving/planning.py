@@ -102,13 +102,13 @@ class CoveragePlanner:
         """
         ahead = cells_ahead(self._grid, self._free, start, straight)
         cell, heading = ahead[-1], start.yaw
-        legs, planned = [self._grid.centres(ahead)], 0.0
+        legs, planned = [self._grid.centers(ahead)], 0.0
         self._cover(ahead)
         while planned < length:
             leg = self._leg(cell, heading)
             if len(leg) < 2:
                 break
-            points = self._grid.centres(leg)
+            points = self._grid.centers(leg)
             legs.append(points[1:])
             step = float(arc_length(points)[-1])
             planned += step
@@ -136,7 +136,7 @@ class CoveragePlanner:
     def avoid(self, point: tuple[float, float], radius: float) -> None:
         """Penalize cells round a point in the grid's frame: only the last resort leads there."""
         cells = np.argwhere(self._free)
-        near = cells[np.linalg.norm(self._grid.centres(cells) - np.array(point), axis=1) < radius]
+        near = cells[np.linalg.norm(self._grid.centers(cells) - np.array(point), axis=1) < radius]
         self._weight[near[:, 0], near[:, 1]] += 50.0
 
     def _leg(self, cell: IntArray, heading: float) -> IntArray:
@@ -192,7 +192,7 @@ class CoveragePlanner:
         reached = np.argwhere(goals & np.isfinite(reach.cost))
         if len(reached) > 300:
             reached = reached[self._rng.choice(len(reached), 300, replace=False)]
-        offset = self._grid.centres(reached) - self._grid.centres(cell)
+        offset = self._grid.centers(reached) - self._grid.centers(cell)
         turn = np.abs(
             np.remainder(np.arctan2(offset[:, 1], offset[:, 0]) - heading + math.pi, math.tau) - math.pi
         )

@@ -14,9 +14,9 @@ from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.geometry.grid import OccupancyGrid
 
 TOLERANCE = 0.10
-"""Two occupied cells agree where their centres are at most this far apart, metres."""
+"""Two occupied cells agree where their centers are at most this far apart, metres."""
 ROUNDING = 1e-9
-"""Cell centres that are 0.10 m apart but for rounding agree, metres."""
+"""Cell centers that are 0.10 m apart but for rounding agree, metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +48,7 @@ class CellDistance:
 
 
 def agreement(built: OccupancyGrid, reference: OccupancyGrid, tolerance: float = TOLERANCE) -> Agreement:
-    """Compare occupied cells by the distance of their centres, in metres, where both maps know.
+    """Compare occupied cells by the distance of their centers, in metres, where both maps know.
 
     A cell is asked where the other map knows the cell under its centre; it agrees with any occupied
     cell of the other map within the tolerance. Works for any two resolutions and rotations.
@@ -86,7 +86,7 @@ def nearest_occupied(asked: OccupancyGrid, other: OccupancyGrid) -> tuple[IntArr
     The distance is infinite where the other map has no occupied cell at all.
     """
     cells, targets = np.argwhere(asked.occupied).astype(np.int64), other.occupied_points()
-    points = asked.centres(cells)
+    points = asked.centers(cells)
     known = ~np.isnan(log_odds_at(other, points))
     if len(targets) == 0:
         return cells[known], np.full(int(known.sum()), np.inf)
@@ -105,10 +105,10 @@ def decided(grid: OccupancyGrid) -> OccupancyGrid:
 
 
 def sampled(grid: OccupancyGrid, like: OccupancyGrid) -> Float32Array:
-    """Return the log-odds of `grid` at the cell centres of another grid; NaN where unknown or outside."""
+    """Return the log-odds of `grid` at the cell centers of another grid; NaN where unknown or outside."""
     rows, cols = like.shape
     cells = np.stack(np.meshgrid(np.arange(rows), np.arange(cols), indexing="ij"), axis=-1)
-    return log_odds_at(grid, like.centres(cells))
+    return log_odds_at(grid, like.centers(cells))
 
 
 def log_odds_at(grid: OccupancyGrid, points: FloatArray) -> Float32Array:

@@ -104,7 +104,7 @@ def map_scores(
 def iou(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
     """Return intersection over union of the occupied cells known in both maps; None where there is none.
 
-    The built map is read at the centres of the reference's cells: exact where the two lattices coincide,
+    The built map is read at the centers of the reference's cells: exact where the two lattices coincide,
     the nearest cell where the maps are turned or shifted against each other.
     """
     log_odds = sampled(built, reference)

@@ -37,7 +37,7 @@ def motion(a: FloatArray, b: FloatArray) -> FloatArray:
 def rigid_alignment(source: FloatArray, target: FloatArray) -> Pose2:
     """Return `T_target_source` that brings points (n, 2) nearest to points (n, 2) in the least-squares sense.
 
-    The plane's closed form of Umeyama (PAMI 1991, Eqs. 39-42) without scale: with both sets centred,
+    The plane's closed form of Umeyama (PAMI 1991, Eqs. 39-42) without scale: with both sets centered,
     the best rotation has the angle of (sum of dot products, sum of cross products).
     """
     a, b = source - source.mean(axis=0), target - target.mean(axis=0)

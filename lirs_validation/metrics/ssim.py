@@ -18,7 +18,7 @@ K1, K2 = 0.01, 0.03
 def map_ssim(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
     """Return the mean structural similarity over the cells known in both maps; None where there is none.
 
-    The built map is read at the centres of the reference's cells. Pictures hold 0 for occupied, 1 for
+    The built map is read at the centers of the reference's cells. Pictures hold 0 for occupied, 1 for
     free and 0.5 for what is unknown or undecided.
     """
     moved = OccupancyGrid(sampled(built, reference), reference.resolution)

@@ -81,15 +81,15 @@ def world_spec(
 
 
 def box_geoms(walls: WallGrid) -> FloatArray:
-    """Return (n, 4) the walls' boxes: centre x, y in the world, half extents along the grid's axes."""
+    """Return (n, 4) the walls' boxes: center x, y in the world, half extents along the grid's axes."""
     return _boxes(walls, merged_rectangles(walls.solid))
 
 
 def _boxes(walls: WallGrid, rectangles: IntArray) -> FloatArray:
     boxes = np.asarray(rectangles, dtype=np.float64).reshape(-1, 4) * walls.resolution
-    centre = walls.origin.apply((boxes[:, [1, 0]] + boxes[:, [3, 2]]) / 2)
+    center = walls.origin.apply((boxes[:, [1, 0]] + boxes[:, [3, 2]]) / 2)
     half = (boxes[:, [3, 2]] - boxes[:, [1, 0]]) / 2
-    return np.concatenate((centre, half), axis=1)
+    return np.concatenate((center, half), axis=1)
 
 
 def _add_ground(
@@ -127,7 +127,7 @@ def _add_boxes(
     cells: BoolArray,
     span: tuple[float, float],
     group: int,
-    colour: tuple[float, ...],
+    color: tuple[float, ...],
 ) -> None:
     """Add boxes to the world's body itself: a body of their own would be updated with them at every step."""
     half_yaw = walls.origin.yaw / 2
@@ -140,7 +140,7 @@ def _add_boxes(
             size=(hx, hy, (high - low) / 2),
             quat=quat,
             group=group,
-            rgba=colour,
+            rgba=color,
         )
     # With sleeping enabled MuJoCo leaves out what never moves: 2,372 boxes cost 5 us a step instead of 19.
     spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)

@@ -79,14 +79,14 @@ class OccupancyGrid:
         local = self.origin.inverse().apply(points)
         return np.floor(local[..., ::-1] / self.resolution).astype(np.int64)
 
-    def centres(self, cells: ArrayLike) -> FloatArray:
-        """Return (..., 2) the centres of cells (..., 2) given as row, column, in the grid's frame."""
+    def centers(self, cells: ArrayLike) -> FloatArray:
+        """Return (..., 2) the centers of cells (..., 2) given as row, column, in the grid's frame."""
         rc = np.asarray(cells, dtype=np.float64)
         return self.origin.apply((rc[..., ::-1] + 0.5) * self.resolution)
 
     def occupied_points(self) -> FloatArray:
-        """Return (n, 2) centres of the occupied cells."""
-        return self.centres(np.argwhere(self.occupied))
+        """Return (n, 2) centers of the occupied cells."""
+        return self.centers(np.argwhere(self.occupied))
 
     def moved(self, T_new_frame: Pose2) -> OccupancyGrid:
         """Return the same cells expressed in another frame."""

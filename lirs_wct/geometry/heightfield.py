@@ -41,7 +41,7 @@ class HeightField:
             raise ConfigError("heights of a height field must be finite")
 
     @staticmethod
-    def centred(z: Float32Array, cell: tuple[float, float]) -> HeightField:
+    def centered(z: Float32Array, cell: tuple[float, float]) -> HeightField:
         """Build with the picture's centre at the world's origin."""
         rows, cols = z.shape
         return HeightField(z, cell, (-(cols - 1) * cell[0] / 2, -(rows - 1) * cell[1] / 2))

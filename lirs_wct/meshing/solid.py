@@ -84,7 +84,7 @@ def node_axes(surface: HeightField) -> tuple[FloatArray, FloatArray]:
 def close_solid(vertices: FloatArray, faces: Int32Array, border: Int32Array, z_base: float) -> TriangleMesh:
     """Add a skirt and a base to an open surface over a rectangle.
 
-    The base is a fan around its centre, which the convex outline allows.
+    The base is a fan around its center, which the convex outline allows.
 
     Args:
         vertices: (n, 3) metres.
@@ -95,7 +95,7 @@ def close_solid(vertices: FloatArray, faces: Int32Array, border: Int32Array, z_b
     n, k = len(vertices), len(border)
     base = vertices[border]
     base[:, 2] = z_base
-    centre = np.array([[*(base[:, :2].min(axis=0) + base[:, :2].max(axis=0)) / 2, z_base]])
+    center = np.array([[*(base[:, :2].min(axis=0) + base[:, :2].max(axis=0)) / 2, z_base]])
     top, top_next = border, np.roll(border, -1)
     low = np.arange(n, n + k, dtype=np.int32)
     low_next = np.roll(low, -1)
@@ -104,7 +104,7 @@ def close_solid(vertices: FloatArray, faces: Int32Array, border: Int32Array, z_b
         (np.stack((top, low, low_next), axis=1), np.stack((top, low_next, top_next), axis=1))
     )
     bottom = np.stack((low_next, low, middle), axis=1)
-    return TriangleMesh(np.concatenate((vertices, base, centre)), np.concatenate((faces, skirt, bottom)))
+    return TriangleMesh(np.concatenate((vertices, base, center)), np.concatenate((faces, skirt, bottom)))
 
 
 def _grid_faces(rows: int, cols: int) -> Int32Array:

@@ -23,7 +23,7 @@ def spawn_poses(free: OccupancyGrid, count: int = 8) -> tuple[Pose2, ...]:
     sees little of it. Farthest-point sampling, so the same grid gives the same poses.
     """
     area = _inner(largest_area(free.free))
-    points = free.centres(np.argwhere(area))
+    points = free.centers(np.argwhere(area))
     if len(points) == 0:
         return ()
     room = distance_to(~area, free.resolution)[area]

@@ -101,7 +101,7 @@ def _nodes_cells(surface: HeightField, chosen: BoolArray, grid: OccupancyGrid) -
 
 def _without_ground(surface: HeightField, no_ground: BoolArray, grid: OccupancyGrid) -> BoolArray:
     """Mark cells of the grid whose nearest node has no ground: nodes may be farther apart than cells."""
-    at = _centres(grid)
+    at = _centers(grid)
     col = np.rint((at[..., 0] - surface.origin[0]) / surface.cell[0]).astype(np.int64)
     row = (
         surface.z.shape[0] - 1 - np.rint((at[..., 1] - surface.origin[1]) / surface.cell[1]).astype(np.int64)
@@ -123,20 +123,20 @@ def _sampled(surface: HeightField, spacing: float) -> HeightField:
 
 
 def _wall_cells(walls: WallGrid, grid: OccupancyGrid) -> BoolArray:
-    """Mark cells of the grid that touch a wall or hole: both grids' centres are looked up in the other."""
+    """Mark cells of the grid that touch a wall or hole: both grids' centers are looked up in the other."""
     barred = ~walls.floor
     local = (np.argwhere(barred)[:, ::-1] + 0.5) * walls.resolution
     inside = _lookup(barred, walls.resolution, walls.origin, grid)
     return inside | _scatter(walls.origin.apply(local), grid)
 
 
-def _centres(grid: OccupancyGrid) -> FloatArray:
+def _centers(grid: OccupancyGrid) -> FloatArray:
     rows, cols = grid.shape
-    return grid.centres(np.moveaxis(np.indices((rows, cols)), 0, -1))
+    return grid.centers(np.moveaxis(np.indices((rows, cols)), 0, -1))
 
 
 def _lookup(mask: BoolArray, resolution: float, origin: Pose2, grid: OccupancyGrid) -> BoolArray:
-    """Return the mask's value at the centres of a grid's cells; False outside."""
+    """Return the mask's value at the centers of a grid's cells; False outside."""
     T_mask_grid = origin.inverse() @ grid.origin
     found: BoolArray = _values_at(mask, resolution, T_mask_grid.as_array(), grid.resolution, *grid.shape)
     return found
@@ -146,7 +146,7 @@ def _lookup(mask: BoolArray, resolution: float, origin: Pose2, grid: OccupancyGr
 def _values_at(
     mask: BoolArray, resolution: float, T_mask_grid: FloatArray, step: float, rows: int, cols: int
 ) -> BoolArray:
-    """Return (rows, cols) values of a mask at cell centres `step` metres apart; False outside."""
+    """Return (rows, cols) values of a mask at cell centers `step` metres apart; False outside."""
     x0, y0, yaw = T_mask_grid
     c, s = math.cos(yaw), math.sin(yaw)
     found = np.zeros((rows, cols), np.bool_)

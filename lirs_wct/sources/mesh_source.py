@@ -104,8 +104,8 @@ def _extent(mesh: TriangleMesh, window: Window | None) -> tuple[tuple[float, flo
     low, high = mesh.bounds[0, :2], mesh.bounds[1, :2]
     if window is not None:
         x, y, side = window
-        centre = np.array((x, y))
-        low, high = np.maximum(low, centre - side / 2), np.minimum(high, centre + side / 2)
+        center = np.array((x, y))
+        low, high = np.maximum(low, center - side / 2), np.minimum(high, center + side / 2)
         if not (high - low > 0).all():
             raise ConfigError(f"window {x:g},{y:g},{side:g} lies outside the mesh: {_size(*mesh.bounds)} m")
     return (float(low[0]), float(low[1])), (float(high[0]), float(high[1]))

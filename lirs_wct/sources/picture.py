@@ -96,7 +96,7 @@ def _height_field(path: Path, picture: Picture, options: BuildOptions) -> Height
     sx, sy, sz = options.scale or (1.0, 1.0, 1.0)
     z = _heights(above, unit, options.height, sz * (options.z_scale or 1.0))
     rows, cols = z.shape
-    return HeightField.centred(z, (width * sx / (cols - 1), depth * sy / (rows - 1)))
+    return HeightField.centered(z, (width * sx / (cols - 1), depth * sy / (rows - 1)))
 
 
 def _metric_pixel(path: Path, picture: Picture) -> tuple[float, float] | None:

@@ -103,7 +103,7 @@ def _level(grid: OccupancyGrid, resolution: float) -> OccupancyMap:
 def _fill(
     grid: OccupancyGrid, mask: BoolArray, value: int, level: OccupancyMap, steps: NDArray[np.int8]
 ) -> None:
-    points = grid.centres(np.argwhere(mask))
+    points = grid.centers(np.argwhere(mask))
     cells = np.floor(points[:, ::-1] / level.resolution).astype(np.int64)
     steps[cells[:, 0] - level.grid.row0, cells[:, 1] - level.grid.col0] = value
 

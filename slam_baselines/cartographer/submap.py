@@ -45,7 +45,7 @@ class Submap:
 
     @property
     def known_points(self) -> FloatArray:
-        """(n, 2) centres of the cells of the coarsest level that beams came to, in the local frame."""
+        """(n, 2) centers of the cells of the coarsest level that beams came to, in the local frame."""
         grid = self.pyramid.maps[-1].grid
         cells = np.argwhere(grid.layers["log_odds"] != UNKNOWN)[:, ::-1] + (grid.col0, grid.row0)
         return np.asarray((cells + 0.5) * grid.resolution, dtype=np.float64)

@@ -26,7 +26,7 @@ def terrain_world(z: HeightFunction, nodes: int = 201, cell: float = 0.1) -> Wor
     axis = (np.arange(nodes) - (nodes - 1) / 2) * cell
     x, y = np.meshgrid(axis, -axis)
     heights = np.broadcast_to(z(x, y), x.shape).astype(np.float32)
-    return World("synthetic", Terrain(HeightField.centred(heights, (cell, cell))), spawn_poses=(Pose2(),))
+    return World("synthetic", Terrain(HeightField.centered(heights, (cell, cell))), spawn_poses=(Pose2(),))
 
 
 @pytest.fixture(scope="session")
@@ -83,6 +83,6 @@ def walled(T_world_wall: Pose2) -> World:
     """A floor with one wall, 0.1 m thick, 10 m long and 2 m high, turned as maps may be."""
     solid = np.zeros((200, 200), np.bool_)
     solid[:, 160:162] = True
-    floor = HeightField.centred(np.zeros((2, 2), np.float32), (24.0, 24.0))
+    floor = HeightField.centered(np.zeros((2, 2), np.float32), (24.0, 24.0))
     walls = WallGrid(solid, 0.05, T_world_wall @ Pose2(3.0 - 8.0, -5.0), 2.0)
     return World("walled", LaserMap(floor, walls), spawn_poses=(Pose2(),))

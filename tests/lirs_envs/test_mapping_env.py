@@ -93,7 +93,7 @@ def test_reward_is_the_new_area(rough: World) -> None:
 
 
 def test_seen_area_of_a_known_scan() -> None:
-    seen = CoverageGrid(HeightField.centred(np.zeros((2, 2), np.float32), (10.0, 10.0)), resolution=0.5)
+    seen = CoverageGrid(HeightField.centered(np.zeros((2, 2), np.float32), (10.0, 10.0)), resolution=0.5)
     ranges = np.array((2.1, np.inf, -np.inf, np.nan), np.float32)
     scan = LaserScan(ranges, 0.0, np.pi / 2, 0.1, 3.1, 0.0)
     # East 2.1 m: cells at 0, .5, 1, 1.5, 2; north without return 3.1 m: seven, the first of them shared.

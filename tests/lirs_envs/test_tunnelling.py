@@ -80,7 +80,7 @@ def test_a_turtlebot_on_a_narrow_barrier_stays_or_falls(name: str, nodes_wide: i
     z = np.zeros((121, 121), np.float32)
     middle = 60
     z[:, middle - nodes_wide // 2 : middle + nodes_wide // 2 + 1] = 0.5
-    world = World("barrier", Terrain(HeightField.centred(z, (0.05, 0.05))), spawn_poses=(Pose2(),))
+    world = World("barrier", Terrain(HeightField.centered(z, (0.05, 0.05))), spawn_poses=(Pose2(),))
     sim = Simulation(world, SimulationConfig(robot=make_robot(name), lidar="lms111"))
     sim.reset(Pose2(-1.5, 0.0))
     touched = sim.contact.heights(world.surface)

@@ -118,7 +118,7 @@ def test_a_window_keeps_coordinates(picture: Path) -> None:
 @pytest.mark.parametrize("cell", [0.5, 40.0])
 def test_a_window_has_its_size_however_coarse_the_terrain(cell: float) -> None:
     z = np.add.outer(np.arange(90.0)[::-1], np.arange(120.0)).astype(np.float32)
-    whole = HeightField.centred(z, (cell, cell))
+    whole = HeightField.centered(z, (cell, cell))
     part = cut_surface(whole, (3.0, 2.0, 20.0))
     assert max(part.size) == pytest.approx(20, abs=2 * 0.5)
     at = np.array([[-5.0, 0.0], [10.0, 9.0], [3.3, -6.0]]).T
@@ -127,7 +127,7 @@ def test_a_window_has_its_size_however_coarse_the_terrain(cell: float) -> None:
 
 def test_every_kind_of_ground_reads_back(tmp_path: Path) -> None:
     """Keys and arrays of `world.json` are what folders in use hold."""
-    surface = HeightField.centred(np.eye(3, dtype=np.float32), (0.5, 0.5))
+    surface = HeightField.centered(np.eye(3, dtype=np.float32), (0.5, 0.5))
     solid, gaps = solid_mesh(surface), np.eye(3, dtype=np.bool_)
     walls = WallGrid(gaps, 0.1, Pose2(1.0, 2.0, 0.5), 1.5, ~gaps & gaps[0])
     truth = OccupancyGrid.from_probability(np.where(gaps, 0.9, 0.1), 0.1, Pose2(1.0, 2.0, 0.5))

@@ -12,7 +12,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 
 fields = st.builds(
-    HeightField.centred,
+    HeightField.centered,
     hnp.arrays(
         np.float32,
         hnp.array_shapes(min_dims=2, max_dims=2, min_side=2, max_side=7),
@@ -47,7 +47,7 @@ def test_a_cell_splits_from_south_west_to_north_east() -> None:
 
 
 def test_off_the_field_there_is_no_height() -> None:
-    field = HeightField.centred(np.zeros((3, 3), np.float32), (1.0, 1.0))
+    field = HeightField.centered(np.zeros((3, 3), np.float32), (1.0, 1.0))
     assert np.isnan(field.height_at(1.01, 0.0))
     assert field.height_at(1.0, -1.0) == 0.0
 

@@ -27,7 +27,7 @@ ABOVE = {"pycollada": 10**9, "stream": 0}
 
 def hills() -> HeightField:
     z = cv2.GaussianBlur(np.random.default_rng(2).random((129, 161)).astype(np.float32), (0, 0), 6)
-    return HeightField.centred((z - z.min()) * 20, (0.25, 0.25))
+    return HeightField.centered((z - z.min()) * 20, (0.25, 0.25))
 
 
 @pytest.fixture(scope="session")
@@ -91,7 +91,7 @@ def test_mesh_loader_counts_ours_and_finds_the_texture(programs: Path, package: 
 @pytest.mark.parametrize("above", ABOVE.values())
 def test_steep_ground_is_counted_right_too(programs: Path, tmp_path: Path, above: int) -> None:
     """Where the projection changes from triangle to triangle, a place has several texture coordinates."""
-    mesh = solid_mesh(HeightField.centred(hills().z * 4, (0.25, 0.25)))
+    mesh = solid_mesh(HeightField.centered(hills().z * 4, (0.25, 0.25)))
     write_collada(tmp_path / "a.dae", mesh, stream_above=above)
     shapes = collada.Collada(str(tmp_path / "a.dae")).geometries
     n = sum(len(shape.primitives[0].vertex) for shape in shapes)

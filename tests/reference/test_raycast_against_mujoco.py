@@ -46,7 +46,7 @@ def surface() -> HeightField:
     rng = np.random.default_rng(4)
     x, y = np.meshgrid(np.linspace(0, 9, 61), np.linspace(0, 7, 47))
     z = np.sin(x) * np.cos(y) + 0.05 * rng.standard_normal(x.shape)
-    return HeightField.centred((z + 0.7).astype(np.float32), (0.1, 0.13))
+    return HeightField.centered((z + 0.7).astype(np.float32), (0.1, 0.13))
 
 
 def test_equals_mujoco_from_above(surface: HeightField) -> None:

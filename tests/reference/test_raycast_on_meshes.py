@@ -151,7 +151,7 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> World:
     solid = TriangleMesh(np.array(whole.vertices), np.array(whole.faces, dtype=np.int32))
     top = np.zeros((81, 81), np.float32)
     top[30:51, 10:71] = 2.9
-    return World("gate", ClosedMesh(HeightField.centred(top, (0.1, 0.1)), solid, overhangs=True))
+    return World("gate", ClosedMesh(HeightField.centered(top, (0.1, 0.1)), solid, overhangs=True))
 
 
 @needs_embree

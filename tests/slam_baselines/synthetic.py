@@ -81,7 +81,7 @@ def wavy(relief: float, nodes: int = 601, cell: float = 0.05) -> HeightField:
     for cx, cy, w, h in BLOCKS:
         block = (np.abs(x - cx) < w / 2) & (np.abs(y - cy) < h / 2)
         z = np.where(block, z[block].max() + 1.2, z)
-    return HeightField.centred(z.astype(np.float32), (cell, cell))
+    return HeightField.centered(z.astype(np.float32), (cell, cell))
 
 
 def on_ground(surface: HeightField, pose: Pose2) -> Pose3:

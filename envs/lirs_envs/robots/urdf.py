@@ -51,9 +51,9 @@ def _link(root: Element, model: mujoco.MjModel, body: int) -> None:
         _origin(element, Pose3.from_arrays(model.geom_pos[geom], model.geom_quat[geom]))
         _shape(SubElement(element, "geometry"), int(model.geom_type[geom]), model.geom_size[geom])
         if kind == "visual":
-            colour = " ".join(f"{v:.3g}" for v in model.geom_rgba[geom])
+            color = " ".join(f"{v:.3g}" for v in model.geom_rgba[geom])
             material = SubElement(element, "material", name=f"colour_{geom}")
-            SubElement(material, "color", rgba=colour)
+            SubElement(material, "color", rgba=color)
 
 
 def _shape(geometry: Element, kind: int, size: ArrayLike) -> None:

@@ -44,7 +44,7 @@ class LaserFacts:
     """What the user says about the laser, above what the log says.
 
     Attributes:
-        fov: field of view, radians, centred on the laser's x axis; None = as the log says.
+        fov: field of view, radians, centered on the laser's x axis; None = as the log says.
         range_max: ranges from here on are no return, metres; None = as the log says.
 
     Raises:

@@ -91,7 +91,7 @@ def metric_pixel(tags: Tags) -> tuple[float, float] | None:
         raise ValueError(f"GeoTIFF pixel scale must be above 0, got {sx} x {sy}")
     keys = geo_keys(tags)
     if keys.get(MODEL_TYPE) == GEOGRAPHIC:
-        east, north = metres_per_degree(_centre_latitude(tags, sy), keys)
+        east, north = metres_per_degree(_center_latitude(tags, sy), keys)
         return sx * east, sy * north
     unit = METRES.get(int(keys.get(LINEAR_UNITS, 9001)), 1.0)
     return sx * unit, sy * unit
@@ -144,7 +144,7 @@ def metres_per_degree(latitude: float, keys: dict[int, float]) -> tuple[float, f
     return math.radians(east), math.radians(north)
 
 
-def _centre_latitude(tags: Tags, sy: float) -> float:
+def _center_latitude(tags: Tags, sy: float) -> float:
     rows, cols = _floats(tags, HEIGHT)[0], _floats(tags, WIDTH)[0]
     if PIXEL_SCALE not in tags:
         m = _floats(tags, TRANSFORMATION)

@@ -70,19 +70,19 @@ def stream_collada(
         path: file.
         tiles: meshes with texture coordinates and normals.
         size: extent of them all along x, y, z, metres: it gives the digits that are worth writing.
-        texture: path of the picture relative to the file, or None for a plain colour.
+        texture: path of the picture relative to the file, or None for a plain color.
         step: share of the width that positions are exact to; heights, to ten times this share of their own.
 
     Raises:
         ConfigError: a tile lacks texture coordinates or normals.
         OSError: the file cannot be written.
     """
-    colour = " ".join(map(str, GROUND))
+    color = " ".join(map(str, GROUND))
     head = _HEAD.format(
         created=CREATED,
         images=_IMAGES.format(escape(texture)) if texture else "",
         parameters=_PARAMETERS if texture else "",
-        diffuse='<texture texture="sampler" texcoord="UV"/>' if texture else f"<color>{colour}</color>",
+        diffuse='<texture texture="sampler" texcoord="UV"/>' if texture else f"<color>{color}</color>",
     )
     with path.open("wb") as file:
         file.write(head.encode())

@@ -18,11 +18,11 @@ from lirs_wct.geometry.walls import WallGrid
 
 
 def flat(height: float = 0.0) -> HeightField:
-    return HeightField.centred(np.full((2, 2), height, np.float32), (100.0, 100.0))
+    return HeightField.centered(np.full((2, 2), height, np.float32), (100.0, 100.0))
 
 
 def room() -> WallGrid:
-    """A ring of cells: 8 m x 6 m inside, centred on the origin."""
+    """A ring of cells: 8 m x 6 m inside, centered on the origin."""
     solid = np.ones((80, 100), np.bool_)
     solid[10:70, 10:90] = False
     return WallGrid(solid, 0.1, Pose2(-5.0, -4.0, 0.0), 2.0)

@@ -108,7 +108,7 @@ def test_levels() -> None:
 
 
 def test_no_noise_is_exact_and_the_seed_decides_otherwise() -> None:
-    caster = RayCaster(HeightField.centred(np.zeros((2, 2), np.float32), (100.0, 100.0)))
+    caster = RayCaster(HeightField.centered(np.zeros((2, 2), np.float32), (100.0, 100.0)))
     pose = Pose3.from_rpy(0.0, 0.0, 0.5, 0.0, 0.1, 0.0)
 
     def scan(level: str, seed: int) -> bytes:

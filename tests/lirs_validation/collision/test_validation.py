@@ -40,7 +40,7 @@ def terrain(z: Heights, nodes: int = 201, cell: float = 0.1) -> World:
     axis = (np.arange(nodes) - (nodes - 1) / 2) * cell
     x, y = np.meshgrid(axis, -axis)
     heights = np.broadcast_to(z(x, y), x.shape).astype(np.float32)
-    return World("made-up", Terrain(HeightField.centred(heights, (cell, cell))), spawn_poses=(Pose2(),))
+    return World("made-up", Terrain(HeightField.centered(heights, (cell, cell))), spawn_poses=(Pose2(),))
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,7 @@ from lirs_wct.world import World
 def hill(n: int = 65, size: float = 20.0) -> HeightField:
     at = np.linspace(-1, 1, n)
     x, y = np.meshgrid(at, at[::-1])
-    return HeightField.centred((3 * np.exp(-4 * (x**2 + y**2))).astype(np.float32), (size / (n - 1),) * 2)
+    return HeightField.centered((3 * np.exp(-4 * (x**2 + y**2))).astype(np.float32), (size / (n - 1),) * 2)
 
 
 def room() -> World:
@@ -78,8 +78,8 @@ def test_a_turned_map_lies_where_its_points_lie() -> None:
     grid = OccupancyGrid.from_probability(p, 0.1, Pose2(1.0, 2.0, 0.8))
     canvas = Canvas.over((-3.0, 0.0, 5.0, 8.0), 400)
     rows, cols = np.nonzero(canvas.occupied(grid))
-    seen = canvas.centres[rows, cols].mean(axis=0)
-    assert seen == pytest.approx(grid.centres((4, 25)), abs=0.02)
+    seen = canvas.centers[rows, cols].mean(axis=0)
+    assert seen == pytest.approx(grid.centers((4, 25)), abs=0.02)
     bounds = bounds_of(grid)
     assert bounds is not None
     assert bounds[0] < seen[0] < bounds[2]

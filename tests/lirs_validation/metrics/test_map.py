@@ -191,7 +191,7 @@ def step(cell: float = 0.05, n: int = 41) -> HeightField:
     """Ground at 0 west of x = 0, at 1 m from x = cell eastward."""
     z = np.zeros((n, n), np.float32)
     z[:, n // 2 + 1 :] = 1.0
-    return HeightField.centred(z, (cell, cell))
+    return HeightField.centered(z, (cell, cell))
 
 
 @pytest.mark.parametrize("cell", [0.02, 0.05, 0.5])

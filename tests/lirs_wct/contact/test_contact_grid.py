@@ -47,7 +47,7 @@ def deviations(surface: HeightField, grid: ContactGrid) -> tuple[float, float]:
 
 
 def field(z: np.ndarray, cell: float = 0.05) -> HeightField:
-    return HeightField.centred(z.astype(np.float32), (cell, cell))
+    return HeightField.centered(z.astype(np.float32), (cell, cell))
 
 
 def test_smooth_ground_becomes_coarse() -> None:

@@ -42,7 +42,7 @@ def hills() -> World:
     z += 3 * np.maximum(axis[:, None], axis) ** 8
     return World(
         "hills",
-        Terrain(HeightField.centred(z, (0.1, 0.1))),
+        Terrain(HeightField.centered(z, (0.1, 0.1))),
         export_settings=ExportSettings(max_error=0.004),
     )
 
@@ -58,7 +58,7 @@ def arch() -> World:
     assert solid.is_watertight
     top = np.zeros((81, 81), np.float32)
     top[30:51, 10:71] = 3.0
-    return World("arch", ClosedMesh(HeightField.centred(top, (0.1, 0.1)), solid, overhangs=True))
+    return World("arch", ClosedMesh(HeightField.centered(top, (0.1, 0.1)), solid, overhangs=True))
 
 
 def blocks(cells: np.ndarray, edge: float, corner: np.ndarray) -> TriangleMesh:
@@ -85,7 +85,7 @@ def blocks(cells: np.ndarray, edge: float, corner: np.ndarray) -> TriangleMesh:
 def dropped(
     world: World, terrain: ContactGeometry, points: np.ndarray, contact: ContactGrid | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (n, 3) centres of spheres after 5 s, when each touches the ground, and whether it does."""
+    """Return (n, 3) centers of spheres after 5 s, when each touches the ground, and whether it does."""
     spec = world_spec(world, contact_geometry=terrain, contact=contact)
     spec.option.timestep = 0.004
     for x, y, z in points:
@@ -118,11 +118,11 @@ def dropped(
     return found, touching
 
 
-def gaps(mesh: TriangleMesh, centres: np.ndarray) -> np.ndarray:
+def gaps(mesh: TriangleMesh, centers: np.ndarray) -> np.ndarray:
     """Return (n,) distance between sphere and mesh, metres, negative inside the ground."""
     true = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    _, distance, face = trimesh.proximity.closest_point(true, centres)
-    towards = np.einsum("ij,ij->i", centres - true.triangles_center[face], true.face_normals[face])
+    _, distance, face = trimesh.proximity.closest_point(true, centers)
+    towards = np.einsum("ij,ij->i", centers - true.triangles_center[face], true.face_normals[face])
     return np.where(towards >= 0, distance, -distance) - RADIUS
 
 
@@ -133,20 +133,20 @@ def test_spheres_rest_on_the_true_surface(terrain: ContactGeometry, hills: World
     xy = rng.uniform(-7.0, 7.0, (SPHERES, 2))
     z = np.array([hills.surface.height_at(x + np.linspace(-0.3, 0.3, 13)[:, None],
                                           y + np.linspace(-0.3, 0.3, 13)).max() for x, y in xy])  # fmt: skip
-    centres, touching = dropped(hills, terrain, np.column_stack((xy, z)))
-    inside = hills.surface.contains(centres[:, 0], centres[:, 1])
+    centers, touching = dropped(hills, terrain, np.column_stack((xy, z)))
+    inside = hills.surface.contains(centers[:, 0], centers[:, 1])
     assert inside.sum() >= 95
-    gap = gaps(exact, centres[inside])
-    assert (centres[inside, 2] > hills.surface.height_at(*centres[inside, :2].T)).all()
+    gap = gaps(exact, centers[inside])
+    assert (centers[inside, 2] > hills.surface.height_at(*centers[inside, :2].T)).all()
     assert touching[inside].mean() > 0.8
     assert np.abs(gap[touching[inside]]).max() < 0.01
 
 
-def gaps_by_sampling(surface: HeightField, centres: np.ndarray) -> np.ndarray:
+def gaps_by_sampling(surface: HeightField, centers: np.ndarray) -> np.ndarray:
     """Return (n,) distance between sphere and the surface as the laser sees it, a point each 5 mm."""
     across = np.linspace(-1.05, 1.05, 127) * RADIUS
     found = []
-    for x, y, z in centres:
+    for x, y, z in centers:
         px, py = x + across[None, :], y + across[:, None]
         pz = surface.height_at(px, py)
         found.append(np.nanmin(np.sqrt((px - x) ** 2 + (py - y) ** 2 + (pz - z) ** 2)) - RADIUS)
@@ -168,23 +168,23 @@ def test_spheres_on_the_ground_that_users_get(terrain: ContactGeometry) -> None:
     x, y = rng.uniform(west + 1, east - 1, SPHERES), rng.uniform(south + 1, north - 1, SPHERES)
     side = np.linspace(-RADIUS, RADIUS, 25)
     z = surface.height_at(x[:, None, None] + side[:, None], y[:, None, None] + side).max(axis=(1, 2))
-    centres, touching = dropped(world, terrain, np.column_stack((x, y, z)), grid)
-    kept = touching & surface.contains(centres[:, 0], centres[:, 1])
+    centers, touching = dropped(world, terrain, np.column_stack((x, y, z)), grid)
+    kept = touching & surface.contains(centers[:, 0], centers[:, 1])
     assert kept.sum() >= 95
-    centres = centres[kept]
-    assert (centres[:, 2] > surface.height_at(*centres[:, :2].T)).all()
-    gap = np.abs(gaps_by_sampling(surface, centres))
-    beside = near_steep(surface, centres)
+    centers = centers[kept]
+    assert (centers[:, 2] > surface.height_at(*centers[:, :2].T)).all()
+    gap = np.abs(gaps_by_sampling(surface, centers))
+    beside = near_steep(surface, centers)
     assert 10 < beside.sum() < 80
     assert gap[~beside].max() < 0.01
     assert gap.max() < grid.horizontal_budget
 
 
-def near_steep(surface: HeightField, centres: np.ndarray) -> np.ndarray:
+def near_steep(surface: HeightField, centers: np.ndarray) -> np.ndarray:
     """Return (n,) whether a node of a steep triangle is in a sphere's reach."""
     steep = np.argwhere(steep_nodes(surface.south_up, surface.cell, np.radians(45)))[:, ::-1]
     nodes = np.array(surface.origin) + steep * np.array(surface.cell)
-    distance, _ = KDTree(nodes).query(centres[:, :2])
+    distance, _ = KDTree(nodes).query(centers[:, :2])
     return distance < RADIUS + 2 * max(surface.cell)
 
 
@@ -193,11 +193,11 @@ def test_spheres_rest_on_and_under_an_overhang(arch: World) -> None:
     rng = np.random.default_rng(1)
     on_roof = np.column_stack((rng.uniform(-2.5, 2.5, 50), rng.uniform(-0.6, 0.6, 50), np.full(50, 3.0)))
     below = np.column_stack((rng.uniform(-1.5, 1.5, 50), rng.uniform(-3.0, 3.0, 50), np.zeros(50)))
-    centres, touching = dropped(arch, "convex", np.concatenate((on_roof, below)))
+    centers, touching = dropped(arch, "convex", np.concatenate((on_roof, below)))
     assert touching.all()
-    assert np.abs(gaps(arch.mesh, centres)).max() < 0.01
-    assert (centres[:50, 2] > 3.2).all()
-    assert (centres[50:, 2] < 0.4).all()
+    assert np.abs(gaps(arch.mesh, centers)).max() < 0.01
+    assert (centers[:50, 2] > 3.2).all()
+    assert (centers[50:, 2] < 0.4).all()
 
 
 def test_the_laser_sees_through_the_gate(arch: World) -> None:

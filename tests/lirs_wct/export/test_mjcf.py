@@ -93,7 +93,7 @@ def test_a_flat_field_keeps_its_height(tmp_path: Path) -> None:
 
 def test_a_contact_grid_is_what_is_touched(slanted: World) -> None:
     axis = np.linspace(0, 3, 61)
-    surface = HeightField.centred(np.sin(axis)[None, :].repeat(61, axis=0).astype(np.float32), (0.05, 0.05))
+    surface = HeightField.centered(np.sin(axis)[None, :].repeat(61, axis=0).astype(np.float32), (0.05, 0.05))
     smooth = World("smooth", Terrain(surface))
     grid = contact_grid(surface)
     model = world_spec(smooth, contact=grid).compile()
@@ -112,8 +112,8 @@ def test_walls_stand_where_the_map_has_them(source: str, walled: World, tmp_path
     walls = walled.walls
     assert walls is not None
     rows, cols = np.mgrid[: walls.shape[0], : walls.shape[1]]
-    centres = walls.origin.apply(np.stack((cols + 0.5, rows + 0.5), axis=-1) * walls.resolution)
-    for solid, (x, y) in zip(walls.solid.ravel(), centres.reshape(-1, 2), strict=True):
+    centers = walls.origin.apply(np.stack((cols + 0.5, rows + 0.5), axis=-1) * walls.resolution)
+    for solid, (x, y) in zip(walls.solid.ravel(), centers.reshape(-1, 2), strict=True):
         assert height_under(model, x, y) == pytest.approx(1.7 if solid else 0.0, abs=1e-6)
     area = 4 * box_geoms(walls)[:, 2] @ box_geoms(walls)[:, 3]
     assert area == pytest.approx(walls.solid.sum() * 0.01)

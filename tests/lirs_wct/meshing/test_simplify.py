@@ -25,7 +25,7 @@ from lirs_wct.sources.rasterize import rasterize_heights
 def hills(rows: int, cols: int, seed: int = 0, blur: float = 3.0) -> HeightField:
     z = np.random.default_rng(seed).random((rows, cols)).astype(np.float32)
     z = cv2.GaussianBlur(z, (0, 0), blur) if blur else z
-    return HeightField.centred(z - z.min(), (0.5, 0.25))
+    return HeightField.centered(z - z.min(), (0.5, 0.25))
 
 
 def errors(surface: HeightField, points: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -153,7 +153,7 @@ def test_the_worst_pixel_goes_in_next() -> None:
 def test_long_thin_pictures() -> None:
     z = np.random.default_rng(3).random((3, 20_000)).astype(np.float32)
     z[1, 10_000], z[0, 17] = 5, 4
-    surface = HeightField.centred(z, (1, 1))
+    surface = HeightField.centered(z, (1, 1))
     points, faces = triangulate(surface, max_error=1.0)
     assert len(faces) < 40
     assert np.abs(errors(surface, points, faces)).max() <= 1.0
@@ -162,7 +162,7 @@ def test_long_thin_pictures() -> None:
 
 def test_a_plane_needs_two_triangles() -> None:
     x = np.linspace(0, 3, 50, dtype=np.float32)
-    plane = HeightField.centred(x + x[:40, None], (1, 1))
+    plane = HeightField.centered(x + x[:40, None], (1, 1))
     assert len(triangulate(plane, max_error=1e-9)[1]) == 2
     assert len(simplified_solid(plane, max_triangles=1000).faces) == 14
 
@@ -170,9 +170,9 @@ def test_a_plane_needs_two_triangles() -> None:
 def test_a_single_pixel_is_not_missed() -> None:
     z = np.zeros((300, 200), np.float32)
     z[123, 77] = 1
-    points, faces = triangulate(HeightField.centred(z, (1, 1)), max_error=0.1)
+    points, faces = triangulate(HeightField.centered(z, (1, 1)), max_error=0.1)
     assert (points == (123, 77)).all(axis=1).any()
-    assert np.abs(errors(HeightField.centred(z, (1, 1)), points, faces)).max() <= 0.1
+    assert np.abs(errors(HeightField.centered(z, (1, 1)), points, faces)).max() <= 0.1
 
 
 def test_budgets_are_checked() -> None:
@@ -191,7 +191,7 @@ def test_as_few_as_the_best_peer(share: float) -> None:
     pydelatin = pytest.importorskip("pydelatin")
     surface = hills(257, 257, blur=6.0)
     z = surface.z / surface.z.max()
-    _, faces = triangulate(HeightField.centred(z, (1, 1)), max_error=share)
+    _, faces = triangulate(HeightField.centered(z, (1, 1)), max_error=share)
     peer = pydelatin.Delatin(z, max_error=share).triangles
     assert len(faces) <= 1.05 * len(peer)
 

@@ -14,7 +14,7 @@ from lirs_wct.meshing.solid import base_height, solid_mesh, solid_triangles
 
 def hills(rows: int, cols: int, seed: int = 0) -> HeightField:
     z = np.random.default_rng(seed).random((rows, cols)).astype(np.float32) * 3
-    return HeightField.centred(z - z.min(), (0.5, 0.25))
+    return HeightField.centered(z - z.min(), (0.5, 0.25))
 
 
 @settings(max_examples=30, deadline=None)
@@ -67,7 +67,7 @@ def test_the_top_is_the_field_between_its_nodes_too() -> None:
 
 
 def test_flat_ground_still_has_a_body() -> None:
-    mesh = solid_mesh(HeightField.centred(np.zeros((2, 2), np.float32), (1, 1)))
+    mesh = solid_mesh(HeightField.centered(np.zeros((2, 2), np.float32), (1, 1)))
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(0.1)
 

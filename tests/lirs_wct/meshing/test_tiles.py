@@ -14,7 +14,7 @@ from lirs_wct.meshing.uv import cube_uv, projection_groups
 
 def hills() -> TriangleMesh:
     z = np.random.default_rng(5).random((40, 60)).astype(np.float32)
-    return solid_mesh(HeightField.centred(z, (1.0, 0.8)))
+    return solid_mesh(HeightField.centered(z, (1.0, 0.8)))
 
 
 def test_tiles_are_the_mesh() -> None:

@@ -17,7 +17,7 @@ def hills(rows: int = 20, cols: int = 30, height: float = 1.0) -> HeightField:
     rng = np.random.default_rng(3)
     z = np.cumsum(np.cumsum(rng.normal(size=(rows, cols)), 0), 1)
     z = (z - z.min()) / np.ptp(z) * height
-    return HeightField.centred(z.astype(np.float32), (0.5, 0.5))
+    return HeightField.centered(z.astype(np.float32), (0.5, 0.5))
 
 
 def box() -> TriangleMesh:
@@ -94,7 +94,7 @@ def test_a_box_keeps_its_edges_sharp() -> None:
 
 def test_normals_are_those_of_the_surface() -> None:
     x = np.linspace(0, 0.5, 11, dtype=np.float32)
-    plane = HeightField.centred(np.tile(x, (6, 1)), (0.1, 0.3))
+    plane = HeightField.centered(np.tile(x, (6, 1)), (0.1, 0.3))
     textured = cube_uv(solid_mesh(plane))
     assert textured.normals is not None
     ground = textured.normals[:, 2] > 0.1

@@ -32,17 +32,17 @@ def test_a_ramp_is_driven_up_to_the_limit(cell: float) -> None:
     x = np.arange(round(10 / cell) + 1) * cell
     for degrees, drivable in ((15, True), (25, False)):
         z = np.tile((x * math.tan(math.radians(degrees))).astype(np.float32), (len(x), 1))
-        field = HeightField.centred(z, (cell, cell))
+        field = HeightField.centered(z, (cell, cell))
         grid = traversable(field, clearance=0.5, max_slope=SLOPE)
         assert at(grid, 0, 0) is drivable
-        turned = HeightField.centred(np.ascontiguousarray(z.T), (cell, cell))
+        turned = HeightField.centered(np.ascontiguousarray(z.T), (cell, cell))
         assert at(traversable(turned, clearance=0.5, max_slope=SLOPE), 0, 0) is drivable
 
 
 def test_clearance_is_kept_from_a_block_and_from_the_border() -> None:
     z = flat()
     z[45:56, 45:56] = 1.0  # 1 m wide, in the middle
-    grid = traversable(HeightField.centred(z, (0.1, 0.1)), clearance=0.5, max_slope=SLOPE)
+    grid = traversable(HeightField.centered(z, (0.1, 0.1)), clearance=0.5, max_slope=SLOPE)
     assert not at(grid, 0.9, 0)
     assert at(grid, 1.4, 0)
     assert not at(grid, 4.7, 3)
@@ -52,7 +52,7 @@ def test_clearance_is_kept_from_a_block_and_from_the_border() -> None:
 def test_small_steps_are_roughness_not_slope() -> None:
     z = flat()
     z[:, 50:] = 0.03
-    assert at(traversable(HeightField.centred(z, (0.1, 0.1)), clearance=0.3, max_slope=SLOPE), 0, 0)
+    assert at(traversable(HeightField.centered(z, (0.1, 0.1)), clearance=0.3, max_slope=SLOPE), 0, 0)
 
 
 def test_walls_and_unknown_cells_of_a_turned_map_block() -> None:
@@ -87,7 +87,7 @@ def test_no_free_ground_gives_no_start() -> None:
 
 def test_slopes_strip_by_strip_are_those_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     z = np.random.default_rng(2).random((90, 70)).astype(np.float32)
-    surface = HeightField.centred(cv2.GaussianBlur(z, (0, 0), 6) * 3, (0.04, 0.05))
+    surface = HeightField.centered(cv2.GaussianBlur(z, (0, 0), 6) * 3, (0.04, 0.05))
     whole = traversable(surface, clearance=0.1, max_slope=0.3)
     assert 0.05 < whole.free.mean() < 0.95
     monkeypatch.setattr("lirs_wct.navigation.traversability._STRIP", 7)

@@ -30,7 +30,7 @@ def test_few_triangles_again() -> None:
     levels = np.round(true)
 
     def triangles(z: np.ndarray) -> int:
-        surface = HeightField.centred((z / 255).astype(np.float32), (1, 1))
+        surface = HeightField.centered((z / 255).astype(np.float32), (1, 1))
         return len(triangulate(surface, max_error=5e-4)[1])
 
     exact, stairs, smooth = triangles(true), triangles(levels), triangles(dequantize(levels))

@@ -140,7 +140,7 @@ def test_filters_keep_shape_size_and_relief(tmp_path: Path, options: dict[str, o
 
 
 def test_rotate_x_lays_the_upright_mesh_down() -> None:
-    mesh = solid_mesh(HeightField.centred(RAMP, (1, 1)))
+    mesh = solid_mesh(HeightField.centered(RAMP, (1, 1)))
     turned = mesh.rotated_x(90)
     np.testing.assert_allclose(turned.vertices, mesh.vertices[:, [0, 2, 1]] * (1, -1, 1), atol=1e-12)
     assert turned.is_watertight

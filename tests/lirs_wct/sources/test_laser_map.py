@@ -173,8 +173,8 @@ def test_holes_go_through_and_leave_the_solid_closed(kind: np.ndarray, yaw: floa
     tops = mesh.vertices[mesh.faces[below]][:, :, 2]
     assert (tops == -SLAB).all()
     level = np.abs(mesh.face_normals[:, 2]) > 0.5
-    centres = mesh.vertices[mesh.faces[level]].mean(axis=1)[:, :2]
-    col, row = np.floor(walls.origin.inverse().apply(centres) / 0.5).astype(int).T
+    centers = mesh.vertices[mesh.faces[level]].mean(axis=1)[:, :2]
+    col, row = np.floor(walls.origin.inverse().apply(centers) / 0.5).astype(int).T
     assert (kind[row, col] > 0).all()
 
 

@@ -164,7 +164,7 @@ def start_poses_in(grid: OccupancyGrid) -> list[Pose2]:
     cells = np.argwhere(room > 1.0)
     chosen = cells[np.random.default_rng(6).choice(len(cells), 10, replace=False)]
     yaws = np.linspace(-3, 3, 10)
-    return [Pose2(x, y, w) for (x, y), w in zip(grid.centres(chosen).tolist(), yaws.tolist(), strict=True)]
+    return [Pose2(x, y, w) for (x, y), w in zip(grid.centers(chosen).tolist(), yaws.tolist(), strict=True)]
 
 
 def test_a_map_written_and_read_is_the_same_place(tmp_path: Path) -> None:

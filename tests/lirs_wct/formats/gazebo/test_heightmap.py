@@ -14,12 +14,12 @@ from lirs_wct.geometry.heightfield import HeightField
 
 def hills(rows: int, cols: int) -> HeightField:
     z = cv2.GaussianBlur(np.random.default_rng(4).random((rows, cols)).astype(np.float32), (0, 0), 4)
-    return HeightField.centred(z - z.min(), (0.5, 0.25))
+    return HeightField.centered(z - z.min(), (0.5, 0.25))
 
 
 @pytest.mark.parametrize(("longest", "side"), [(2, 17), (129, 129), (130, 257), (5000, 4097)])
 def test_side(longest: int, side: int) -> None:
-    assert heightmap_side(HeightField.centred(np.zeros((2, longest), np.float32), (1, 1))) == side
+    assert heightmap_side(HeightField.centered(np.zeros((2, longest), np.float32), (1, 1))) == side
 
 
 def test_pixels_are_the_surface(tmp_path: Path) -> None:
@@ -34,7 +34,7 @@ def test_pixels_are_the_surface(tmp_path: Path) -> None:
 
 
 def test_level_ground() -> None:
-    assert not heightmap_pixels(HeightField.centred(np.zeros((3, 3), np.float32), (1, 1))).any()
+    assert not heightmap_pixels(HeightField.centered(np.zeros((3, 3), np.float32), (1, 1))).any()
 
 
 def test_an_impossible_side_is_refused() -> None:

@@ -23,7 +23,7 @@ WRITERS = {"pycollada": 10**9, "stream": 0, "stream in tiles": 0}
 
 def hills(rows: int = 40, cols: int = 60) -> TriangleMesh:
     z = np.random.default_rng(5).random((rows, cols)).astype(np.float32)
-    return solid_mesh(HeightField.centred(z - z.min(), (1.0, 0.8)))
+    return solid_mesh(HeightField.centered(z - z.min(), (1.0, 0.8)))
 
 
 def corners_of(triangles: collada.triangleset.TriangleSet) -> np.ndarray:

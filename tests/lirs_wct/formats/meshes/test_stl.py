@@ -16,7 +16,7 @@ from lirs_wct.meshing.solid import solid_mesh
 
 def hills() -> TriangleMesh:
     z = np.random.default_rng(5).random((40, 30)).astype(np.float32)
-    return solid_mesh(HeightField.centred(z - z.min(), (0.5, 0.25)))
+    return solid_mesh(HeightField.centered(z - z.min(), (0.5, 0.25)))
 
 
 def test_read_by_trimesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
