@@ -32,6 +32,9 @@ class Method(NamedTuple):
 
 MAPPERS: Mapping[str, Method] = {
     "hector": Method("slam_baselines.hector.mapper", "HectorConfig", "HectorMapper", "map_resolution"),
+    "hector_original": Method(
+        "slam_baselines.hector.original", "HectorOriginalConfig", "HectorOriginalMapper", "map_resolution"
+    ),
     "gmapping": Method("slam_baselines.gmapping.mapper", "GmappingConfig", "GmappingMapper", "delta"),
     "cartographer": Method(
         "slam_baselines.cartographer.mapper", "CartographerConfig", "make_cartographer", "map_resolution"

@@ -1,0 +1,164 @@
+"""One level of the original HectorSLAM's map: log-odds by Bresenham's lines, bilinear matching on them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from lirs_wct.arrays import FloatArray
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+from slam_baselines.common.linalg import solve3
+from slam_baselines.mapping.growing_grid import GrowingGrid
+
+MOST = 50.0
+"""Log-odds from which on a cell is raised no more."""
+LARGEST_TURN = 0.2
+"""Radians that one Gauss-Newton step may turn."""
+
+
+class OriginalMap:
+    """A growing map of log-odds, 0 where no beam came; a scan changes each cell once."""
+
+    def __init__(self, resolution: float, miss: float, hit: float) -> None:
+        """Start empty; `miss` and `hit` are the log-odds that a beam adds."""
+        layers = {"log_odds": (np.float32, 0.0), "probability": (np.float32, 0.5), "drawn": (np.int32, 0)}
+        self._grid = GrowingGrid(resolution, layers)
+        self._odds = miss, hit
+        self._scans = 0
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of its layers."""
+        return self._grid.nbytes
+
+    def match(self, ends: FloatArray, pose: FloatArray, steps: int) -> FloatArray:
+        """Return the (3,) pose after Gauss-Newton steps (Eqs. 7-13).
+
+        Args:
+            ends: (n, 2) ends of beams in the base frame, metres.
+            pose: (3,) x, y, yaw to start from.
+            steps: of Gauss-Newton.
+        """
+        g = self._grid
+        if 0 in g.shape:
+            return pose
+        corner = np.array((g.col0 + 0.5, g.row0 + 0.5, g.resolution))
+        matched: FloatArray = _match(g.layers["probability"], corner, ends, pose, steps)
+        return matched
+
+    def draw(self, pose: Pose2, laser: FloatArray, ends: FloatArray) -> None:
+        """Raise the cells where beams end, lower those that they pass.
+
+        Args:
+            pose: `T_map_base`.
+            laser: (2,) in the base frame, metres.
+            ends: (n, 2) of beams in the base frame, metres.
+        """
+        origin, points = pose.apply(laser[None])[0], pose.apply(ends)
+        low, high = (f(np.vstack((origin[None], points)), axis=0) for f in (np.min, np.max))
+        g = self._grid
+        g.ensure(low[0], low[1], high[0], high[1])
+        corner = np.array((g.col0, g.row0))
+        cells = np.floor(np.vstack((origin[None], points)) / g.resolution).astype(np.int64) - corner.astype(
+            np.int64
+        )
+        self._scans += 2
+        layers = g.layers["log_odds"], g.layers["probability"], g.layers["drawn"]
+        _draw(layers, cells, self._scans, self._odds)
+
+    def occupancy_grid(self) -> OccupancyGrid:
+        """Return what is known."""
+        g = self._grid
+        log_odds, known = g.layers["log_odds"], g.layers["drawn"] > 0
+        if not known.any():
+            return OccupancyGrid(np.full((1, 1), np.nan, np.float32), g.resolution)
+        rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+        box = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
+        values = np.where(known[box], log_odds[box], np.float32(np.nan)).astype(np.float32)
+        corner = Pose2((g.col0 + cols[0]) * g.resolution, (g.row0 + rows[0]) * g.resolution)
+        return OccupancyGrid(values, g.resolution, corner)
+
+
+@njit(cache=True)
+def _match(probability: Any, corner: Any, ends: Any, pose: Any, steps: int) -> Any:
+    """Gauss-Newton in cells: the probability at the ends of the beams shall become 1 (Eq. 7)."""
+    scale = 1 / corner[2]
+    x, y, yaw = pose[0] * scale - corner[0], pose[1] * scale - corner[1], pose[2]
+    for _ in range(steps):
+        s, c = math.sin(yaw), math.cos(yaw)
+        H, g = np.zeros((3, 3)), np.zeros(3)
+        for k in range(len(ends)):
+            u, v = ends[k, 0] * scale, ends[k, 1] * scale
+            value, dx, dy = _interpolated(probability, c * u - s * v + x, s * u + c * v + y)
+            turn = (-s * u - c * v) * dx + (c * u - s * v) * dy
+            J = (dx, dy, turn)
+            for i in range(3):
+                g[i] += J[i] * (1 - value)
+                for j in range(3):
+                    H[i, j] += J[i] * J[j]
+        if H[0, 0] == 0 or H[1, 1] == 0:
+            break
+        step = solve3(H, g)
+        x, y = x + step[0], y + step[1]
+        yaw += min(max(step[2], -LARGEST_TURN), LARGEST_TURN)
+    return np.array(((x + corner[0]) / scale, (y + corner[1]) / scale, yaw))
+
+
+@njit(cache=True)
+def _interpolated(probability: Any, x: float, y: float) -> Any:
+    """Return probability and its derivatives at a point in cells (Eqs. 4-6); zeros outside.
+
+    The derivatives' weights are those of the original's code: both by the place along x and y of the
+    difference itself, where the paper has the other axis.
+    """
+    rows, cols = probability.shape
+    if not (0 <= x < cols - 1 and 0 <= y < rows - 1):
+        return 0.0, 0.0, 0.0
+    col, row = int(x), int(y)
+    fx, fy = x - col, y - row
+    a, b = probability[row, col], probability[row, col + 1]
+    c, d = probability[row + 1, col], probability[row + 1, col + 1]
+    value = (a * (1 - fx) + b * fx) * (1 - fy) + (c * (1 - fx) + d * fx) * fy
+    return value, (b - a) * (1 - fx) + (d - c) * fx, (c - a) * (1 - fy) + (d - b) * fy
+
+
+@njit(cache=True)
+def _draw(layers: Any, cells: Any, scan: int, odds: Any) -> None:
+    """Draw the lines from cells[0] to all others; `scan` marks a cell as passed, `scan` + 1 as hit."""
+    log_odds, probability, drawn = layers
+    for k in range(1, len(cells)):
+        col, row = cells[0]
+        dx, dy = cells[k, 0] - col, cells[k, 1] - row
+        if dx == 0 and dy == 0:
+            continue
+        along, across = max(abs(dx), abs(dy)), min(abs(dx), abs(dy))
+        error = along // 2
+        for _ in range(along):
+            if drawn[row, col] < scan:
+                _change(log_odds, probability, row, col, odds[0])
+                drawn[row, col] = scan
+            error += across
+            sideways = error >= along
+            if sideways:
+                error -= along
+            if abs(dx) >= abs(dy) or sideways:
+                col += 1 if dx > 0 else -1
+            if abs(dx) < abs(dy) or sideways:
+                row += 1 if dy > 0 else -1
+        row, col = cells[k, 1], cells[k, 0]
+        if drawn[row, col] < scan + 1:
+            if drawn[row, col] == scan:  # passed by another beam of this scan: a hit wins
+                _change(log_odds, probability, row, col, -odds[0])
+            if log_odds[row, col] < MOST:
+                _change(log_odds, probability, row, col, odds[1])
+            drawn[row, col] = scan + 1
+
+
+@njit(cache=True, inline="always")
+def _change(log_odds: Any, probability: Any, row: int, col: int, by: float) -> None:
+    log_odds[row, col] += by
+    probability[row, col] = 1 - 1 / (1 + math.exp(log_odds[row, col]))

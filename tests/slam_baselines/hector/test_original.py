@@ -1,0 +1,90 @@
+"""HectorSLAM as published: beside the C++ original on its own runs, and what it must not use."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lirs_validation.metrics.trajectory import trajectory_errors
+from lirs_wct import Imu, Pose2, Trajectory
+from lirs_wct.errors import ConfigError
+from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.tum import read_tum
+from slam_baselines.hector.original import HectorOriginalConfig, HectorOriginalMapper
+from slam_baselines.hector.original_map import OriginalMap, _interpolated
+from slam_baselines.mapper import make_mapper
+from tests.slam_baselines.synthetic import drive_room, loop, room_scan
+
+
+def unpacked(path: Path, folder: Path) -> Trajectory:
+    tum = folder / path.stem
+    tum.write_bytes(gzip.decompress(path.read_bytes()))
+    return read_tum(tum)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("run", ["willow-1", "advanced-1", "medium-1", "medium-2"])
+def test_it_fails_and_holds_where_the_original_does(shared_data: Path, tmp_path: Path, run: str) -> None:
+    """ATE within a factor of two of the original's, on the same side of the odometry's."""
+    folder = shared_data / "fidelity" / run
+    log, mapper = read_carmen(folder / "scans.clf.gz"), make_mapper("hector_original")
+    for scan, odometry in zip(log.scans, log.odometry, strict=True):
+        mapper.update(scan, odometry, None)
+    truth = unpacked(folder / "truth.tum.gz", tmp_path)
+    original = unpacked(folder / "original_hector.tum.gz", tmp_path)
+    odometry_alone = Trajectory.from_poses(log.stamps.tolist(), list(log.odometry))
+    ours, theirs, raw = (
+        trajectory_errors(truth, path).ate_rmse for path in (mapper.trajectory(), original, odometry_alone)
+    )
+    assert theirs / 2 <= ours <= 2 * theirs
+    assert (ours < raw) == (theirs < raw)
+
+
+@pytest.mark.parametrize("odometry", [True, False])
+def test_a_drive_through_a_room(odometry: bool) -> None:
+    mapper = HectorOriginalMapper()
+    errors = drive_room(mapper, odometry=odometry)
+    assert np.hypot(errors[:, 0], errors[:, 1]).max() < 0.06
+    assert np.abs(errors[:, 2]).max() < 0.02
+    assert mapper.map().occupied.sum() > 500
+    assert (mapper.stats.received, len(mapper.trajectory())) == (240, 240)
+
+
+def test_attitude_changes_nothing() -> None:
+    rng, path = np.random.default_rng(0), loop(20)
+    scans = [room_scan(pose, 0.1 * k, rng) for k, pose in enumerate(path)]
+    tilted = Imu(
+        roll=0.2, pitch=-0.1, stamp=0.0, angular_velocity=(0, 0, 0), linear_acceleration=(0, 0, 9.81)
+    )
+    level, leaning = HectorOriginalMapper(), HectorOriginalMapper()
+    for scan in scans:
+        assert level.update(scan, None, None) == leaning.update(scan, None, tilted)
+
+
+def test_interpolation_is_exact_at_the_cells_centres() -> None:
+    field = np.random.default_rng(1).random((6, 7)).astype(np.float32)
+    for row in range(5):
+        for col in range(6):
+            assert _interpolated(field, float(col), float(row))[0] == pytest.approx(field[row, col])
+    assert _interpolated(field, 6.0, 2.0) == (0.0, 0.0, 0.0)
+    assert _interpolated(field, -0.1, 2.0) == (0.0, 0.0, 0.0)
+
+
+def test_a_hit_wins_over_a_beam_that_passes() -> None:
+    """Two beams of one scan: the longer passes the cell that the shorter hits, which stays a hit."""
+    level = OriginalMap(0.1, miss=-0.4, hit=2.2)
+    level.draw(Pose2(0.05, 0.05), np.zeros(2), np.array(((1.0, 0.0), (2.0, 0.0))))
+    grid = level.occupancy_grid()
+    row = grid.log_odds[np.flatnonzero((grid.log_odds > 0).any(axis=1))[0]]
+    np.testing.assert_allclose(row[[0, 5, 10, 15, 20]], (-0.4, -0.4, 2.2, -0.4, 2.2), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "bad", [{"map_resolution": 0.0}, {"update_factor_free": 0.6}, {"update_factor_occupied": 1.0}]
+)
+def test_illegal_config(bad: dict[str, float]) -> None:
+    with pytest.raises(ConfigError):
+        HectorOriginalConfig(**bad)
