@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lirs_validation.logs.reference import read_reference
-from lirs_validation.metrics.accuracy import reference_errors
+from lirs_validation.metrics.log_accuracy import reference_errors
 from lirs_validation.metrics.relative_pose_constraints import (
     RelativePoseConstraint,
     constraint_errors,

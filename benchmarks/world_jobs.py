@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from lirs_wct.export.mesh_file import write_collada
+from lirs_wct.export.mesh_writer import write_collada
 from lirs_wct.export.package import write_package
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.meshing.simplify import triangulate

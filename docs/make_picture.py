@@ -10,7 +10,7 @@ from pathlib import Path
 from lirs_validation import validate
 from lirs_validation.drawing.canvas import Canvas
 from lirs_validation.drawing.style import BLUE, VERMILLION, new_figure, title
-from lirs_validation.drawing.view import block_picture
+from lirs_validation.drawing.world_view import block_picture
 from lirs_wct.sources.bundled import bundled_picture
 
 WORLD = "advanced"

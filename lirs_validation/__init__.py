@@ -7,8 +7,8 @@ if TYPE_CHECKING:
     from lirs_validation.config import RunConfig
     from lirs_validation.experiment.run import Run, validate
     from lirs_validation.logs.log_source import resolve_source
+    from lirs_validation.logs.map_log import map_log
     from lirs_validation.logs.mapped_log import MappedLog
-    from lirs_validation.logs.mapping import map_log
     from lirs_validation.record.run_record import RunRecord, read_record
 
 __all__ = [
@@ -24,7 +24,7 @@ __all__ = [
 
 _HOMES = {
     "MappedLog": "logs.mapped_log",
-    "map_log": "logs.mapping",
+    "map_log": "logs.map_log",
     "resolve_source": "logs.log_source",
     "Run": "experiment.run",
     "validate": "experiment.run",

@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import TYPE_CHECKING
 
 from lirs_wct.errors import unknown_name
+from lirs_wct.field_validators import require_above, require_at_least, require_within
 from lirs_wct.option import option
-from lirs_wct.sources.kinds import SourceKind
 from lirs_wct.sources.options import MAP_PANEL, BuildOptions
-from lirs_wct.validation import require_above, require_at_least, require_within
+from lirs_wct.sources.source_kind import SourceKind
 
 if TYPE_CHECKING:
     from lirs_wct.contact.contact_geometry import ContactGeometry

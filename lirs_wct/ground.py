@@ -10,7 +10,7 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.walls import WallGrid
-from lirs_wct.meshing.export_settings import ExportSettings
+from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.meshing.simplify import simplified_solid
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.meshing.wall_solid import wall_mesh
@@ -29,7 +29,7 @@ class Terrain:
     surface: HeightField
     no_ground: BoolArray | None = None
 
-    def mesh(self, settings: ExportSettings) -> TriangleMesh:
+    def mesh(self, settings: ExportOptions) -> TriangleMesh:
         """Return surface, skirt and base as a closed solid within the settings' budget."""
         return _simplified(self.surface, settings) if settings.limited else solid_mesh(self.surface)
 
@@ -49,7 +49,7 @@ class LaserMap:
     walls: WallGrid
     truth: OccupancyGrid | None = None
 
-    def mesh(self, _: ExportSettings) -> TriangleMesh:
+    def mesh(self, _: ExportOptions) -> TriangleMesh:
         """Return walls, floor and slab as a closed solid, which no budget makes simpler."""
         return wall_mesh(self.walls)
 
@@ -71,7 +71,7 @@ class ClosedMesh:
     overhangs: bool = False
     no_ground: BoolArray | None = None
 
-    def mesh(self, settings: ExportSettings) -> TriangleMesh:
+    def mesh(self, settings: ExportOptions) -> TriangleMesh:
         """Return the mesh, or without overhangs its heights as a solid within the settings' budget."""
         return _simplified(self.surface, settings) if settings.limited and not self.overhangs else self.solid
 
@@ -79,5 +79,5 @@ class ClosedMesh:
 Ground = Terrain | LaserMap | ClosedMesh
 
 
-def _simplified(surface: HeightField, settings: ExportSettings) -> TriangleMesh:
+def _simplified(surface: HeightField, settings: ExportOptions) -> TriangleMesh:
     return simplified_solid(surface, max_error=settings.max_error, max_triangles=settings.max_triangles)

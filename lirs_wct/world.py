@@ -17,16 +17,16 @@ from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
-from lirs_wct.meshing.export_settings import ExportSettings
+from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.meshing.ground_texture import checked_texture
 from lirs_wct.navigation.spawn_poses import spawn_poses
 from lirs_wct.navigation.traversability import traversable
-from lirs_wct.sources.kinds import SourceKind
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.picture import read_terrain
 from lirs_wct.sources.source import Source, find_source, warn_of_useless
+from lirs_wct.sources.source_kind import SourceKind
 from lirs_wct.sources.window import Window, cut_nodes, cut_surface
 
 SPAWN_CLEARANCE = 0.8
@@ -45,14 +45,14 @@ class World:
         ground: a terrain, a laser map or a closed mesh.
         spawn_poses: poses where a robot as large as a Husky can be set down, the roomiest first.
         scale: where the metres come from, a text.
-        export_settings: how the mesh files are made.
+        export_options: how the mesh files are made.
     """
 
     name: str
     ground: Ground
     spawn_poses: tuple[Pose2, ...] = ()
     scale: str = "as given"
-    export_settings: ExportSettings = field(default_factory=ExportSettings)
+    export_options: ExportOptions = field(default_factory=ExportOptions)
 
     @property
     def kind(self) -> Literal["terrain", "map", "mesh"]:
@@ -96,7 +96,7 @@ class World:
         Raises:
             ConfigError: a laser map or a mesh with overhangs has more triangles than the budget allows.
         """
-        mesh, most = self.ground.mesh(self.export_settings), self.export_settings.max_triangles
+        mesh, most = self.ground.mesh(self.export_options), self.export_options.max_triangles
         if most is not None and len(mesh.faces) > most:
             raise ConfigError(
                 f"{self.name}: has {len(mesh.faces)} triangles and is not simplified, "
@@ -129,7 +129,7 @@ class World:
             solid=self.solid,
             overhangs=self.overhangs,
             no_ground=self.no_ground,
-            export_settings=asdict(self.export_settings),
+            export_options=asdict(self.export_options),
         )
         return write_world(content, Path(folder))
 
@@ -142,7 +142,7 @@ class World:
         """
         content = read_world(Path(folder))
         with checked_content(Path(folder)):
-            settings = ExportSettings(**content.export_settings)
+            settings = ExportOptions(**content.export_options)
         return World(content.name, _ground(content), content.spawn_poses, content.scale, settings)
 
 
@@ -169,7 +169,7 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
     warn_of_useless(found, options)
     world = _place(found, options)
     texture = checked_texture(options.texture, options.max_pixels)
-    return replace(world, export_settings=_settings(options, texture, world.export_settings))
+    return replace(world, export_options=_settings(options, texture, world.export_options))
 
 
 def _place(found: Source, options: BuildOptions) -> World:
@@ -212,12 +212,12 @@ def _with_spawn_poses(world: World) -> World:
     return replace(world, spawn_poses=spawn_poses(free))
 
 
-def _settings(options: BuildOptions, texture: Path | None, former: ExportSettings) -> ExportSettings:
+def _settings(options: BuildOptions, texture: Path | None, former: ExportOptions) -> ExportOptions:
     """Return what the options ask for; of what they do not mention, the former settings stay."""
     budget = options.max_error, options.max_triangles
     if budget == (None, None):
         budget = former.max_error, former.max_triangles
-    return ExportSettings(
+    return ExportOptions(
         max_error=budget[0],
         max_triangles=budget[1],
         rotate_x=options.rotate_x or former.rotate_x,

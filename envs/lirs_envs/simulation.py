@@ -9,8 +9,8 @@ import numpy as np
 
 from lirs_envs.collisions import Collisions, ContactMonitor, check_divergence
 from lirs_envs.lidar.casters import make_caster
-from lirs_envs.model import RobotModel
 from lirs_envs.placement import check_fit, resolve_start, standing_pose
+from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.command import Twist, Waypoint, check_command
 from lirs_envs.robots.controller import make_controller
 from lirs_envs.sensing.sensors import Observation, Sensors
@@ -19,8 +19,8 @@ from lirs_envs.timing import PhysicsReplay, Timing
 from lirs_wct.arrays import FloatArray
 from lirs_wct.contact.contact_grid import ContactGrid
 from lirs_wct.errors import SimulationError
+from lirs_wct.field_validators import require_seed
 from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.validation import require_seed
 from lirs_wct.world import World
 
 MAX_SETTLING_DISTANCE = 0.1

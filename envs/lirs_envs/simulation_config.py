@@ -13,8 +13,8 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
 from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.field_validators import require_type
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.validation import require_type
 
 
 @dataclass(frozen=True, kw_only=True)

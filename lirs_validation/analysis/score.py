@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lirs_validation.analysis.recorded import recorded_config, recorded_truth, true_pose_map
+from lirs_validation.analysis.recorded_run import recorded_config, recorded_truth, true_pose_map
 from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.metrics import map_scores, trajectory_errors

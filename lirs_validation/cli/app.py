@@ -12,7 +12,7 @@ from typer.exceptions import TyperException
 
 from lirs_validation.cli.collide import collide
 from lirs_validation.cli.console import BAD_INPUT, INTERRUPTED, err
-from lirs_validation.cli.mapping import map_log
+from lirs_validation.cli.map import map_log
 from lirs_validation.cli.reports import compare, report, score
 from lirs_validation.cli.robot_card import robot
 from lirs_validation.cli.validate import validate

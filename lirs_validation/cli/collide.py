@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lirs_validation.cli.arguments import Sources, read_names, read_seeds
-from lirs_validation.cli.build_options import mujoco_terrain, with_build_options
 from lirs_validation.cli.console import RUN_FAILED, err, out
 from lirs_validation.cli.progress import progress_bar
+from lirs_validation.cli.typer_options import mujoco_terrain, with_build_options
 from lirs_validation.config import SourceOptions
 from lirs_wct.errors import WctError
 
@@ -39,7 +39,7 @@ def collide(
 ) -> None:
     """Drive robots at random into everything, and evaluate every contact: penetration, energy, slopes."""
     from lirs_envs.robots.catalog import make_robot
-    from lirs_validation.collision.files import write_verdicts
+    from lirs_validation.collision.verdict_files import write_verdicts
     from lirs_validation.report.tables.collision_table import verdicts_table
 
     robots = [make_robot(name) for name in read_names(robot, "--robot")]

@@ -72,7 +72,7 @@ def compare(
     """Compare two results: which differences are statistically significant (Holm)."""
     from lirs_validation.analysis.compare import compare as compared
     from lirs_validation.analysis.result_folders import read_results
-    from lirs_validation.record.catalog import metrics_named, metrics_selected
+    from lirs_validation.record.metric_catalog import metrics_named, metrics_selected
     from lirs_validation.report.tables.compare_table import (
         compare_table,
         write_compare_csv,

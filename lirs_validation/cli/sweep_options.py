@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lirs_validation.cli.arguments import read_names, read_seeds
-from lirs_validation.cli.build_options import mujoco_terrain
+from lirs_validation.cli.typer_options import mujoco_terrain
 from lirs_validation.config import SourceOptions
 from lirs_wct.errors import ConfigError
 

@@ -11,8 +11,8 @@ import typer
 
 from lirs_validation.cli import sweep_options as option
 from lirs_validation.cli.arguments import SOURCE_HELP
-from lirs_validation.cli.build_options import with_build_options
 from lirs_validation.cli.console import RUN_FAILED, err, out
+from lirs_validation.cli.typer_options import with_build_options
 from lirs_validation.config import SourceOptions
 from lirs_wct.errors import OutputError
 

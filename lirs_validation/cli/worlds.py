@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lirs_validation.cli.arguments import Source, read_names
-from lirs_validation.cli.build_options import gazebo_terrain, typer_option, with_build_options
 from lirs_validation.cli.console import err, out
 from lirs_validation.cli.progress import progress_bar
+from lirs_validation.cli.typer_options import gazebo_terrain, typer_option, with_build_options
 from lirs_validation.config import SourceOptions
-from lirs_wct.meshing.export_settings import ExportSettings
+from lirs_wct.meshing.export_options import ExportOptions
 
 if TYPE_CHECKING:
     from lirs_wct.world import World
@@ -96,11 +96,11 @@ def info(
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Mesh: stl, dae, obj, ply, glb.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="Mesh in another of these formats.")],
-    rotate_x: Annotated[float, typer_option(ExportSettings, "rotate_x")] = 0.0,
+    rotate_x: Annotated[float, typer_option(ExportOptions, "rotate_x")] = 0.0,
 ) -> None:
     """Convert a mesh between stl, dae, obj, ply and glb; up stays up."""
-    from lirs_wct.export.mesh_file import write_mesh
-    from lirs_wct.formats.meshes.mesh_file import read_upright
+    from lirs_wct.export.mesh_writer import write_mesh
+    from lirs_wct.formats.meshes.mesh_reader import read_upright
 
     with err.status(f"converting {source}"):
         mesh = read_upright(source)
@@ -110,7 +110,7 @@ def convert(
 
 
 def _draw(world: World, target: Path) -> None:
-    from lirs_validation.drawing.view import view_figure
+    from lirs_validation.drawing.world_view import view_figure
     from lirs_wct.files import atomic_write
 
     with atomic_write(target) as path:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import mujoco
 import numpy as np
 
-from lirs_envs.model import RobotModel
+from lirs_envs.robot_model import RobotModel
 from lirs_wct.arrays import FloatArray
 
 DEEP = 0.010

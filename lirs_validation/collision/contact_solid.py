@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from lirs_envs.model import RobotModel
+from lirs_envs.robot_model import RobotModel
 from lirs_validation.metrics.mesh import mesh_error
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.contact.contact_geometry import ContactGeometry
@@ -26,7 +26,7 @@ class ContactSolid:
         if terrain in ("hfield", "mesh"):
             self._heights = body.contact.heights(world.surface)
         elif terrain == "prisms":
-            limited = world.export_settings.limited or world.solid is not None
+            limited = world.export_options.limited or world.solid is not None
             self._slack = mesh_error(world) if limited else PRISM_ERROR
         else:
             self._hulls = _hulls(body.model)

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from lirs_envs.collisions import check_divergence
-from lirs_envs.model import RobotModel
 from lirs_envs.placement import standing_pose
+from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.command import Twist
 from lirs_envs.robots.controller import make_controller
 from lirs_envs.robots.robot import Robot

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lirs_envs.model import RobotModel
 from lirs_envs.placement import standing_pose
+from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.command import Twist
 from lirs_envs.robots.drive import DifferentialDrive
 from lirs_envs.robots.robot import Robot

@@ -24,17 +24,17 @@ from typing import Any
 
 import numpy as np
 
-from lirs_envs.model import RobotModel
 from lirs_envs.placement import check_fit
+from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.robot import Robot
-from lirs_validation.collision import metrics
+from lirs_validation.collision import contact_metrics
 from lirs_validation.collision.contact_log import DEEP
 from lirs_validation.collision.contact_solid import ContactSolid
 from lirs_validation.collision.random_drive import PERIOD, drive_at_random
 from lirs_validation.collision.slope_test import climb
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError
-from lirs_wct.validation import require_seed
+from lirs_wct.field_validators import require_seed
 from lirs_wct.world import World
 
 STREAM = 21
@@ -155,25 +155,25 @@ def check_collisions(
     body = RobotModel(world, robot, PERIOD, contact_geometry=terrain)
     legs = list(drive_at_random(body, world, robot, seconds, np.random.default_rng((seed, STREAM))))
     slope = None if robot.flies or legs[-1].diverged else climb(body, world, robot)
-    p999, peak = metrics.penetrations(legs)
-    gain = metrics.energy_gain(legs, float(body.model.body_mass.sum()) * body.gravity)
-    force_peak, force_mean = metrics.forces(legs)
+    p999, peak = contact_metrics.penetrations(legs)
+    gain = contact_metrics.energy_gain(legs, float(body.model.body_mass.sum()) * body.gravity)
+    force_peak, force_mean = contact_metrics.forces(legs)
     return CollisionVerdict(
         world=world.name,
         robot=robot.name,
         terrain=terrain,
         seconds=sum(len(leg.commanded) for leg in legs) * body.timestep,
         seed=seed,
-        driven=metrics.driven(legs),
+        driven=contact_metrics.driven(legs),
         legs=len(legs),
         tip_overs=sum(leg.tipped for leg in legs),
-        stuck=metrics.stuck_seconds(legs),
+        stuck=contact_metrics.stuck_seconds(legs),
         force_peak=force_peak,
         force_mean=force_mean,
         penetration_p999=p999,
         penetration_peak=peak.value,
         penetration_limit=peak.limit,
-        inside_steps=metrics.inside_steps(legs, ContactSolid(world, body, terrain)),
+        inside_steps=contact_metrics.inside_steps(legs, ContactSolid(world, body, terrain)),
         energy_gain=gain.value,
         energy_limit=gain.limit,
         slope=slope.slope if slope else None,

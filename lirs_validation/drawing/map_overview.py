@@ -23,7 +23,7 @@ from lirs_validation.drawing.style import (
     plain_axes,
     title,
 )
-from lirs_validation.metrics.accuracy import Accuracy
+from lirs_validation.metrics.log_accuracy import Accuracy
 from lirs_validation.record.map_formatting import map_lines
 from lirs_validation.record.map_record import MapRecord
 from lirs_wct.arrays import FloatArray

@@ -10,10 +10,10 @@ import numpy as np
 from lirs_envs.robots.command import Twist
 from lirs_validation.driving.planning import CoveragePlanner, TourConfig
 from lirs_validation.driving.pursuit import Pursuit, PursuitConfig, speed_profile
+from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.validation import require_above
 
 DriverState = Literal["driving", "backing off", "stuck"]
 

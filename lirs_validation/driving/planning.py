@@ -15,9 +15,9 @@ import numpy as np
 from lirs_validation.driving.grid_search import Reach, area_round, cells_ahead, penalize_behind, search
 from lirs_validation.driving.path_smoothing import arc_length, smoothed
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.validation import require_above
 
 
 @dataclass(frozen=True, kw_only=True)

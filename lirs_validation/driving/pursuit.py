@@ -10,9 +10,9 @@ import numpy as np
 from lirs_envs.robots.command import Twist
 from lirs_validation.driving.path_smoothing import SPACING, arc_length, curvature
 from lirs_wct.arrays import FloatArray
+from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, wrap_angle
-from lirs_wct.validation import require_above
 
 
 @dataclass(frozen=True, kw_only=True)

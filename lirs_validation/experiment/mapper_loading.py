@@ -12,7 +12,7 @@ from typing import Any
 from lirs_validation.experiment.import_path import importable
 from lirs_wct.errors import ConfigError, unknown_name
 from slam_baselines.mapper import MAPPERS, Mapper, make_mapper
-from slam_baselines.warmup import warm_up
+from slam_baselines.warm_up import warm_up
 
 RESOLUTION = 0.05
 """Edge of a map's cell for a mapper of your own that takes it, metres; ours use the same."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lirs_validation.drawing.overview import overview_figure
+from lirs_validation.drawing.run_overview import overview_figure
 from lirs_validation.experiment.evaluation import Maps
 from lirs_validation.experiment.loop import DriveLog
 from lirs_validation.record.run_record import RunRecord

@@ -9,7 +9,7 @@ from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.log import CarmenLog
 from slam_baselines.mapper import MAPPERS, Mapper, make_mapper, requires_odometry
-from slam_baselines.warmup import warm_up
+from slam_baselines.warm_up import warm_up
 
 WARM_UP_CONFIG = {"gmapping": {"particles": 4}}
 """Kernels need no more particles than these to be compiled."""

@@ -6,14 +6,14 @@ import json
 from pathlib import Path
 
 from lirs_validation.config import MapConfig, SourceOptions
-from lirs_validation.logs.mapping import folder_name, run_mapping
+from lirs_validation.logs.map_log import folder_name, run_mapping
 from lirs_validation.record.staleness import is_stale
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
 from lirs_wct.progress import Progress, no_progress
-from lirs_wct.sources.kinds import SourceKind
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.source import find_source
+from lirs_wct.sources.source_kind import SourceKind
 
 
 def resolve_source(

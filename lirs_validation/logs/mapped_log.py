@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from lirs_validation.metrics.accuracy import Accuracy
+from lirs_validation.metrics.log_accuracy import Accuracy
 from lirs_validation.record.map_record import MapRecord
 from lirs_wct.formats.carmen.log import CarmenLog
 from lirs_wct.geometry.grid import OccupancyGrid

@@ -21,7 +21,7 @@ from lirs_validation.metrics.agreement import (
     decided,
     sampled,
 )
-from lirs_validation.metrics.geometry import near_obstacle
+from lirs_validation.metrics.near_obstacles import near_obstacle
 from lirs_validation.metrics.ssim import map_ssim
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField

@@ -14,8 +14,8 @@ from matplotlib.lines import Line2D
 from numpy.lib.stride_tricks import sliding_window_view
 
 from lirs_validation.analysis.groups import Group, by_group, distinguishing_fields
-from lirs_validation.record.catalog import Metric, rtf_counts
 from lirs_validation.record.formatting import Entry
+from lirs_validation.record.metric_catalog import Metric, rtf_counts
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.svg import INK, SMALL, as_svg, color_of, plain
 from lirs_wct.arrays import FloatArray

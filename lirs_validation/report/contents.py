@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from lirs_validation.analysis.groups import by_group
 from lirs_validation.analysis.result_folders import ResultFolder, RunFolder
-from lirs_validation.record.catalog import Section
 from lirs_validation.record.formatting import Entry
+from lirs_validation.record.metric_catalog import Section
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.paper.findings import Finding, findings
 from lirs_validation.report.paper.tables import paper_tables

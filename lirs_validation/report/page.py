@@ -11,8 +11,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from lirs_validation.analysis.groups import Group
 from lirs_validation.analysis.result_folders import RunFolder
-from lirs_validation.record.catalog import Section, metrics_selected, rtf_counts
 from lirs_validation.record.formatting import span
+from lirs_validation.record.metric_catalog import Section, metrics_selected, rtf_counts
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.charts import AROUND, distribution_chart, rtf_chart
 from lirs_validation.report.contents import Report, seeds_text

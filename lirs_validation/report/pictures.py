@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lirs_validation.analysis.recorded import recorded_config
+from lirs_validation.analysis.recorded_run import recorded_config
 from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.drawing.canvas import Canvas, bounds_shown
 from lirs_validation.drawing.hillshade import shaded_heights
-from lirs_validation.drawing.overview import shown_bounds
+from lirs_validation.drawing.run_overview import shown_bounds
 from lirs_validation.drawing.style import BLUE, VERMILLION, rgb
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.agreement import contradicted

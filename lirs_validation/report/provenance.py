@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lirs_validation.analysis.recorded import recorded_config
+from lirs_validation.analysis.recorded_run import recorded_config
 from lirs_validation.record.formatting import Entry
 from lirs_validation.report.command_line import command_of
 from lirs_validation.report.tables.table import ReportTable

@@ -70,8 +70,8 @@ class CollisionExperiment:
         self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
     ) -> Outcome:
         """Check the contacts; a metric over its limit is a finding, and no failure of the experiment."""
-        from lirs_validation.collision.files import write_verdicts
         from lirs_validation.collision.validation import check_collisions
+        from lirs_validation.collision.verdict_files import write_verdicts
 
         progress("build", 0.0)
         world = scenarios.scenario(self.world_config).world

@@ -20,8 +20,8 @@ from lirs_validation.sweep.outcome import Outcome
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import Progress
-from lirs_wct.sources.kinds import SourceKind
 from lirs_wct.sources.source import find_source
+from lirs_wct.sources.source_kind import SourceKind
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ import numpy as np
 from numba import njit
 
 from lirs_wct.arrays import BoolArray, Float32Array
+from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.validation import require_above
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -43,7 +43,7 @@ def prisms(world: World) -> Iterator[FloatArray]:
     Raises:
         ConfigError: there are more than `MAX_PRISMS`.
     """
-    if world.export_settings.limited or world.solid is not None:
+    if world.export_options.limited or world.solid is not None:
         mesh, budget = world.mesh, ""
     else:
         mesh, budget = simplified_solid(world.surface, max_error=PRISM_ERROR), f" within {PRISM_ERROR:g} m"

@@ -9,7 +9,7 @@ from typing import Literal
 import cv2
 
 from lirs_wct.errors import ConfigError, OutputError, unknown_name
-from lirs_wct.export.mesh_file import write_collada
+from lirs_wct.export.mesh_writer import write_collada
 from lirs_wct.export.mjcf_file import write_hfield, write_mjcf
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.gazebo.heightmap import heightmap_sdf, write_heightmap
@@ -71,7 +71,7 @@ def write_package(
         if "mjcf" in formats:
             steps.begin(f"{world.name}.xml")
             texture = write_texture(world, temporary) if world.kind == "terrain" else None
-            write_mjcf(world, temporary, texture, world.export_settings.texture_size)
+            write_mjcf(world, temporary, texture, world.export_options.texture_size)
         if "hfield" in formats:
             steps.begin(f"{world.name}.hfield")
             write_hfield(temporary / f"{world.name}.hfield", world.surface)
@@ -100,7 +100,7 @@ def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: S
         return
     if not kinds:
         return
-    settings = world.export_settings
+    settings = world.export_options
     steps.begin("triangles")
     mesh = _turned(world.mesh, settings.rotate_x)
     if "stl" in kinds:
@@ -120,7 +120,7 @@ def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: S
 
 def _streams(world: World) -> bool:
     """Whether the mesh is the full grid of a large surface: its STL is written without making it."""
-    settings = world.export_settings
+    settings = world.export_options
     plain = world.kind == "terrain" and not settings.limited and settings.rotate_x == 0
     return plain and world.surface.z.size > LARGE
 
@@ -152,7 +152,7 @@ def _write_model(world: World, folder: Path, formats: Collection[str], terrain: 
 
 def write_texture(world: World, folder: Path) -> Path:
     """Write the world's texture into a package, unless `World.save` did, and return its path inside."""
-    given = world.export_settings.texture
+    given = world.export_options.texture
     if given is not None:
         return TEXTURES / f"{world.name}{given.suffix.lower()}"
     path = TEXTURES / f"{world.name}.png"

@@ -43,7 +43,7 @@ class WorldFile:
         solid: closed mesh.
         overhangs: whether that mesh is more than its heights from above.
         no_ground: (rows, cols) nodes of the surface without ground.
-        export_settings: name -> value; `texture` is a path or None.
+        export_options: name -> value; `texture` is a path or None.
     """
 
     name: str
@@ -56,7 +56,7 @@ class WorldFile:
     solid: TriangleMesh | None = None
     overhangs: bool = False
     no_ground: BoolArray | None = None
-    export_settings: Mapping[str, Any] = field(default_factory=dict)
+    export_options: Mapping[str, Any] = field(default_factory=dict)
 
 
 def write_world(world: WorldFile, folder: Path) -> Path:
@@ -88,7 +88,7 @@ def write_world(world: WorldFile, folder: Path) -> Path:
     if world.solid is not None:
         arrays |= {"vertices": world.solid.vertices, "faces": world.solid.faces}
         entry["overhangs"] = world.overhangs
-    entry["finish"] = dict(world.export_settings) | {"texture": _keep_texture(world, folder)}
+    entry["finish"] = dict(world.export_options) | {"texture": _keep_texture(world, folder)}
     with atomic_write(folder / ARRAYS) as path:
         _write_arrays(path, arrays)
     with atomic_write(folder / JSON) as path:
@@ -136,7 +136,7 @@ def read_world(folder: Path) -> WorldFile:
                 solid=TriangleMesh(arrays["vertices"], arrays["faces"]) if "faces" in arrays else None,
                 overhangs=bool(entry.get("overhangs", False)),
                 no_ground=arrays.get("bare"),
-                export_settings=_export_settings(entry, folder),
+                export_options=_export_settings(entry, folder),
             )
 
 
@@ -156,7 +156,7 @@ def checked_content(folder: Path) -> Iterator[None]:
 
 def _keep_texture(world: WorldFile, folder: Path) -> str | None:
     """Copy the user's texture into the folder, under the world's name, and return where it lies in there."""
-    given: Path | None = world.export_settings.get("texture")
+    given: Path | None = world.export_options.get("texture")
     if given is None:
         return None
     kept = TEXTURES / f"{world.name}{given.suffix.lower()}"

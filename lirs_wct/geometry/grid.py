@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.errors import ConfigError
+from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.validation import require_above
 
 OCCUPIED = 0.65
 """A cell is occupied where its probability exceeds this (ROS map_saver's `occupied_thresh`)."""

@@ -8,8 +8,8 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError
+from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.validation import require_above
 
 
 @dataclass(frozen=True, slots=True)

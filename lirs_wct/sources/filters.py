@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from lirs_wct.arrays import Float32Array
-from lirs_wct.geometry.resampling import resized
+from lirs_wct.geometry.grid_sampling import resized
 from lirs_wct.sources.options import BuildOptions
 
 MEDIAN_WINDOW = 5

@@ -11,9 +11,8 @@ from typing import Any, Literal
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.images.header import MAX_PIXELS
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.meshing.export_settings import ExportSettings
+from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.option import Options, Switch, declared, documented, one_of, option, positive
-from lirs_wct.sources.kinds import SourceKind
 from lirs_wct.sources.option_text import (
     choice,
     name_of,
@@ -23,6 +22,7 @@ from lirs_wct.sources.option_text import (
     read_pose,
     whole_numbers,
 )
+from lirs_wct.sources.source_kind import SourceKind
 
 DEFAULT_SIZE = 50.0
 """Longer side in metres of a picture that brings no scale."""
@@ -197,7 +197,7 @@ class MapOptions(Options):
 
 @documented
 @dataclass(frozen=True, kw_only=True)
-class BuildOptions(ExportSettings, MapOptions, PictureOptions, CommonOptions):
+class BuildOptions(ExportOptions, MapOptions, PictureOptions, CommonOptions):
     """How a source becomes a world; None means "as the source says, else the default".
 
     Lengths are metres in the world's frame, angles of poses radians, a crop is column, row, width and height.

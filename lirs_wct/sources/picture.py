@@ -20,9 +20,9 @@ from lirs_wct.ground import Terrain
 from lirs_wct.sources.bundled import SIZE, bundled_picture
 from lirs_wct.sources.dequantize import dequantize
 from lirs_wct.sources.filters import apply_filters
-from lirs_wct.sources.kinds import SourceKind
 from lirs_wct.sources.options import DEFAULT_HEIGHT, DEFAULT_SIZE, BuildOptions
 from lirs_wct.sources.source import Source
+from lirs_wct.sources.source_kind import SourceKind
 from lirs_wct.sources.window import cut_surface
 
 GRAY_TOLERANCE = 2

@@ -10,8 +10,8 @@ from pathlib import Path
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.suffixes import LOGS, MAPS, MESHES
 from lirs_wct.sources.bundled import RECIPES
-from lirs_wct.sources.kinds import SourceKind
 from lirs_wct.sources.options import BuildOptions, without_effect
+from lirs_wct.sources.source_kind import SourceKind
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from lirs_wct.errors import ConfigError
+from lirs_wct.field_validators import require_above, require_within
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.validation import require_above, require_within
 from slam_baselines.mapping.bootstrap import BootstrapConfig
 from slam_baselines.mapping.ground_filter import GroundFilterConfig
 from slam_baselines.mapping.occupancy_map import UpdateConfig
 from slam_baselines.matching.gauss_newton import MatchConfig
 from slam_baselines.matching.registration import RegistrationConfig
-from slam_baselines.matching.tracking import TrackingConfig
+from slam_baselines.matching.tracking_monitor import TrackingConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
 from slam_baselines.motion.motion_filter import MotionFilterConfig
 

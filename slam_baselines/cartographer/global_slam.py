@@ -11,11 +11,11 @@ import numpy as np
 
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.cartographer.config import GlobalConfig
-from slam_baselines.cartographer.constraints.builder import ConstraintBuilder, LoopConstraint
-from slam_baselines.cartographer.constraints.candidates import CandidateQueue
-from slam_baselines.cartographer.constraints.loop_event import LoopEvent
-from slam_baselines.cartographer.constraints.verification import LoopVerification
 from slam_baselines.cartographer.local_slam import LocalSlam
+from slam_baselines.cartographer.loop_closure.candidates import CandidateQueue
+from slam_baselines.cartographer.loop_closure.constraint_builder import ConstraintBuilder, LoopConstraint
+from slam_baselines.cartographer.loop_closure.loop_event import LoopEvent
+from slam_baselines.cartographer.loop_closure.verification import LoopVerification
 from slam_baselines.cartographer.node import NOWHERE, Node, composed
 from slam_baselines.cartographer.optimization import (
     OptimizationProblem,

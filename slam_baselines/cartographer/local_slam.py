@@ -21,7 +21,7 @@ from slam_baselines.mapping.bootstrap import register_backwards
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.matching.gauss_newton import Match
 from slam_baselines.matching.registration import Registration
-from slam_baselines.matching.tracking import TrackingMonitor
+from slam_baselines.matching.tracking_monitor import TrackingMonitor
 from slam_baselines.motion.dead_reckoning import DeadReckoning, PoseEstimate
 from slam_baselines.motion.motion_filter import MotionFilter
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler, ScanPoints

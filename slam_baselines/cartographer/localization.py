@@ -30,7 +30,7 @@ from slam_baselines.mapping.pyramid import MapPyramid
 from slam_baselines.matching.branch_and_bound import BoundGrids, Exclusion, Window, branch_and_bound
 from slam_baselines.matching.gauss_newton import Match, Prior, ScanMatcher
 from slam_baselines.matching.registration import Registration
-from slam_baselines.matching.tracking import TrackingMonitor
+from slam_baselines.matching.tracking_monitor import TrackingMonitor
 from slam_baselines.motion.dead_reckoning import DeadReckoning, PoseEstimate
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
 from slam_baselines.scan.voxel_filter import voxel_filter

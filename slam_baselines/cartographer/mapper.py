@@ -11,10 +11,10 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.cartographer.config import CartographerConfig
-from slam_baselines.cartographer.constraints.loop_event import LoopEvent
 from slam_baselines.cartographer.global_slam import GlobalSlam
 from slam_baselines.cartographer.local_slam import LocalSlam
 from slam_baselines.cartographer.localization import CartographerLocalizer, KnownMap
+from slam_baselines.cartographer.loop_closure.loop_event import LoopEvent
 from slam_baselines.cartographer.node import Node
 from slam_baselines.cartographer.node_map import NodeMap
 from slam_baselines.common.stopwatch import Stopwatch

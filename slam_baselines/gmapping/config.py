@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from lirs_wct.validation import require_above, require_at_least, require_within
+from lirs_wct.field_validators import require_above, require_at_least, require_within
 from slam_baselines.gmapping.proposal import ProposalConfig
 from slam_baselines.mapping.bootstrap import BootstrapConfig
 from slam_baselines.mapping.ground_filter import GroundFilterConfig
-from slam_baselines.matching.tracking import TrackingConfig
+from slam_baselines.matching.tracking_monitor import TrackingConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
 
 

@@ -23,7 +23,7 @@ from slam_baselines.mapper import MapperStats, required_odometry
 from slam_baselines.mapping.bootstrap import Bootstrap
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.mapping.keyframe import Keyframe
-from slam_baselines.matching.tracking import TrackingMonitor
+from slam_baselines.matching.tracking_monitor import TrackingMonitor
 from slam_baselines.motion.increment import MotionIncrement
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
 

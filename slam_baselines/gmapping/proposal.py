@@ -20,8 +20,8 @@ from numba import njit
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
+from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.validation import require_above
 from slam_baselines.gmapping.copy_on_write_map import MapView, PatchMaps
 from slam_baselines.gmapping.likelihood_field import (
     Beams,

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lirs_wct.errors import ConfigError
+from lirs_wct.field_validators import require_within
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
-from lirs_wct.validation import require_within
 from slam_baselines.common.stopwatch import Stopwatch
 from slam_baselines.hector.bootstrap import HectorKeyframe, refined
 from slam_baselines.mapper import MapperStats
@@ -27,7 +27,7 @@ from slam_baselines.mapping.keyframe_trajectory import KeyframeTrajectory
 from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
 from slam_baselines.matching.gauss_newton import Match
 from slam_baselines.matching.registration import Registration, RegistrationConfig
-from slam_baselines.matching.tracking import TrackingConfig, TrackingMonitor
+from slam_baselines.matching.tracking_monitor import TrackingConfig, TrackingMonitor
 from slam_baselines.motion.calibration import CalibrationConfig
 from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, OdometryIncrement, PoseEstimate
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
+from lirs_wct.field_validators import require_above, require_at_least, require_within
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
-from lirs_wct.validation import require_above, require_at_least, require_within
 from slam_baselines.common.stopwatch import Stopwatch
 from slam_baselines.hector.original_map import OriginalMap
 from slam_baselines.mapper import MapperStats

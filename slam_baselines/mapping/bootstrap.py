@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from lirs_wct.validation import require_above
+from lirs_wct.field_validators import require_above
 from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.motion.dead_reckoning import PoseEstimate
 

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass, field
 
 from lirs_wct.arrays import ByteArray, FloatArray
+from lirs_wct.field_validators import require_above, require_at_least
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, wrap_angle
-from lirs_wct.validation import require_above, require_at_least
 from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
 from slam_baselines.mapping.occupancy_map import OccupancyMap, UpdateConfig, bounding_box
 from slam_baselines.mapping.pyramid import MapPyramid

@@ -15,9 +15,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import ByteArray, FloatArray
+from lirs_wct.field_validators import require_within
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.validation import require_within
 from slam_baselines.mapping.growing_grid import GrowingGrid
 from slam_baselines.scan.leveling import ScanPoints
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
+from lirs_wct.field_validators import require_above, require_at_least, require_within
 from lirs_wct.geometry.pose import Pose2, wrap_angle
-from lirs_wct.validation import require_above, require_at_least, require_within
 from slam_baselines.common.linalg import invert3
 from slam_baselines.mapping.pyramid import MapPyramid
 from slam_baselines.matching.correlative import SearchConfig, correlative_search

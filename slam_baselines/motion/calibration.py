@@ -14,8 +14,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2, wrap_angle
-from lirs_wct.validation import require_above
 
 Slope = tuple[float, float]
 """How far the ground falls per metre ahead and per metre to the left."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from lirs_wct.arrays import FloatArray
+from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu
-from lirs_wct.validation import require_above
 from slam_baselines.common.linalg import moved_covariance
 from slam_baselines.motion.calibration import LEVEL, Calibration, CalibrationConfig, Slope
 

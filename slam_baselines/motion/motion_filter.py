@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from lirs_wct.field_validators import require_at_least
 from lirs_wct.geometry.pose import Pose2, wrap_angle
-from lirs_wct.validation import require_at_least
 from slam_baselines.scan.leveling import LeveledScan
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lirs_wct.export.mesh_file import write_collada
+from lirs_wct.export.mesh_writer import write_collada
 from lirs_wct.export.package import FORMATS, write_package
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain

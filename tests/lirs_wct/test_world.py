@@ -17,7 +17,7 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
-from lirs_wct.meshing.export_settings import ExportSettings
+from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.window import cut_surface
 
@@ -144,14 +144,14 @@ def test_every_kind_of_ground_reads_back(tmp_path: Path) -> None:
     )
     common = {"schema", "name", "kind", "scale", "surface", "starts", "arrays", "finish"}
     for ground, keys, arrays in grounds:
-        world = World("w", ground, (Pose2(0.1, 0.2, 0.3),), "as given", ExportSettings(max_error=0.1))
+        world = World("w", ground, (Pose2(0.1, 0.2, 0.3),), "as given", ExportOptions(max_error=0.1))
         folder = world.save(tmp_path)
         assert set(json.loads((folder / "world.json").read_text())) == common | keys
         assert set(np.load(folder / "world.npz")) == arrays
         loaded = World.load(folder)
         np.testing.assert_equal(asdict(loaded.ground), asdict(ground))
         assert type(loaded.ground) is type(ground)
-        assert (loaded.spawn_poses, loaded.export_settings) == (world.spawn_poses, world.export_settings)
+        assert (loaded.spawn_poses, loaded.export_options) == (world.spawn_poses, world.export_options)
 
 
 def test_damaged_folders_are_named(picture: Path, tmp_path: Path) -> None:

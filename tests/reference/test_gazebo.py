@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lirs_wct.export.mesh_file import write_collada
+from lirs_wct.export.mesh_writer import write_collada
 from lirs_wct.formats.gazebo.heightmap import heightmap_sdf, write_heightmap
 from lirs_wct.formats.gazebo.sdf import model_config, model_sdf, world_sdf
 from lirs_wct.geometry.heightfield import HeightField

@@ -133,6 +133,6 @@ def test_whole_and_true_to_the_source(package: tuple[World, Path, Path | None]) 
     per_cell = world.surface.cell[0] * world.surface.cell[1] / 6
     integral = float((2 * sw + 2 * ne + se + nw).sum()) * per_cell
     below = -world.mesh.bounds[0, 2] * width * depth
-    budget = (world.export_settings.max_error or 0.0) * width * depth
-    if world.export_settings.max_triangles is None:
+    budget = (world.export_options.max_error or 0.0) * width * depth
+    if world.export_options.max_triangles is None:
         assert world.mesh.volume == pytest.approx(integral + below, abs=budget + 1e-6 * integral)

@@ -9,7 +9,7 @@ import numpy as np
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.validation import require_above, require_at_least, require_within
+from lirs_wct.field_validators import require_above, require_at_least, require_within
 
 
 @dataclass(frozen=True, kw_only=True)

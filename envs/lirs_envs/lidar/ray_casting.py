@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from lirs_envs.lidar.mipmap import TerrainMipmap, build_terrain_mipmap
 from lirs_envs.lidar.terrain_rays import terrain_ranges
-from lirs_envs.lidar.wall_cells import WallCells, build_wall_cells, remove_hits_in_holes, wall_ranges
+from lirs_envs.lidar.wall_rays import WallCells, build_wall_cells, remove_hits_in_holes, wall_ranges
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField

@@ -6,7 +6,7 @@ from dataclasses import astuple, dataclass
 
 from lirs_envs.robots.robot import Robot
 from lirs_wct.errors import ConfigError
-from lirs_wct.validation import is_finite
+from lirs_wct.field_validators import is_finite
 
 
 @dataclass(frozen=True, slots=True)

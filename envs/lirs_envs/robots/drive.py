@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from lirs_envs.robots.command import Twist, Waypoint, clip
 from lirs_envs.robots.robot import Robot
-from lirs_wct.validation import require_at_least
+from lirs_wct.field_validators import require_at_least
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from lirs_wct.errors import ConfigError
+from lirs_wct.field_validators import require_above, require_at_least
 from lirs_wct.geometry.pose import Pose3
-from lirs_wct.validation import require_above, require_at_least
 
 ASSETS = Path(__file__).parent / "assets"
 POSITIVE = (

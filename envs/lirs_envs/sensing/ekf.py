@@ -22,8 +22,8 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import OdometryConfig, OdometryIncrement, WheelOdometry, integrated
 from lirs_wct.arrays import FloatArray
+from lirs_wct.field_validators import require_at_least
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.validation import require_at_least
 
 X, Y, YAW, BIAS, SCALE = range(5)
 BIAS_ROW = np.eye(5)[BIAS : BIAS + 1]

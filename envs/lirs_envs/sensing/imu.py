@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lirs_wct.arrays import Vector3
+from lirs_wct.field_validators import require_above, require_at_least
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import Imu
-from lirs_wct.validation import require_above, require_at_least
 
 RATE_BLOCK = 256
 """Readings of the gyro whose noise is drawn at once."""

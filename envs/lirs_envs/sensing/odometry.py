@@ -11,8 +11,8 @@ import numpy as np
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import Vector3
 from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.field_validators import require_above, require_within
 from lirs_wct.geometry.pose import Pose2, Pose3, wrap_angle
-from lirs_wct.validation import require_above, require_within
 
 Method = Literal["gyro", "ekf"]
 METHODS: tuple[Method, ...] = get_args(Method)

@@ -10,14 +10,14 @@ from lirs_envs.lidar.lidar import BaseVelocity, Lidar
 from lirs_envs.lidar.noise import LidarNoise, NoiseLevel, lidar_noise
 from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.lidar.ray_casting import Caster
-from lirs_envs.model import RobotModel
+from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.ekf import EkfOdometry
 from lirs_envs.sensing.imu import ImuConfig, ImuSensor
 from lirs_envs.sensing.odometry import FlowOdometry, OdometryConfig, WheelOdometry
+from lirs_wct.field_validators import require_type
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
-from lirs_wct.validation import require_type
 
 LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM = 11, 12, 13
 """Random stream of each sensor: with one each, another lidar leaves the noise of the others as it was."""

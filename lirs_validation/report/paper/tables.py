@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from lirs_validation.record.catalog import Metric, metrics_named
 from lirs_validation.record.formatting import Entry
+from lirs_validation.record.metric_catalog import Metric, metrics_named
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.paper import published
 from lirs_validation.report.paper.published import MAPPERS, OURS, SOLID, VIEWS, WORLDS

@@ -7,8 +7,8 @@ from typing import Any
 
 from lirs_validation.analysis.groups import FIELDS, Group, by_group, distinguishing_fields
 from lirs_validation.analysis.repeats import repeats
-from lirs_validation.record.catalog import Metric, Section, metrics_in, metrics_selected, rtf_counts
 from lirs_validation.record.formatting import Entry
+from lirs_validation.record.metric_catalog import Metric, Section, metrics_in, metrics_selected, rtf_counts
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.tables.table import Content, ReportTable, Spread
 

@@ -9,8 +9,8 @@ from functools import partial
 from rich.table import Table
 from rich.text import Text
 
-from lirs_validation.record.catalog import Metric, metrics_selected
 from lirs_validation.record.formatting import Entry, as_entry, text_at
+from lirs_validation.record.metric_catalog import Metric, metrics_selected
 from lirs_validation.record.run_record import RunRecord, succeeded
 from lirs_validation.report.tables.screen import screen_table
 

@@ -12,8 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from lirs_validation.analysis.score import Score
-from lirs_validation.record.catalog import metrics_in
 from lirs_validation.record.formatting import NOTHING
+from lirs_validation.record.metric_catalog import metrics_in
 from lirs_validation.report.tables.screen import screen_table
 from lirs_wct.files import atomic_write
 

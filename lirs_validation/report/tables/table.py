@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from lirs_validation.analysis.repeats import Repeats
-from lirs_validation.record.catalog import Metric
 from lirs_validation.record.formatting import NOTHING
+from lirs_validation.record.metric_catalog import Metric
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.gazebo.sdf import VERSION, model_uri
+from lirs_wct.geometry.grid_sampling import resized
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.resampling import resized
 
 SIDES = tuple(2**n + 1 for n in range(4, 13))
 """Legal pixels a side: 17 to 4097."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from xml.sax.saxutils import escape, quoteattr
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.validation import require_above, require_at_least
+from lirs_wct.field_validators import require_above, require_at_least
 
 VERSION = "1.6"
 FRICTION = 0.9

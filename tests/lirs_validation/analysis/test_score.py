@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from lirs_validation import cli, validate
-from lirs_validation.analysis.recorded import recorded_config, true_pose_map
+from lirs_validation.analysis.recorded_run import recorded_config, true_pose_map
 from lirs_validation.analysis.result_folders import RunFolder, read_run
 from lirs_validation.analysis.score import score
 from lirs_validation.config import SourceOptions

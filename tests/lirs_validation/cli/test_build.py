@@ -13,7 +13,7 @@ import trimesh
 
 from lirs_validation import cli
 from lirs_wct import World
-from lirs_wct.formats.meshes.mesh_file import read_upright
+from lirs_wct.formats.meshes.mesh_reader import read_upright
 from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.heightfield import HeightField
 
@@ -137,9 +137,9 @@ def test_a_texture_is_copied_named_and_tiled(folder: Path) -> None:
     uv = np.concatenate([g.visual.uv for g in loaded.geometry.values()])
     assert np.ptp(uv[:, 0]) == pytest.approx(50 / 5, rel=0.3)
     again = built("out/w", to="dae")
-    assert again.export_settings.texture is not None
-    assert again.export_settings.texture.read_bytes() == Path("my grass.JPG").read_bytes()
-    assert again.export_settings.texture_size == 5
+    assert again.export_options.texture is not None
+    assert again.export_options.texture.read_bytes() == Path("my grass.JPG").read_bytes()
+    assert again.export_options.texture_size == 5
 
 
 def test_a_heightmap_for_gazebo(folder: Path) -> None:

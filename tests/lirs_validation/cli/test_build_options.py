@@ -10,15 +10,15 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from lirs_validation.cli.build_options import with_build_options
+from lirs_validation.cli.typer_options import with_build_options
 from lirs_validation.config import RunConfig, SourceOptions
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.report.command_line import command_of
 from lirs_wct.errors import ConfigError, LogSourceError
 from lirs_wct.option import Switch, option, positive
-from lirs_wct.sources.kinds import SourceKind
 from lirs_wct.sources.option_text import numbers
 from lirs_wct.sources.options import BuildOptions, without_effect
+from lirs_wct.sources.source_kind import SourceKind
 
 
 @dataclass(frozen=True, kw_only=True)

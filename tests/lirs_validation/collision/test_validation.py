@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from lirs_envs.model import RobotModel
+from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.catalog import ROBOTS, make_robot
 from lirs_validation.cli.app import app
 from lirs_validation.collision.contact_log import ContactRecorder
+from lirs_validation.collision.contact_metrics import energy_gain, penetrations, stuck_seconds
 from lirs_validation.collision.contact_solid import ContactSolid
-from lirs_validation.collision.files import write_verdicts
-from lirs_validation.collision.metrics import energy_gain, penetrations, stuck_seconds
 from lirs_validation.collision.random_drive import PERIOD, Leg, places
 from lirs_validation.collision.slope_test import climb
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions
+from lirs_validation.collision.verdict_files import write_verdicts
 from lirs_validation.report.tables.collision_table import verdicts_table
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError

@@ -13,8 +13,8 @@ from lirs_validation.config import RunConfig
 from lirs_validation.drawing.canvas import Canvas, bounds_of
 from lirs_validation.drawing.hillshade import hillshade, shading
 from lirs_validation.drawing.oblique import oblique_view
-from lirs_validation.drawing.overview import overview_figure, shown_bounds
-from lirs_validation.drawing.view import view_figure
+from lirs_validation.drawing.run_overview import overview_figure, shown_bounds
+from lirs_validation.drawing.world_view import view_figure
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField

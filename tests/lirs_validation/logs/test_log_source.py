@@ -187,7 +187,7 @@ def test_the_first_scan_does_not_wait_for_what_it_does_not_need() -> None:
     """Neither simulator nor drawing is loaded before a log is mapped; the command line loads less still."""
     code = (
         "import sys, lirs_validation.cli.app; early = set(sys.modules);"
-        "import lirs_validation.logs.mapping, slam_baselines.cartographer.mapper;"
+        "import lirs_validation.logs.map_log, slam_baselines.cartographer.mapper;"
         "heavy = {'mujoco', 'matplotlib', 'gymnasium', 'trimesh'};"
         "print({'scipy.ndimage'} & early, heavy & set(sys.modules))"
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lirs_validation.metrics.accuracy import reference_errors
+from lirs_validation.metrics.log_accuracy import reference_errors
 from lirs_validation.metrics.planar import rms
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct.geometry.pose import Pose2

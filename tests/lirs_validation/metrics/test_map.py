@@ -21,7 +21,7 @@ from lirs_validation.metrics import (
     unknown_share,
 )
 from lirs_validation.metrics.agreement import contradicted, decided
-from lirs_validation.metrics.geometry import near_obstacle
+from lirs_validation.metrics.near_obstacles import near_obstacle
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField

@@ -9,7 +9,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from lirs_validation.cli.build_options import with_build_options
+from lirs_validation.cli.typer_options import with_build_options
 from lirs_validation.config import RunConfig
 from lirs_validation.report.command_line import command_of
 from lirs_wct.geometry.pose import Pose2

@@ -16,8 +16,8 @@ from lirs_validation import cli
 from lirs_validation.analysis.groups import Group, by_group
 from lirs_validation.analysis.repeats import repeats
 from lirs_validation.analysis.result_folders import RunFolder, read_results
-from lirs_validation.record.catalog import metrics_in, metrics_named
 from lirs_validation.record.formatting import significant
+from lirs_validation.record.metric_catalog import metrics_in, metrics_named
 from lirs_validation.report.contents import Report, report_of
 from lirs_validation.report.page import page
 from lirs_validation.report.pictures import BUDGET, MOST_BYTES, Painter

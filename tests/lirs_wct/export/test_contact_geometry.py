@@ -27,7 +27,7 @@ from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import ClosedMesh, LaserMap, Terrain
-from lirs_wct.meshing.export_settings import ExportSettings
+from lirs_wct.meshing.export_options import ExportOptions
 
 RADIUS, SPHERES = 0.3, 100
 
@@ -43,7 +43,7 @@ def hills() -> World:
     return World(
         "hills",
         Terrain(HeightField.centered(z, (0.1, 0.1))),
-        export_settings=ExportSettings(max_error=0.004),
+        export_options=ExportOptions(max_error=0.004),
     )
 
 
@@ -217,7 +217,7 @@ def test_a_prism_for_each_triangle_and_no_more_than_are_legal(hills: World) -> N
     edges = np.array([(p[1] - p[0], p[2] - p[0]) for p in parts])
     area = 0.5 * np.abs(np.cross(edges[:, 0], edges[:, 1])[:, 2]).sum()
     assert area == pytest.approx(16.0**2, rel=1e-9)
-    full = World("full", Terrain(hills.surface), export_settings=ExportSettings(max_error=1e-5))
+    full = World("full", Terrain(hills.surface), export_options=ExportOptions(max_error=1e-5))
     with pytest.raises(ConfigError, match=r"at most 20000 are legal; give --max-error or --max-triangles"):
         list(prisms(full))
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.geometry.grid_sampling import resized
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.resampling import resized
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.filters import denoised, sharpened, smoothed
 from lirs_wct.sources.options import BuildOptions

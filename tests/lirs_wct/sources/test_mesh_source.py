@@ -11,8 +11,8 @@ import trimesh
 
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.export.mesh_file import write_mesh
-from lirs_wct.formats.meshes.mesh_file import read_upright
+from lirs_wct.export.mesh_writer import write_mesh
+from lirs_wct.formats.meshes.mesh_reader import read_upright
 from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh

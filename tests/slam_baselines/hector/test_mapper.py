@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from lirs_validation.logs.reference import read_reference
-from lirs_validation.metrics.accuracy import reference_errors
 from lirs_validation.metrics.agreement import agreement
+from lirs_validation.metrics.log_accuracy import reference_errors
 from lirs_validation.metrics.map import false_occupied
 from lirs_validation.metrics.relative_pose_constraints import constraint_errors, read_constraints
 from lirs_wct.errors import ConfigError
@@ -23,7 +23,7 @@ from slam_baselines.mapper import make_mapper
 from slam_baselines.mapping.known_pose import KnownPoseMapper
 from slam_baselines.matching.gauss_newton import MatchConfig
 from slam_baselines.matching.registration import RegistrationConfig
-from slam_baselines.matching.tracking import TrackingConfig
+from slam_baselines.matching.tracking_monitor import TrackingConfig
 from tests.slam_baselines.synthetic import Drive, drive_room, loop, room_scan, wavy
 
 Array = NDArray[np.float64]

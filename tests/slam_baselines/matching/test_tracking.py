@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lirs_wct.errors import ConfigError
-from slam_baselines.matching.tracking import TrackingConfig, TrackingMonitor
+from slam_baselines.matching.tracking_monitor import TrackingConfig, TrackingMonitor
 
 CONFIG = TrackingConfig(lost_score=0.3, known_ratio=0.3, lost_after=3)
 

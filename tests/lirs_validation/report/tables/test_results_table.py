@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from lirs_validation.record.catalog import picture_lines
+from lirs_validation.record.metric_catalog import picture_lines
 from lirs_validation.report.tables.results_table import markdown_table, results_table
 
 

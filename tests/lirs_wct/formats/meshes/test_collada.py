@@ -11,7 +11,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.export.mesh_file import write_collada
+from lirs_wct.export.mesh_writer import write_collada
 from lirs_wct.formats.meshes import collada_stream
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -36,7 +36,7 @@ def corners_of(triangles: collada.triangleset.TriangleSet) -> np.ndarray:
 @pytest.fixture(params=WRITERS)
 def above(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
     if request.param == "stream in tiles":
-        monkeypatch.setattr("lirs_wct.export.mesh_file.TILE", 600)
+        monkeypatch.setattr("lirs_wct.export.mesh_writer.TILE", 600)
     return WRITERS[request.param]
 
 

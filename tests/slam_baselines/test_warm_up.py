@@ -6,25 +6,25 @@ import numpy as np
 import pytest
 
 from lirs_wct.geometry.pose import Pose2
-from slam_baselines import warmup
+from slam_baselines import warm_up
 from slam_baselines.mapper import MAPPERS, make_mapper
 
 
 def test_the_room_is_seen_where_it_is() -> None:
-    ranges = warmup._scan(Pose2(-warmup.MOUNT.x, 0.0, 0.0), 0.0).ranges
-    assert ranges[warmup.BEAMS // 2] == pytest.approx(6.0)
+    ranges = warm_up._scan(Pose2(-warm_up.MOUNT.x, 0.0, 0.0), 0.0).ranges
+    assert ranges[warm_up.BEAMS // 2] == pytest.approx(6.0)
     assert np.isfinite(ranges).all()
 
 
 @pytest.mark.parametrize("name", MAPPERS)
 def test_every_mapper_keeps_its_place_in_the_warm_up_room(name: str) -> None:
     mapper = make_mapper(name)
-    start = warmup._on_circle(0.0)
+    start = warm_up._on_circle(0.0)
     for k in range(40):
-        pose = warmup._on_circle(k * warmup.STEP / warmup.RADIUS)
-        found = mapper.update(warmup._scan(pose, 0.2 * k), start.inverse() @ pose, None)
+        pose = warm_up._on_circle(k * warm_up.STEP / warm_up.RADIUS)
+        found = mapper.update(warm_up._scan(pose, 0.2 * k), start.inverse() @ pose, None)
     assert found.distance(start.inverse() @ pose) < 0.1
-    warmup.warm_up(name)
+    warm_up.warm_up(name)
 
 
 def test_a_seed_reaches_the_mapper_that_draws_and_leaves_the_others_alone() -> None:

@@ -55,7 +55,7 @@ def map_log(
 ) -> None:
     """Map a laser log: map.pgm and map.yaml for ROS, the path, a picture, and how right it is."""
     from lirs_validation.config import MapConfig
-    from lirs_validation.logs.mapping import run_mapping
+    from lirs_validation.logs.map_log import run_mapping
 
     config = MapConfig(
         log=log,

@@ -28,7 +28,7 @@ from lirs_validation.drawing.style import (
     title,
 )
 from lirs_validation.metrics.agreement import contradicted
-from lirs_validation.record.catalog import picture_lines
+from lirs_validation.record.metric_catalog import picture_lines
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory

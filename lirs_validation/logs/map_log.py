@@ -15,7 +15,7 @@ from lirs_validation.experiment.mapper_checks import check_pose, final_map, fina
 from lirs_validation.logs.log_mapper import check_log, make_log_mapper, warm_up_log_mapper
 from lirs_validation.logs.mapped_log import MappedLog
 from lirs_validation.logs.reference import read_reference
-from lirs_validation.metrics.accuracy import trajectory_accuracy
+from lirs_validation.metrics.log_accuracy import trajectory_accuracy
 from lirs_validation.metrics.relative_pose_constraints import RelativePoseConstraint, read_constraints
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
 from lirs_wct.errors import ConfigError, SourceError

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from slam_baselines.cartographer.config import CandidateConfig
-from slam_baselines.cartographer.constraints.candidates import CandidateQueue
+from slam_baselines.cartographer.loop_closure.candidates import CandidateQueue
 
 
 def test_the_queue_takes_new_nodes_first_and_enough_is_enough():

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from lirs_envs.model import TIPPED
+from lirs_envs.robot_model import TIPPED
 from lirs_validation.collision.contact_log import DEEP, ContactLog, DeepContact
 from lirs_validation.collision.contact_solid import ContactSolid
 from lirs_validation.collision.random_drive import Leg

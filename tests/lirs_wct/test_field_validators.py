@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.validation import require_above, require_at_least, require_within
+from lirs_wct.field_validators import require_above, require_at_least, require_within
 
 
 @given(st.floats(allow_nan=True))

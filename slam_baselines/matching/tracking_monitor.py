@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lirs_wct.validation import require_at_least, require_within
+from lirs_wct.field_validators import require_at_least, require_within
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,8 +16,14 @@ from rich.table import Table
 
 from lirs_validation.analysis.compare import compare
 from lirs_validation.analysis.result_folders import read_results
-from lirs_validation.record import catalog
-from lirs_validation.record.catalog import METRICS, Metric, metrics_named, metrics_selected, picture_lines
+from lirs_validation.record import metric_catalog
+from lirs_validation.record.metric_catalog import (
+    METRICS,
+    Metric,
+    metrics_named,
+    metrics_selected,
+    picture_lines,
+)
 from lirs_validation.record.schema import record_schema
 from lirs_validation.report.contents import report_of
 from lirs_validation.report.page import page
@@ -84,7 +90,7 @@ def test_a_metric_is_added_in_one_place(tmp_path: Path, monkeypatch: pytest.Monk
     """The table on the screen, Markdown, CSV, the report's page, comparison and picture all have it."""
     selections = ("picture", "runs", "summary", "compared", "distribution", "headline")
     new = Metric("map.blur", "blur", "map", "cm", 2, 100.0, "less", selections)
-    monkeypatch.setattr(catalog, "METRICS", (*METRICS, new))
+    monkeypatch.setattr(metric_catalog, "METRICS", (*METRICS, new))
     runs = runs_with(blur=0.0123)
     for run in runs:
         (tmp_path / run["name"]).mkdir()

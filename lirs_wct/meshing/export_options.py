@@ -20,7 +20,7 @@ def _finite_turn(value: float, _: str) -> None:
 
 @documented
 @dataclass(frozen=True, kw_only=True)
-class ExportSettings(Options):
+class ExportOptions(Options):
     """Budget, turn and texture of the mesh files that are made of a world.
 
     Raises:
