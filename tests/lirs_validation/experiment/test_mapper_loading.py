@@ -89,7 +89,10 @@ def test_a_library_call_leaves_the_import_path_as_it_was(monkeypatch: pytest.Mon
         ("their_slam:NOT_A_CLASS", r"has no class 'NOT_A_CLASS'"),
         ("their_slam:Half", r"lacks map\(\), trajectory\(\), stats; a mapper has update\(\), map\(\)"),
         ("their_slam:Greedy", r"cannot be made: TypeError: .*'weights'"),
-        ("hektor", r"unknown mapper 'hektor'; legal: cartographer, gmapping, hector, module:name"),
+        (
+            "hektor",
+            r"unknown mapper 'hektor'; legal: cartographer, gmapping, hector, hector_original, module:name",
+        ),
     ],
 )
 def test_what_is_no_mapper_is_said_in_one_line(name: str, message: str) -> None:
