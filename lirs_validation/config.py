@@ -28,7 +28,7 @@ class SourceOptions(BuildOptions):
         "cartographer",
         "SLAM method that makes the map of a laser log.",
         flags=("--log-mapper", "--mapper"),
-        metavar="hector|gmapping|cartographer",
+        metavar="NAME|module:Class",
         panel=MAP_PANEL,
         kinds={SourceKind.LOG},
     )

@@ -45,6 +45,8 @@ def main() -> None:
     except WctError as error:
         _fail(str(error))
     except TyperException as error:
+        if not error.format_message():  # a bare `lirs-wct`: its help was shown
+            sys.exit(BAD_INPUT)
         _fail(error.format_message())
     except (typer.Abort, KeyboardInterrupt):
         _fail("interrupted; nothing half-written was left", INTERRUPTED)

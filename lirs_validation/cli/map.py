@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 Log = Annotated[str, typer.Argument(metavar="LOG", help="CARMEN log: .clf or .log, gzipped or not.")]
 MapperName = Annotated[
-    str, typer.Option(metavar="hector|gmapping|cartographer", help="SLAM method that maps.")
+    str, typer.Option(metavar="NAME|module:Class", help="SLAM method: hector, gmapping, cartographer, ...")
 ]
-Particles = Annotated[int | None, typer.Option(help="Paths that gmapping follows; default: 30.")]
+Particles = Annotated[int | None, typer.Option(help="Number of gmapping's particles; default: 30.")]
 Relations = Annotated[
     str | None,
     typer.Option(metavar="FILE", help="True relations between poses: the record then holds the accuracy."),
@@ -53,7 +53,7 @@ def map_log(
         "out"
     ),
 ) -> None:
-    """Map a laser log: map.pgm and map.yaml for ROS, the path, a picture, and how right it is."""
+    """Map a laser log: map.pgm and map.yaml for ROS, the path, a picture, and its accuracy."""
     from lirs_validation.config import MapConfig
     from lirs_validation.logs.map_log import run_mapping
 

@@ -54,7 +54,7 @@ def report(
 
 def compare(
     a: Annotated[Path, typer.Argument(metavar="A", help="Folder of results.")],
-    b: Annotated[Path, typer.Argument(metavar="B", help="Folder of results to hold against it.")],
+    b: Annotated[Path, typer.Argument(metavar="B", help="Folder of results to compare with A.")],
     across: Annotated[
         str | None,
         typer.Option(

@@ -44,7 +44,7 @@ Terrains = Annotated[
         "--terrain",
         metavar="hfield|mesh|prisms|convex",
         show_default="hfield",
-        help="What MuJoCo touches: a height field; the same, and the mesh is seen; a prism for each "
+        help="Geometry used for contacts: a height field; the same, and rays meet the mesh; a prism for each "
         "triangle within --max-error; the convex parts of a closed mesh.",
         rich_help_panel=AXES,
     ),
@@ -55,7 +55,7 @@ RayKinds = Annotated[
         "--rays",
         metavar="builtin|mujoco",
         show_default="builtin",
-        help="Whose rays the lidar takes (builtin = ours); MuJoCo's for comparison.",
+        help="Ray caster of the lidar (builtin = ours); MuJoCo's for comparison.",
         rich_help_panel=AXES,
     ),
 ]
@@ -94,7 +94,8 @@ Jobs = Annotated[
     typer.Option(metavar="N", help="Runs at a time, in processes of their own.", rich_help_panel=ENGINE),
 ]
 Address = Annotated[
-    str | None, typer.Option(help="Of a Ray cluster; default: one of its own.", rich_help_panel=ENGINE)
+    str | None,
+    typer.Option(help="Address of a Ray cluster; default: start a local one.", rich_help_panel=ENGINE),
 ]
 CellTimeout = Annotated[
     float | None,

@@ -51,7 +51,7 @@ def validate(
 ) -> None:
     """Drive robots through worlds with SLAM running, and evaluate map, trajectory and speed.
 
-    Run again, the same command goes on where it was interrupted.
+    The same command resumes an interrupted sweep.
     """
     from lirs_validation.sweep.engines.base import Limits
     from lirs_validation.sweep.engines.factory import make_executor

@@ -52,7 +52,7 @@ class ExportOptions(Options):
     )
     texture: Path | None = option(
         None,
-        "PNG or JPEG that the mesh wears, projected from the sides of a cube; default: drawn.",
+        "PNG or JPEG texture of the mesh, projected from the sides of a cube; default: drawn.",
         metavar="FILE",
         **_PANEL,
     )

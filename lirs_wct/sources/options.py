@@ -107,12 +107,10 @@ class PictureOptions(Options):
         check=positive,
         **_SCALE,
     )
-    z_scale: float | None = option(
-        None, "Multiply the heights that the rest gives.", check=positive, **_SCALE
-    )
+    z_scale: float | None = option(None, "Multiply the resulting heights.", check=positive, **_SCALE)
     scale: tuple[float, float, float] | None = option(
         None,
-        "Multiply width, depth and height that the rest gives.",
+        "Multiply the resulting width, depth and height.",
         metavar="S or SX,SY,SZ",
         read=read_factors,
         check=positive,
@@ -182,7 +180,7 @@ class MapOptions(Options):
         read=read_pose,
         **_MAP | {"kinds": {SourceKind.MAP_PICTURE}},
     )
-    wall_height: float = option(2.5, "Metres that walls stand high.", check=positive, **_MAP)
+    wall_height: float = option(2.5, "Height of walls, metres.", check=positive, **_MAP)
     unknown: Unknown = option(
         "floor",
         "What unknown cells are; a hole goes through the floor.",

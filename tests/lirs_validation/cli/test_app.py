@@ -97,3 +97,10 @@ def test_view_draws_any_source_beside_it(files: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert cv2.imread(str(files / "good-view.png")) is not None
     assert (files / "good.png").read_bytes() == before
+
+
+def test_no_command_shows_the_help_and_nothing_else(tmp_path: Path) -> None:
+    done = wct(cwd=tmp_path)
+    assert done.returncode == 2
+    assert "Usage" in done.stdout + done.stderr
+    assert "lirs-wct:" not in done.stderr
