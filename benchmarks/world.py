@@ -190,8 +190,11 @@ def main() -> None:
     rows = [row for row in plan(args.quick, args.data) if args.only in row.job]
     figures = measured(rows, console)
     console.print(table_of(rows, figures))
-    over = sum(float(f[k]) > v for row, f in zip(rows, figures, strict=True) for k, v in row.limits.items())
-    console.print(f"{over} figures over their limits" if over else "every figure within its limit")
+    limits = [(f.get(k), v) for row, f in zip(rows, figures, strict=True) for k, v in row.limits.items()]
+    over = sum(found is not None and float(found) > limit for found, limit in limits)
+    console.print(f"{over} figures over their limits" if over else "every measured figure within its limit")
+    if missing := sum(found is None for found, _ in limits):
+        console.print(f"{missing} limits without a figure: their peer, pydelatin, is not installed")
     if args.json:
         both = [asdict(row) | found for row, found in zip(rows, figures, strict=True)]
         args.json.write_text(json.dumps(both, indent=1) + "\n")
