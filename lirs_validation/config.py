@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, field, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
 from lirs_wct.errors import unknown_name
 from lirs_wct.field_validators import require_above, require_at_least, require_within
@@ -16,6 +16,11 @@ from lirs_wct.sources.source_kind import SourceKind
 if TYPE_CHECKING:
     from lirs_wct.contact.contact_geometry import ContactGeometry
 
+Attitude = Literal["imu", "none"]
+ATTITUDES: tuple[Attitude, ...] = get_args(Attitude)
+"""What a mapper is told of roll and pitch: the IMU's readings, or nothing."""
+LATER = {"attitude": "imu"}
+"""Options that came later: at these values they are in no digest, so that folders keep their names."""
 RECORDED_RAYS = {"builtin": "ours", "mujoco": "mujoco"}
 """Rays as records name them."""
 
@@ -55,11 +60,12 @@ class RunConfig:
         seconds: simulated time to drive.
         seed: of every random number in the run.
         wall_limit: wall seconds after which the drive is stopped; None = never.
+        attitude: what the mapper is told of roll and pitch: `imu`, or `none` (no inertial reading).
         build: how the source becomes a world.
 
     Raises:
         ConfigError: seconds or the wall limit is not above 0, the seed is negative, or there is no such
-            terrain or rays.
+            terrain, rays or attitude.
     """
 
     source: str
@@ -71,6 +77,7 @@ class RunConfig:
     seconds: float = 120.0
     seed: int = 1
     wall_limit: float | None = None
+    attitude: Attitude = "imu"
     build: BuildOptions = field(default_factory=SourceOptions)
 
     def __post_init__(self) -> None:
@@ -85,6 +92,8 @@ class RunConfig:
         require_at_least(self, 0, "seed")
         if self.terrain not in CONTACT_GEOMETRIES:
             raise unknown_name("terrain for MuJoCo", self.terrain, CONTACT_GEOMETRIES)
+        if self.attitude not in ATTITUDES:
+            raise unknown_name("attitude", self.attitude, ATTITUDES)
         object.__setattr__(self, "rays", RECORDED_RAYS[resolve_rays(self.rays)])
 
     @property
@@ -95,6 +104,7 @@ class RunConfig:
         """
         entry = asdict(self) | {"seconds": float(self.seconds)}
         del entry["wall_limit"]
+        entry = {key: value for key, value in entry.items() if (key, value) not in LATER.items()}
         text = json.dumps(entry, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:8]
 

@@ -192,6 +192,6 @@ def _nothing_common(a: Sequence[Group], b: Sequence[Group]) -> str:
         for f in apart
     )
     if not apart:
-        return "the results have no group in common (world, robot, mapper, terrain, rays, LRF, seconds)"
+        return f"the results have no group in common ({', '.join(FIELDS)})"
     pairing = f"--across {','.join(apart)} pairs them"
     return f"the results have no group in common: they differ in {differing}; {pairing}"

@@ -10,7 +10,7 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_validation.record.formatting import Entry
 from lirs_wct.errors import ConfigError
 
-FIELDS = ("world", "robot", "mapper", "terrain", "rays", "lidar", "seconds")
+FIELDS = ("world", "robot", "mapper", "terrain", "rays", "lidar", "seconds", "attitude")
 
 
 @dataclass(frozen=True, order=True)
@@ -24,6 +24,7 @@ class Group:
     rays: str
     lidar: str
     seconds: float
+    attitude: str = "imu"
 
     @staticmethod
     def of(entry: Entry) -> Group:
@@ -37,12 +38,13 @@ class Group:
             c["rays"],
             c["lidar"] or _own_lidar(c["robot"]),
             float(c["seconds"]),
+            c.get("attitude", "imu"),
         )
 
     def named(self, fields: Iterable[str] = FIELDS) -> str:
         """Return the group's name: its fields, or some of them, in one line."""
         texts = {**dict(zip(FIELDS, astuple(self), strict=True)), "seconds": f"{self.seconds:g} s"}
-        texts["rays"] = f"rays: {self.rays}"
+        texts |= {"rays": f"rays: {self.rays}", "attitude": f"attitude: {self.attitude}"}
         return ", ".join(str(texts[field]) for field in FIELDS if field in set(fields))
 
 

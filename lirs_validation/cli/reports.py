@@ -59,7 +59,8 @@ def compare(
         str | None,
         typer.Option(
             metavar="FIELD,...",
-            help="Pair runs that differ in these: world, robot, mapper, terrain, rays, lidar, seconds.",
+            help="Pair runs that differ in these: world, robot, mapper, terrain, rays, lidar, "
+            "seconds, attitude.",
         ),
     ] = None,
     figures: Annotated[

@@ -9,8 +9,9 @@ import typer
 
 from lirs_validation.cli.arguments import read_names, read_seeds
 from lirs_validation.cli.typer_options import mujoco_terrain
-from lirs_validation.config import SourceOptions
+from lirs_validation.config import ATTITUDES, SourceOptions
 from lirs_wct.errors import ConfigError
+from lirs_wct.sources.option_text import chosen
 
 if TYPE_CHECKING:
     from lirs_validation.sweep.experiment import Experiment
@@ -56,6 +57,16 @@ RayKinds = Annotated[
         metavar="builtin|mujoco",
         show_default="builtin",
         help="Ray caster of the lidar (builtin = ours); MuJoCo's for comparison.",
+        rich_help_panel=AXES,
+    ),
+]
+Attitudes = Annotated[
+    str | None,
+    typer.Option(
+        "--attitude",
+        metavar="imu|none",
+        show_default="imu",
+        help="What mappers are told of roll and pitch: the IMU's readings, or none, as planar SLAM has them.",
         rich_help_panel=AXES,
     ),
 ]
@@ -124,7 +135,7 @@ def read_experiments(
     Args:
         sources: worlds; none with a suite.
         suite: its name; None = sources and axes are given.
-        axes: axis -> what was said of it, for `robot`, `mapper`, `lidar`, `terrain` and `rays`.
+        axes: axis -> what was said of it, for `robot`, `mapper`, `lidar`, `terrain`, `rays` and `attitude`.
         seeds: None = the suite's own, or 1.
         seconds: simulated seconds of each run; None = the suite's own, or 120.
         wall_limit: of each drive; None = the suite's own, or none.
@@ -180,6 +191,7 @@ def _axes_experiments(
         representations=tuple(
             Representation(terrain=terrain, rays=ray) for terrain in terrains for ray in rays
         ),
+        attitudes=tuple(chosen(name, "--attitude", ATTITUDES) for name in _names(given, "attitude", "imu")),
         seeds=seeds or (1,),
         seconds=DEFAULT_SECONDS if seconds is None else seconds,
         wall_limit=wall_limit,
@@ -205,5 +217,5 @@ def _suite_experiments(
 
 
 def _names(given: Mapping[str, str | None], axis: str, default: str) -> tuple[str, ...]:
-    said = given[axis]
+    said = given.get(axis)
     return (default,) if said is None else read_names(said, f"--{axis}")

@@ -33,6 +33,7 @@ def validate(
     lidar: option.Lidars = None,
     terrain: option.Terrains = None,
     rays: option.RayKinds = None,
+    attitude: option.Attitudes = None,
     seconds: option.Seconds = None,
     seed: option.Seed = None,
     seeds: option.Seeds = None,
@@ -58,7 +59,14 @@ def validate(
     from lirs_validation.sweep.manifest import Manifest
     from lirs_validation.sweep.sweep import Sweep
 
-    axes = {"robot": robot, "mapper": mapper, "lidar": lidar, "terrain": terrain, "rays": rays}
+    axes = {
+        "robot": robot,
+        "mapper": mapper,
+        "lidar": lidar,
+        "terrain": terrain,
+        "rays": rays,
+        "attitude": attitude,
+    }
     chosen = option.read_seed_options(seed, seeds)
     experiments = option.read_experiments(sources, suite, axes, chosen, seconds, wall_limit, options)
     limits = Limits(seconds=cell_timeout, memory=None if cell_memory is None else cell_memory * 1e9)

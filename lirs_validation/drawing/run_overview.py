@@ -85,7 +85,8 @@ def shown_bounds(
 
 def _headline(record: RunRecord) -> str:
     c = record.config
-    text = f"{record.world['name']}: {c.robot} maps with {c.mapper}, seed {c.seed}"
+    method = c.mapper + (" without attitude" if c.attitude == "none" else "")
+    text = f"{record.world['name']}: {c.robot} maps with {method}, seed {c.seed}"
     if record.status == "ok":
         return text
     return f"{text} ({'' if record.status in SUCCEEDED else 'failed: '}{record.reason or record.status})"

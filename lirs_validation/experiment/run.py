@@ -8,9 +8,10 @@ from typing import Any
 
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.simulation import Simulation
-from lirs_validation.config import RunConfig
+from lirs_validation.config import Attitude, RunConfig
 from lirs_validation.driving.drivers import CoverageDriver
 from lirs_validation.driving.tour import plan
+from lirs_validation.experiment.attitude import with_attitude
 from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.cpu_contention import cpu_contention
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
@@ -51,6 +52,7 @@ def validate(
     seconds: float = 120.0,
     seed: int = 1,
     wall_limit: float | None = None,
+    attitude: Attitude = "imu",
     options: BuildOptions | None = None,
     out: str | Path | None = None,
     progress: Progress = no_progress,
@@ -67,6 +69,8 @@ def validate(
         seconds: simulated time to drive.
         seed: of every random number in the run; same seed, same bytes.
         wall_limit: wall seconds after which the drive is stopped; None = never.
+        attitude: what the mapper is told of roll and pitch: `imu`, or `none`, which takes the IMU from
+            any mapper.
         options: how the source becomes a world.
         out: folder that receives the run's folder; None = nothing is written.
         progress: of the run.
@@ -84,6 +88,7 @@ def validate(
         seconds=seconds,
         seed=seed,
         wall_limit=wall_limit,
+        attitude=attitude,
         build=options or BuildOptions(),
     )
     return run(config, out=None if out is None else Path(out), progress=progress)
@@ -106,7 +111,8 @@ def run(
         scenarios: worlds that were built before.
         concurrent: whether other runs share the processor; found out beside that.
     """
-    robot, mapper = make_robot(config.robot), mapper_named(config.mapper, config.seed)
+    robot = make_robot(config.robot)
+    mapper = with_attitude(mapper_named(config.mapper, config.seed), config.attitude)
     progress("build", 0.0)
     scenario = (scenarios or ScenarioCache()).scenario(config)
     with compile_timer() as compile_seconds:

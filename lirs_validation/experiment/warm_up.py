@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from lirs_envs.robots.robot import Robot
 from lirs_validation.driving.tour import plan
+from lirs_validation.experiment.attitude import with_attitude
 from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.mapper_loading import mapper_named, warm_up_mapper
 from lirs_validation.experiment.scenario import Scenario
@@ -24,12 +25,13 @@ def warm_up(scenario: Scenario, robot: Robot) -> None:
     What this process drove before is compiled: it is not driven again.
     """
     c = scenario.config
-    kind = (scenario.world.kind, c.robot, c.lidar, c.terrain, c.rays, c.mapper)
+    kind = (scenario.world.kind, c.robot, c.lidar, c.terrain, c.rays, c.mapper, c.attitude)
     if kind in _WARM:
         return
     warm_up_mapper(c.mapper)
     slow = c.rays == "mujoco" and c.terrain == "hfield"
     config = replace(c, seconds=BRIEF if slow else WARM_UP)
     driver = plan(scenario.world, robot, config)
-    drive(scenario.simulation(robot), driver, mapper_named(c.mapper, c.seed), config.seconds)
+    mapper = with_attitude(mapper_named(c.mapper, c.seed), c.attitude)
+    drive(scenario.simulation(robot), driver, mapper, config.seconds)
     _WARM.add(kind)

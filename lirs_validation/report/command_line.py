@@ -16,7 +16,7 @@ def command_of(config: RunConfig) -> str:
     """Return the command line that does this run again; what is as by default is left out."""
     arguments = ["lirs-wct", "validate", config.source, "--robot", config.robot, "--mapper", config.mapper]
     default = RunConfig(source=config.source)
-    for name in ("lidar", "terrain", "rays", "seconds", "seed", "wall_limit"):
+    for name in ("lidar", "terrain", "rays", "seconds", "seed", "wall_limit", "attitude"):
         value = getattr(config, name)
         if value != getattr(default, name) or name == "seed":
             arguments += [f"--{name.replace('_', '-')}", _formatted(value)]

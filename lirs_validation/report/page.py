@@ -135,6 +135,7 @@ def _pictures(runs: Sequence[RunFolder]) -> tuple[list[Picture], str]:
         name = (
             f"{run.entry['world']['name']}, {c['robot']}, {c['mapper']}, {c['terrain']}, {c['rays']} rays, "
         )
+        name += "without attitude, " if c.get("attitude") == "none" else ""
         name += f"seed {c['seed']}" + ("" if run.entry["status"] == "ok" else f": {run.entry['status']}")
         pictures.append(Picture(name, picture.url, f"Paths and maps of {name}", picture.note))
     return pictures, note

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, field
 
-from lirs_validation.config import RunConfig
+from lirs_validation.config import Attitude, RunConfig
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.sources.options import BuildOptions
@@ -29,6 +29,7 @@ class Axes:
         mappers: names, or `module:name` of your own.
         lidars: names of LRF presets; None = the robot's own.
         representations: representations.
+        attitudes: what mappers are told of roll and pitch.
         seeds: of every random number.
         seconds: simulated time to drive.
         wall_limit: wall seconds after which a drive is stopped.
@@ -40,6 +41,7 @@ class Axes:
     mappers: tuple[str, ...] = ("hector",)
     lidars: tuple[str | None, ...] = (None,)
     representations: tuple[Representation, ...] = (Representation(),)
+    attitudes: tuple[Attitude, ...] = ("imu",)
     seeds: tuple[int, ...] = (1,)
     seconds: float = 120.0
     wall_limit: float | None = None
@@ -52,7 +54,13 @@ class Axes:
             ConfigError: a config is not legal.
         """
         crossings = itertools.product(
-            self.sources, self.representations, self.robots, self.lidars, self.mappers, self.seeds
+            self.sources,
+            self.representations,
+            self.robots,
+            self.lidars,
+            self.mappers,
+            self.attitudes,
+            self.seeds,
         )
         return tuple(
             SlamExperiment(
@@ -66,9 +74,10 @@ class Axes:
                     seconds=self.seconds,
                     seed=seed,
                     wall_limit=self.wall_limit,
+                    attitude=attitude,
                     build=self.build,
                 ),
                 tables,
             )
-            for source, representation, robot, lidar, mapper, seed in crossings
+            for source, representation, robot, lidar, mapper, attitude, seed in crossings
         )

@@ -26,12 +26,14 @@ SECTIONS: dict[Section, str] = {
 def failures_table(entries: Sequence[Entry]) -> ReportTable:
     """Return the runs that failed, and why."""
     failed = [entry for entry in entries if not succeeded(entry)]
+    planar = any(Group.of(e).attitude != "imu" for e in entries)
+    fields = ("world", "robot", "mapper", "terrain", "rays", *(("attitude",) if planar else ()))
     rows = [
-        (*_texts(Group.of(e), ("world", "robot", "mapper", "terrain", "rays")), str(e["seed"]),
+        (*_texts(Group.of(e), fields), str(e["seed"]),
          str(e["status"]), str(e["reason"] or e["status"]), str(e["name"]))
         for e in failed
     ]  # fmt: skip
-    headings = ("world", "robot", "mapper", "terrain", "rays", "seed", "status", "reason", "folder")
+    headings = (*fields, "seed", "status", "reason", "folder")
     caption = f"{len(failed)} of {len(entries)} runs failed; they are in no mean below."
     return ReportTable("failures", "Failures", caption, headings, tuple(rows), len(headings))
 

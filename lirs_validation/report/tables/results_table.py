@@ -18,11 +18,12 @@ FACTS = {
     "world": "world.name",
     "robot": "config.robot",
     "mapper": "config.mapper",
+    "attitude": "config.attitude",
     "seed": "config.seed",
     "status": "status",
 }
 """Columns before the metrics, and their places in the record."""
-COMMON = ("robot", "mapper", "seed")
+COMMON = ("robot", "mapper", "attitude", "seed")
 """Columns that move into the title where all runs have the same."""
 
 
@@ -82,7 +83,11 @@ def ordered(records: Sequence[RunRecord | Entry]) -> list[Entry]:
 
 
 def _columns(entries: Sequence[Entry]) -> list[Column]:
-    facts = [Column(name, partial(text_at, key=key), name != "seed") for name, key in FACTS.items()]
+    facts = [
+        Column(name, partial(text_at, key=key), name != "seed")
+        for name, key in FACTS.items()
+        if name != "attitude" or any(text_at(entry, key) == "none" for entry in entries)
+    ]
     metrics = [
         m
         for m in metrics_selected("runs")
@@ -96,7 +101,8 @@ def _metric_column(metric: Metric) -> Column:
 
 
 def _named(entry: Entry, column: Column) -> str:
-    return f"seed {column.text(entry)}" if column.heading == "seed" else column.text(entry)
+    text = column.text(entry)
+    return text if column.heading in ("robot", "mapper") else f"{column.heading} {text}"
 
 
 def _reasons(entries: Sequence[Entry]) -> str:

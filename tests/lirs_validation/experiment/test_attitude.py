@@ -1,0 +1,105 @@
+"""A run without attitude: no mapper learns how the robot is tilted, a user's own included."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lirs_validation import validate
+from lirs_validation.config import ATTITUDES, Attitude, RunConfig
+from lirs_validation.experiment.attitude import with_attitude
+from lirs_validation.sweep.axes import Axes
+from lirs_wct.errors import ConfigError
+from lirs_wct.formats.imu_csv import read_imu
+from slam_baselines.mapper import make_mapper, requires_odometry
+
+NOTING = """
+from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.mapper import MapperStats
+from slam_baselines.mapping.known_pose import KnownPoseMapper
+
+GIVEN = []
+
+class Noting:
+    lost = False
+
+    def __init__(self):
+        self._builder, self._stamps, self._poses = KnownPoseMapper(0.05), [], []
+        GIVEN.append([])
+
+    def update(self, scan, odometry, imu):
+        GIVEN[-1].append(imu)
+        self._builder.update(scan, odometry, imu)
+        self._stamps.append(scan.stamp)
+        self._poses.append(odometry)
+        return odometry
+
+    def map(self):
+        return self._builder.map()
+
+    def trajectory(self):
+        return Trajectory.from_poses(self._stamps, self._poses)
+
+    @property
+    def stats(self):
+        return MapperStats(received=len(self._poses))
+"""
+
+
+@pytest.fixture
+def noting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[list[object]]:
+    """What a user's mapper in the current folder is given, one list a mapper."""
+    (tmp_path / "noting_slam.py").write_text(NOTING)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    given: list[list[object]] = __import__("noting_slam").GIVEN
+    given.clear()
+    return given
+
+
+@pytest.mark.parametrize("attitude", ATTITUDES)
+def test_a_users_mapper_is_given_the_readings_or_none(
+    noting: list[list[object]], tmp_path: Path, attitude: Attitude
+) -> None:
+    run = validate("advanced", mapper="noting_slam:Noting", seconds=1, attitude=attitude, out=tmp_path)
+    assert max(map(len, noting)) >= len(run.log.observations) > 20
+    assert all((imu is None) == (attitude == "none") for given in noting for imu in given)
+    assert run.record.config.attitude == attitude
+    # What was recorded, and the map at the true poses, have the attitude in either case.
+    assert run.folder is not None
+    assert any(abs(imu.pitch) > 0.01 for imu in read_imu(run.folder / "imu.csv.gz"))
+
+
+def test_only_the_mapper_loses_the_attitude() -> None:
+    runs = [validate("advanced", seconds=4, attitude=attitude) for attitude in ATTITUDES]
+    truths, estimates = ([run.log.trajectories()[k].positions for run in runs] for k in (0, 1))
+    np.testing.assert_array_equal(*truths)
+    np.testing.assert_array_equal(*(run.maps.true_pose.log_odds for run in runs))
+    assert not np.array_equal(*estimates)
+
+
+def test_a_mapper_without_attitude_still_says_what_it_requires() -> None:
+    for name in ("gmapping", "hector"):
+        mapper = make_mapper(name)
+        assert requires_odometry(with_attitude(mapper, "none")) == requires_odometry(mapper)
+        assert with_attitude(mapper, "imu") is mapper
+
+
+def test_attitude_is_an_axis_and_its_default_keeps_the_names_of_folders() -> None:
+    crossed = Axes(sources=("simple",), attitudes=("imu", "none"), seeds=(1, 2)).experiments()
+    assert [(run.config.attitude, run.config.seed) for run in crossed] == [
+        ("imu", 1),
+        ("imu", 2),
+        ("none", 1),
+        ("none", 2),
+    ]
+    assert len({run.name for run in crossed}) == 4
+    # The digest of this run before there was an attitude.
+    assert RunConfig(source="simple").digest == "9ee60b70"
+
+
+def test_an_attitude_that_is_none_is_refused() -> None:
+    with pytest.raises(ConfigError, match="unknown attitude 'true'; legal: imu, none"):
+        RunConfig(source="simple", attitude="true")  # type: ignore[arg-type]
