@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, field, fields
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from lirs_wct.errors import unknown_name
 from lirs_wct.field_validators import require_above, require_at_least, require_within
@@ -104,9 +104,14 @@ class RunConfig:
         """
         entry = asdict(self) | {"seconds": float(self.seconds)}
         del entry["wall_limit"]
-        entry = {key: value for key, value in entry.items() if (key, value) not in LATER.items()}
+        entry = _without_later(entry)
         text = json.dumps(entry, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+def _without_later(entry: dict[str, Any]) -> dict[str, Any]:
+    """Return a config's fields without those that came later and are as they would be without."""
+    return {key: value for key, value in entry.items() if key not in LATER or value != LATER[key]}
 
 
 def run_name(config: RunConfig, world: str) -> str:
@@ -130,6 +135,8 @@ class MapConfig:
         range_max: ranges from here on are no return, metres; None = as the log says.
         relations: path of relative-pose constraints that are known to be true.
         reference: path of a reference trajectory: TUM, or a CARMEN log of corrected poses.
+        imu: path of inertial readings, as a run records them (`imu.csv.gz`); None = the log has none.
+        attitude: what the mapper is told of them: `imu`, or `none`.
 
     Raises:
         ConfigError: a value is not legal.
@@ -144,6 +151,8 @@ class MapConfig:
     range_max: float | None = None
     relations: str | None = None
     reference: str | None = None
+    imu: str | None = None
+    attitude: Attitude = "imu"
 
     def __post_init__(self) -> None:
         require_at_least(self, 0, "seed")
@@ -153,13 +162,19 @@ class MapConfig:
             require_within(self, "(0, 360]", "fov", unit="deg")
         if self.range_max is not None:
             require_above(self, 0, "range_max", unit="m", finite=True)
+        if self.attitude not in ATTITUDES:
+            raise unknown_name("attitude", self.attitude, ATTITUDES)
 
-    def digest(self, content: bytes) -> str:
+    def digest(self, content: bytes, readings: bytes | None = None) -> str:
         """Return eight hex digits that distinguish this map from others.
 
         Args:
             content: of the log. Its path is left out, and what the map is only evaluated by.
+            readings: content of the file of inertial readings, if any.
         """
         entry = asdict(self) | {"log": hashlib.sha256(content).hexdigest()}
-        del entry["relations"], entry["reference"]
+        del entry["relations"], entry["reference"], entry["imu"]
+        if readings is not None:
+            entry["imu"] = hashlib.sha256(readings).hexdigest()
+        entry = _without_later(entry)
         return hashlib.sha256(json.dumps(entry, sort_keys=True).encode()).hexdigest()[:8]

@@ -29,6 +29,16 @@ Reference = Annotated[
     str | None,
     typer.Option(metavar="FILE", help="Reference trajectory (TUM, or CARMEN of corrected poses); the same."),
 ]
+ImuFile = Annotated[
+    str | None,
+    typer.Option("--imu", metavar="FILE", help="Inertial readings at the scans: imu.csv.gz of a run."),
+]
+AttitudeName = Annotated[
+    str,
+    typer.Option(
+        "--attitude", metavar="imu|none", help="What the mapper is told of roll and pitch: --imu, or none."
+    ),
+]
 Fov = Annotated[
     float | None, typer.Option(metavar="DEG", help="Field of view of the laser, if the log does not say it.")
 ]
@@ -47,6 +57,8 @@ def map_log(
     ] = None,
     relations: Relations = None,
     reference: Reference = None,
+    imu: ImuFile = None,
+    attitude: AttitudeName = "imu",
     fov: Fov = None,
     range_max: RangeMax = None,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the map's folder.")] = Path(
@@ -54,8 +66,9 @@ def map_log(
     ),
 ) -> None:
     """Map a laser log: map.pgm and map.yaml for ROS, the path, a picture, and its accuracy."""
-    from lirs_validation.config import MapConfig
+    from lirs_validation.config import ATTITUDES, MapConfig
     from lirs_validation.logs.map_log import run_mapping
+    from lirs_wct.sources.option_text import chosen
 
     config = MapConfig(
         log=log,
@@ -67,6 +80,8 @@ def map_log(
         range_max=range_max,
         relations=relations,
         reference=reference,
+        imu=imu,
+        attitude=chosen(attitude, "--attitude", ATTITUDES),
     )
     with progress_bar(log, err) as progress:
         mapped = run_mapping(config, out=output, progress=progress)

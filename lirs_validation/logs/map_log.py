@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from lirs_validation.config import MapConfig
+from lirs_validation.config import Attitude, MapConfig
+from lirs_validation.experiment.attitude import with_attitude
 from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.mapper_checks import check_pose, final_map, final_stats, final_trajectory
+from lirs_validation.logs.inertial import inertial_readings, with_recorded_mount
 from lirs_validation.logs.log_mapper import check_log, make_log_mapper, warm_up_log_mapper
 from lirs_validation.logs.mapped_log import MappedLog
 from lirs_validation.logs.reference import read_reference
@@ -21,6 +23,7 @@ from lirs_validation.record.map_record import MapRecord, describe_log, describe_
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
+from lirs_wct.geometry.scan import Imu
 from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.options import BuildOptions
@@ -39,6 +42,8 @@ def map_log(
     range_max: float | None = None,
     relations: str | Path | None = None,
     reference: str | Path | None = None,
+    imu: str | Path | None = None,
+    attitude: Attitude = "imu",
     out: str | Path | None = None,
     progress: Progress = no_progress,
 ) -> MappedLog:
@@ -54,6 +59,8 @@ def map_log(
         range_max: ranges from here on are no return, metres; None = as the log says.
         relations: file of relations that are known to be true; the record then holds the accuracy.
         reference: file of a reference trajectory (TUM, or a CARMEN log of corrected poses); the same.
+        imu: file of inertial readings at the scans, as a run records them; None = there are none.
+        attitude: what the mapper is told of them: `imu`, or `none`.
         out: folder that receives the map's folder; None = nothing is written.
         progress: of the mapping.
 
@@ -70,6 +77,8 @@ def map_log(
         range_max=range_max,
         relations=None if relations is None else str(relations),
         reference=None if reference is None else str(reference),
+        imu=None if imu is None else str(imu),
+        attitude=attitude,
     )
     return run_mapping(config, out=None if out is None else Path(out), progress=progress)
 
@@ -77,18 +86,20 @@ def map_log(
 def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progress = no_progress) -> MappedLog:
     """Map a log by its config (see `map_log`)."""
     meter, seconds = CostMeter(), dict[str, float]()
-    mapper = make_log_mapper(config)
+    mapper = with_attitude(make_log_mapper(config), config.attitude)
     relations, reference = read_truth(config)
     progress("read", 0.0)
     with _timed(seconds, "read_seconds"):
         name, log = folder_name(config), read_log(config)
         check_log(config, mapper, log)
+        readings = inertial_readings(config, log)
+        log = log if config.imu is None else with_recorded_mount(config, log)
     progress("compile", 0.0)
     with compile_timer() as compile_seconds:
         warm_up_log_mapper(config)
     seconds["compile_seconds"] = compile_seconds()
     with _timed(seconds, "map_seconds"):
-        replay(config, mapper, log, progress)
+        replay(config, mapper, log, readings, progress)
         grid, trajectory = final_map(mapper), final_trajectory(mapper)
     accuracy = trajectory_accuracy(trajectory, log.track, relations, reference)
     cost = {**seconds, "cpu_seconds": meter.cpu_seconds(), "peak_memory": meter.peak_memory()}
@@ -96,7 +107,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
         name=name,
         config=config,
         status="lost" if mapper.lost else "ok",
-        log=describe_log(log),
+        log=describe_log(log) | {"inertial_readings": sum(reading is not None for reading in readings)},
         map=describe_map(grid),
         mapper=asdict(final_stats(mapper)),
         accuracy=accuracy.metrics(),
@@ -137,24 +148,32 @@ def folder_name(config: MapConfig) -> str:
     """
     path = Path(config.log)
     try:
-        digest = config.digest(path.read_bytes())
+        content = path.read_bytes()
+        readings = None if config.imu is None else Path(config.imu).read_bytes()
     except OSError as error:
-        raise SourceError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise SourceError(f"{error.filename}: cannot be read: {error.strerror or error}") from error
     stem = find_source(path, BuildOptions()).name
-    return f"{stem}-{config.mapper.rpartition(':')[2]}-s{config.seed}-{digest}"
+    return f"{stem}-{config.mapper.rpartition(':')[2]}-s{config.seed}-{config.digest(content, readings)}"
 
 
-def replay(config: MapConfig, mapper: Mapper, log: CarmenLog, progress: Progress) -> None:
-    """Replay the whole log into the mapper.
+def replay(
+    config: MapConfig,
+    mapper: Mapper,
+    log: CarmenLog,
+    readings: Sequence[Imu | None],
+    progress: Progress,
+) -> None:
+    """Replay the whole log, and a reading of the IMU for each scan, into the mapper.
 
     Raises:
         SourceError: the mapper needs what the log does not hold.
         MapperError: it answered with something other than a finite pose.
     """
     scans = len(log.scans)
-    for k, (scan, odometry) in enumerate(zip(log.scans, log.odometry, strict=True)):
+    fed = zip(log.scans, log.odometry, readings, strict=True)
+    for k, (scan, odometry, imu) in enumerate(fed):
         try:
-            estimate = mapper.update(scan, odometry, None)
+            estimate = mapper.update(scan, odometry, imu)
         except ConfigError as error:
             raise SourceError(f"{config.log}: {error}") from error
         check_pose(estimate, scan.stamp)

@@ -20,6 +20,7 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
         ("scans", f"{log['scans']} of {log['beams']} beams ({log['laser']})"),
         ("time", f"{log['seconds']:.0f} s"),
         ("distance by odometry", "no odometry" if driven is None else f"{driven:.0f} m"),
+        *_inertial_line(record),
         ("map", f"{width:.1f} x {depth:.1f} m, {grid['resolution']:g} m a cell"),
         ("known", f"{grid['known_area']:.0f} m2"),
         ("scans received, used", f"{mapper['received']}, {mapper['used']}"),
@@ -45,6 +46,14 @@ def repair_lines(record: MapRecord) -> list[tuple[str, str]]:
         if errors is not None and errors["outside"]:
             lines.append((f"outside the log, {name}", f"{errors['outside']}"))
     return lines
+
+
+def _inertial_line(record: MapRecord) -> list[tuple[str, str]]:
+    """Return at how many scans the attitude is known, where a file of readings was given."""
+    if record.config.imu is None:
+        return []
+    told = " (not told to the mapper)" if record.config.attitude == "none" else ""
+    return [("with attitude", f"{record.log['inertial_readings']} scans{told}")]
 
 
 def _accuracy_lines(record: MapRecord) -> list[tuple[str, str]]:

@@ -27,7 +27,7 @@ class MapRecord:
     Attributes:
         name: of the folder.
         status: `lost` where the mapper did not know its place at the end.
-        log: scans, beams, laser, seconds, distance by odometry, skipped, late, repaired.
+        log: scans, beams, laser, seconds, distance by odometry, skipped, late, repaired, inertial_readings.
         map: cells, resolution, metres, occupied cells, square metres known.
         mapper: scans received, used, skipped, lost, milliseconds, bytes of its maps, its own counts.
         accuracy: `relations` (relative-pose constraints) and `reference`, null where not given.

@@ -17,7 +17,8 @@ import numpy as np
 
 from lirs_wct.arrays import Float32Array, IntArray
 from lirs_wct.files import atomic_write
-from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.formats.carmen.mount import mount_comment
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import LaserScan
 
 INVALID = 81.91
@@ -50,15 +51,8 @@ def write_log(path: Path, scans: Iterable[tuple[LaserScan, Pose2]]) -> None:
         zipped.write(HEADER.encode())
         for k, (scan, T_odom_base) in enumerate(scans):
             if k == 0:
-                zipped.write(_mount(scan.T_base_laser).encode())
+                zipped.write(mount_comment(scan.T_base_laser).encode())
             zipped.write(_message(scan, T_odom_base).encode())
-
-
-def _mount(T_base_laser: Pose3) -> str:
-    """Return a comment that says what the messages have no room for."""
-    x, y, z = T_base_laser.position.tolist()
-    angles = f"{T_base_laser.roll:.6f} {T_base_laser.pitch:.6f} {T_base_laser.yaw:.6f}"
-    return f"# laser on base_link, x y z roll pitch yaw: {x:.6f} {y:.6f} {z:.6f} {angles}\n"
 
 
 def _message(scan: LaserScan, T_odom_base: Pose2) -> str:

@@ -1,0 +1,45 @@
+"""Inertial readings beside a log: those at its scans, and the laser's height, which leveling needs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from lirs_validation.config import MapConfig
+from lirs_validation.metrics.association import MAX_GAP, associated
+from lirs_wct.errors import SourceError
+from lirs_wct.formats.carmen.log import CarmenLog
+from lirs_wct.formats.carmen.mount import read_mount
+from lirs_wct.formats.imu_csv import read_imu
+from lirs_wct.geometry.scan import Imu
+
+
+def inertial_readings(config: MapConfig, log: CarmenLog) -> list[Imu | None]:
+    """Return the reading at each scan; None where no file was given or it has none within 0.02 s.
+
+    Raises:
+        SourceError: the file cannot be used, or has no reading at any scan.
+    """
+    readings: list[Imu | None] = [None] * len(log.scans)
+    if config.imu is None:
+        return readings
+    found = sorted(read_imu(Path(config.imu)), key=lambda reading: reading.stamp)
+    stamps = np.array([reading.stamp for reading in found])
+    for scan, reading in zip(*associated(log.stamps, stamps), strict=True):
+        readings[scan] = found[reading]
+    if not any(readings):
+        raise SourceError(
+            f"{config.imu}: other stamps: none of its {len(found)} readings lies within {MAX_GAP} s of "
+            f"one of the log's {len(log.scans)} scans"
+        )
+    return readings
+
+
+def with_recorded_mount(config: MapConfig, log: CarmenLog) -> CarmenLog:
+    """Return the log with the laser where a comment of the file says, out of the plane included."""
+    T_base_laser = read_mount(Path(config.log))
+    if T_base_laser is None:
+        return log
+    return replace(log, scans=tuple(replace(scan, T_base_laser=T_base_laser) for scan in log.scans))

@@ -1,0 +1,93 @@
+"""Inertial readings beside a log: each scan gets its own, and the laser its height."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lirs_validation import map_log
+from lirs_validation.config import MapConfig
+from lirs_validation.logs.map_log import folder_name
+from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.formats.carmen.mount import read_mount
+from lirs_wct.formats.carmen.writer import write_log
+from lirs_wct.formats.imu_csv import write_imu
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import Imu, LaserScan
+from tests.lirs_validation.experiment.test_attitude import NOTING
+
+MOUNT = Pose3.from_rpy(0.22, -0.05, 0.4, 0.0, 0.1, 0.3)
+SCANS = 20
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Path:
+    """A folder with a log of a square room, and readings at every scan but the last two."""
+    angles = np.linspace(-math.pi / 2, math.pi / 2, 91)
+    ranges = (2.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))).astype(np.float32)
+    scans = [
+        LaserScan(ranges, float(angles[0]), math.radians(2), 0.05, 20.0, 0.1 * k, MOUNT) for k in range(SCANS)
+    ]
+    write_log(tmp_path / "scans.clf.gz", [(scan, Pose2(0.01 * k)) for k, scan in enumerate(scans)])
+    write_imu(tmp_path / "imu.csv.gz", [Imu(pitch=0.01 * k, stamp=0.1 * k) for k in range(SCANS - 2)])
+    (tmp_path / "noting_log_slam.py").write_text(
+        NOTING.replace("GIVEN[-1].append(imu)", "GIVEN[-1].append((scan, imu))")
+    )
+    return tmp_path
+
+
+@pytest.mark.parametrize("attitude", ["imu", "none"])
+def test_each_scan_gets_the_reading_at_its_stamp(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch, attitude: Any
+) -> None:
+    monkeypatch.chdir(recorded)
+    monkeypatch.syspath_prepend(recorded)
+    given = __import__("noting_log_slam").GIVEN
+    given.clear()
+    imu = recorded / "imu.csv.gz"
+    mapped = map_log("scans.clf.gz", mapper="noting_log_slam:Noting", imu=imu, attitude=attitude)
+    scans, readings = zip(*given[0], strict=True)
+    assert len(scans) == SCANS
+    for scan in scans:
+        np.testing.assert_allclose(scan.T_base_laser.position, MOUNT.position, atol=1e-6)
+        assert scan.T_base_laser.pitch == pytest.approx(0.1)
+    if attitude == "none":
+        assert readings == (None,) * SCANS
+    else:
+        assert [r.pitch for r in readings[:-2]] == pytest.approx([0.01 * k for k in range(SCANS - 2)])
+        assert readings[-2:] == (None, None)
+    assert mapped.record.log["inertial_readings"] == SCANS - 2
+    assert mapped.record.config.attitude == attitude
+
+
+def test_readings_and_attitude_tell_folders_apart_and_neither_changes_older_names(recorded: Path) -> None:
+    log, imu = str(recorded / "scans.clf.gz"), str(recorded / "imu.csv.gz")
+    configs = [MapConfig(log=log), MapConfig(log=log, imu=imu), MapConfig(log=log, imu=imu, attitude="none")]
+    names = {folder_name(config) for config in configs}
+    assert len(names) == 3
+    # The digest of an empty log before logs had readings.
+    assert MapConfig(log=log).digest(b"") == "7a10e894"
+
+
+def test_a_log_without_the_comment_has_no_recorded_mount(recorded: Path, tmp_path: Path) -> None:
+    found = read_mount(recorded / "scans.clf.gz")
+    assert found is not None
+    assert found.yaw == pytest.approx(0.3)
+    for text in ("", "# carmen\nFLASER 1\n", "# laser on base_link, x y z roll pitch yaw: 1 2\nODOM 1\n"):
+        (tmp_path / "a.clf").write_text(text)
+        assert read_mount(tmp_path / "a.clf") is None
+
+
+def test_readings_that_do_not_fit_are_refused(recorded: Path) -> None:
+    log = recorded / "scans.clf.gz"
+    write_imu(recorded / "late.csv.gz", [Imu(stamp=100.0)])
+    with pytest.raises(SourceError, match=r"late.csv.gz: other stamps: none of its 1 readings"):
+        map_log(log, mapper="hector", imu=recorded / "late.csv.gz")
+    with pytest.raises(SourceError, match=r"^nothing.csv.gz: cannot be read: No such file"):
+        map_log(log, mapper="hector", imu="nothing.csv.gz")
+    with pytest.raises(ConfigError, match="unknown attitude 'some'; legal: imu, none"):
+        map_log(log, attitude="some")  # type: ignore[arg-type]
