@@ -12,9 +12,10 @@ import numpy as np
 from lirs_validation.analysis.recorded_run import recorded_config, recorded_truth, true_pose_map
 from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.experiment.scenario import build_scenario
-from lirs_validation.metrics import map_scores, trajectory_errors
+from lirs_validation.metrics import StartAlignment, map_scores, start_alignment, trajectory_errors
 from lirs_validation.metrics.agreement import decided, sampled
 from lirs_validation.metrics.association import MAX_GAP, associated
+from lirs_validation.record.verdict import incompleteness
 from lirs_wct.errors import SourceError, unknown_name
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
@@ -36,6 +37,7 @@ class Score:
 
     Attributes:
         run: name of the run.
+        status: `ok`, or `incomplete` where the trajectory leaves out scans; `reason` says how many.
         frame: in which the result was given.
         given: poses of the trajectory; 0 without one.
         trajectory: as in a record; empty without a trajectory.
@@ -43,6 +45,8 @@ class Score:
     """
 
     run: str
+    status: Literal["ok", "incomplete"]
+    reason: str
     frame: Literal["map", "world"]
     given: int
     trajectory: dict[str, Any]
@@ -71,12 +75,19 @@ def score(
         frame = frame_of(trajectory, estimate, truth, frame)
     frame = "map" if frame == "auto" else frame
     T_world_frame = truth.pose2(0) if frame == "map" else Pose2()
+    errors, alignment, lacking = dict[str, Any](), None, None
+    if estimate is not None:
+        errors = _score_trajectory(run, truth, estimate, T_world_frame)
+        alignment = start_alignment(truth, estimate.moved(T_world_frame))
+        lacking = incompleteness(errors["scan_coverage"])
     return Score(
         run=str(run.entry["name"]),
+        status="ok" if lacking is None else "incomplete",
+        reason=lacking or "",
         frame=frame,
         given=0 if estimate is None else len(estimate),
-        trajectory={} if estimate is None else _score_trajectory(run, truth, estimate, T_world_frame),
-        map={} if map_yaml is None else _score_map(run, map_yaml, T_world_frame),
+        trajectory=errors,
+        map={} if map_yaml is None else _score_map(run, map_yaml, T_world_frame, alignment),
     )
 
 
@@ -149,7 +160,9 @@ def _score_trajectory(
     }
 
 
-def _score_map(run: RunFolder, path: Path, T_world_frame: Pose2) -> dict[str, Any]:
+def _score_map(
+    run: RunFolder, path: Path, T_world_frame: Pose2, alignment: StartAlignment | None
+) -> dict[str, Any]:
     """Compare with the recorded true-pose map, or with one made anew where the cells have another size.
 
     Raises:
@@ -162,7 +175,14 @@ def _score_map(run: RunFolder, path: Path, T_world_frame: Pose2) -> dict[str, An
         reference = true_pose_map(run.folder, config, built.resolution)
     _check_place(path, built, reference)
     world = build_scenario(config).world
-    scores = map_scores(built, reference, surface=world.surface, walls=world.walls, truth=world.truth)
+    scores = map_scores(
+        built,
+        reference,
+        surface=world.surface,
+        walls=world.walls,
+        truth=world.truth,
+        alignment=alignment,
+    )
     return asdict(scores)
 
 

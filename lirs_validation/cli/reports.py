@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from lirs_validation.cli.arguments import read_names
-from lirs_validation.cli.console import err, out
+from lirs_validation.cli.console import RUN_FAILED, err, out
 from lirs_wct.errors import ConfigError
 
 CsvFile = Annotated[Path | None, typer.Option("--csv", help="Write the table there as CSV, too.")]
@@ -125,6 +125,8 @@ def score(
     out.print(score_table(result, recorded.entry))
     write_score(output, result, trajectory, map_yaml)
     out.print(f"{output}", soft_wrap=True, highlight=False)
+    if result.status != "ok":
+        raise typer.Exit(RUN_FAILED)
 
 
 def _write(path: Path, text: str) -> None:

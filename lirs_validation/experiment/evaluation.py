@@ -11,8 +11,16 @@ from lirs_envs.simulation import Simulation
 from lirs_validation.experiment.loop import DriveLog, per_second
 from lirs_validation.experiment.mapper_checks import final_map, final_stats
 from lirs_validation.experiment.scenario import Scenario
-from lirs_validation.metrics import map_scores, trajectory_errors
-from lirs_validation.record.run_record import RunRecord
+from lirs_validation.metrics import (
+    StartAlignment,
+    map_scores,
+    scan_coverage,
+    start_alignment,
+    trajectory_errors,
+)
+from lirs_validation.metrics.association import associated
+from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status
+from lirs_validation.record.verdict import incompleteness
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.world import World
 from slam_baselines.mapper import Mapper
@@ -21,11 +29,19 @@ from slam_baselines.mapping.known_pose import KnownPoseMapper
 
 @dataclass(frozen=True)
 class Maps:
-    """The two maps of a run, both in the world frame, and what comparing them gave."""
+    """The two maps of a run, both in the world frame, and what comparing them gave.
+
+    Attributes:
+        built: moved by the true start pose.
+        true_pose: made at the true poses.
+        scores: metrics of the comparison.
+        alignment: of the trajectory that belongs to the built map; None where there is none.
+    """
 
     built: OccupancyGrid
     true_pose: OccupancyGrid
     scores: dict[str, Any]
+    alignment: StartAlignment | None = None
 
 
 def evaluate(
@@ -47,13 +63,15 @@ def evaluate(
         cost: processor time, peak memory, seconds of compilation.
     """
     stats = final_stats(mapper)
+    trajectory = evaluate_trajectory(log)
+    status, reason = evaluate_status(log, trajectory["scan_coverage"])
     return RunRecord(
         config=scenario.config,
         world=evaluate_world(scenario, simulation),
-        status=log.status,
-        reason=log.reason,
+        status=status,
+        reason=reason,
         rtf=evaluate_rtf(log, simulation) | {"compile_seconds": cost["compile_seconds"]},
-        trajectory=evaluate_trajectory(log),
+        trajectory=trajectory,
         map=maps.scores,
         collisions=evaluate_collisions(simulation),
         mapper=asdict(stats),
@@ -61,8 +79,19 @@ def evaluate(
     )
 
 
+def evaluate_status(log: DriveLog, coverage: float) -> tuple[Status, str]:
+    """Return how a run ended: as its drive did, or `incomplete` where the trajectory leaves out scans."""
+    lacking = incompleteness(coverage)
+    if log.status not in SUCCEEDED or lacking is None:
+        return log.status, log.reason
+    return "incomplete", lacking
+
+
 def evaluate_maps(world: World, log: DriveLog, mapper: Mapper) -> Maps:
-    """Compare the mapper's map with the one that the true poses give; move it by the true start only."""
+    """Compare the mapper's map with the one that the true poses give.
+
+    It is moved by the true start pose alone; the aligned metrics by the trajectory's alignment as well.
+    """
     T_world_map = log.truth[0].to_pose2()
     built = final_map(mapper)
     reference = KnownPoseMapper(resolution=built.resolution)
@@ -70,15 +99,26 @@ def evaluate_maps(world: World, log: DriveLog, mapper: Mapper) -> Maps:
         T_map_base = T_world_map.inverse() @ T_world_base.to_pose2()
         reference.update(observation.scan, T_map_base, observation.imu)
     built, true_pose = built.moved(T_world_map), reference.map().moved(T_world_map)
-    scores = map_scores(built, true_pose, surface=world.surface, walls=world.walls, truth=world.truth)
-    return Maps(built, true_pose, asdict(scores))
+    truth, estimate, _ = log.trajectories()
+    alignment = start_alignment(truth, estimate)
+    scores = map_scores(
+        built,
+        true_pose,
+        surface=world.surface,
+        walls=world.walls,
+        truth=world.truth,
+        alignment=alignment,
+    )
+    return Maps(built, true_pose, asdict(scores), alignment)
 
 
 def evaluate_trajectory(log: DriveLog) -> dict[str, Any]:
     """Compare the estimate, and the odometry beside it, with the truth."""
     truth, estimate, odometry = log.trajectories()
-    if len(truth) < 2:
-        return {"length": 0.0, "poses": len(truth)}
+    common = len(associated(truth.stamps, estimate.stamps)[0])
+    if common < 2:
+        coverage = scan_coverage(truth.stamps, estimate.stamps)
+        return {"length": truth.length, "poses": common, "scan_coverage": coverage}
     errors = asdict(trajectory_errors(truth, estimate))
     online = log.online().moved(log.truth[0].to_pose2())
     return errors | {

@@ -13,14 +13,12 @@ from lirs_envs.simulation import Simulation
 from lirs_validation.driving.drivers import CoverageDriver
 from lirs_validation.experiment.mapper_checks import check_pose
 from lirs_validation.record.run_record import Status
+from lirs_validation.record.verdict import LostRule
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.progress import Progress, no_progress
 from slam_baselines.mapper import Mapper
-
-LOST_SECONDS = 5.0
-"""A mapper that does not know its place for so long has lost it."""
 
 
 @dataclass
@@ -47,6 +45,11 @@ class DriveLog:
     status: Status = "ok"
     reason: str = ""
     concurrent: bool = False
+
+    def end(self, status: Status, reason: str) -> DriveLog:
+        """Note how the drive ended, and return the log."""
+        self.status, self.reason = status, reason
+        return self
 
     @property
     def stamps(self) -> list[float]:
@@ -101,7 +104,7 @@ def drive(
     log.mapper_seconds.clear()
     period = simulation.period
     next_report = 1.0
-    lost_since: float | None = None
+    tracking = LostRule()
     spent = 0.0
     for tick in range(max(1, math.ceil(seconds / period - 1e-9))):
         begun = time.perf_counter()
@@ -109,19 +112,21 @@ def drive(
         try:
             observation = simulation.advance(command)
         except SimulationError as error:
-            return _ended(log, "diverged", str(error))
+            return log.end("diverged", str(error))
         _map(log, observation, simulation, mapper, begun)
-        lost_since = (lost_since or simulation.time) if mapper.lost else None
-        failure = _failure(simulation, driver, lost_since)
+        tracking.observe(observation.scan.stamp, mapper.lost)
+        failure = _failure(simulation, driver, tracking)
         if failure is not None:
-            return _ended(log, *failure)
+            return log.end(*failure)
         spent += log.walls[-1]
         if wall_limit is not None and spent >= wall_limit and (tick + 1) * period < seconds:
-            return _ended(log, "wall limit", _over(spent, simulation.time, seconds))
+            log.end("wall limit", _over(spent, simulation.time, seconds))
+            break
         if (tick + 1) * period >= next_report:
             progress("drive", (tick + 1) * period / seconds)
             next_report += 1.0
-    return log
+    lost = tracking.reason()
+    return log if lost is None else log.end("lost", lost)
 
 
 def _map(
@@ -139,18 +144,14 @@ def _map(
     log.walls.append(time.perf_counter() - begun)
 
 
-def _failure(
-    simulation: Simulation, driver: CoverageDriver, lost_since: float | None
-) -> tuple[Status, str] | None:
+def _failure(simulation: Simulation, driver: CoverageDriver, tracking: LostRule) -> tuple[Status, str] | None:
     if simulation.tipped:
         return "tipped", f"the robot tipped over at {simulation.time:.1f} s"
     if simulation.off_world:
         return "off world", f"the robot left the world at {simulation.time:.1f} s"
     if driver.stuck:
         return "stuck", f"the robot made no progress and gave up at {simulation.time:.1f} s"
-    if lost_since is not None and simulation.time - lost_since >= LOST_SECONDS:
-        return "lost", f"the mapper lost its place at {lost_since:.1f} s"
-    return None
+    return None if tracking.too_long is None else ("lost", tracking.too_long)
 
 
 def _over(spent: float, driven: float, seconds: float) -> str:
@@ -158,11 +159,6 @@ def _over(spent: float, driven: float, seconds: float) -> str:
         f"stopped at the wall limit, after {spent:.1f} s for {driven:.1f} of {seconds:g} simulated seconds; "
         "its real-time factor is extrapolated from these"
     )
-
-
-def _ended(log: DriveLog, status: Status, reason: str) -> DriveLog:
-    log.status, log.reason = status, reason
-    return log
 
 
 def per_second(values: list[float], period: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

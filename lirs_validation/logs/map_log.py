@@ -17,9 +17,11 @@ from lirs_validation.logs.inertial import inertial_readings, with_recorded_mount
 from lirs_validation.logs.log_mapper import check_log, make_log_mapper, warm_up_log_mapper
 from lirs_validation.logs.mapped_log import MappedLog
 from lirs_validation.logs.reference import read_reference
+from lirs_validation.metrics.association import scan_coverage
 from lirs_validation.metrics.log_accuracy import trajectory_accuracy
 from lirs_validation.metrics.relative_pose_constraints import RelativePoseConstraint, read_constraints
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
+from lirs_validation.record.verdict import LostRule, incompleteness
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
@@ -99,16 +101,20 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
         warm_up_log_mapper(config)
     seconds["compile_seconds"] = compile_seconds()
     with _timed(seconds, "map_seconds"):
-        replay(config, mapper, log, readings, progress)
+        tracking = replay(config, mapper, log, readings, progress)
         grid, trajectory = final_map(mapper), final_trajectory(mapper)
     accuracy = trajectory_accuracy(trajectory, log.track, relations, reference)
     cost = {**seconds, "cpu_seconds": meter.cpu_seconds(), "peak_memory": meter.peak_memory()}
+    coverage = scan_coverage(log.stamps, trajectory.stamps)
+    lost, lacking = tracking.reason(), incompleteness(coverage)
     record = MapRecord(
         name=name,
         config=config,
-        status="lost" if mapper.lost else "ok",
+        status="lost" if lost else "incomplete" if lacking else "ok",
+        reason=lost or lacking or "",
         log=describe_log(log) | {"inertial_readings": sum(reading is not None for reading in readings)},
         map=describe_map(grid),
+        trajectory={"poses": len(trajectory), "scan_coverage": coverage},
         mapper=asdict(final_stats(mapper)),
         accuracy=accuracy.metrics(),
         cost=cost,
@@ -162,14 +168,14 @@ def replay(
     log: CarmenLog,
     readings: Sequence[Imu | None],
     progress: Progress,
-) -> None:
-    """Replay the whole log, and a reading of the IMU for each scan, into the mapper.
+) -> LostRule:
+    """Replay the whole log, and a reading of the IMU for each scan; return whether the place was kept.
 
     Raises:
         SourceError: the mapper needs what the log does not hold.
         MapperError: it answered with something other than a finite pose.
     """
-    scans = len(log.scans)
+    scans, tracking = len(log.scans), LostRule()
     fed = zip(log.scans, log.odometry, readings, strict=True)
     for k, (scan, odometry, imu) in enumerate(fed):
         try:
@@ -177,7 +183,9 @@ def replay(
         except ConfigError as error:
             raise SourceError(f"{config.log}: {error}") from error
         check_pose(estimate, scan.stamp)
+        tracking.observe(scan.stamp, mapper.lost)
         progress("map", (k + 1) / scans)
+    return tracking
 
 
 def _write(mapped: MappedLog, out: Path, progress: Progress) -> Path:

@@ -1,7 +1,8 @@
 """Metrics of a run: errors of the trajectory, agreement of the map."""
 
 from lirs_validation.metrics.agreement import Agreement, CellDistance, agreement, cell_distance
-from lirs_validation.metrics.association import associated
+from lirs_validation.metrics.alignment import StartAlignment, start_alignment
+from lirs_validation.metrics.association import associated, scan_coverage
 from lirs_validation.metrics.map import (
     MapScores,
     false_occupied,
@@ -21,6 +22,7 @@ __all__ = [
     "ConstraintErrorSummary",
     "MapScores",
     "RelativePoseError",
+    "StartAlignment",
     "TrajectoryErrors",
     "agreement",
     "associated",
@@ -30,6 +32,8 @@ __all__ = [
     "map_scores",
     "map_ssim",
     "rigid_alignment",
+    "scan_coverage",
+    "start_alignment",
     "trajectory_errors",
     "unknown_share",
 ]

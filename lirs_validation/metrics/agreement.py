@@ -21,7 +21,10 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Agreement:
-    """How the occupied cells of two maps agree; None where there is no occupied cell to ask.
+    """How the occupied cells of two maps agree; None where neither map has an occupied cell.
+
+    All three are 0 where only one of the two maps has occupied cells, or where the maps know nothing in
+    common: a map without walls is wrong where there are walls, and earns no gap in a mean.
 
     Attributes:
         precision: share of the built map's occupied cells with one of the reference within 0.10 m.
@@ -32,6 +35,10 @@ class Agreement:
     precision: float | None
     recall: float | None
     f1: float | None
+
+
+NO_AGREEMENT = Agreement(precision=None, recall=None, f1=None)
+"""Of two maps without an occupied cell, or where there is no other map."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,10 +60,10 @@ def agreement(built: OccupancyGrid, reference: OccupancyGrid, tolerance: float =
     A cell is asked where the other map knows the cell under its centre; it agrees with any occupied
     cell of the other map within the tolerance. Works for any two resolutions and rotations.
     """
+    if not built.occupied.any() and not reference.occupied.any():
+        return NO_AGREEMENT
     precision = _confirmed(built, reference, tolerance)
     recall = _confirmed(reference, built, tolerance)
-    if precision is None or recall is None:
-        return Agreement(precision=precision, recall=recall, f1=None)
     both = precision + recall
     return Agreement(precision=precision, recall=recall, f1=2 * precision * recall / both if both else 0.0)
 
@@ -120,7 +127,7 @@ def log_odds_at(grid: OccupancyGrid, points: FloatArray) -> Float32Array:
     return values
 
 
-def _confirmed(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float) -> float | None:
-    """Return the share of occupied cells, where the other map knows, that it confirms."""
+def _confirmed(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float) -> float:
+    """Return the share of occupied cells, where the other map knows, that it confirms; 0 of no cell."""
     _, distance = nearest_occupied(asked, other)
-    return float((distance <= tolerance + ROUNDING).mean()) if len(distance) else None
+    return float((distance <= tolerance + ROUNDING).mean()) if len(distance) else 0.0

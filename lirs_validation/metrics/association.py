@@ -33,3 +33,24 @@ def associated(
     nearest = np.where(np.abs(second[after] - first) < np.abs(first - second[before]), after, before)
     kept = np.flatnonzero(np.abs(second[nearest] - first) <= max_gap)
     return kept.astype(np.int64), nearest[kept].astype(np.int64)
+
+
+def scan_coverage(scans: FloatArray, poses: FloatArray) -> float:
+    """Return the share of scans with a pose at their stamp; 0 of no scans.
+
+    A pose is at a scan's stamp where it is at most 0.02 s away, and nearer than half the scans' period: poses
+    of every second scan cover half of them, however fast they follow each other.
+
+    Args:
+        scans: (n,) stamps of the scans, seconds, increasing.
+        poses: (m,) stamps of the poses, seconds, increasing.
+    """
+    if len(scans) == 0 or len(poses) == 0:
+        return 0.0
+    steps = np.diff(scans)
+    steps = steps[steps > 0]
+    gap = min(MAX_GAP, 0.49 * float(np.median(steps))) if len(steps) else MAX_GAP
+    after = np.clip(np.searchsorted(poses, scans), 0, len(poses) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.minimum(np.abs(poses[after] - scans), np.abs(scans - poses[before]))
+    return float((nearest <= gap).mean())

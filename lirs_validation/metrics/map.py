@@ -1,6 +1,8 @@
 """How well a built map agrees with a reference map, and with the world's geometry.
 
-All grids are given in the world frame: the built map moved by the true start pose and by nothing else.
+All grids are given in the world frame: the built map moved by the true start pose and by nothing else. So an
+error of the first metres shifts or turns the whole map; the `_aligned` metrics are of the map moved by the
+alignment of the trajectory (that of the ATE) as well.
 Cells count where they are known in both maps; occupied is p > 0.65. What is evaluated is what a map file
 says: a cell that is neither occupied nor free (p < 0.25) is unknown.
 """
@@ -12,15 +14,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from lirs_validation.metrics.agreement import (
+    NO_AGREEMENT,
     ROUNDING,
     TOLERANCE,
-    Agreement,
     CellDistance,
     agreement,
     cell_distance,
     decided,
     sampled,
 )
+from lirs_validation.metrics.alignment import StartAlignment
 from lirs_validation.metrics.near_obstacles import near_obstacle
 from lirs_validation.metrics.ssim import map_ssim
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -30,10 +33,13 @@ from lirs_wct.geometry.walls import WallGrid
 
 @dataclass(frozen=True, kw_only=True)
 class MapScores:
-    """The metrics of one built map; None where there is no occupied cell to ask, or no such reference.
+    """The metrics of one built map; None where neither map has an occupied cell, or there is no reference.
 
     Attributes:
         f1: agreement with the true-pose map, harmonic mean of precision and recall.
+        f1_aligned: the same after the alignment of the trajectory; None without one.
+        start_shift: how far that alignment moves the start pose, metres.
+        start_turn: by how much it turns the map, radians, not negative.
         precision: share of the built occupied cells that the true-pose map confirms within 0.10 m.
         recall: share of the true-pose map's occupied cells that the built map holds within 0.10 m.
         iou: occupied in both over occupied in either, cell by cell.
@@ -41,6 +47,8 @@ class MapScores:
         precision_input: share of the built occupied cells that the input laser map confirms.
         recall_input: share of the input laser map's occupied cells, where the built map knows, that it holds.
         false_occupied: share of the built occupied cells farther than 0.10 m from any steep face or wall.
+        false_occupied_aligned: the same after the alignment of the trajectory; None without one.
+        reference_false_occupied: false_occupied of the true-pose map itself: walls that no pose error made.
         unknown: share of the true-pose map's known cells that the built map does not know.
         to_reference: how far the built occupied cells lie from the true-pose map's nearest.
         from_reference: how far the true-pose map's occupied cells lie from the built map's nearest.
@@ -49,6 +57,9 @@ class MapScores:
     """
 
     f1: float | None
+    f1_aligned: float | None
+    start_shift: float | None
+    start_turn: float | None
     precision: float | None
     recall: float | None
     iou: float | None
@@ -56,6 +67,8 @@ class MapScores:
     precision_input: float | None
     recall_input: float | None
     false_occupied: float | None
+    false_occupied_aligned: float | None
+    reference_false_occupied: float | None
     unknown: float | None
     to_reference: CellDistance | None
     from_reference: CellDistance | None
@@ -70,6 +83,7 @@ def map_scores(
     surface: HeightField,
     walls: WallGrid | None = None,
     truth: OccupancyGrid | None = None,
+    alignment: StartAlignment | None = None,
 ) -> MapScores:
     """Score a built map.
 
@@ -79,20 +93,31 @@ def map_scores(
         surface: the world's ground.
         walls: the world's walls.
         truth: the input laser map, where there is one, in the world frame.
+        alignment: of the trajectory that belongs to the built map, where there is one.
     """
     built, true_pose = decided(built), decided(true_pose)
-    truth = None if truth is None else decided(truth)
     own = agreement(built, true_pose)
-    other = Agreement(precision=None, recall=None, f1=None) if truth is None else agreement(built, truth)
+    other = NO_AGREEMENT if truth is None else agreement(built, decided(truth))
+    aligned = None if alignment is None else built.moved(alignment.T_world_aligned)
+
+    def false_share(grid: OccupancyGrid, beside: OccupancyGrid) -> float | None:
+        share = false_occupied(grid, surface, walls)
+        return 0.0 if share is None and beside.occupied.any() else share
+
     return MapScores(
         f1=own.f1,
+        f1_aligned=None if aligned is None else agreement(aligned, true_pose).f1,
+        start_shift=None if alignment is None else alignment.shift,
+        start_turn=None if alignment is None else alignment.turn,
         precision=own.precision,
         recall=own.recall,
         iou=iou(built, true_pose),
         f1_input=other.f1,
         precision_input=other.precision,
         recall_input=other.recall,
-        false_occupied=false_occupied(built, surface, walls),
+        false_occupied=false_share(built, true_pose),
+        false_occupied_aligned=None if aligned is None else false_share(aligned, true_pose),
+        reference_false_occupied=false_share(true_pose, built),
         unknown=unknown_share(built, true_pose),
         to_reference=cell_distance(built, true_pose),
         from_reference=cell_distance(true_pose, built),
@@ -102,17 +127,20 @@ def map_scores(
 
 
 def iou(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
-    """Return intersection over union of the occupied cells known in both maps; None where there is none.
+    """Return intersection over union of the occupied cells known in both maps.
 
-    The built map is read at the centers of the reference's cells: exact where the two lattices coincide,
-    the nearest cell where the maps are turned or shifted against each other.
+    None where neither map has an occupied cell, 0 where none is known in both. The built map is read at the
+    centers of the reference's cells: exact where the two lattices coincide, the nearest cell where the maps
+    are turned or shifted against each other.
     """
     log_odds = sampled(built, reference)
     known = ~np.isnan(log_odds) & reference.known
     a = OccupancyGrid(log_odds, reference.resolution).occupied & known
     b = reference.occupied & known
     union = int((a | b).sum())
-    return int((a & b).sum()) / union if union else None
+    if union == 0:
+        return 0.0 if built.occupied.any() or reference.occupied.any() else None
+    return int((a & b).sum()) / union
 
 
 def false_occupied(

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lirs_validation.metrics.association import MAX_GAP, associated
+from lirs_validation.metrics.association import MAX_GAP, associated, scan_coverage
 from lirs_validation.metrics.planar import moved, planar, rigid_alignment, rms, wrapped
 from lirs_validation.metrics.relative_pose_constraints import ConstraintErrorSummary, constraint_error_summary
 from lirs_validation.metrics.relative_pose_error import (
@@ -41,6 +41,7 @@ class TrajectoryErrors:
         final_yaw_drift: absolute difference of the last two yaws without alignment, radians.
         length: length of the true path between the first and the last compared pose, metres.
         poses: how many pairs of poses were compared.
+        scan_coverage: share of the true poses, one a scan, with an estimate at their stamp.
     """
 
     ate_rmse: float
@@ -54,6 +55,7 @@ class TrajectoryErrors:
     final_yaw_drift: float
     length: float
     poses: int
+    scan_coverage: float
 
 
 def trajectory_errors(
@@ -92,4 +94,5 @@ def trajectory_errors(
         final_yaw_drift=float(abs(wrapped(est[-1:, 2] - true[-1:, 2])[0])),
         length=float(np.linalg.norm(np.diff(true[:, :2], axis=0), axis=1).sum()),
         poses=len(i),
+        scan_coverage=scan_coverage(truth.stamps, estimate.stamps),
     )

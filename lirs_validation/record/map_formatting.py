@@ -17,6 +17,7 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
     driven = log["odometry_length"]
     lines = [
         ("status", record.status),
+        *([("", record.reason)] if record.reason else []),
         ("scans", f"{log['scans']} of {log['beams']} beams ({log['laser']})"),
         ("time", f"{log['seconds']:.0f} s"),
         ("distance by odometry", "no odometry" if driven is None else f"{driven:.0f} m"),
@@ -25,6 +26,7 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
         ("known", f"{grid['known_area']:.0f} m2"),
         ("scans received, used", f"{mapper['received']}, {mapper['used']}"),
         ("scans while lost", f"{mapper['lost']}"),
+        ("scans with a pose", f"{100 * record.trajectory['scan_coverage']:.1f} %"),
         (
             "ms a scan (p50, p95, max)",
             ", ".join(f"{mapper[f'ms_{p}']:.2f}" for p in ("p50", "p95", "max")),

@@ -15,7 +15,7 @@ from lirs_wct.files import atomic_write
 from lirs_wct.formats.carmen.log import CarmenLog
 from lirs_wct.geometry.grid import OccupancyGrid
 
-SCHEMA = 1
+SCHEMA = 2
 KIND = "map of a log"
 """Distinguishes these records from those of runs."""
 
@@ -26,9 +26,11 @@ class MapRecord:
 
     Attributes:
         name: of the folder.
-        status: `lost` where the mapper did not know its place at the end.
+        status: `lost` where the mapper lost its place, `incomplete` where the trajectory leaves out scans;
+            `reason` says when, and how many.
         log: scans, beams, laser, seconds, distance by odometry, skipped, late, repaired, inertial_readings.
         map: cells, resolution, metres, occupied cells, square metres known.
+        trajectory: poses, and the share of the scans that has one (scan_coverage).
         mapper: scans received, used, skipped, lost, milliseconds, bytes of its maps, its own counts.
         accuracy: `relations` (relative-pose constraints) and `reference`, null where not given.
         cost: seconds for reading, compiling and mapping; processor time; peak memory in bytes.
@@ -36,9 +38,11 @@ class MapRecord:
 
     name: str
     config: MapConfig
-    status: Literal["ok", "lost"]
+    status: Literal["ok", "lost", "incomplete"]
+    reason: str = ""
     log: dict[str, Any]
     map: dict[str, Any]
+    trajectory: dict[str, Any]
     mapper: dict[str, Any]
     accuracy: dict[str, Any]
     cost: dict[str, Any]

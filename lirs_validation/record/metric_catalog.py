@@ -21,7 +21,7 @@ Selection = Literal["picture", "runs", "summary", "compared", "distribution", "h
 """Where metrics are shown beside their section of the report: a run's picture, the table of runs on the
 screen, the summary of groups, comparisons unless others are named, the report's distributions, its medians
 on top."""
-MS, MM, DEGREES, MEGABYTE = 1e3, 1e3, math.degrees(1.0), 1e-6
+MS, MM, PERCENT, DEGREES, MEGABYTE = 1e3, 1e3, 1e2, math.degrees(1.0), 1e-6
 
 
 @dataclass(frozen=True)
@@ -95,6 +95,8 @@ METRICS: tuple[Metric, ...] = (
            selections=("picture",), title="ATE (RMSE, unaligned)"),
     Metric("trajectory.odometry_ate_rmse", "ATE of odometry", "trajectory", "m", better="less",
            selections=("picture",), title="ATE of the odometry"),
+    Metric("trajectory.scan_coverage", "scans covered", "trajectory", "%", 1, PERCENT, "more",
+           selections=("picture",), title="scans with a pose"),
     Metric("trajectory.rpe_metre.translation_rmse", "RPE per m", "trajectory", "mm", 1, MM, "less",
            selections=("compared",)),
     Metric("trajectory.rpe_metre.rotation_rmse", "RPE per m", "trajectory", "deg", 3, DEGREES, "less"),
@@ -115,6 +117,12 @@ METRICS: tuple[Metric, ...] = (
            detail=True),
     Metric("map.f1", "F1", "map", better="more", title="F1 against the true-pose map",
            selections=("picture", "runs", "summary", "compared", "distribution", "headline")),
+    Metric("map.f1_aligned", "F1 aligned", "map", better="more", title="... after the ATE's alignment",
+           selections=("picture", "summary", "compared")),
+    Metric("map.start_shift", "start shift", "map", "m", better="less", title="... which moves the start by",
+           selections=("picture",)),
+    Metric("map.start_turn", "start turn", "map", "deg", 2, DEGREES, "less", title="... and turns the map by",
+           selections=("picture",)),
     Metric("map.precision", "precision", "map", better="more"),
     Metric("map.recall", "recall", "map", better="more"),
     Metric("map.iou", "IoU", "map", better="more", selections=("picture", "summary", "compared")),
@@ -125,6 +133,11 @@ METRICS: tuple[Metric, ...] = (
     Metric("map.recall_input", "recall input map", "map", better="more", detail=True),
     Metric("map.false_occupied", "false occupied", "map", better="less", short="false occ.",
            selections=("picture", "runs", "summary", "compared", "distribution")),
+    Metric("map.false_occupied_aligned", "false occupied, aligned", "map", better="less",
+           short="false occ. aligned", title="... after the alignment",
+           selections=("picture", "summary", "compared")),
+    Metric("map.reference_false_occupied", "false occupied of the true-pose map", "map", better="less",
+           title="... of the true-pose map itself", selections=("picture",)),
     Metric("map.to_reference.mean", "to true, mean", "map", "mm", 1, MM, "less"),
     Metric("map.to_reference.p95", "to true, 95 %", "map", "mm", 1, MM, "less"),
     Metric("map.from_reference.mean", "from true, mean", "map", "mm", 1, MM, "less"),

@@ -15,9 +15,20 @@ from lirs_validation.record.provenance import machine, versions
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
 
-SCHEMA = 2
+SCHEMA = 3
 
-Status = Literal["ok", "wall limit", "tipped", "stuck", "off world", "diverged", "lost", "error", "timeout"]
+Status = Literal[
+    "ok",
+    "wall limit",
+    "tipped",
+    "stuck",
+    "off world",
+    "diverged",
+    "lost",
+    "incomplete",
+    "error",
+    "timeout",
+]
 SUCCEEDED: tuple[Status, ...] = ("ok", "wall limit")
 """A run that ended so did not fail: it drove its time, or as much of it as it was allowed."""
 
@@ -37,8 +48,8 @@ class RunRecord:
         world: name, kind, size, relief, contact grid, scale, window.
         status: `ok`, or how it ended before its time; `reason` says why.
         rtf: mean, std, min, parts, physics_only, series, concurrent, extrapolated.
-        trajectory: ate_rmse, ate_unaligned, length, final drift, ...
-        map: f1, iou, f1_input, false_occupied, ...
+        trajectory: ate_rmse, ate_unaligned, length, final drift, scan_coverage, ...
+        map: f1, f1_aligned, iou, f1_input, false_occupied, ...
         collisions: max_penetration, ...
         mapper: scans received, used, skipped, milliseconds a scan.
         cost: cpu_seconds of the drive, peak_memory of the process (bytes), compile_seconds, scans_dropped.

@@ -20,7 +20,8 @@ from lirs_wct.files import atomic_write
 
 def score_table(score: Score, record: Mapping[str, Any]) -> Table:
     """Return the metrics of the score beside those of the run's own mapper."""
-    lines = [f"read in the {score.frame} frame"]
+    lines = [f"{score.status}: {score.reason}"] if score.reason else []
+    lines.append(f"read in the {score.frame} frame")
     if score.trajectory:
         lines.append(f"{score.trajectory['poses']} of {score.given} poses lie at stamps of the run's scans")
     table = screen_table(score.run, "; ".join(lines))

@@ -13,9 +13,10 @@ import pytest
 from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation import RunConfig, read_record, validate
-from lirs_validation.experiment.loop import LOST_SECONDS, drive, per_second
+from lirs_validation.experiment.loop import drive, per_second
 from lirs_validation.experiment.run import Run
 from lirs_validation.experiment.scenario import build_scenario
+from lirs_validation.record.verdict import LOST_SECONDS
 from lirs_wct.errors import ConfigError, MapperError, SimulationError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
@@ -151,7 +152,7 @@ def test_a_failure_ends_the_run_and_is_in_the_log(fails: str) -> None:
     log = drive(puppet, puppet, puppet, 20.0)  # type: ignore[arg-type]
     assert log.status == fails
     assert log.reason
-    assert puppet.ticks <= 11 + (LOST_SECONDS / puppet.period if fails == "lost" else 0)
+    assert puppet.ticks <= 12 + (LOST_SECONDS / puppet.period if fails == "lost" else 0)
     assert len(log.observations) == len(log.truth) == len(log.estimates)
 
 

@@ -1,0 +1,71 @@
+"""What makes a result that came to its end no result: the place was lost, or scans were left out.
+
+The same rules hold for runs, mapped logs and scores.
+"""
+
+from __future__ import annotations
+
+LEAST_COVERAGE = 0.95
+"""Share of the scans that need a pose: a few poses alone can be aligned with any truth."""
+LOST_SECONDS = 5.0
+LOST_SCANS = 10
+"""A mapper that does not know its place for so long, and during so many scans in a row, has lost it ..."""
+LOST_SHARE = 0.05
+"""... and so has one that does not know it for more than this share of the scans."""
+
+
+class LostRule:
+    """Says, scan after scan, whether a mapper has lost its place."""
+
+    def __init__(self) -> None:
+        self._scans = self._lost = 0
+        self._begun = 0.0
+        self._in_a_row = 0
+        self._too_long: tuple[float, float] | None = None
+
+    def observe(self, stamp: float, lost: bool) -> None:
+        """Take in whether the mapper knew its place after a scan.
+
+        Args:
+            stamp: of the scan, seconds.
+            lost: what the mapper says.
+        """
+        self._scans += 1
+        if not lost:
+            self._in_a_row = 0
+            return
+        self._lost += 1
+        self._begun = self._begun if self._in_a_row else stamp
+        self._in_a_row += 1
+        seconds = stamp - self._begun
+        longest = 0.0 if self._too_long is None else self._too_long[0]
+        if self._in_a_row >= LOST_SCANS and seconds >= max(LOST_SECONDS, longest):
+            self._too_long = seconds, self._begun
+
+    @property
+    def too_long(self) -> str | None:
+        """For how long and from when on the place was lost; None where 5 s or 10 scans were not reached."""
+        if self._too_long is None:
+            return None
+        seconds, begun = self._too_long
+        return f"the mapper lost its place at {begun:.1f} s for {seconds:.1f} s"
+
+    def reason(self) -> str | None:
+        """Return why the place is lost, by time or by share of all scans so far; None where it is not."""
+        share = self._lost / self._scans if self._scans else 0.0
+        if self.too_long is None and share <= LOST_SHARE:
+            return None
+        counted = f"{self._lost} of {self._scans} scans ({100 * share:.1f} %)"
+        if self.too_long is None:
+            return f"the mapper did not know its place during {counted}"
+        return f"{self.too_long}; it did not know it during {counted}"
+
+
+def incompleteness(coverage: float) -> str | None:
+    """Return why a trajectory that covers this share of the scans is no result; None where it is one."""
+    if coverage >= LEAST_COVERAGE:
+        return None
+    return (
+        f"the trajectory has a pose for {100 * coverage:.1f} % of the scans, "
+        f"at least {100 * LEAST_COVERAGE:g} % are required"
+    )

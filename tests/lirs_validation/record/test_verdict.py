@@ -1,0 +1,51 @@
+"""One rule says whether a place was lost, and one whether a trajectory leaves out scans."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import pytest
+
+from lirs_validation.record.verdict import LostRule, incompleteness
+
+
+def judged(flags: Iterable[bool], period: float = 0.1) -> str | None:
+    rule = LostRule()
+    for k, lost in enumerate(flags):
+        rule.observe(k * period, lost)
+    return rule.reason()
+
+
+def test_a_short_loss_is_forgiven() -> None:
+    assert judged([False] * 500 + [True] * 20 + [False] * 500) is None
+    assert judged([]) is None
+
+
+def test_five_seconds_in_a_row_are_a_loss_even_where_it_is_found_again() -> None:
+    lost = judged([False] * 5000 + [True] * 51 + [False] * 5000)
+    assert lost is not None
+    assert "at 500.0 s for 5.0 s" in lost
+    assert "51 of 10051 scans" in lost
+    assert judged([False] * 5000 + [True] * 50 + [False] * 5000) is None  # 4.9 s
+
+
+def test_the_share_counts_where_no_loss_is_long() -> None:
+    """756 of 2,008 scans of a log were lost, the last was not, and it was told as ok."""
+    lost = judged(([False] * 5 + [True] * 3) * 251)
+    assert lost is not None
+    assert "753 of 2008 scans (37.5 %)" in lost
+    assert judged(([False] * 97 + [True] * 5) * 20) is None
+
+
+def test_a_few_scans_far_apart_are_no_loss() -> None:
+    """A scan a metre: three of them last as long as 150 of a lidar at 25 Hz."""
+    assert judged([False] * 300 + [True] * 3 + [False] * 37, period=3.0) is None
+    assert judged([False] * 300 + [True] * 10 + [False] * 37, period=3.0) is not None
+
+
+@pytest.mark.parametrize(("coverage", "complete"), [(1.0, True), (0.95, True), (0.9499, False), (0.0, False)])
+def test_a_trajectory_needs_a_pose_for_95_percent_of_the_scans(coverage: float, complete: bool) -> None:
+    lacking = incompleteness(coverage)
+    assert (lacking is None) == complete
+    if lacking is not None:
+        assert "at least 95 % are required" in lacking
