@@ -18,6 +18,7 @@ from lirs_validation.metrics import (
     false_occupied,
     iou,
     map_scores,
+    map_ssim,
     unknown_share,
 )
 from lirs_validation.metrics.agreement import contradicted, decided
@@ -256,3 +257,44 @@ def test_false_occupied_is_the_share_in_the_open() -> None:
     p[10, 30], p[12, 30], p[14, 30] = 0.9, 0.9, 0.9  # half a metre off
     built = grid(p, origin=Pose2(-1.0, -1.0))
     assert false_occupied(built, step(), None) == pytest.approx(0.75)
+
+
+def test_every_score_is_of_its_own_two_maps() -> None:
+    """Three maps that differ, none at the origin, on ground with a step and beside a wall."""
+    rng = np.random.default_rng(8)
+    choices, share = (np.nan, 0.1, 0.5, 0.9), (0.2, 0.45, 0.05, 0.3)
+    shapes = ((21, 34), (24, 30), (26, 33))
+    built, true_pose, truth = (
+        grid(rng.choice(choices, shape, p=share), 0.05, Pose2(-4.0 - 0.1 * k, 7.0 + 0.07 * k, 0.02 * k))
+        for k, shape in enumerate(shapes)
+    )
+    z = np.zeros((9, 12), np.float32)
+    z[3:, 5:] = 1.0
+    surface = HeightField(z, (0.2, 0.3), (-4.5, 6.0))
+    walls = WallGrid(rng.random((5, 6)) < 0.2, 0.17, Pose2(-3.5, 7.2, 0.4))
+    scores = map_scores(built, true_pose, surface=surface, walls=walls, truth=truth)
+    own, other = agreement(decided(built), decided(true_pose)), agreement(decided(built), decided(truth))
+    assert (scores.f1, scores.precision, scores.recall) == (own.f1, own.precision, own.recall)
+    assert (scores.f1_input, scores.precision_input, scores.recall_input) == (
+        other.f1, other.precision, other.recall,
+    )  # fmt: skip
+    assert scores.iou == iou(decided(built), decided(true_pose))
+    assert scores.unknown == unknown_share(decided(built), decided(true_pose))
+    assert scores.to_reference == cell_distance(decided(built), decided(true_pose))
+    assert scores.from_reference == cell_distance(decided(true_pose), decided(built))
+    assert scores.ssim == map_ssim(decided(built), decided(true_pose))
+    assert scores.occupied_cells == built.occupied.sum()
+    near = near_obstacle(built.occupied_points(), surface, walls, 0.10 + 1e-9)
+    assert scores.false_occupied == pytest.approx(1 - near.mean())
+    assert 0 < scores.false_occupied < 1
+    known = [v for v in asdict(scores).values() if isinstance(v, float)]
+    assert len(set(known)) == len(known) == 10
+
+
+@pytest.mark.parametrize(("cells", "false"), [(4, 0.0), (5, 1.0)])
+def test_an_occupied_cell_ten_centimetres_from_a_wall_is_not_false(cells: int, false: float) -> None:
+    walls = WallGrid(np.array([[True]]), 0.025, Pose2(-17.3, 0.7))
+    p = np.full((1, 40), 0.1)
+    p[0, cells] = 0.9  # its centre 0.0125 m and so many cells less one east of the wall's face
+    built = OccupancyGrid.from_probability(p, 0.025, Pose2(-17.3 + 0.0125, 0.7))
+    assert false_occupied(built, FLAT, walls) == false

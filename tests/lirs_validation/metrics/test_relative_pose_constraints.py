@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from lirs_validation.metrics.relative_pose_constraints import (
     RelativePoseConstraint,
+    close_pairs,
     constraint_errors,
     poses_at,
     read_constraints,
@@ -104,6 +105,73 @@ def at(track: Trajectory, stamp: float) -> Pose2:
     t = (stamp - track.stamps[j - 1]) / (track.stamps[j] - track.stamps[j - 1])
     yaw = a.yaw + t * math.remainder(b.yaw - a.yaw, math.tau)
     return Pose2(a.x + t * (b.x - a.x), a.y + t * (b.y - a.y), yaw)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "propagated"), [(1.0, False), (1.125, True), (0.875, True), (1.0625, False), (1.5, True)]
+)
+def test_a_pose_a_tenth_of_a_second_away_is_propagated(stamp: float, propagated: bool) -> None:
+    estimate = Trajectory.from_poses([1.0, 2.0], [Pose2(5.0, 5.0, 0.0), Pose2(8.0, 8.0, 0.0)])
+    odometry = Trajectory.from_poses([0.0, 4.0], [Pose2(), Pose2(4.0)])
+    expected = (5.0 + (stamp - 1.0) * propagated, 5.0, 0.0)  # of two as near, the earlier
+    np.testing.assert_allclose(poses_at(estimate, np.array([stamp]), odometry)[0], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("stamp", [1.1, 0.9])
+def test_just_a_tenth_of_a_second_is_near(stamp: float) -> None:
+    estimate = Trajectory.from_poses([0.0], [Pose2(5.0)])
+    odometry = Trajectory.from_poses([-4.0, 4.0], [Pose2(-4.0), Pose2(4.0)])
+    assert poses_at(estimate, np.array([stamp - 1.0 - 1e-9 * (stamp - 1.0)]), odometry)[0, 0] == 5.0
+
+
+@pytest.mark.parametrize(("stamp", "used"), [(-2.0, 1), (-2.01, 0), (4.0, 1), (4.01, 0)])
+def test_two_seconds_outside_are_still_compared(stamp: float, used: int) -> None:
+    estimate = Trajectory.from_poses(STAMPS, [Pose2(float(t), 0.0, 0.0) for t in STAMPS])
+    for pair in ((stamp, 1.0), (1.0, stamp)):
+        errors = constraint_errors(estimate, (RelativePoseConstraint(*pair, Pose2()),), estimate)
+        assert (len(errors.translation), errors.outside) == (used, 1 - used)
+        assert errors.stamps.tolist() == [min(pair)] * used
+
+
+def test_without_odometry_the_estimate_itself_propagates() -> None:
+    estimate = Trajectory.from_poses(STAMPS, [Pose2(2.0 * t, 0.0, 0.0) for t in STAMPS])
+    constraint = RelativePoseConstraint(0.25, 1.25, Pose2(2.0))
+    for odometry in (Trajectory.from_poses([], []), Trajectory.from_poses([0.5], [Pose2()])):
+        errors = constraint_errors(estimate, (constraint,), odometry)
+        # A single pose of odometry says that the robot stood still.
+        assert errors.translation[0] == pytest.approx(0.0, abs=1e-12)
+    none = constraint_errors(estimate, (), estimate)
+    assert (len(none.translation), len(none.rotation), none.outside) == (0, 0, 0)
+
+
+def test_relations_are_read_number_by_number(tmp_path: Path) -> None:
+    text = b"# stamps x y z roll pitch yaw\n\n10.5 20.25 1 -2 3 0.1 0.2 -0.3\n1 2 4 5 6 7 8 0.5\n"
+    expected = (
+        RelativePoseConstraint(10.5, 20.25, Pose2(1.0, -2.0, -0.3)),
+        RelativePoseConstraint(1.0, 2.0, Pose2(4.0, 5.0, 0.5)),
+    )
+    for content in (text, gzip.compress(text)):
+        (tmp_path / "r.relations").write_bytes(content)
+        assert read_constraints(tmp_path / "r.relations") == expected
+
+
+def test_close_pairs_by_hand() -> None:
+    # Marks a metre of path apart at 0, 1, 2, 3 m east, then back on a line 1.5 m north.
+    x = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.0, 3.0, 2.0, 1.0]
+    y = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 1.5, 1.5, 1.5]
+    poses = np.column_stack((np.add(x, 100.0), np.subtract(y, 50.0), np.zeros(11)))
+    i, j = close_pairs(poses)
+    marks = [0, 2, 4, 6, 8, 9, 10]
+    expected = [
+        (a, b)
+        for k, a in enumerate(marks)
+        for b in marks[k + 1 :]
+        if math.hypot(x[a] - x[b], y[a] - y[b]) <= 2.0
+    ]
+    assert (0, 4) in expected
+    assert list(zip(i.tolist(), j.tolist(), strict=True)) == expected
+    assert [len(k) for k in close_pairs(poses[:2])] == [0, 0]
+    assert [len(k) for k in close_pairs(poses[:3])] == [1, 1]
 
 
 BAD = {

@@ -9,9 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lirs_validation.metrics.ssim import K1, K2, SIGMA, WINDOW, as_picture, map_ssim, similarity
+from lirs_validation.metrics.ssim import as_picture, map_ssim, similarity
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
+
+WINDOW, SIGMA, K1, K2 = 11, 1.5, 0.01, 0.03  # the paper's
 
 
 def pictures(seed: int, shape: tuple[int, int] = (31, 42)) -> tuple[np.ndarray, np.ndarray]:
@@ -28,7 +30,9 @@ def twin(x: np.ndarray, y: np.ndarray, row: int, col: int) -> float:
          for r in range(-reach, reach + 1)]
     )  # fmt: skip
     weights /= weights.sum()
-    square = np.s_[row - reach : row + reach + 1, col - reach : col + reach + 1]
+    # Mirrored at the borders, the outermost pixel twice.
+    x, y = np.pad(x, reach, mode="symmetric"), np.pad(y, reach, mode="symmetric")
+    square = np.s_[row : row + WINDOW, col : col + WINDOW]
     a, b = x[square], y[square]
     ma, mb = (weights * a).sum(), (weights * b).sum()
     va, vb = (weights * (a - ma) ** 2).sum(), (weights * (b - mb) ** 2).sum()
@@ -43,7 +47,7 @@ def test_against_the_equations(seed: int) -> None:
     x, y = pictures(seed)
     ours = similarity(x, y)
     rng = np.random.default_rng(seed)
-    for row, col in zip(rng.integers(5, 26, 12).tolist(), rng.integers(5, 37, 12).tolist(), strict=True):
+    for row, col in zip(rng.integers(0, 31, 12).tolist(), rng.integers(0, 42, 12).tolist(), strict=True):
         assert ours[row, col] == pytest.approx(twin(x, y, row, col), abs=1e-9)
 
 
@@ -67,6 +71,18 @@ def test_a_map_resembles_itself_wherever_it_lies() -> None:
     far = here.moved(Pose2(500.0, 0.0, 0.0))
     assert map_ssim(far, here) is None
     assert map_ssim(grid(np.full((9, 9), np.nan)), grid(np.full((9, 9), 0.1))) is None
+
+
+def test_the_mean_is_over_the_cells_known_in_both() -> None:
+    rng = np.random.default_rng(6)
+    p, q = (rng.choice((np.nan, 0.1, 0.5, 0.9), (14, 23)) for _ in range(2))
+    built = grid(p, Pose2(2.0, 3.0))
+    reference = grid(q, Pose2(2.0 - 2 * 0.05, 3.0 + 3 * 0.05))  # two cells west, three north of it
+    there = np.full((14, 23), np.nan)
+    there[:-3, 2:] = p[3:, :-2]
+    both = ~np.isnan(there) & ~np.isnan(q)
+    expected = similarity(as_picture(grid(there)), as_picture(reference))[both].mean()
+    assert map_ssim(built, reference) == pytest.approx(expected, abs=1e-9)
 
 
 def test_less_alike_is_less() -> None:

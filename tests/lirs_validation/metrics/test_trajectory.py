@@ -141,3 +141,38 @@ def test_places_passed_again_are_related() -> None:
 def test_a_short_path_has_no_relations() -> None:
     stub = Trajectory.from_poses([0.0, 0.1, 0.2], [Pose2(), Pose2(0.1), Pose2(0.2)])
     assert trajectory_errors(stub, stub).relations is None
+
+
+def test_two_poses_by_hand() -> None:
+    truth = Trajectory.from_poses([0.0, 1.0], [Pose2(0.0, 0.0, 3.1), Pose2(0.0, 4.0, 3.1)])
+    estimate = Trajectory.from_poses([0.01, 1.01], [Pose2(0.0, 0.0, 3.1), Pose2(3.0, 4.0, -3.1)])
+    errors = trajectory_errors(truth, estimate)
+    turned = math.tau - 6.2
+    assert (errors.poses, errors.length) == (2, 4.0)
+    assert (errors.ate_rmse, errors.ate_max) == pytest.approx((0.5, 0.5))  # 5 m laid along 4 m
+    assert errors.ate_rmse_unaligned == pytest.approx(math.sqrt(9 / 2))
+    assert (errors.final_drift, errors.final_yaw_drift) == pytest.approx((3.0, turned))
+    lean = math.atan2(3.0, 4.0)  # the alignment turns the estimate so far to the left
+    assert errors.yaw_rmse == pytest.approx(math.sqrt((lean**2 + (lean + turned) ** 2) / 2))
+    for relative in (errors.rpe_metre, errors.rpe_second):
+        assert relative is not None
+        assert (relative.translation_rmse, relative.rotation_rmse) == pytest.approx((3.0, turned))
+        assert relative.pairs == 1
+
+
+def test_relative_errors_are_per_metre_and_per_second() -> None:
+    """At 2 m/s: eight poses a second, four a metre."""
+    stamps = (np.arange(33) / 8).tolist()
+    truth = Trajectory.from_poses(stamps, [Pose2(2 * t) for t in stamps])
+    errors = trajectory_errors(truth, Trajectory.from_poses(stamps, [Pose2(2.5 * t) for t in stamps]))
+    metre, second = errors.rpe_metre, errors.rpe_second
+    assert metre is not None
+    assert second is not None
+    assert (metre.pairs, second.pairs) == (8, 25)
+    assert (metre.translation_rmse, second.translation_rmse) == pytest.approx((0.25, 0.5))
+
+
+def test_one_common_pose_is_refused() -> None:
+    late = Trajectory.from_poses([0.0, 50.0], [Pose2(), Pose2(1.0)])
+    with pytest.raises(ConfigError, match="got 1 of 2 true and 200 estimated"):
+        trajectory_errors(late, circle())

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 
@@ -31,3 +35,74 @@ def test_unknown_is_neither_free_nor_occupied() -> None:
     assert grid.known.tolist() == [[True, True, False, True]]
     assert grid.occupied.tolist() == [[False, True, False, False]]
     assert grid.free.tolist() == [[True, False, False, False]]
+
+
+def test_row_0_is_the_south_and_column_0_the_west() -> None:
+    """A grid of 2 rows and 3 columns, a quarter turn to the left: its columns run north."""
+    p = np.array([(0.1, 0.9, 0.1), (0.1, 0.1, 0.9)])
+    grid = OccupancyGrid.from_probability(p, 0.5, Pose2(10.0, -4.0, math.pi / 2))
+    assert grid.shape == (2, 3)
+    np.testing.assert_allclose(grid.occupied_points(), [(9.75, -3.25), (9.25, -2.75)], atol=1e-12)
+    assert grid.cells([(9.75, -3.25), (9.25, -2.75), (10.1, -4.1)]).tolist() == [[0, 1], [1, 2], [-1, -1]]
+    upright = OccupancyGrid.from_probability(p, 0.5)
+    assert upright.origin == Pose2()
+    assert upright.centers([(0, 0), (1, 2)]).tolist() == [[0.25, 0.25], [1.25, 0.75]]
+    assert upright.cells((1.25, 0.75)).tolist() == [1, 2]
+
+
+def test_a_cell_holds_its_lower_edges() -> None:
+    grid = OccupancyGrid(np.zeros((4, 4), np.float32), 0.25, Pose2(-1.0, 2.0))
+    points = [(-1.0, 2.0), (-0.75, 2.0), (-1.0, 2.25), (-0.75 - 2**-40, 2.25), (-1.0 - 2**-40, 2.0)]
+    assert grid.cells(points).tolist() == [[0, 0], [0, 1], [1, 0], [1, 0], [0, -1]]
+
+
+@given(st.floats(0.001, 0.999))
+def test_log_odds_and_probability_are_one_and_the_same(p: float) -> None:
+    grid = OccupancyGrid.from_probability([[p]], 1.0)
+    assert grid.log_odds[0, 0] == pytest.approx(math.log(p / (1 - p)), abs=1e-5)
+    assert grid.probability[0, 0] == pytest.approx(p, abs=1e-6)
+    assert (grid.log_odds.dtype, grid.probability.dtype) == (np.float32, np.float32)
+
+
+def test_certainty_is_clipped_to_a_millionth() -> None:
+    log_odds = OccupancyGrid.from_probability([[0.0, 1.0, 1e-6, 1 - 1e-6]], 1.0).log_odds[0]
+    limit = math.log((1 - 1e-6) / 1e-6)
+    np.testing.assert_allclose(log_odds, (-limit, limit, -limit, limit), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("p", "occupied", "free"),
+    [(0.651, True, False), (0.649, False, False), (0.251, False, False), (0.249, False, True)],
+)
+def test_thresholds_are_those_of_map_saver(p: float, occupied: bool, free: bool) -> None:
+    grid = OccupancyGrid.from_probability([[p]], 1.0)
+    assert (grid.occupied[0, 0], grid.free[0, 0]) == (occupied, free)
+
+
+@given(poses, poses, st.floats(0.01, 2.0))
+def test_moved_cells_are_the_same_cells(T: Pose2, origin: Pose2, resolution: float) -> None:
+    grid = OccupancyGrid(np.float32([[1.0, np.nan, -1.0]]), resolution, origin)
+    moved = grid.moved(T)
+    assert moved.log_odds is grid.log_odds
+    assert moved.resolution == resolution
+    cells = [(0, 0), (0, 2), (3, -4)]
+    np.testing.assert_allclose(moved.centers(cells), T.apply(grid.centers(cells)), atol=1e-9)
+    np.testing.assert_allclose(
+        grid.centers(cells), origin.apply(np.array([(0.5, 0.5), (2.5, 0.5), (-3.5, 3.5)]) * resolution)
+    )
+
+
+@pytest.mark.parametrize(
+    ("log_odds", "resolution"),
+    [
+        (np.zeros((2, 2), np.float32), 0.0),
+        (np.zeros((2, 2), np.float32), -1.0),
+        (np.zeros((2, 2)), 1.0),
+        (np.zeros(4, np.float32), 1.0),
+        (np.zeros((2, 2, 1), np.float32), 1.0),
+    ],
+)
+def test_what_is_no_grid_is_refused(log_odds: np.ndarray, resolution: float) -> None:
+    with pytest.raises(ConfigError, match=r"resolution|float32 matrix"):
+        OccupancyGrid(log_odds, resolution)
+    assert OccupancyGrid(np.zeros((1, 1), np.float32), 1e-9).shape == (1, 1)

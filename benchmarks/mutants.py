@@ -1,0 +1,282 @@
+"""The tests under test: how many small mutations of the code their tests notice.
+
+    python benchmarks/mutants.py [GROUP ...] [--module FILE ...] [--number N] [--seed K] [--survivors FILE]
+                                 [--quick] [--json FILE]
+
+A group (`metrics`, `poses`, `readers`) is a set of modules of which N mutants are drawn; `--module` takes all
+mutants of one file (or N). Samples of different seeds share no mutant. A mutant is killed where a test of its
+module fails, crashes or takes too long; the tests are those of the module's name, else of its folder, without
+real files. Everything runs in a copy of the checkout, each mutant in a fork of a process with the libraries
+loaded. Kernels of a mutated module run as plain Python: numba's cache would hold those of another mutant.
+Every survivor is printed; `--survivors` runs those of an earlier `--json` again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import multiprocessing
+import os
+import random
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mutations import Mutation, mutations_of
+from rich.console import Console
+from rich.table import Table
+
+ROOT = Path(__file__).resolve().parents[1]
+GROUPS = {
+    "metrics": (63, ("lirs_validation/metrics/*.py",)),
+    "poses": (48, tuple(f"lirs_wct/geometry/{name}.py" for name in ("pose", "grid", "trajectory"))),
+    "readers": (
+        85,
+        (
+            "lirs_wct/formats/images/*.py",
+            *(f"lirs_wct/formats/carmen/{name}.py" for name in ("lines", "laser", "odometry", "log")),
+            *(f"lirs_wct/formats/{name}.py" for name in ("map_server", "tum", "imu_csv", "world_json")),
+            "lirs_wct/formats/meshes/mesh_reader.py",
+            "lirs_wct/sources/laser_map.py",
+            "lirs_wct/sources/picture.py",
+            "lirs_wct/sources/window.py",
+            "lirs_wct/geometry/walls.py",
+            "lirs_wct/geometry/rectangles.py",
+            "lirs_wct/meshing/wall_solid.py",
+        ),
+    ),
+}
+"""Mutants that are drawn, and the modules."""
+COPIED = ("lirs_wct", "lirs_validation", "slam_baselines", "envs", "tests", "examples", "pyproject.toml")
+PRELOADED = (
+    "numpy",
+    "scipy.spatial",
+    "scipy.optimize",
+    "cv2",
+    "numba",
+    "pytest",
+    "hypothesis.extra.numpy",
+    "yaml",
+)
+"""Libraries that every mutant's process finds loaded."""
+MEMORY = 8 << 30
+"""Address space of a mutant's process: one that asks for more is killed."""
+SLOWEST, SPARE = 5, 20.0
+"""A mutant may take so many times as long as its tests do without it, and so many seconds more."""
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A mutation of a module, a path in the checkout."""
+
+    module: str
+    mutation: Mutation
+
+    @property
+    def diff(self) -> str:
+        """The changed lines."""
+        return self.mutation.diff((ROOT / self.module).read_text(encoding="utf-8"))
+
+
+def modules_of(patterns: Sequence[str]) -> list[str]:
+    """Return the modules of patterns, paths in the checkout; packages' `__init__` is left out."""
+    found = sorted({path for pattern in patterns for path in ROOT.glob(pattern)})
+    return [str(path.relative_to(ROOT)) for path in found if path.name != "__init__.py"]
+
+
+def drawn(modules: Sequence[str], number: int | None, seed: int) -> list[Mutant]:
+    """Return a sample of the modules' mutants: slice `seed` (from 1) of one shuffled list of all."""
+    found = [
+        Mutant(module, mutation)
+        for module in modules
+        for mutation in mutations_of((ROOT / module).read_text(encoding="utf-8"))
+    ]
+    random.Random(0).shuffle(found)
+    number = len(found) if number is None else number
+    return sorted(found[(seed - 1) * number : seed * number], key=lambda m: (m.module, m.mutation.start))
+
+
+def tests_of(module: str) -> list[str]:
+    """Return the tests of a module's name, else the nearest folder of tests that mirrors its own."""
+    path = Path(module)
+    folder = Path("tests", *(part for part in path.parent.parts if part != "envs"))
+    named = [folder / f"test_{path.stem}.py"]
+    for kind in ("properties", "reference"):
+        named += sorted((ROOT / "tests" / kind).glob(f"test_{path.stem}*.py"))
+    found = [str((ROOT / test).relative_to(ROOT)) for test in named if (ROOT / test).is_file()]
+    while not found and not (ROOT / folder).is_dir():
+        folder = folder.parent
+    return found or [str(folder)]
+
+
+class Laboratory:
+    """A copy of the checkout in which one module at a time is mutated."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self._limits = folder, dict[tuple[Any, ...], float]()
+        for name in COPIED:
+            if (ROOT / name).is_dir():
+                shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+            else:
+                shutil.copy(ROOT / name, folder / name)
+
+    def killed(self, mutant: Mutant) -> bool:
+        """Whether the tests of a mutant's module notice it."""
+        source = (ROOT / mutant.module).read_text(encoding="utf-8")
+        tests, jit = tests_of(mutant.module), "@njit" not in source
+        limit = self._limit(tests, jit)
+        with self._mutated(mutant.module, mutant.mutation.apply(source)):
+            return self._run(tests, jit, limit) != 0
+
+    def _limit(self, tests: list[str], jit: bool) -> float:
+        """Return the seconds that a mutant gets: the tests must pass without one."""
+        key = (*tests, jit)
+        if key not in self._limits:
+            if self._run(tests, True, 600.0, keep=True) != 0:  # compiles modules and kernels
+                sys.exit(f"{' '.join(tests)}: fail without a mutant; nothing can be learnt from them")
+            start = time.perf_counter()
+            if self._run(tests, jit, 600.0, keep=True) != 0:
+                sys.exit(f"{' '.join(tests)}: fail without numba; nothing can be learnt from them")
+            self._limits[key] = SLOWEST * (time.perf_counter() - start) + SPARE
+        return self._limits[key]
+
+    @contextmanager
+    def _mutated(self, module: str, source: str) -> Iterator[None]:
+        path = self.folder / module
+        original = path.read_text(encoding="utf-8")
+        path.write_text(source, encoding="utf-8")
+        for compiled in (path.parent / "__pycache__").glob(f"{path.stem}.cpython-*.pyc"):
+            compiled.unlink()
+        try:
+            yield
+        finally:
+            path.write_text(original, encoding="utf-8")
+
+    def _run(self, tests: list[str], jit: bool, limit: float, keep: bool = False) -> int:
+        """Run tests in a forked process; return pytest's exit code, -1 where it takes too long."""
+        process = multiprocessing.get_context("fork").Process(
+            target=_pytest, args=(self.folder, tests, jit, keep)
+        )
+        process.start()
+        process.join(limit)
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid or 0, signal.SIGKILL)  # its children, too
+        process.join()
+        code = process.exitcode
+        if code in (3, 4, 5):
+            sys.exit(f"pytest {' '.join(tests)}: exit code {code}, no test was run")
+        return -1 if code is None else code
+
+
+def _pytest(folder: Path, tests: list[str], jit: bool, keep: bool) -> None:
+    """Run tests in the copy; `keep` what Python and numba compile."""
+    os.setsid()
+    os.chdir(folder)
+    sys.path[:0] = [str(folder), str(folder / "envs")]
+    os.environ["PYTHONPATH"] = os.pathsep.join(sys.path[:2])
+    sys.dont_write_bytecode = not keep
+    if not jit:
+        os.environ["NUMBA_DISABLE_JIT"] = "1"
+        importlib.import_module("numba").config.DISABLE_JIT = 1
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    quiet = os.open("pytest.log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    os.dup2(quiet, 1)
+    os.dup2(quiet, 2)
+    hypothesis = importlib.import_module("hypothesis")
+    phases = (
+        hypothesis.Phase.explicit,
+        hypothesis.Phase.generate,
+    )  # a failure is enough, it need not be small
+    hypothesis.settings.register_profile(
+        "mutants", deadline=None, derandomize=True, database=None, phases=phases
+    )
+    options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "--hypothesis-profile=mutants", "-m"]
+    code = importlib.import_module("pytest").main([*options, "not shared", *tests])
+    os._exit(int(code))
+
+
+def figures(mutants: Sequence[Mutant], console: Console) -> list[dict[str, Any]]:
+    """Run every mutant; return its module, its diff and whether it was killed."""
+    for name in PRELOADED:
+        importlib.import_module(name)
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        laboratory = Laboratory(Path(folder))
+        for mutant in mutants:
+            killed = laboratory.killed(mutant)
+            rows.append({"module": mutant.module, "killed": killed, "diff": mutant.diff})
+            if not killed:
+                console.print(f"survived: {mutant.module}\n{mutant.diff}\n", markup=False, highlight=False)
+    return rows
+
+
+def table(rows: Sequence[dict[str, Any]], title: str) -> Table:
+    """Return the counts of every module."""
+    shown = Table("module", "mutants", "killed", "survived", "share", title=title)
+    modules = sorted({row["module"] for row in rows})
+    for module in [*modules, "all"]:
+        killed = [row["killed"] for row in rows if module in (row["module"], "all")]
+        share = f"{sum(killed) / len(killed):.0%}"
+        shown.add_row(module, str(len(killed)), str(sum(killed)), str(len(killed) - sum(killed)), share)
+    return shown
+
+
+def samples(given: argparse.Namespace) -> Iterator[tuple[str, list[Mutant]]]:
+    """Yield a name and the mutants of each group, of the modules, or of an earlier run's survivors."""
+    if given.survivors:
+        old = [row for row in json.loads(given.survivors.read_text(encoding="utf-8")) if not row["killed"]]
+        yield (
+            f"survivors of {given.survivors}",
+            [
+                mutant
+                for mutant in drawn(sorted({row["module"] for row in old}), None, 1)
+                if any((row["module"], row["diff"]) == (mutant.module, mutant.diff) for row in old)
+            ],
+        )
+    elif given.module:
+        modules = [str(path.resolve().relative_to(ROOT)) for path in given.module]
+        yield "modules", drawn(modules, given.number, given.seed)
+    else:
+        for name in given.groups or GROUPS:
+            number, patterns = GROUPS[name]
+            number = given.number or (8 if given.quick else number)
+            yield f"{name}, seed {given.seed}", drawn(modules_of(patterns), number, given.seed)
+
+
+def main() -> None:
+    """Draw mutants, run their tests, print what survived and the counts."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("groups", nargs="*", metavar="GROUP", help=f"of {', '.join(GROUPS)}; default: all")
+    parser.add_argument(
+        "--module", type=Path, action="append", help="a file of the packages; all its mutants"
+    )
+    parser.add_argument("--number", type=int, help="mutants of each group")
+    parser.add_argument("--seed", type=int, default=1, help="which sample, from 1; no two share a mutant")
+    parser.add_argument("--survivors", type=Path, help="run the survivors of an earlier --json again")
+    parser.add_argument("--quick", action="store_true", help="8 mutants of each group")
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    if unknown := [name for name in given.groups if name not in GROUPS]:
+        parser.error(f"unknown group {unknown[0]!r}; legal: {', '.join(GROUPS)}")
+    if given.seed < 1:
+        parser.error(f"seed must be 1 or more, got {given.seed}")
+    console, rows = Console(width=130), []
+    for title, mutants in samples(given):
+        found = figures(mutants, console)
+        console.print(table(found, title))
+        rows += found
+    if given.json:
+        given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

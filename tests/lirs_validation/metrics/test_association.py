@@ -1,0 +1,48 @@
+"""Poses of one moment, against a search of all pairs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lirs_validation.metrics.association import MAX_GAP, associated
+
+# Whole eighths: many stamps coincide and lie halfway, and nothing is rounded.
+stamps = st.lists(st.integers(-40, 40), unique=True, max_size=12).map(lambda k: np.array(sorted(k)) / 8)
+
+
+def nearest(first: np.ndarray, second: np.ndarray, gap: float) -> list[tuple[int, int]]:
+    """Return for each of the shorter list the nearest of the longer; of two alike the earlier."""
+    pairs = []
+    for i, stamp in enumerate(first.tolist()):
+        j = min(range(len(second)), key=lambda k: (abs(second[k] - stamp), k), default=None)
+        if j is not None and abs(second[j] - stamp) <= gap:
+            pairs.append((i, j))
+    return pairs
+
+
+@given(stamps, stamps, st.sampled_from((0.0, 0.125, 0.25, 0.5, 9.0)))
+def test_each_of_the_shorter_with_the_nearest_of_the_longer(
+    first: np.ndarray, second: np.ndarray, gap: float
+) -> None:
+    i, j = associated(first, second, max_gap=gap)
+    found = list(zip(i.tolist(), j.tolist(), strict=True))
+    if len(first) <= len(second):
+        assert found == nearest(first, second, gap)
+    else:
+        assert found == [(a, b) for b, a in nearest(second, first, gap)]
+
+
+@pytest.mark.parametrize(("count", "other"), [(0, 0), (0, 3), (3, 0)])
+def test_nothing_pairs_with_nothing(count: int, other: int) -> None:
+    i, j = associated(np.arange(float(count)), np.arange(float(other)))
+    assert (i.tolist(), j.tolist()) == ([], [])
+    assert (i.dtype, j.dtype) == (np.int64, np.int64)
+
+
+@pytest.mark.parametrize(("late", "pairs"), [(0.0199, 1), (0.0201, 0), (-0.0199, 1), (-0.0201, 0)])
+def test_twenty_milliseconds_are_one_moment(late: float, pairs: int) -> None:
+    assert MAX_GAP == 0.02
+    assert len(associated(np.array([5.0]), np.array([5.0 + late, 7.0]))[0]) == pairs
