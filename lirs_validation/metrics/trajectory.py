@@ -91,7 +91,7 @@ def trajectory_errors(
         rpe_second=relative_pose_error(true, est, pairs_by_time(truth.stamps[i], 1.0)),
         relations=constraint_error_summary(true, est),
         final_drift=float(raw[-1]),
-        final_yaw_drift=float(abs(wrapped(est[-1:, 2] - true[-1:, 2])[0])),
+        final_yaw_drift=abs(wrapped(est[-1:, 2] - true[-1:, 2]).item()),
         length=float(np.linalg.norm(np.diff(true[:, :2], axis=0), axis=1).sum()),
         poses=len(i),
         scan_coverage=scan_coverage(truth.stamps, estimate.stamps),

@@ -69,8 +69,8 @@ class Trajectory:
 
     def pose2(self, i: int) -> Pose2:
         """Return pose i projected on the plane."""
-        yaw = _yaw(self.quaternions[i][None])
-        return Pose2(float(self.positions[i, 0]), float(self.positions[i, 1]), float(yaw[0]))
+        x, y, _ = self.positions[i].tolist()
+        return Pose2(x, y, _yaw(self.quaternions[i][None]).item())
 
     def planar_at(self, stamps: FloatArray) -> FloatArray:
         """Return (m, 3) x, y, yaw at stamps (m,): linear between neighbours, the end pose beyond the ends.

@@ -70,8 +70,11 @@ def all_pairs(asked: OccupancyGrid, other: OccupancyGrid) -> list[tuple[int, int
 
 
 def share(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float) -> float | None:
+    """Return the share that is confirmed: None of two maps without walls, 0 where no cell can be asked."""
+    if not asked.occupied.any() and not other.occupied.any():
+        return None
     distances = [d for _, _, d in all_pairs(asked, other)]
-    return sum(d <= tolerance for d in distances) / len(distances) if distances else None
+    return sum(d <= tolerance for d in distances) / len(distances) if distances else 0.0
 
 
 @given(seeds, st.sampled_from((0.03, 0.1, 0.35)))
@@ -86,6 +89,8 @@ def test_against_all_pairs(seed: int, tolerance: float) -> None:
     np.testing.assert_array_equal(contradicted(built, reference, tolerance), wrong)
     if found.precision and found.recall:
         assert found.f1 == pytest.approx(2 / (1 / found.precision + 1 / found.recall))
+    else:
+        assert found.f1 == (None if found.precision is None else 0.0)
 
 
 @given(seeds)
@@ -117,7 +122,8 @@ def test_cells_of_another_grid_against_the_cell_under_each_point(seed: int) -> N
     assert unknown_share(built, reference) == (None if expected is None else pytest.approx(expected))
     both = known & ~np.isnan(np.array(under))
     one, two = (np.float32(under) > math.log(0.65 / 0.35)) & both, reference.occupied & both
-    expected = (one & two).sum() / (one | two).sum() if (one | two).any() else None
+    nothing = 0.0 if built.occupied.any() or reference.occupied.any() else None
+    expected = (one & two).sum() / (one | two).sum() if (one | two).any() else nothing
     assert iou(built, reference) == (None if expected is None else pytest.approx(expected))
 
 

@@ -99,3 +99,25 @@ def test_a_pose_covers_its_own_scan_alone() -> None:
     assert scan_coverage(slow, slow + 0.03) == 0.0
     assert scan_coverage(slow, np.empty(0)) == scan_coverage(np.empty(0), slow) == 0.0
     assert scan_coverage(slow[:1], slow[:1]) == 1.0
+
+
+@pytest.mark.parametrize(("metres", "some"), [(0.999, False), (1.001, True)])
+def test_a_metre_of_common_path_is_enough(metres: float, some: bool) -> None:
+    """The path is that of the poses compared, not of the whole truth."""
+    truth = Trajectory.from_poses(
+        [0.0, 1.0, 2.0, 9.0], [Pose2(5.0), Pose2(5.5), Pose2(5.0 + metres), Pose2(99.0)]
+    )
+    estimate = Trajectory.from_poses([0.0, 1.0, 2.0], [truth.pose2(k) for k in range(3)])
+    assert (start_alignment(truth, estimate) is not None) == some
+
+
+def test_two_common_poses_are_enough_and_a_turn_is_not_negative() -> None:
+    truth = Trajectory.from_poses([0.0, 1.0], [Pose2(2.0, 3.0), Pose2(4.0, 3.0)])
+    for turn in (0.25, -0.25):
+        estimate = Trajectory.from_poses([0.0, 1.0], [Pose2(0.0, 0.0, turn) @ truth.pose2(k) for k in (0, 1)])
+        found = start_alignment(truth, estimate)
+        assert found is not None
+        assert found.turn == pytest.approx(0.25)
+        np.testing.assert_allclose(found.T_world_aligned.as_array(), (0.0, 0.0, -turn), atol=1e-12)
+        one = Trajectory.from_poses([0.0], [truth.pose2(0)])
+        assert start_alignment(truth, one) is None

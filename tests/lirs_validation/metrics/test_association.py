@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lirs_validation.metrics.association import MAX_GAP, associated
+from lirs_validation.metrics.association import MAX_GAP, associated, scan_coverage
 
 # Whole eighths: many stamps coincide and lie halfway, and nothing is rounded.
 stamps = st.lists(st.integers(-40, 40), unique=True, max_size=12).map(lambda k: np.array(sorted(k)) / 8)
@@ -46,3 +46,24 @@ def test_nothing_pairs_with_nothing(count: int, other: int) -> None:
 def test_twenty_milliseconds_are_one_moment(late: float, pairs: int) -> None:
     assert MAX_GAP == 0.02
     assert len(associated(np.array([5.0]), np.array([5.0 + late, 7.0]))[0]) == pairs
+
+
+@given(stamps, stamps)
+def test_scans_are_covered_by_poses_nearer_than_half_their_period(
+    scans: np.ndarray, poses: np.ndarray
+) -> None:
+    scans, poses = scans / 8, poses / 8  # 64ths of a second: half a period is less than 0.02 s for some
+    steps = np.diff(scans)
+    gap = min(0.02, 0.49 * float(np.median(steps))) if len(steps) else 0.02
+    covered = [any(abs(pose - scan) <= gap for pose in poses) for scan in scans]
+    assert scan_coverage(scans, poses) == pytest.approx(np.mean(covered) if covered else 0.0)
+
+
+def test_coverage_by_hand() -> None:
+    scans = np.array([0.0, 0.5, 0.5, 1.0, 1.5])  # one stamp twice
+    assert scan_coverage(scans, np.array([0.0199, 0.5, 1.021, 1.4801])) == 0.8
+    fast = np.arange(8) / 64  # half a period is 7.8 ms
+    assert scan_coverage(fast, fast[::2]) == 0.5
+    assert scan_coverage(fast, fast + 0.48 / 64) == 1.0
+    assert scan_coverage(fast, fast[:1] + 0.495 / 64) == 0.0
+    assert scan_coverage(np.array([3.0]), np.array([3.0199])) == 1.0

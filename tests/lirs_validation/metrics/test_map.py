@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from lirs_validation.metrics import (
+    StartAlignment,
     agreement,
     cell_distance,
     false_occupied,
@@ -272,7 +273,8 @@ def test_every_score_is_of_its_own_two_maps() -> None:
     z[3:, 5:] = 1.0
     surface = HeightField(z, (0.2, 0.3), (-4.5, 6.0))
     walls = WallGrid(rng.random((5, 6)) < 0.2, 0.17, Pose2(-3.5, 7.2, 0.4))
-    scores = map_scores(built, true_pose, surface=surface, walls=walls, truth=truth)
+    alignment = StartAlignment(T_world_aligned=Pose2(0.3, -0.2, 0.05), shift=1.25, turn=0.75)
+    scores = map_scores(built, true_pose, surface=surface, walls=walls, truth=truth, alignment=alignment)
     own, other = agreement(decided(built), decided(true_pose)), agreement(decided(built), decided(truth))
     assert (scores.f1, scores.precision, scores.recall) == (own.f1, own.precision, own.recall)
     assert (scores.f1_input, scores.precision_input, scores.recall_input) == (
@@ -284,11 +286,16 @@ def test_every_score_is_of_its_own_two_maps() -> None:
     assert scores.from_reference == cell_distance(decided(true_pose), decided(built))
     assert scores.ssim == map_ssim(decided(built), decided(true_pose))
     assert scores.occupied_cells == built.occupied.sum()
+    moved = decided(built).moved(alignment.T_world_aligned)
+    assert scores.f1_aligned == agreement(moved, decided(true_pose)).f1
+    assert scores.false_occupied_aligned == false_occupied(moved, surface, walls)
+    assert scores.reference_false_occupied == false_occupied(true_pose, surface, walls)
+    assert (scores.start_shift, scores.start_turn) == (1.25, 0.75)
     near = near_obstacle(built.occupied_points(), surface, walls, 0.10 + 1e-9)
     assert scores.false_occupied == pytest.approx(1 - near.mean())
     assert 0 < scores.false_occupied < 1
     known = [v for v in asdict(scores).values() if isinstance(v, float)]
-    assert len(set(known)) == len(known) == 10
+    assert len(set(known)) == len(known) == 15
 
 
 @pytest.mark.parametrize(("cells", "false"), [(4, 0.0), (5, 1.0)])

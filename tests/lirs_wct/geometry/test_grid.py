@@ -106,3 +106,13 @@ def test_what_is_no_grid_is_refused(log_odds: np.ndarray, resolution: float) -> 
     with pytest.raises(ConfigError, match=r"resolution|float32 matrix"):
         OccupancyGrid(log_odds, resolution)
     assert OccupancyGrid(np.zeros((1, 1), np.float32), 1e-9).shape == (1, 1)
+
+
+@pytest.mark.parametrize("threshold", [0.65, 0.25])
+def test_a_probability_of_just_a_threshold_is_neither_occupied_nor_free(threshold: float) -> None:
+    middle = np.float32(math.log(threshold / (1 - threshold)))
+    near = middle + np.spacing(middle) * np.arange(-9, 10, dtype=np.float32)
+    grid = OccupancyGrid(near[None], 1.0)
+    just = grid.probability == np.float32(threshold)
+    assert just.any()
+    assert not (grid.occupied | grid.free)[just].any()
