@@ -16,17 +16,15 @@ from lirs_validation.experiment.mapper_checks import check_pose, final_map, fina
 from lirs_validation.logs.inertial import inertial_readings, with_recorded_mount
 from lirs_validation.logs.log_mapper import check_log, make_log_mapper, warm_up_log_mapper
 from lirs_validation.logs.mapped_log import MappedLog
-from lirs_validation.logs.reference import read_reference
+from lirs_validation.logs.truth import read_truth, reference_in_time, relations_in_time
 from lirs_validation.metrics.association import scan_coverage
 from lirs_validation.metrics.log_accuracy import trajectory_accuracy
-from lirs_validation.metrics.relative_pose_constraints import RelativePoseConstraint, read_constraints
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
 from lirs_validation.record.verdict import LostRule, incompleteness
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
 from lirs_wct.geometry.scan import Imu
-from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.source import find_source
@@ -103,6 +101,8 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
     with _timed(seconds, "map_seconds"):
         tracking = replay(config, mapper, log, readings, progress)
         grid, trajectory = final_map(mapper), final_trajectory(mapper)
+    relations = None if relations is None else relations_in_time(relations, log.lines)
+    reference = None if reference is None else reference_in_time(reference, log.lines)
     accuracy = trajectory_accuracy(trajectory, log.track, relations, reference)
     cost = {**seconds, "cpu_seconds": meter.cpu_seconds(), "peak_memory": meter.peak_memory()}
     coverage = scan_coverage(log.stamps, trajectory.stamps)
@@ -121,19 +121,6 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
     )
     mapped = MappedLog(record, log, grid, trajectory, reference, accuracy)
     return mapped if out is None else replace(mapped, folder=_write(mapped, out, progress))
-
-
-def read_truth(config: MapConfig) -> tuple[tuple[RelativePoseConstraint, ...] | None, Trajectory | None]:
-    """Read the relations and the reference trajectory, where they are given.
-
-    Raises:
-        SourceError: one of them cannot be used.
-    """
-    c = config
-    return (
-        None if c.relations is None else read_constraints(Path(c.relations)),
-        None if c.reference is None else read_reference(Path(c.reference)),
-    )
 
 
 def read_log(config: MapConfig) -> CarmenLog:

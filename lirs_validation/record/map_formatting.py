@@ -41,8 +41,10 @@ def repair_lines(record: MapRecord) -> list[tuple[str, str]]:
     """Return what of the log was left out or put right, and how often; nothing where it was whole."""
     log = record.log
     lines = [("skipped", f"{count} x {why}") for why, count in _most(log["skipped"])]
-    if log["late"]:
-        lines.append(("sorted in", f"{log['late']} lines with an earlier stamp than one before"))
+    stamps = log["stamps"]
+    if stamps["moved"]:
+        lines.append(("stamps going back", f"{stamps['back']}, repeated {stamps['repeated']}"))
+        lines.append(("stamps moved", f"{stamps['moved']}, by at most {stamps['furthest']:.2f} s"))
     lines += [("put right", f"{count} x {what}") for what, count in _most(log["repaired"])]
     for name, errors in record.accuracy.items():
         if errors is not None and errors["outside"]:

@@ -6,6 +6,7 @@ only the rear one was logged), ODOM and PARAM; what else the log holds is counte
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import REAR, LaserFacts, scans_of
 from lirs_wct.formats.carmen.lines import PARSERS, Lines, Message, messages_of, parameters_of, read_lines
 from lirs_wct.formats.carmen.odometry import odometry_of
+from lirs_wct.formats.carmen.stamps import LineStamps, in_file_order
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
@@ -32,14 +34,15 @@ REASONS = 5
 
 @dataclass(frozen=True)
 class CarmenLog:
-    """A log as read, sorted by stamp.
+    """A log as read, in the order of the file.
 
     Attributes:
-        scans: by stamp, strictly increasing.
+        scans: in the order of the file; their stamps increase strictly.
         odometry: `T_odom_base` of each scan, as many as scans; all None where the log holds no odometry.
         track: every pose that the log's odometry gives, of messages with and without a scan; may be empty.
+        lines: stamps of the lines as logged and as repaired; scans and track have the repaired ones.
         skipped: how many lines were left out, by reason.
-        late: lines whose stamp was before that of an earlier line; they were sorted in and kept.
+        late: lines whose logged stamp is before that of an earlier line.
         repaired: how often something was put right, by what.
         laser: name of the messages that the scans are from.
     """
@@ -47,6 +50,7 @@ class CarmenLog:
     scans: tuple[LaserScan, ...]
     odometry: tuple[Pose2 | None, ...]
     track: Trajectory
+    lines: LineStamps
     skipped: Mapping[str, int] = field(default_factory=dict)
     late: int = 0
     repaired: Mapping[str, int] = field(default_factory=dict)
@@ -60,6 +64,9 @@ class CarmenLog:
 
 def read_carmen(path: Path, facts: LaserFacts | None = None) -> CarmenLog:
     """Read a CARMEN log; lines that cannot be used are skipped and counted.
+
+    The order of the file is kept. Where stamps go back or repeat while the robot moves, they are repaired and
+    a warning says how many.
 
     Args:
         path: of the log.
@@ -78,16 +85,26 @@ def read_carmen(path: Path, facts: LaserFacts | None = None) -> CarmenLog:
         raise SourceError(
             f"{path}: no usable laser scan (FLASER, ROBOTLASER1, ...) in this CARMEN log{_formatted(skipped)}"
         )
-    read, odoms = _in_time(read, skipped), _in_time(odoms, skipped)
-    late = _late([*read, *odoms])
-    scans = _by_stamp(read, skipped)
+    read, odoms = _in_time(_without_repeats(read, skipped), skipped), _in_time(odoms, skipped)
+    scans, odoms, stamps = in_file_order(read, odoms)
+    if stamps.moved:
+        warnings.warn(f"{path}: {stamps.summary()}", stacklevel=2)
     parameters = parameters_of(lines.get("PARAM", ()))
     odometry, track = odometry_of([m.stamp for m in scans], scans, odoms, repaired)
     try:
         found = scans_of(laser, scans, parameters, facts or LaserFacts(), repaired)
     except ConfigError as error:
         raise SourceError(f"{path}: {error}") from error
-    return CarmenLog(tuple(found), tuple(odometry), track, dict(skipped), late, dict(repaired), laser)
+    return CarmenLog(
+        tuple(found),
+        tuple(odometry),
+        track,
+        stamps,
+        skipped=dict(skipped),
+        late=_late(stamps.logged),
+        repaired=dict(repaired),
+        laser=laser,
+    )
 
 
 def _lasers(lines: Lines, skipped: Counter[str]) -> tuple[str, list[Message]]:
@@ -127,20 +144,19 @@ def _in_time(messages: list[Message], skipped: Counter[str]) -> list[Message]:
     return [m for m, far in zip(messages, away.tolist(), strict=True) if not far]
 
 
-def _late(messages: Sequence[Message]) -> int:
+def _late(stamps: FloatArray) -> int:
     """Count the lines whose stamp is before that of an earlier line."""
-    stamps = np.array([m.stamp for m in sorted(messages, key=lambda m: m.line)])
     return int((stamps < np.maximum.accumulate(stamps)).sum())
 
 
-def _by_stamp(messages: Sequence[Message], skipped: Counter[str]) -> list[Message]:
-    """Sort by stamp; of several scans with one stamp the first line stays."""
-    first: dict[float, Message] = {}
+def _without_repeats(messages: Sequence[Message], skipped: Counter[str]) -> list[Message]:
+    """Leave out scans that are in the log already: the same stamp, ranges and poses."""
+    first: dict[tuple[object, ...], Message] = {}
     for message in messages:
-        first.setdefault(message.stamp, message)
+        first.setdefault((message.stamp, message.base, message.laser, message.ranges.tobytes()), message)
     if len(first) < len(messages):
-        skipped["stamp of an earlier scan repeated"] += len(messages) - len(first)
-    return [first[stamp] for stamp in sorted(first)]
+        skipped["scan that is in the log already"] += len(messages) - len(first)
+    return list(first.values())
 
 
 def _formatted(skipped: Counter[str]) -> str:

@@ -30,7 +30,7 @@ def odometry_of(
     Args:
         stamps: of the scans, increasing.
         lasers: the scans' messages.
-        odoms: ODOM messages, by stamp.
+        odoms: ODOM messages.
         repaired: receives what was put right, and how often.
     """
     own, wheels = _track(lasers), _track(odoms)

@@ -61,6 +61,7 @@ def test_a_broken_line_is_left_out_and_counted(tmp_path: Path, case: str) -> Non
     assert log.stamps.tolist() == [t for k, t in enumerate(STAMPS) if k != 5]
 
 
+@pytest.mark.filterwarnings("ignore:.*stamps go back")
 @given(cut=st.data())
 def test_a_log_that_ends_anywhere_keeps_what_is_whole(scratch: Path, cut: st.DataObject) -> None:
     whole = "\n".join(LINES[:4]).encode()
@@ -75,15 +76,17 @@ def test_a_log_that_ends_anywhere_keeps_what_is_whole(scratch: Path, cut: st.Dat
         stamps = set(read_carmen(path).stamps.tolist())
     except SourceError as error:
         told = str(error)
-    assert set(STAMPS[:sure]) <= stamps
-    assert len(stamps) <= sure + 1
+    assert sure <= len(stamps) <= sure + 1
     assert told == "" if stamps else told.startswith(f"{path}: no usable laser scan")
 
 
+@pytest.mark.filterwarnings("ignore:.*stamps go back")
 @given(order=st.permutations(range(12)))
-def test_lines_in_any_order_are_sorted_kept_and_counted(scratch: Path, order: list[int]) -> None:
+def test_lines_in_any_order_stay_in_it(scratch: Path, order: list[int]) -> None:
     log = read_carmen(write_log(scratch / "mixed.clf", [LINES[k] for k in order]))
-    assert log.stamps.tolist() == STAMPS
+    whole = read_carmen(write_log(scratch / "whole.clf", LINES))
+    assert [s.ranges.tobytes() for s in log.scans] == [whole.scans[k].ranges.tobytes() for k in order]
+    assert (np.diff(log.stamps) > 0).all()
     assert log.skipped == {}
     assert log.late == sum(any(order[j] > k for j in range(i)) for i, k in enumerate(order))
 

@@ -87,7 +87,7 @@ def test_remissions_are_passed_over(tmp_path: Path, remissions: str) -> None:
 
 def test_raw_scans_take_their_odometry_from_odom_lines(tmp_path: Path) -> None:
     lines = [f"ODOM {k}.0 0 0 0 0 0 {k}.0 host 0" for k in range(4)]
-    lines += [f"RAWLASER1 0 -1.570796 3.141593 0.017453 20.0 0.1 0 181 {'2.0 ' * 181} 0 1.25 host 0"]
+    lines.insert(2, f"RAWLASER1 0 -1.570796 3.141593 0.017453 20.0 0.1 0 181 {'2.0 ' * 181} 0 1.25 host 0")
     log = read_carmen(write_log(tmp_path / "x.clf", lines))
     assert log.odometry == (Pose2(1.25),)
     assert log.skipped == {}
@@ -98,8 +98,9 @@ def test_odometry_that_never_changes_is_none(tmp_path: Path) -> None:
     log = read_carmen(write_log(tmp_path / "x.clf", lines))
     assert log.odometry == (None,) * 5
     assert len(log.track) == 0
-    lines += [f"ODOM {k}.0 0 0 0 0 0 {1e9 + 0.2 * k} host 0" for k in range(5)]
-    log = read_carmen(write_log(tmp_path / "y.clf", lines))
+    odoms = [f"ODOM {k}.0 0 0 0 0 0 {1e9 + 0.2 * k} host 0" for k in range(5)]
+    mixed = [line for both in zip(lines, odoms, strict=True) for line in both]
+    log = read_carmen(write_log(tmp_path / "y.clf", mixed))
     np.testing.assert_allclose([p.x for p in log.odometry if p], range(5), atol=1e-6)
 
 
