@@ -14,6 +14,7 @@ from lirs_validation.report.paper.findings import Finding, findings
 from lirs_validation.report.paper.tables import paper_tables
 from lirs_validation.report.provenance import Origin, commands_table, origins_of
 from lirs_validation.report.tables.collision_table import checks_failed_table, collision_table
+from lirs_validation.report.tables.method_tables import method_tables
 from lirs_validation.report.tables.metric_tables import (
     SECTIONS,
     failures_table,
@@ -41,6 +42,7 @@ class Report:
         runs: in the order in which they were asked for.
         sections: key, table by group and table by run of each section of metrics.
         checks: collision validations that passed, and all.
+        methods: methods as published, or without attitude, beside terrain-aware ones.
         paper: only of the paper's suite.
         seeds: fewest and most seeds that succeeded, over the groups; (0, 0) where none did.
     """
@@ -55,6 +57,7 @@ class Report:
     sections: tuple[tuple[Section, ReportTable, ReportTable], ...]
     collisions: ReportTable
     checks: tuple[int, int]
+    methods: tuple[ReportTable, ...]
     paper: Paper | None
     command: str
     origins: tuple[Origin, ...]
@@ -69,7 +72,7 @@ class Report:
     @property
     def tables(self) -> list[ReportTable]:
         """Every table that has rows."""
-        tables = [self.failures, self.checks_failed, self.skipped, self.summary]
+        tables = [self.failures, self.checks_failed, self.skipped, self.summary, *self.methods]
         tables += self.paper.tables if self.paper else ()
         tables += [table for _, groups, runs in self.sections for table in (groups, runs)]
         return [table for table in (*tables, self.collisions, self.commands) if table.rows]
@@ -95,6 +98,7 @@ def report_of(results: ResultFolder) -> Report:
         sections=_sections(entries),
         collisions=collision_table(results.collisions),
         checks=(len(results.collisions) - len(failed), len(results.collisions) + len(results.broken)),
+        methods=method_tables(entries),
         paper=_paper(entries) if suite == "paper" else None,
         command=str(manifest.get("command", "")),
         origins=origins_of(entries),

@@ -74,6 +74,7 @@ def _context(report: Report) -> dict[str, Any]:
         "checks_failed": _filled(report.checks_failed),
         "skipped": _filled(report.skipped),
         "summary": report.summary,
+        "methods": report.methods,
         "paper": report.paper,
         "sections": [_section(report, key, groups, runs) for key, groups, runs in report.sections],
         "collisions": _filled(report.collisions),
@@ -182,6 +183,7 @@ def _contents(context: dict[str, Any]) -> list[tuple[str, str]]:
     sections = [
         ("failed", "Failures", failed),
         ("overview", "Summary", context["summary"].rows),
+        ("methods", "As published", context["methods"]),
         ("paper", "The paper", context["paper"]),
         *((f"{g['key']}-section", g["title"], True) for g in context["sections"]),
         ("collisions", "Collisions", context["collisions"]),

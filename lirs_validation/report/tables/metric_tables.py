@@ -29,7 +29,7 @@ def failures_table(entries: Sequence[Entry]) -> ReportTable:
     planar = any(Group.of(e).attitude != "imu" for e in entries)
     fields = ("world", "robot", "mapper", "terrain", "rays", *(("attitude",) if planar else ()))
     rows = [
-        (*_texts(Group.of(e), fields), str(e["seed"]),
+        (*group_texts(Group.of(e), fields), str(e["seed"]),
          str(e["status"]), str(e["reason"] or e["status"]), str(e["name"]))
         for e in failed
     ]  # fmt: skip
@@ -54,7 +54,12 @@ def section_by_run(section: Section, entries: Sequence[Entry]) -> ReportTable:
     kept = _existing(metrics_in(section), entries)
     headings = (*fields, "seed", "status", *(metric.heading for metric in kept))
     rows = [
-        (*_texts(Group.of(e), fields), str(e["seed"]), str(e["status"]), *(over_runs(m, [e]) for m in kept))
+        (
+            *group_texts(Group.of(e), fields),
+            str(e["seed"]),
+            str(e["status"]),
+            *(over_runs(m, [e]) for m in kept),
+        )
         for e in entries
     ]
     title = f"{SECTIONS[section]}, run by run"
@@ -73,7 +78,7 @@ def group_table(
     for group, runs in groups.items():
         good = [run for run in runs if succeeded(run)]
         counted = (f"{len(good)} of {len(runs)}",) if count else ()
-        rows.append((*_texts(group, fields), *counted, *(over_runs(metric, good) for metric in kept)))
+        rows.append((*group_texts(group, fields), *counted, *(over_runs(metric, good) for metric in kept)))
     return ReportTable(key, title, _caption(kept, entries), headings, tuple(rows), len(fields) + count)
 
 
@@ -109,7 +114,8 @@ def _fields(groups: Mapping[Group, Any]) -> tuple[str, ...]:
     return tuple(field for field in FIELDS if field in different)
 
 
-def _texts(group: Group, fields: Sequence[str]) -> tuple[Content, ...]:
+def group_texts(group: Group, fields: Sequence[str]) -> tuple[Content, ...]:
+    """Return the values of a group's fields as text."""
     values = [getattr(group, field) for field in fields]
     return tuple(f"{v:g} s" if isinstance(v, float) else str(v) for v in values)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from rich import box
 from rich.table import Table
 from rich.text import Text
@@ -25,12 +27,12 @@ def screen_table(title: str = "", caption: str = "") -> Table:
     )
 
 
-def on_screen(table: ReportTable, style: str = "") -> Table:
+def on_screen(table: ReportTable, style: str = "", title: str = "") -> Table:
     """Return a table of the report for the screen."""
-    shown = screen_table(caption=table.caption)
+    shown = screen_table(title, table.caption)
     for k, heading in enumerate(table.headings):
-        left = k < table.text_columns
-        shown.add_column(Text(heading), justify="left" if left else "right", overflow="fold")
+        justify: Literal["left", "right"] = "left" if table.is_text(k) else "right"
+        shown.add_column(Text(heading), justify=justify, overflow="fold")
     for row in table.texts():
         shown.add_row(*map(Text, row), style=style)
     return shown

@@ -10,6 +10,7 @@ from rich.table import Table
 from lirs_validation.analysis.groups import by_group, distinguishing_fields
 from lirs_validation.record.run_record import read_record
 from lirs_validation.report.tables.collision_table import verdicts_table
+from lirs_validation.report.tables.method_tables import method_tables
 from lirs_validation.report.tables.metric_tables import failures_table, summary_table
 from lirs_validation.report.tables.results_table import results_table
 from lirs_validation.report.tables.screen import on_screen
@@ -21,7 +22,7 @@ FIELDS = {"world", "robot", "mapper"}
 
 
 def sweep_tables(sweep: Sweep) -> Iterator[Table]:
-    """Yield the tables of what is finished: means of groups, or single runs, and verdicts."""
+    """Yield tables of what is finished: means of groups or single runs, methods as published, verdicts."""
     finished = [found for found in sweep.experiments if found.name in sweep.outcomes]
     entries = [_entry(sweep, run.name) for run in finished if not isinstance(run, CollisionExperiment)]
     groups = by_group(entries)
@@ -29,6 +30,8 @@ def sweep_tables(sweep: Sweep) -> Iterator[Table]:
         yield from _by_group(entries)
     elif entries:
         yield results_table(entries)
+    for table in method_tables(entries):
+        yield on_screen(table, title=table.title)
     checks = [check for check in finished if isinstance(check, CollisionExperiment)]
     verdicts = [read_verdict(sweep.out / c.name) for c in checks if sweep.outcomes[c.name].succeeded]
     if verdicts:

@@ -50,6 +50,7 @@ class ReportTable:
         headings: of the columns.
         rows: contents, as many a row as there are headings.
         text_columns: number of leading columns that hold text; the first is the row's heading.
+        remarks: whether the last column holds text, too.
     """
 
     key: str
@@ -58,6 +59,11 @@ class ReportTable:
     headings: tuple[str, ...]
     rows: tuple[tuple[Content, ...], ...]
     text_columns: int = 1
+    remarks: bool = False
+
+    def is_text(self, column: int) -> bool:
+        """Whether a column, counted from 0, holds text."""
+        return column < self.text_columns or (self.remarks and column == len(self.headings) - 1)
 
     def texts(self) -> list[list[str]]:
         """Return the rows as they are read."""
@@ -66,7 +72,7 @@ class ReportTable:
 
 def as_markdown(table: ReportTable) -> str:
     """Return the table as Markdown, its title above and its caption below."""
-    rule = ["---" if k < table.text_columns else "---:" for k in range(len(table.headings))]
+    rule = ["---" if table.is_text(k) else "---:" for k in range(len(table.headings))]
     lines = [table.headings, rule, *table.texts()]
     body = "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
     return f"## {table.title}\n\n{body}\n\n{table.caption}\n"

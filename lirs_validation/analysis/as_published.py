@@ -1,0 +1,164 @@
+"""Methods as published beside terrain-aware ones and odometry alone: who holds in which world.
+
+A run *holds* where it succeeded and its ATE is at most TIMES the odometry's + SLACK: the method did not lose
+what the odometry knew. A method holds in a world where the share MOST of its runs do, and loses its way where
+that share do not. Runs that ended because of the drive, not of the mapper, are not counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from statistics import median
+from typing import Literal
+
+from lirs_validation.analysis.groups import Group, by_group
+from lirs_validation.record.formatting import Entry, value_at
+from lirs_validation.record.run_record import Status, succeeded
+
+SUFFIX = "_original"
+"""Ends the name of a method as published: `hector_original` beside `hector`."""
+TIMES, SLACK = 1.1, 0.05
+"""Of the odometry's ATE, and metres: what a run that holds may be worse."""
+MOST = 0.8
+"""Share of the runs that decides what a method does in a world."""
+CLEARLY = 1.5
+"""Times as accurate from which on it is said."""
+OF_THE_DRIVE: tuple[Status, ...] = ("tipped", "stuck", "off world", "diverged")
+"""Ends that say nothing of the mapper."""
+
+Planar = Literal["as published", "without attitude"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How the runs of a method in a world compare with their odometry.
+
+    Attributes:
+        runs: that are counted.
+        held: of these.
+        lost: that ended because the mapper said that it was lost.
+        ate: median over those that succeeded, metres; None where none did.
+    """
+
+    runs: int
+    held: int
+    lost: int
+    ate: float | None
+
+    @property
+    def holds(self) -> bool:
+        """Whether the method holds."""
+        return self.runs > 0 and self.held >= MOST * self.runs
+
+    @property
+    def loses(self) -> bool:
+        """Whether the method loses its way."""
+        return self.runs > 0 and self.runs - self.held >= MOST * self.runs
+
+    @property
+    def clause(self) -> str:
+        """What the method does, as the end of a sentence about it."""
+        if self.runs == 0:
+            return "has no run that counts"
+        if self.holds:
+            return "holds"
+        says = " and says so" if self.lost == self.runs - self.held else ""
+        return f"loses its way{says}" if self.loses else f"holds in {self.held} of {self.runs} runs"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MethodPair:
+    """The runs of one method in one world, planar and terrain-aware.
+
+    Attributes:
+        group: of the terrain-aware runs.
+        planar: its runs as published, or without attitude.
+        aware: its runs with attitude.
+        how: what the planar ones are.
+    """
+
+    group: Group
+    planar: tuple[Entry, ...]
+    aware: tuple[Entry, ...]
+    how: Planar
+
+    @property
+    def runs(self) -> tuple[Entry, ...]:
+        """All of them."""
+        return self.planar + self.aware
+
+
+def published_pairs(entries: Iterable[Entry]) -> tuple[MethodPair, ...]:
+    """Return each method of which there are runs both as published and terrain-aware, world by world."""
+    groups = by_group(entries)
+    return tuple(
+        MethodPair(group=group, planar=tuple(planar), aware=tuple(aware), how="as published")
+        for group, aware in groups.items()
+        if group.attitude == "imu" and (planar := _as_published(group, groups))
+    )
+
+
+def attitude_pairs(entries: Iterable[Entry]) -> tuple[MethodPair, ...]:
+    """Return each mapper of which there are runs both without attitude and with it, world by world.
+
+    A method as published is left out: it never looks at the attitude.
+    """
+    groups = by_group(entries)
+    return tuple(
+        MethodPair(group=group, planar=tuple(planar), aware=tuple(aware), how="without attitude")
+        for group, aware in groups.items()
+        if group.attitude == "imu"
+        and not group.mapper.endswith(SUFFIX)
+        and (planar := groups.get(replace(group, attitude="none")))
+    )
+
+
+def outcome_of(entries: Sequence[Entry]) -> Outcome:
+    """Return how runs of one method in one world compare with their odometry."""
+    counted = [entry for entry in entries if entry["status"] not in OF_THE_DRIVE]
+    errors = [
+        ate for e in counted if succeeded(e) and (ate := value_at(e, "trajectory.ate_rmse")) is not None
+    ]
+    return Outcome(
+        runs=len(counted),
+        held=sum(map(holds, counted)),
+        lost=sum(entry["status"] == "lost" for entry in counted),
+        ate=median(errors) if errors else None,
+    )
+
+
+def holds(entry: Entry) -> bool:
+    """Whether a run succeeded, and its ATE is at most TIMES its odometry's + SLACK."""
+    ate, odometry = (value_at(entry, f"trajectory.{key}") for key in ("ate_rmse", "odometry_ate_rmse"))
+    return succeeded(entry) and None not in (ate, odometry) and ate <= TIMES * odometry + SLACK
+
+
+def conclusion(planar: Outcome, aware: Outcome, how: Planar) -> str:
+    """Return in one sentence what follows for who runs the method on such ground."""
+    if planar.holds and aware.holds:
+        return f"{how.capitalize()} it holds here, {_compared(planar, aware)}."
+    if planar.loses and aware.loses:
+        alone = "odometry alone is as good or better"
+        if planar.clause == aware.clause:
+            return f"It {planar.clause} here, {how} and with attitude: {alone}."
+        return f"{how.capitalize()} it {planar.clause} here, with attitude it {aware.clause}: {alone}."
+    return f"{how.capitalize()} it {planar.clause} here; with attitude it {aware.clause}."
+
+
+def _compared(planar: Outcome, aware: Outcome) -> str:
+    """Return how accurate two methods are that both hold."""
+    if not planar.ate or not aware.ate:
+        return "and with attitude"
+    ratio = planar.ate / aware.ate
+    if ratio >= CLEARLY:
+        return f"and with attitude it is {ratio:.1f} times as accurate"
+    if ratio <= 1 / CLEARLY:
+        return f"and is {1 / ratio:.1f} times as accurate as with attitude"
+    return "as well as with attitude"
+
+
+def _as_published(group: Group, groups: Mapping[Group, list[Entry]]) -> list[Entry] | None:
+    """Return the runs of a group's method as published; it gets no attitude, whatever was asked for."""
+    original = replace(group, mapper=group.mapper + SUFFIX)
+    return groups.get(original) or groups.get(replace(original, attitude="none"))

@@ -1,0 +1,75 @@
+"""One row for each world and method: as published, with attitude, odometry alone, and what follows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+from lirs_validation.analysis.as_published import (
+    MOST,
+    SLACK,
+    TIMES,
+    MethodPair,
+    attitude_pairs,
+    conclusion,
+    outcome_of,
+    published_pairs,
+)
+from lirs_validation.analysis.groups import Group, distinguishing_fields
+from lirs_validation.record.formatting import Entry
+from lirs_validation.record.metric_catalog import metrics_named
+from lirs_validation.record.run_record import succeeded
+from lirs_validation.report.tables.metric_tables import group_texts, over_runs
+from lirs_validation.report.tables.table import Content, ReportTable
+
+ATE, ODOMETRY_ATE = metrics_named(("trajectory.ate_rmse", "trajectory.odometry_ate_rmse"))
+CAPTION = (
+    "ATE [m], mean over the runs that succeeded. A run holds where its ATE is at most "
+    f"{TIMES} x the odometry's + {SLACK} m, a method where {MOST:.0%} of its runs do. Runs that tipped over, "
+    "got stuck, left the world or diverged are not counted."
+)
+KINDS: tuple[tuple[str, str, Callable[[Iterable[Entry]], tuple[MethodPair, ...]]], ...] = (
+    ("as-published", "As published, with attitude, odometry alone", published_pairs),
+    ("without-attitude", "Without attitude, with attitude, odometry alone", attitude_pairs),
+)
+
+
+def method_tables(entries: Sequence[Entry]) -> tuple[ReportTable, ...]:
+    """Return the tables of methods as published and of mappers without attitude, as far as there are runs."""
+    tables = (_table(key, title, pairs_of(entries)) for key, title, pairs_of in KINDS)
+    return tuple(table for table in tables if table.rows)
+
+
+def _table(key: str, title: str, pairs: Sequence[MethodPair]) -> ReportTable:
+    fields = _fields([pair.group for pair in pairs])
+    how = pairs[0].how if pairs else ""
+    headings = (
+        *fields,
+        how,
+        f"holds {how}",
+        "with attitude",
+        "holds with attitude",
+        "odometry",
+        "what follows",
+    )
+    rows = tuple((*group_texts(pair.group, fields), *_row(pair)) for pair in pairs)
+    return ReportTable(key, title, CAPTION, headings, rows, len(fields), remarks=True)
+
+
+def _row(pair: MethodPair) -> tuple[Content, ...]:
+    planar, aware = outcome_of(pair.planar), outcome_of(pair.aware)
+    driven = [entry for entry in pair.runs if succeeded(entry)]
+    return (
+        over_runs(ATE, [entry for entry in pair.planar if succeeded(entry)]),
+        f"{planar.held} of {planar.runs}",
+        over_runs(ATE, [entry for entry in pair.aware if succeeded(entry)]),
+        f"{aware.held} of {aware.runs}",
+        over_runs(ODOMETRY_ATE, driven),
+        conclusion(planar, aware, pair.how),
+    )
+
+
+def _fields(groups: Sequence[Group]) -> tuple[str, ...]:
+    """Return the fields that distinguish the rows, world and method always; attitudes are columns."""
+    different = distinguishing_fields(groups) if groups else ()
+    rest = (field for field in different if field not in ("world", "mapper", "attitude"))
+    return ("world", "mapper", *rest)
