@@ -16,8 +16,10 @@ from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.sources.bundled import BundledPicture
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.picture import read_height_field
+from lirs_wct.sources.picture import read_height_field, read_terrain
+from lirs_wct.sources.source import find_source
 from lirs_wct.world import build_world
 
 RAMP = np.arange(12, dtype=np.uint16).reshape(3, 4)
@@ -254,3 +256,191 @@ def test_the_world_says_where_its_metres_come_from(
     path = tmp_path / "a.png"
     cv2.imwrite(str(path), np.arange(12, dtype=np.uint8).reshape(3, 4))
     assert build_world(path, BuildOptions(**options)).scale == words
+
+
+# ---- numbers by hand
+
+
+def test_a_crop_up_to_the_border_is_legal(tmp_path: Path) -> None:
+    pixels = np.random.default_rng(1).integers(0, 65535, (7, 9), np.uint16)
+    path = png(tmp_path / "a.png", pixels)
+    for crop in ((0, 0, 9, 7), (2, 3, 7, 4), (1, 0, 2, 2), (7, 5, 2, 2)):
+        col, row, width, height = crop
+        kept = pixels[row : row + height, col : col + width].astype(float)
+        surface = read(path, crop=crop, height=float(np.ptp(kept)), pixel_size=0.5)
+        assert surface.size == (0.5 * (width - 1), 0.5 * (height - 1))
+        np.testing.assert_allclose(surface.z, kept - kept.min(), rtol=1e-6)
+    for crop in ((1, 0, 9, 7), (0, 1, 9, 7), (8, 5, 2, 2), (7, 6, 2, 2)):
+        with pytest.raises(SourceError, match=r"is 9x7 px, a crop of \dx\d at \d,\d lies not within it"):
+            read(path, crop=crop)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_colors_become_gray_by_their_luma(tmp_path: Path, dtype: type[np.generic]) -> None:
+    rgb = np.random.default_rng(2).integers(0, np.iinfo(dtype).max, (4, 6, 3)).astype(dtype)
+    luma = rgb @ np.array((0.299, 0.587, 0.114))  # ITU-R BT.601
+    surface = read(png(tmp_path / "a.png", rgb[..., ::-1]), grayscale=True, height=float(np.ptp(luma)))
+    np.testing.assert_allclose(surface.z, luma - luma.min(), rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize(("span", "gray"), [(514, True), (515, False)])
+def test_two_levels_of_255_are_rounding(tmp_path: Path, span: int, gray: bool) -> None:
+    """At 16 bits two levels of 255 are 514."""
+    pixels = np.full((4, 5, 3), 30000, np.uint16)
+    pixels[2, 3] = (30000, 30000 + span, 30000 + span // 2)
+    path = png(tmp_path / "a.png", pixels)
+    if gray:
+        read(path)
+        return
+    with pytest.raises(SourceError, match="is in colour"):
+        read(path)
+
+
+def test_every_unit_and_option_by_hand(tmp_path: Path) -> None:
+    """A GeoTIFF of 3 x 4 nodes, 2 by 4 feet apart, heights in US survey feet."""
+    keys = (1, 1, 0, 2, 3076, 0, 1, 9002, 4099, 0, 1, 9003)
+    heights = (7 + 0.5 * RAMP).astype(np.float32)
+    path = tiff(tmp_path / "a.tif", heights, scale=(2.0, 4.0, 0.0), keys=keys)
+    foot, survey = 0.3048, 1200 / 3937
+    for options, cell, top in (
+        ({}, (2 * foot, 4 * foot), 5.5 * survey),
+        ({"height": 3.0}, (2 * foot, 4 * foot), 3.0),
+        ({"z_scale": 4.0}, (2 * foot, 4 * foot), 22 * survey),
+        ({"scale": (2.0, 3.0, 5.0)}, (4 * foot, 12 * foot), 27.5 * survey),
+        ({"scale": (2.0, 3.0, 5.0), "z_scale": 0.5, "height": 2.0}, (4 * foot, 12 * foot), 5.0),
+        ({"pixel_size": 0.25}, (0.25, 0.25), 5.5 * survey),
+        ({"size": (9.0, 8.0)}, (3.0, 4.0), 5.5 * survey),
+        ({"size": 16.0}, (4.0, 8.0), 5.5 * survey),  # the longer side, 2 x 4 feet, becomes 16 m
+    ):
+        surface = read(path, **options)
+        assert surface.cell == pytest.approx(cell, rel=1e-6), options
+        np.testing.assert_allclose(surface.z, RAMP / 11 * top, rtol=1e-5, atol=1e-6)
+        assert surface.origin == pytest.approx((-1.5 * cell[0], -cell[1]), rel=1e-6)
+        assert surface.z.dtype == np.float32
+
+
+def test_inverted_and_flat_heights_start_at_zero(tmp_path: Path) -> None:
+    path = tiff(tmp_path / "a.tif", (100 + RAMP).astype(np.float32), scale=(1.0, 1.0, 0.0))
+    np.testing.assert_array_equal(read(path, invert=True).z, 11 - RAMP.astype(np.float32))
+    flat = tiff(tmp_path / "b.tif", np.full((3, 4), 55, np.float32), scale=(1.0, 1.0, 0.0))
+    assert not read(flat).z.any()
+    assert not read(flat, height=3.0).z.any()
+
+
+def test_large_levels_keep_their_differences(tmp_path: Path) -> None:
+    """Of 32-bit integers and doubles float32 would lose the last digits before the lowest is taken off."""
+    levels = RAMP.astype(np.int64) + 2**28
+    for dtype in (np.int32, np.float64):
+        path = tmp_path / "a.tif"
+        cv2.imwrite(str(path), levels.astype(dtype))
+        np.testing.assert_allclose(read(path, height=11.0).z, RAMP, atol=1e-5)
+
+
+@pytest.mark.parametrize("value", [-9999.0, -32768.0, -2e30, np.inf, -np.inf, np.nan])
+def test_each_hole_takes_its_nearest_height(tmp_path: Path, value: float) -> None:
+    heights = np.array([[1, 2, 3, 4, 5], [6, 7, 8, 9, 10], [11, 12, 13, 14, 20]], np.float32)
+    holed = heights.copy()
+    holed[0, 0], holed[1, 4] = value, value
+    with pytest.warns(UserWarning, match="2 of 15 pixels have no height"):
+        z = read(tiff(tmp_path / "a.tif", holed, scale=(1.0, 1.0, 0.0))).z
+    lowest = z[0, 0] + 0.0
+    assert lowest in (2 - 2, 6 - 2)  # the neighbour east or south
+    assert z[1, 4] in (5 - 2, 9 - 2, 20 - 2)
+    assert (z[2, 4], z[0, 3]) == (18, 2)
+
+
+def test_half_of_the_pixels_may_lack_a_height(tmp_path: Path) -> None:
+    heights = np.arange(16, dtype=np.float32).reshape(4, 4)
+    heights[:2] = np.nan
+    with pytest.warns(UserWarning, match="8 of 16"):
+        assert read(tiff(tmp_path / "a.tif", heights, scale=(1.0, 1.0, 0.0))).z.max() == 7
+    heights[2, 0] = np.nan
+    with pytest.raises(SourceError, match="9 of 16 pixels have no height"):
+        read(tiff(tmp_path / "b.tif", heights))
+
+
+def test_unsigned_levels_are_never_nodata_unless_the_file_says_so(tmp_path: Path) -> None:
+    levels = np.arange(16, dtype=np.uint16).reshape(4, 4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert read(tiff(tmp_path / "a.tif", levels), height=15.0).z.max() == 15
+    with pytest.warns(UserWarning, match="1 of 16"):
+        z = read(tiff(tmp_path / "b.tif", levels, nodata="15"), height=14.0).z
+    assert z[3, 3] in (11, 14)
+
+
+def test_heights_just_above_nodata_are_heights(tmp_path: Path) -> None:
+    heights = np.array([[-0.9e30, 0.0], [-9998.0, -32767.0]], np.float32)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert read(tiff(tmp_path / "a.tif", heights, scale=(1.0, 1.0, 0.0))).z.max() == np.float32(0.9e30)
+
+
+@pytest.mark.parametrize(
+    ("options", "size", "height", "words"),
+    [
+        ({}, (50.0, 25.0), 1.25, "as bundled"),
+        ({"size": 20.0}, (20.0, 10.0), 1.25, "as given"),
+        ({"height": 2.5}, (50.0, 25.0), 2.5, "as given"),
+        ({"pixel_size": 0.25}, (1.0, 0.5), 1.25, "as given"),
+    ],
+)
+def test_a_bundled_world_has_metres_of_its_own(
+    options: dict[str, Any],
+    size: tuple[float, float],
+    height: float,
+    words: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pixels = np.arange(15, dtype=np.uint16).reshape(3, 5)
+    small = BundledPicture(pixels=pixels, height=1.25, hills=np.zeros((3, 5)))
+    monkeypatch.setattr("lirs_wct.sources.picture.bundled_picture", lambda _: small)
+    given = BuildOptions(**options)
+    ground, scale = read_terrain(find_source("simple", given), given)
+    assert ground.surface.size == pytest.approx(size)
+    np.testing.assert_allclose(ground.surface.z, small.pixels / 14 * height, atol=1e-6)
+    assert scale == words
+    for most, legal in ((15, True), (14, False)):
+        given = BuildOptions(max_pixels=most)
+        if legal:
+            read_terrain(find_source("simple", given), given)
+            continue
+        with pytest.raises(SourceError, match="image is 5x3 px = 15 pixels, at most 14 are allowed"):
+            read_terrain(find_source("simple", given), given)
+
+
+def test_a_window_keeps_the_metres_of_the_whole(tmp_path: Path) -> None:
+    path = png(tmp_path / "a.png", np.random.default_rng(0).integers(0, 99, (41, 81), np.uint8))
+    given = BuildOptions(pixel_size=0.5, height=4.0, window=(3.0, -1.0, 10.0))
+    ground, _ = read_terrain(find_source(path, given), given)
+    assert ground.surface.bounds == (-2.0, -6.0, 8.0, 4.0)
+    whole = read(path, pixel_size=0.5, height=4.0)
+    assert whole.bounds == (-20.0, -10.0, 20.0, 10.0)
+    kept = whole.z[12:33, 36:57]
+    np.testing.assert_array_equal(ground.surface.z, kept - kept.min())
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({}, "the file's own"),
+        ({"size": 20}, "size as given, height the file's own"),
+        ({"height": 2}, "size the file's own, height as given"),
+    ],
+)
+def test_a_geotiff_says_that_its_metres_are_its_own(
+    tmp_path: Path, options: dict[str, Any], words: str
+) -> None:
+    path = tiff(tmp_path / "a.tif", RAMP.astype(np.float32), scale=(2.0, 2.0, 0.0))
+    assert build_world(path, BuildOptions(**options)).scale == words
+
+
+def test_deterrace_needs_levels_and_takes_their_own_step(tmp_path: Path) -> None:
+    stairs = (np.linspace(0, 20, 30).round()[None, :] * np.ones((12, 1))).astype(np.uint16)
+    wide, narrow = (
+        read(png(tmp_path / "a.png", stairs * step), deterrace=True, height=20.0).z for step in (257, 1)
+    )
+    np.testing.assert_allclose(wide, narrow, atol=1e-4)
+    assert len(np.unique(wide.round(3))) > 21
+    with pytest.raises(SourceError, match="floating-point heights, --deterrace needs gray levels"):
+        read(tiff(tmp_path / "c.tif", RAMP.astype(np.float32)), deterrace=True)

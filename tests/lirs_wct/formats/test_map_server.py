@@ -1,0 +1,287 @@
+"""ROS maps: a YAML and a picture, read as map_server reads them, pixel by pixel."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lirs_wct.errors import SourceError
+from lirs_wct.formats.map_server import MapMetadata, read_map, read_map_picture, read_metadata, write_map
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+
+KEYS = "resolution: 0.5\norigin: [1.0, -2.0, 0.5]\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+
+
+def a_map(folder: Path, pixels: np.ndarray, keys: str) -> OccupancyGrid:
+    cv2.imwrite(str(folder / "m.png"), pixels)
+    (folder / "m.yaml").write_text(f"image: m.png\n{KEYS}{keys}")
+    return read_map(folder / "m.yaml")
+
+
+def states(grid: OccupancyGrid) -> list[list[str]]:
+    symbols = np.where(grid.occupied, "#", np.where(grid.free, ".", np.where(grid.known, "~", "?")))
+    return [" ".join(row).split() for row in symbols[::-1]]
+
+
+SHADES = np.array([[0, 89, 90, 205, 206, 254, 255]], np.uint8).repeat(2, axis=0)
+
+
+def test_trinary_by_the_thresholds_of_the_yaml(tmp_path: Path) -> None:
+    assert states(a_map(tmp_path, SHADES, "negate: 0\n"))[0] == ["#", "#", "?", "?", ".", ".", "."]
+    assert states(a_map(tmp_path, SHADES, "negate: 1\n"))[0] == [".", "?", "?", "#", "#", "#", "#"]
+
+
+def test_trinary_averages_alpha_and_scale_takes_it_as_unknown(tmp_path: Path) -> None:
+    pixels = np.zeros((2, 3, 4), np.uint8)
+    pixels[..., 3] = (0, 255, 255)
+    pixels[:, 2, :3] = 255
+    assert states(a_map(tmp_path, pixels, "negate: 0\n"))[0] == ["#", "#", "."]
+    pixels[:, 1, 3] = 254
+    assert states(a_map(tmp_path, pixels, "negate: 0\nmode: scale\n"))[0] == ["?", "?", "."]
+
+
+def test_scale_and_raw_keep_what_lies_between(tmp_path: Path) -> None:
+    scaled = a_map(tmp_path, SHADES, "negate: 0\nmode: scale\n").probability[0]
+    p = (255 - 205) / 255
+    assert scaled[3] == pytest.approx((p - 0.196) / (0.65 - 0.196), abs=1e-6)
+    pixels = np.array([[0, 50, 100, 101, 255]], np.uint8).repeat(2, axis=0)
+    raw = a_map(tmp_path, pixels, "negate: 0\nmode: raw\n").probability[0]
+    np.testing.assert_allclose(raw, [0, 0.5, 1, np.nan, np.nan], atol=1e-5)
+
+
+def test_row_0_is_the_south_and_the_origin_its_corner(tmp_path: Path) -> None:
+    pixels = np.full((4, 6), 254, np.uint8)
+    pixels[3, 0] = 0  # lower left of the picture
+    grid = a_map(tmp_path, pixels, "negate: 0\n")
+    np.testing.assert_allclose(grid.occupied_points(), [Pose2(1, -2, 0.5).apply((0.25, 0.25))])
+
+
+@given(
+    st.lists(st.lists(st.sampled_from((0.0, 1.0, np.nan)), min_size=4, max_size=4), min_size=2, max_size=6),
+    st.floats(0.01, 1),
+    st.floats(-9, 9),
+)
+@settings(max_examples=30)
+def test_a_written_map_reads_back(
+    tmp_path_factory: pytest.TempPathFactory, p: list[list[float]], resolution: float, yaw: float
+) -> None:
+    stem = tmp_path_factory.mktemp("map") / "room.v2"
+    grid = OccupancyGrid.from_probability(p, np.float64(resolution), Pose2(-1.5, np.float64(2.25), yaw))
+    write_map(stem, grid)
+    again = read_map(stem.with_name("room.v2.yaml"))
+    assert (again.resolution, again.origin) == (grid.resolution, grid.origin)
+    assert states(again) == states(grid)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("image: m.png\n", "resolution, origin"),
+        ("image: m.png\nresolution: 0\norigin: [0, 0, 0]\n", "resolution must be a finite number above 0"),
+        (f"image: m.png\n{KEYS}mode: cubic\n", "trinary, scale, raw"),
+        ("image: m.png\nresolution: 1\norigin: [0]\n", "origin must be [x, y, yaw]"),
+        (f"image: m.png\n{KEYS}free_thresh: 0.9\n", "free_thresh"),
+        ("- what\n", "line 1 is not `key: value`"),
+        ("image: m.png\norigin: [0, 0\n", "line 3: while parsing a flow sequence, expected ',' or ']'"),
+        ("image: 'm.png\n", "line 2: while scanning a quoted scalar, found unexpected end of stream"),
+        ("image: a.png\n---\nimage: b.png\n", "line 2: expected a single document in the stream"),
+        ("image: {a: b}\n", "image: a map has no use for nested values"),
+        ("image: a\x01.png\n", "is not YAML: unacceptable character"),
+        ("[" * 9999, "is not YAML: maximum recursion depth"),
+        ("image: m.png\nresolution: [1]\norigin: [0, 0]\n", "resolution must be a number, got ['1']"),
+        ("image: m.png\nresolution: 1\norigin: [a, b]\n", "origin must be [x, y, yaw], got ['a', 'b']"),
+        ("image: !!python/object/apply:os.system [x]\n", "origin"),
+        (f"image: gone.png\n{KEYS}", "gone.png"),
+    ],
+)  # fmt: skip
+def test_a_bad_yaml_is_one_line_with_its_path(text: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    with pytest.raises(SourceError, match=r"bad\.yaml: ") as caught:
+        read_map(path)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def read_text(text: str, folder: Path) -> MapMetadata:
+    path = folder / "text.yaml"
+    path.write_text(text)
+    return read_metadata(path)
+
+
+def test_yaml_takes_quotes_comments_and_block_lists(tmp_path: Path) -> None:
+    text = "---\nimage: 'a # b.pgm'  # it\nresolution: 1e-2\norigin:\n- 1\n- -2.5\n- 3e-1\n"
+    assert read_text(f'{text}negate: false\nmode: "raw"\nfree_thresh: 0.050000\n', tmp_path) == MapMetadata(
+        image=tmp_path / "a # b.pgm",
+        resolution=0.01,
+        origin=Pose2(1.0, -2.5, 0.3),
+        free_thresh=0.05,
+        mode="raw",
+    )
+
+
+def test_names_that_look_like_other_things_stay_names(tmp_path: Path) -> None:
+    for name in ("2020-01-01", "1.0", "yes", "null", "0x10", "12:30"):
+        read = read_text(f"image: {name}\nresolution: 010\norigin: [1_0, 0, 0]\n", tmp_path)
+        assert (read.image.name, read.resolution, read.origin.x) == (name, 10.0, 10.0)
+
+
+def test_yaml_is_read_as_pyyaml_reads_it(shared_data: Path, tmp_path: Path) -> None:
+    texts = [path.read_text() for path in sorted(shared_data.glob("maps/*/*.yaml"))]
+    texts += [
+        "image: 'a # b.pgm'  # it\nresolution: 1\norigin:\n- 1\n- -2.5\n- 0.3\nnegate: 0\n",
+        '---\nimage: "x y.png"\nresolution: 5.0e-2\norigin: [ -1.5,2 , .5 ]\nmode: scale\n',
+        "image: it's.pgm\nresolution: 1\norigin: [0, 0]\nfree_thresh:   0.196\n\n# end\n",
+    ]
+    assert len(texts) > 12
+    for text in texts:
+        expected, ours = yaml.safe_load(text), read_text(text, tmp_path)
+        assert ours.image == tmp_path / expected["image"]
+        assert ours.origin == Pose2(*expected["origin"])
+        for key in {"resolution", "occupied_thresh", "free_thresh", "negate", "mode"} & set(expected):
+            assert getattr(ours, key) == expected[key], (key, text)
+
+
+# ---- every pixel by the rules of map_server
+
+
+def probability(shade: float, clear: bool, mode: str, negate: bool, occupied: float, free: float) -> float:
+    """Return what a pixel means, as ROS's map_server computes it; shade in [0, 1], NaN = unknown."""
+    if mode == "raw":
+        value = round(shade * 255)
+        return value / 100 if value <= 100 else math.nan
+    p = shade if negate else 1 - shade
+    if mode == "scale" and clear:
+        return math.nan
+    if p > occupied:
+        return 1.0
+    if p < free:
+        return 0.0
+    return (p - free) / (occupied - free) if mode == "scale" else math.nan
+
+
+@pytest.mark.parametrize("mode", ["trinary", "scale", "raw"])
+@pytest.mark.parametrize("negate", ["0", "1"])
+@pytest.mark.parametrize("kind", ["gray8", "gray16", "small", "color", "alpha"])
+def test_every_pixel_means_what_map_server_says(tmp_path: Path, mode: str, negate: str, kind: str) -> None:
+    rng = np.random.default_rng(5)
+    dtype, full = (np.uint16, 65535) if kind == "gray16" else (np.uint8, 255)
+    bands = {"color": (3,), "alpha": (4,)}.get(kind, ())
+    shape = (3, 5) if kind == "small" else (20, 31)  # above 256 pixels of 8 bits are looked up
+    pixels = rng.integers(0, full + 1, (*shape, *bands)).astype(dtype)
+    if kind == "alpha":
+        pixels[rng.random(shape) < 0.6, 3] = full
+    cv2.imwrite(str(tmp_path / "m.png"), pixels)
+    (tmp_path / "m.yaml").write_text(
+        f"image: m.png\nresolution: 0.2\norigin: [3, -4, 0.5]\nmode: {mode}\n"
+        f"negate: {negate}\noccupied_thresh: 0.6\nfree_thresh: 0.3\n"
+    )
+    grid = read_map(tmp_path / "m.yaml")
+    assert (grid.shape, grid.resolution, grid.origin) == (shape, 0.2, Pose2(3, -4, 0.5))
+    for row, col in np.ndindex(shape):
+        values = np.atleast_1d(pixels[row, col]).astype(float) / full
+        clear = kind == "alpha" and values[3] < 1
+        shade = values[:3].mean() if mode == "scale" else values.mean()
+        expected = probability(shade, clear, mode, negate == "1", 0.6, 0.3)
+        found = float(grid.probability[shape[0] - 1 - row, col])
+        assert found == pytest.approx(min(expected, 1.0), abs=2e-6, nan_ok=True), (row, col)
+
+
+@pytest.mark.parametrize(("mode", "expected"), [("trinary", math.nan), ("scale", math.nan)])
+def test_thresholds_that_meet_leave_nothing_between(tmp_path: Path, mode: str, expected: float) -> None:
+    cv2.imwrite(str(tmp_path / "m.png"), np.array([[0, 51, 255]] * 2, np.uint8))
+    (tmp_path / "m.yaml").write_text(
+        f"image: m.png\nresolution: 1\norigin: [0, 0, 0]\nmode: {mode}\nnegate: 1\n"
+        "occupied_thresh: 0.2\nfree_thresh: 0.2\n"
+    )
+    found = read_map(tmp_path / "m.yaml").probability[0]
+    np.testing.assert_allclose(found, (0, expected, 1), atol=2e-6)
+
+
+def test_what_a_yaml_leaves_out(tmp_path: Path) -> None:
+    read = read_text("image: m.pgm\nresolution: 0.5\norigin: [1, 2]\n", tmp_path)
+    assert read == MapMetadata(
+        image=tmp_path / "m.pgm",
+        resolution=0.5,
+        origin=Pose2(1.0, 2.0, 0.0),
+        occupied_thresh=0.65,
+        free_thresh=0.196,
+        negate=False,
+        mode="trinary",
+    )
+    assert read_text("image: m.pgm\nresolution: 0.5\norigin: [1, 2]\nnegate: true\n", tmp_path).negate
+
+
+@pytest.mark.parametrize(
+    ("free", "occupied", "legal"),
+    [
+        ("0", "1", True),
+        ("0.5", "0.5", True),
+        ("0.51", "0.5", False),
+        ("-0.01", "0.5", False),
+        ("0.1", "1.01", False),
+        ("nan", "0.5", False),
+    ],
+)
+def test_thresholds_in_their_order(tmp_path: Path, free: str, occupied: str, legal: bool) -> None:
+    text = f"image: m\nresolution: 1\norigin: [0, 0]\nfree_thresh: {free}\noccupied_thresh: {occupied}\n"
+    if legal:
+        assert read_text(text, tmp_path).free_thresh == float(free)
+        return
+    with pytest.raises(SourceError, match="thresholds must be 0 <= free_thresh"):
+        read_text(text, tmp_path)
+
+
+@pytest.mark.parametrize("resolution", ["0", "-1", "inf", "nan"])
+def test_a_resolution_that_is_none(tmp_path: Path, resolution: str) -> None:
+    with pytest.raises(SourceError, match="resolution must be a finite number above 0"):
+        read_text(f"image: m\nresolution: {resolution}\norigin: [0, 0]\n", tmp_path)
+
+
+@pytest.mark.parametrize("origin", ["[]", "[1]", "[1, 2, 3, 4]", "[1, inf, 0]", "5", "[1, nan]"])
+def test_an_origin_that_is_none(tmp_path: Path, origin: str) -> None:
+    with pytest.raises(SourceError, match=r"origin must be \[x, y, yaw\]"):
+        read_text(f"image: m\nresolution: 1\norigin: {origin}\n", tmp_path)
+
+
+def test_a_map_is_written_pixel_by_pixel(tmp_path: Path) -> None:
+    p = np.array([[0.1, 0.24, 0.26], [0.64, 0.66, np.nan]])  # row 0 = south
+    write_map(tmp_path / "m", OccupancyGrid.from_probability(p, 0.05, Pose2(-1.5, 2.0, 0.25)))
+    pixels = cv2.imread(str(tmp_path / "m.pgm"), cv2.IMREAD_UNCHANGED)
+    assert pixels.tolist() == [[205, 0, 205], [254, 254, 205]]
+    assert yaml.safe_load((tmp_path / "m.yaml").read_text()) == {
+        "image": "m.pgm",
+        "mode": "trinary",
+        "resolution": 0.05,
+        "origin": [-1.5, 2.0, 0.25],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.196,
+    }
+
+
+def test_a_picture_alone_is_read_by_the_defaults(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "m.pgm"), np.array([[0, 89, 90], [204, 206, 255]], np.uint8))
+    grid = read_map_picture(tmp_path / "m.pgm", 0.25)
+    assert (grid.resolution, grid.origin) == (0.25, Pose2())
+    assert states(grid) == [["#", "#", "?"], ["?", ".", "."]]
+    assert read_map_picture(tmp_path / "m.pgm", 0.25, Pose2(1, 2, 3)).origin == Pose2(1, 2, 3)
+    with pytest.raises(SourceError, match="at most 5 are allowed"):
+        read_map_picture(tmp_path / "m.pgm", 0.25, max_pixels=5)
+
+
+@pytest.mark.shared
+def test_a_map_picture_alone(shared_data: Path) -> None:
+    path = shared_data / "maps/navigation_tutorials/willow-full.pgm"
+    grid = read_map_picture(path, 0.1)
+    assert grid.occupied.any()
+    assert grid.free.any()
+    assert not grid.known.all()

@@ -1,0 +1,68 @@
+"""Walls of a laser map: cells, corners, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
+
+WALLS = np.array([[True, False, False], [False, False, True]])
+HOLES = np.array([[False, True, False], [False, False, False]])
+
+
+def test_cells_are_wall_hole_or_floor() -> None:
+    walls = WallGrid(WALLS, 0.5, hole=HOLES)
+    assert walls.shape == (2, 3)
+    assert walls.floor.tolist() == [[False, False, True], [True, True, False]]
+    assert WallGrid(WALLS, 0.5).floor.tolist() == (~WALLS).tolist()
+    assert (walls.origin, walls.height, WallGrid(WALLS, 0.5).hole) == (Pose2(), 1.0, None)
+
+
+def test_corners_of_a_turned_map() -> None:
+    """Three cells east and two north of half a metre, a quarter turn to the left."""
+    corners = WallGrid(WALLS, 0.5, Pose2(10.0, -4.0, math.pi / 2)).corners
+    np.testing.assert_allclose(corners, [(10, -4), (10, -2.5), (9, -2.5), (9, -4)], atol=1e-12)
+
+
+@given(st.integers(1, 5), st.integers(1, 5), st.floats(0.01, 3.0), st.floats(-3, 3))
+def test_corners_are_those_of_the_outer_cells(rows: int, cols: int, edge: float, yaw: float) -> None:
+    T = Pose2(-7.0, 2.0, yaw)
+    found = WallGrid(np.ones((rows, cols), np.bool_), edge, T).corners
+    expected = [
+        T.apply((col * edge, row * edge)) for col, row in ((0, 0), (cols, 0), (cols, rows), (0, rows))
+    ]
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"solid": WALLS.astype(np.uint8)}, "walls must be a bool matrix, got uint8"),
+        ({"solid": WALLS.ravel()}, "walls must be a bool matrix"),
+        ({"resolution": 0.0}, "resolution must be above 0 m"),
+        ({"height": 0.0}, "height of the walls must be above 0 m"),
+        ({"hole": HOLES[:, :2]}, r"holes must be a bool matrix \(2, 3\)"),
+        ({"hole": HOLES.astype(np.int8)}, "holes must be a bool matrix"),
+        ({"hole": WALLS}, "a cell cannot be both wall and hole"),
+        ({"hole": HOLES | WALLS}, "a cell cannot be both wall and hole"),
+        ({"solid": WALLS & False, "hole": WALLS | True}, "every cell is a hole"),
+    ],
+)
+def test_what_are_no_walls(values: dict[str, Any], told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        WallGrid(**{"solid": WALLS, "resolution": 0.5, **values})
+
+
+def test_what_is_just_legal() -> None:
+    assert WallGrid(WALLS, 1e-9, height=1e-9).resolution == 1e-9
+    nothing = WALLS & False
+    assert WallGrid(nothing, 0.5, hole=~WALLS).floor.tolist() == WALLS.tolist()
+    assert not WallGrid(WALLS, 0.5, hole=~WALLS).floor.any()

@@ -1,0 +1,82 @@
+"""A laser map as one closed solid: as large as its cells, closed where they touch at corners."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.meshing.wall_solid import SLAB, wall_mesh
+
+masks = hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9))
+
+
+@given(masks, st.floats(-3, 3))
+def test_the_solid_is_closed_and_has_the_volume_of_its_cells(solid: np.ndarray, yaw: float) -> None:
+    walls = WallGrid(solid, 0.5, Pose2(1, 2, yaw), 2.0)
+    mesh = wall_mesh(walls)
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(0.25 * (solid.size * SLAB + solid.sum() * 2.0), rel=1e-9)
+    assert (np.linalg.norm(mesh.face_normals, axis=1) > 0.5).all()
+
+
+kinds = hnp.arrays(np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9), elements=st.integers(0, 2))
+
+
+@given(kinds, st.floats(-3, 3))
+def test_holes_go_through_and_leave_the_solid_closed(kind: np.ndarray, yaw: float) -> None:
+    if not kind.any():
+        return
+    walls = WallGrid(kind == 2, 0.5, Pose2(1, 2, yaw), 2.0, kind == 0)
+    mesh = wall_mesh(walls)
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(0.25 * ((kind > 0).sum() * SLAB + (kind == 2).sum() * 2.0), rel=1e-9)
+    assert (np.linalg.norm(mesh.face_normals, axis=1) > 0.5).all()
+    below = mesh.face_normals[:, 2] < -0.5
+    tops = mesh.vertices[mesh.faces[below]][:, :, 2]
+    assert (tops == -SLAB).all()
+    level = np.abs(mesh.face_normals[:, 2]) > 0.5
+    centers = mesh.vertices[mesh.faces[level]].mean(axis=1)[:, :2]
+    col, row = np.floor(walls.origin.inverse().apply(centers) / 0.5).astype(int).T
+    assert (kind[row, col] > 0).all()
+
+
+@given(kinds, st.floats(-3, 3))
+def test_every_point_is_inside_where_its_cell_says_so(kind: np.ndarray, yaw: float) -> None:
+    """Points in the slab, in the walls and above them, by the winding number of the mesh about each."""
+    kind[0, 0] = 1
+    walls = WallGrid(kind == 2, 0.5, Pose2(-8, 3, yaw), 2.0, kind == 0)
+    mesh = wall_mesh(walls, slab=0.25)
+    assert mesh.bounds[:, 2].tolist() == [-0.25, 2.0 if (kind == 2).any() else 0.0]
+    triangles = mesh.vertices[mesh.faces]
+    cells = np.argwhere(kind >= 0)
+    plan = walls.origin.apply((cells[:, ::-1] + (0.3, 0.7)) * 0.5)
+    for z, least in ((-0.2, 1), (0.4, 2), (1.9, 2), (2.1, 3), (-0.3, 3)):
+        points = np.column_stack((plan, np.full(len(plan), z)))
+        inside = kind[tuple(cells.T)] >= least
+        np.testing.assert_allclose(winding(triangles, points), inside, atol=1e-6)
+
+
+def winding(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return (n,) winding numbers: sums of solid angles (van Oosterom & Strackee 1983) over 4 pi."""
+    a, b, c = (triangles[None, :, k] - points[:, None] for k in range(3))
+    x, y, z = (np.linalg.norm(v, axis=2) for v in (a, b, c))
+    above = np.einsum("nmk,nmk->nm", a, np.cross(b, c))
+    below = x * y * z + (a * b).sum(2) * z + (b * c).sum(2) * x + (c * a).sum(2) * y
+    return 2 * np.arctan2(above, below).sum(axis=1) / (4 * np.pi)
+
+
+@given(kinds)
+def test_no_edge_joins_more_than_two_triangles(kind: np.ndarray) -> None:
+    """trimesh's own test, also where walls or floors touch at a corner only."""
+    kind[-1, -1] = 2
+    mesh = wall_mesh(WallGrid(kind == 2, 0.5, Pose2(), 2.0, kind == 0))
+    theirs = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    assert theirs.is_watertight
+    assert theirs.is_winding_consistent
+    assert len(np.unique(mesh.faces)) == len(mesh.vertices)
