@@ -1,4 +1,7 @@
-"""Writing so that nothing half-written is ever seen: a temporary name, then a rename."""
+"""Writing so that nothing half-written is ever seen: a temporary name, then a rename.
+
+What a process that was killed left behind under such names goes when its place is written next.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,8 @@ from lirs_wct.errors import OutputError
 
 _TEMPORARY = re.compile(r"(\..*)\.(\d+)-[0-9a-f]{8}(|\.[^.]*)")
 """What `_beside` names: stem, process, random digits, suffix."""
+_WRITING: set[str] = set()
+"""Temporary names that this process has given out."""
 
 
 @contextmanager
@@ -32,6 +37,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
         if path.is_dir():
             raise OutputError(f"{path}: is a folder, a file is to be written there")
         path.parent.mkdir(parents=True, exist_ok=True)
+        remove_leftovers([path])
         yield temporary
         temporary.replace(path)
     except OSError as error:
@@ -39,6 +45,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     finally:
         with _quiet():
             temporary.unlink(missing_ok=True)
+        _WRITING.discard(temporary.name)
 
 
 @contextmanager
@@ -56,6 +63,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         if path.exists() and not path.is_dir():
             raise OutputError(f"{path}: is a file, a folder is to be written there")
         temporary.mkdir(parents=True)
+        remove_leftovers([path])
         yield temporary
         _flush(temporary)
         if path.exists():
@@ -69,8 +77,9 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise _cannot_write(path, error) from error
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        shutil.rmtree(old, ignore_errors=True)
+        for own in (temporary, old):
+            shutil.rmtree(own, ignore_errors=True)
+            _WRITING.discard(own.name)
 
 
 def _flush(folder: Path) -> None:
@@ -88,14 +97,40 @@ def remove_leftovers(paths: Iterable[Path]) -> None:
     """
     wanted = {(path.parent, f".{path.stem[:80]}", path.suffix) for path in paths}
     for folder in {parent for parent, _, _ in wanted}:
-        for entry in folder.iterdir() if folder.is_dir() else ():
-            found = _TEMPORARY.fullmatch(entry.name)
-            if found and (folder, found[1], found[3]) in wanted and not _lives(int(found[2])):
-                with _quiet():
-                    shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+        for name in _hidden(folder):
+            found = _TEMPORARY.fullmatch(name)
+            if found and (folder, found[1], found[3]) in wanted and not _in_use(name, int(found[2])):
+                _remove(folder / name)
 
 
-def _lives(pid: int) -> bool:
+def remove_orphans(folder: Path, prefix: str) -> None:
+    """Remove what processes that were killed left in a folder under `PREFIXpid-...`."""
+    for entry in folder.glob(f"{prefix}*"):
+        pid = entry.name.removeprefix(prefix).partition("-")[0]
+        if pid.isdigit() and not lives(int(pid)):
+            _remove(entry)
+
+
+def _remove(entry: Path) -> None:
+    with _quiet():
+        shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+
+
+def _hidden(folder: Path) -> list[str]:
+    """Return the hidden names in a folder; none where it cannot be read."""
+    try:
+        return [entry.name for entry in os.scandir(folder) if entry.name[0] == "."]
+    except OSError:
+        return []
+
+
+def _in_use(name: str, pid: int) -> bool:
+    """Whether the process that gave out a temporary name still writes there; in containers ids come again."""
+    return name in _WRITING if pid == os.getpid() else lives(pid)
+
+
+def lives(pid: int) -> bool:
+    """Return whether a process of this machine is running."""
     try:
         os.kill(pid, 0)
         # Dead, but nobody has asked how it ended: where no init process does, that stays so.
@@ -108,7 +143,9 @@ def _lives(pid: int) -> bool:
 
 def _beside(path: Path) -> Path:
     """Return an unused hidden name in the same folder, so that the rename stays on one file system."""
-    return path.with_name(f".{path.stem[:80]}.{os.getpid()}-{secrets.token_hex(4)}{path.suffix}")
+    temporary = path.with_name(f".{path.stem[:80]}.{os.getpid()}-{secrets.token_hex(4)}{path.suffix}")
+    _WRITING.add(temporary.name)
+    return temporary
 
 
 def _cannot_write(path: Path, error: OSError) -> OutputError:

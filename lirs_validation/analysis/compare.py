@@ -36,7 +36,8 @@ class Difference:
         difference: mean of the paired differences.
         low: lower end of its 95 % interval; None of one pair.
         high: upper end.
-        pairs: how many seeds both results have.
+        pairs: how many seeds both results have, and the metric in both.
+        seeds: in how many seeds both runs succeeded, with the metric or without.
         test: paired t; Wilcoxon's signed ranks where the differences are plainly not normal (the interval is
             then bootstrapped); the sign test where all are the same; none of one pair.
         p: two-sided, as tested; None of one pair.
@@ -51,6 +52,7 @@ class Difference:
     low: float | None
     high: float | None
     pairs: int
+    seeds: int
     test: Test
     p: float | None
     p_corrected: float | None = None
@@ -146,13 +148,11 @@ def corrected(differences: Sequence[Difference]) -> tuple[Difference, ...]:
 
 def _difference(group: Group, metric: Metric, a: dict[int, Entry], b: dict[int, Entry]) -> Difference | None:
     """Compare one metric over the seeds in which both runs succeeded; None where none has it."""
+    seeds = [seed for seed in sorted(set(a) & set(b)) if succeeded(a[seed]) and succeeded(b[seed])]
     values = [
         (x, y)
-        for seed in sorted(set(a) & set(b))
-        if succeeded(a[seed])
-        and succeeded(b[seed])
-        and (x := metric.comparable(a[seed])) is not None
-        and (y := metric.comparable(b[seed])) is not None
+        for seed in seeds
+        if (x := metric.comparable(a[seed])) is not None and (y := metric.comparable(b[seed])) is not None
     ]
     if not values:
         return None
@@ -167,6 +167,7 @@ def _difference(group: Group, metric: Metric, a: dict[int, Entry], b: dict[int, 
         low=low,
         high=high,
         pairs=len(values),
+        seeds=len(seeds),
         test=test,
         p=p,
     )

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 import warnings
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +14,18 @@ import typer
 from typer.exceptions import TyperException
 
 from lirs_validation.cli.collide import collide
-from lirs_validation.cli.console import BAD_INPUT, INTERRUPTED, err
+from lirs_validation.cli.console import BAD_INPUT, INTERRUPTED, RUN_FAILED, err
 from lirs_validation.cli.map import map_log
 from lirs_validation.cli.reports import compare, report, score
 from lirs_validation.cli.robot_card import robot
 from lirs_validation.cli.validate import validate
 from lirs_validation.cli.worlds import build, convert, info, view
 from lirs_validation.experiment.import_path import importable
-from lirs_validation.sweep.interrupts import is_interrupt
-from lirs_wct.errors import WctError
+from lirs_validation.interrupts import is_interrupt
+from lirs_wct.errors import MapperError, WctError
 
+NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+"""What the system says of a disk without room."""
 app = typer.Typer(
     name="lirs-wct",
     no_args_is_help=True,
@@ -42,6 +47,8 @@ def main() -> None:
         if code == INTERRUPTED:
             # Typer turns Ctrl-C into its exit code, and says nothing.
             raise KeyboardInterrupt
+    except MapperError as error:  # the input was good, its mapping failed
+        _fail(str(error), RUN_FAILED)
     except WctError as error:
         _fail(str(error))
     except TyperException as error:
@@ -50,6 +57,13 @@ def main() -> None:
         _fail(error.format_message())
     except (typer.Abort, KeyboardInterrupt):
         _fail("interrupted; nothing half-written was left", INTERRUPTED)
+    except OSError as error:
+        if error.errno not in NO_ROOM:
+            raise
+        # What is still buffered for the terminal would fail again at the end.
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _fail(f"{error.filename or 'output'}: cannot be written: {error.strerror}")
     except SystemError as error:
         if not is_interrupt(error):
             raise

@@ -6,7 +6,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -33,12 +33,12 @@ def cpu_contention() -> Iterator[Contention]:
     if sys.platform == "win32":  # has no such locks: none is noticed there
         yield contention
         return
-    with _lock_file().open("ab") as file:
+    with _lock_file().open("ab", buffering=0) as file:
         before = _size(file)
         contention.found = not _alone(file)
         if contention.found:
-            file.write(b".")
-            file.flush()
+            with suppress(OSError):  # a full disk: those before do not learn of this run
+                file.write(b".")
         fcntl.flock(file, fcntl.LOCK_SH)
         yield contention
         contention.found = contention.found or _size(file) != before

@@ -9,7 +9,7 @@ import numpy as np
 
 from lirs_envs.simulation import Simulation
 from lirs_validation.experiment.loop import DriveLog, per_second
-from lirs_validation.experiment.mapper_checks import final_map, final_stats
+from lirs_validation.experiment.mapper_guard import imu_copy, scan_copy
 from lirs_validation.experiment.scenario import Scenario
 from lirs_validation.metrics import (
     StartAlignment,
@@ -62,7 +62,7 @@ def evaluate(
         maps: compared already.
         cost: processor time, peak memory, seconds of compilation.
     """
-    stats = final_stats(mapper)
+    stats = mapper.stats
     trajectory = evaluate_trajectory(log)
     status, reason = evaluate_status(log, trajectory["scan_coverage"])
     return RunRecord(
@@ -93,11 +93,12 @@ def evaluate_maps(world: World, log: DriveLog, mapper: Mapper) -> Maps:
     It is moved by the true start pose alone; the aligned metrics by the trajectory's alignment as well.
     """
     T_world_map = log.truth[0].to_pose2()
-    built = final_map(mapper)
+    built = mapper.map()
     reference = KnownPoseMapper(resolution=built.resolution)
     for observation, T_world_base in zip(log.observations, log.truth, strict=True):
         T_map_base = T_world_map.inverse() @ T_world_base.to_pose2()
-        reference.update(observation.scan, T_map_base, observation.imu)
+        scan = scan_copy(observation.scan, observation.scan.T_base_laser)
+        reference.update(scan, T_map_base, imu_copy(observation.imu))
     built, true_pose = built.moved(T_world_map), reference.map().moved(T_world_map)
     truth, estimate, _ = log.trajectories()
     alignment = start_alignment(truth, estimate)

@@ -36,9 +36,9 @@ def mapper_named(name: str, seed: int) -> Mapper:
     maker = _attribute(_module(module_name, name), attribute, name)
     try:
         mapper = maker(**_taken(maker, {"seed": seed, "resolution": RESOLUTION}))
-    except ConfigError:
+    except (ConfigError, KeyboardInterrupt):
         raise
-    except Exception as error:
+    except BaseException as error:  # `sys.exit` too
         raise ConfigError(f"mapper {name!r}: cannot be made: {type(error).__name__}: {error}") from error
     return _checked(mapper, name)
 
@@ -70,7 +70,9 @@ def _module(module: str, name: str) -> ModuleType:
         raise ConfigError(
             f"mapper {name!r}: {module} imports {error.name!r}, which is not installed"
         ) from error
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # `sys.exit` too: a script without `if __name__ == "__main__"`
         raise ConfigError(
             f"mapper {name!r}: importing {module} failed: {type(error).__name__}: {error}"
         ) from error

@@ -16,7 +16,7 @@ from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.cpu_contention import cpu_contention
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
 from lirs_validation.experiment.loop import DriveLog, drive
-from lirs_validation.experiment.mapper_checks import final_trajectory
+from lirs_validation.experiment.mapper_guard import GuardedMapper
 from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_validation.experiment.results import write_results
 from lirs_validation.experiment.scenario import ScenarioCache
@@ -112,7 +112,9 @@ def run(
         concurrent: whether other runs share the processor; found out beside that.
     """
     robot = make_robot(config.robot)
-    mapper = with_attitude(mapper_named(config.mapper, config.seed), config.attitude)
+    mapper = GuardedMapper(
+        with_attitude(mapper_named(config.mapper, config.seed), config.attitude), config.mapper
+    )
     progress("build", 0.0)
     scenario = (scenarios or ScenarioCache()).scenario(config)
     with compile_timer() as compile_seconds:
@@ -146,5 +148,5 @@ def _timed_drive(
     if not log.walls:
         raise SimulationError(f"{config.source}: nothing was driven: {log.reason}")
     log.concurrent = others.found
-    log.final = final_trajectory(mapper)
+    log.final = mapper.trajectory()
     return log, cost

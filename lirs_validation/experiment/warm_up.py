@@ -8,6 +8,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_validation.driving.tour import plan
 from lirs_validation.experiment.attitude import with_attitude
 from lirs_validation.experiment.loop import drive
+from lirs_validation.experiment.mapper_guard import GuardedMapper
 from lirs_validation.experiment.mapper_loading import mapper_named, warm_up_mapper
 from lirs_validation.experiment.scenario import Scenario
 
@@ -32,6 +33,6 @@ def warm_up(scenario: Scenario, robot: Robot) -> None:
     slow = c.rays == "mujoco" and c.terrain == "hfield"
     config = replace(c, seconds=BRIEF if slow else WARM_UP)
     driver = plan(scenario.world, robot, config)
-    mapper = with_attitude(mapper_named(c.mapper, c.seed), c.attitude)
+    mapper = GuardedMapper(with_attitude(mapper_named(c.mapper, c.seed), c.attitude), c.mapper)
     drive(scenario.simulation(robot), driver, mapper, config.seconds)
     _WARM.add(kind)

@@ -12,7 +12,7 @@ from pathlib import Path
 from lirs_validation.config import Attitude, MapConfig
 from lirs_validation.experiment.attitude import with_attitude
 from lirs_validation.experiment.cost import CostMeter, compile_timer
-from lirs_validation.experiment.mapper_checks import check_pose, final_map, final_stats, final_trajectory
+from lirs_validation.experiment.mapper_guard import GuardedMapper
 from lirs_validation.logs.inertial import inertial_readings, with_recorded_mount
 from lirs_validation.logs.log_mapper import check_log, make_log_mapper, warm_up_log_mapper
 from lirs_validation.logs.mapped_log import MappedLog
@@ -86,7 +86,7 @@ def map_log(
 def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progress = no_progress) -> MappedLog:
     """Map a log by its config (see `map_log`)."""
     meter, seconds = CostMeter(), dict[str, float]()
-    mapper = with_attitude(make_log_mapper(config), config.attitude)
+    mapper = GuardedMapper(with_attitude(make_log_mapper(config), config.attitude), config.mapper)
     relations, reference = read_truth(config)
     progress("read", 0.0)
     with _timed(seconds, "read_seconds"):
@@ -100,7 +100,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
     seconds["compile_seconds"] = compile_seconds()
     with _timed(seconds, "map_seconds"):
         tracking = replay(config, mapper, log, readings, progress)
-        grid, trajectory = final_map(mapper), final_trajectory(mapper)
+        grid, trajectory = mapper.map(), mapper.trajectory()
     relations = None if relations is None else relations_in_time(relations, log.lines)
     reference = None if reference is None else reference_in_time(reference, log.lines)
     accuracy = trajectory_accuracy(trajectory, log.track, relations, reference)
@@ -115,7 +115,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
         log=describe_log(log) | {"inertial_readings": sum(reading is not None for reading in readings)},
         map=describe_map(grid),
         trajectory={"poses": len(trajectory), "scan_coverage": coverage},
-        mapper=asdict(final_stats(mapper)),
+        mapper=asdict(mapper.stats),
         accuracy=accuracy.metrics(),
         cost=cost,
     )
@@ -160,16 +160,15 @@ def replay(
 
     Raises:
         SourceError: the mapper needs what the log does not hold.
-        MapperError: it answered with something other than a finite pose.
+        MapperError: it failed (see `GuardedMapper`).
     """
     scans, tracking = len(log.scans), LostRule()
     fed = zip(log.scans, log.odometry, readings, strict=True)
     for k, (scan, odometry, imu) in enumerate(fed):
         try:
-            estimate = mapper.update(scan, odometry, imu)
+            mapper.update(scan, odometry, imu)
         except ConfigError as error:
             raise SourceError(f"{config.log}: {error}") from error
-        check_pose(estimate, scan.stamp)
         tracking.observe(scan.stamp, mapper.lost)
         progress("map", (k + 1) / scans)
     return tracking

@@ -169,7 +169,8 @@ def _tiles(report: Report) -> list[dict[str, Any]]:
     for metric in metrics_selected("headline"):
         values = [v for e in good if (v := metric.of(e)) is not None]
         if values:
-            name = f"median {metric.heading}"
+            held = "" if len(values) == len(good) else f" ({len(values)} of {len(good)} runs)"
+            name = f"median {metric.heading}{held}"
             tiles.append({"value": metric.formatted(median(values)), "name": name, "bad": False})
     if report.collisions.rows:
         passed, of = report.checks

@@ -62,8 +62,14 @@ class Experiment(Protocol):
 def attempt(
     experiment: Experiment, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
 ) -> Outcome:
-    """Perform an experiment; whatever it raises becomes its outcome."""
+    """Perform an experiment; whatever it raises becomes its outcome, `SystemExit` too.
+
+    Raises:
+        KeyboardInterrupt: the user, or who waits for this process, wants it to end.
+    """
     try:
         return experiment.perform(out, scenarios, progress, concurrent=concurrent)
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
         return outcome_of(error, experiment.name)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import traceback
 from dataclasses import dataclass
 
+from lirs_validation.interrupts import is_interrupt
 from lirs_validation.record.run_record import SUCCEEDED, Status
-from lirs_validation.sweep.interrupts import is_interrupt
 from lirs_wct.errors import MapperError, OutputError, WctError
 
 
@@ -38,7 +38,7 @@ class Outcome:
         return self.status in SUCCEEDED
 
 
-def outcome_of(error: Exception, experiment: str) -> Outcome:
+def outcome_of(error: BaseException, experiment: str) -> Outcome:
     """Return the outcome of an experiment that raised.
 
     Raises:

@@ -15,6 +15,7 @@ from lirs_wct.arrays import ByteArray
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.export.mjcf import world_spec
 from lirs_wct.files import atomic_write
+from lirs_wct.formats.images.image_writer import write_image
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.world import World
 
@@ -102,7 +103,7 @@ def _dress(spec: mujoco.MjSpec, surface: HeightField, folder: Path, texture: Pat
         assert picture is not None, "a texture is read once before it is kept"
         laid = spread(picture, surface.size, span)
         texture = texture.with_name(f"{texture.stem}-ground.png")
-        cv2.imwrite(str(folder / texture), laid)
+        write_image(folder / texture, laid)
     spec.assets = dict(spec.assets) | {texture.as_posix(): (folder / texture).read_bytes()}
     spec.add_texture(name="ground", type=mujoco.mjtTexture.mjTEXTURE_2D, file=texture.as_posix())
     material = spec.add_material(name="ground")

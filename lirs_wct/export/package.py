@@ -6,14 +6,13 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Literal
 
-import cv2
-
 from lirs_wct.errors import ConfigError, OutputError, unknown_name
 from lirs_wct.export.mesh_writer import write_collada
 from lirs_wct.export.mjcf_file import write_hfield, write_mjcf
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.gazebo.heightmap import heightmap_sdf, write_heightmap
 from lirs_wct.formats.gazebo.sdf import model_config, model_sdf, world_sdf
+from lirs_wct.formats.images.image_writer import write_image
 from lirs_wct.formats.meshes.obj import write_obj
 from lirs_wct.formats.meshes.stl import write_stl, write_triangles
 from lirs_wct.formats.world_json import TEXTURES
@@ -158,6 +157,5 @@ def write_texture(world: World, folder: Path) -> Path:
     path = TEXTURES / f"{world.name}.png"
     if (folder / path).is_file():
         return path
-    (folder / TEXTURES).mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(folder / path), ground_texture(world.surface, world.walls))
+    write_image(folder / path, ground_texture(world.surface, world.walls))
     return path

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import yaml
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.images.header import MAX_PIXELS
+from lirs_wct.formats.images.image_writer import write_image
 from lirs_wct.formats.images.picture import read_picture
 from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
@@ -108,8 +108,7 @@ def write_map(stem: Path, grid: OccupancyGrid) -> None:
     pixels[p > OCCUPIED] = BLACK
     pixels[p < FREE] = WHITE
     pgm, yaml = stem.with_name(f"{stem.name}.pgm"), stem.with_name(f"{stem.name}.yaml")
-    with atomic_write(pgm) as path:
-        cv2.imwrite(str(path), pixels[::-1])
+    write_image(pgm, np.ascontiguousarray(pixels[::-1]))
     with atomic_write(yaml) as path:
         path.write_text(
             f"image: {pgm.name}\nmode: trinary\nresolution: {float(grid.resolution)!r}\n"

@@ -90,7 +90,9 @@ class ScanLeveler:
         roll, pitch = (0.0, 0.0) if imu is None else (imu.roll, imu.pitch)
         ends, origin = np.empty((len(scan.ranges), 3)), np.empty(3)
         limits, mount = RangeLimits(scan.range_min, farthest, clear), Mount(self._R, self._t)
-        hits, free = _level(scan.ranges, self._directions, mount, limits, (roll, pitch), ends, origin)
+        ranges = scan.ranges.view()
+        ranges.flags.writeable = False  # one type for the kernel, whether the scan may be written to or not
+        hits, free = _level(ranges, self._directions, mount, limits, (roll, pitch), ends, origin)
         # z of the base in the leveled frame is (sin p cos r, -sin r, cos p cos r).
         slope = (-math.tan(pitch), math.tan(roll) / math.cos(pitch))
         tilt = math.nan if imu is None else math.acos(min(1.0, math.cos(roll) * math.cos(pitch)))

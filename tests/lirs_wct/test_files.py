@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from lirs_wct.errors import OutputError
-from lirs_wct.files import atomic_folder, atomic_write
+from lirs_wct.files import atomic_folder, atomic_write, remove_orphans
 
 
 def listing(folder: Path) -> list[str]:
@@ -81,3 +84,33 @@ def test_errors_begin_with_the_path(tmp_path: Path) -> None:
 def test_a_block_that_writes_nothing_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="cannot be written"), atomic_write(tmp_path / "x.txt"):
         pass
+
+
+def test_what_a_killed_process_left_goes_when_its_place_is_written_next(tmp_path: Path) -> None:
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    swept = [
+        f".world.{dead.pid}-0123abcd",
+        f".map.{dead.pid}-0123abcd.pgm",
+        f".map.{os.getpid()}-0123abcd.pgm",
+    ]
+    spared = [f".world.{os.getppid()}-0123abcd", f".other.{dead.pid}-0123abcd", ".world", ".map.pgm"]
+    for name in swept + spared:
+        (tmp_path / name).mkdir()
+    with atomic_folder(tmp_path / "world") as folder, atomic_folder(tmp_path / "world") as other:
+        assert folder.exists()  # two at once: neither is a leftover
+        assert other.exists()
+        with atomic_write(tmp_path / "map.pgm") as first, atomic_write(tmp_path / "map.pgm") as second:
+            first.write_text("a")
+            second.write_text("b")
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([*spared, "map.pgm", "world"])
+
+
+def test_orphans_of_dead_processes_are_removed(tmp_path: Path) -> None:
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    names = [f"trace-{dead.pid}-abc.trace", f"trace-{os.getpid()}-abc.trace", "trace-x-abc", f"{dead.pid}-a"]
+    for name in names:
+        (tmp_path / name).write_text("")
+    remove_orphans(tmp_path, "trace-")
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names[1:])

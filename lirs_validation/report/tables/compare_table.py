@@ -41,7 +41,8 @@ def formatted(d: Difference) -> tuple[str, ...]:
     text = d.metric.formatted
     interval = NOTHING if d.low is None else f"{text(d.low)} .. {text(d.high)}"
     p = NOTHING if d.p_corrected is None else f"{d.p_corrected:.3f}" if d.p_corrected >= 0.001 else "<0.001"
-    return (d.metric.heading, text(d.a), text(d.b), text(d.difference), interval, str(d.pairs), p, verdict(d))
+    n = str(d.pairs) if d.pairs == d.seeds else f"{d.pairs} of {d.seeds}"
+    return (d.metric.heading, text(d.a), text(d.b), text(d.difference), interval, n, p, verdict(d))
 
 
 def verdict(d: Difference) -> str:
@@ -114,7 +115,8 @@ def as_dict(d: Difference) -> dict[str, Any]:
         **asdict(d.group),
         "figure": d.metric.key,
         "unit": d.metric.unit,
-        **{key: getattr(d, key) for key in ("a", "b", "difference", "low", "high", "pairs", "test", "p")},
+        **{key: getattr(d, key) for key in ("a", "b", "difference", "low", "high", "pairs", "seeds")},
+        **{key: getattr(d, key) for key in ("test", "p")},
         "p_corrected": d.p_corrected,
         "real": d.significant,
         "verdict": verdict(d),

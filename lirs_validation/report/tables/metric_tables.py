@@ -79,14 +79,17 @@ def group_table(
         good = [run for run in runs if succeeded(run)]
         counted = (f"{len(good)} of {len(runs)}",) if count else ()
         rows.append((*group_texts(group, fields), *counted, *(over_runs(metric, good) for metric in kept)))
-    return ReportTable(key, title, _caption(kept, entries), headings, tuple(rows), len(fields) + count)
+    caption = _caption(kept, entries)
+    if any(isinstance(cell, Spread) and cell.partial for row in rows for cell in row):
+        caption += " (n of N): n of the N runs have this value."
+    return ReportTable(key, title, caption, headings, tuple(rows), len(fields) + count)
 
 
 def over_runs(metric: Metric, entries: Sequence[Entry]) -> Spread:
     """Return a metric over runs; the RTF of runs that were not alone on the machine is left out."""
     values = [v for e in entries if (v := metric.comparable(e)) is not None]
     stopped = metric.section == "rtf" and any(e["rtf"]["extrapolated"] for e in entries if rtf_counts(e))
-    return Spread(metric, repeats(values), EXTRAPOLATED if stopped else "")
+    return Spread(metric, repeats(values), EXTRAPOLATED if stopped else "", len(entries))
 
 
 def _caption(metrics: Sequence[Metric], entries: Sequence[Entry]) -> str:

@@ -20,20 +20,28 @@ class Spread:
         metric: which, in whose unit the values are.
         values: None where no run has it.
         mark: a sign that the caption explains.
+        of: how many runs were asked; where fewer have the metric, the text says how many.
     """
 
     metric: Metric
     values: Repeats | None
     mark: str = ""
+    of: int = 0
+
+    @property
+    def partial(self) -> bool:
+        """Whether only some of the runs have the metric."""
+        return self.values is not None and self.values.count < self.of
 
     @property
     def text(self) -> str:
-        """Mean and, of several repeats, the half width of its 95 % interval."""
+        """Mean and, of several repeats, the half width of its 95 % interval; how many have it, if not all."""
         if self.values is None:
             return NOTHING
         mean = self.metric.formatted(self.values.mean)
         reach = self.values.half_width
-        return (mean if reach is None else f"{mean} ± {self.metric.formatted(reach)}") + self.mark
+        held = f" ({self.values.count} of {self.of})" if self.partial else ""
+        return (mean if reach is None else f"{mean} ± {self.metric.formatted(reach)}") + self.mark + held
 
 
 Content = str | Spread
@@ -79,7 +87,7 @@ def as_markdown(table: ReportTable) -> str:
 
 
 def as_csv(table: ReportTable) -> str:
-    """Return the table as CSV with all digits: of repeated metrics mean, std, half width and count."""
+    """Return the table as CSV with all digits: of repeated metrics mean, std, half width, values, runs."""
     columns = [_expanded(h, [row[k] for row in table.rows]) for k, h in enumerate(table.headings)]
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
@@ -92,18 +100,18 @@ def as_csv(table: ReportTable) -> str:
 def _expanded(heading: str, contents: Sequence[Content]) -> tuple[list[str], list[list[str]]]:
     """Return the headings of a column and its rows; several of a metric with repeats."""
     spreads = [c for c in contents if isinstance(c, Spread)]
-    if not any(s.values is not None and s.values.count > 1 for s in spreads):
+    if not any(s.values is not None and max(s.values.count, s.of) > 1 for s in spreads):
         return [heading], [
             [c if isinstance(c, str) else _digits(c.values.mean if c.values else None)] for c in contents
         ]
-    headings = [heading, f"{heading} std", f"{heading} 95 % half width", f"{heading} n"]
-    return headings, [[c, "", "", ""] if isinstance(c, str) else _parts(c.values) for c in contents]
+    headings = [heading, f"{heading} std", f"{heading} 95 % half width", f"{heading} n", f"{heading} of"]
+    return headings, [[c, *[""] * 4] if isinstance(c, str) else _parts(c.values, c.of) for c in contents]
 
 
-def _parts(values: Repeats | None) -> list[str]:
+def _parts(values: Repeats | None, of: int) -> list[str]:
     if values is None:
-        return ["", "", "", "0"]
-    return [_digits(values.mean), _digits(values.std), _digits(values.half_width), str(values.count)]
+        return ["", "", "", "0", str(of)]
+    return [*map(_digits, (values.mean, values.std, values.half_width)), str(values.count), str(of)]
 
 
 def _digits(value: float | None) -> str:

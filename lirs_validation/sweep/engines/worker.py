@@ -20,11 +20,14 @@ from typing import Any
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache
 from lirs_validation.sweep.engines.base import Limits
 from lirs_validation.sweep.experiment import Experiment, attempt
+from lirs_wct.files import remove_orphans
 
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
 """Environment of a worker: as many threads as workers, or they fight for the cores."""
 GRACE = 3.0
 """Seconds that a worker is given to tidy up before it is killed."""
+TRACE = "lirs-wct-trace-"
+"""Beginning of the names of the files in which workers say where they crashed."""
 SPAWN = multiprocessing.get_context("spawn")
 
 
@@ -47,7 +50,8 @@ class Worker:
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
-        file, name = tempfile.mkstemp(prefix="lirs-wct-", suffix=".trace")
+        remove_orphans(Path(tempfile.gettempdir()), TRACE)
+        file, name = tempfile.mkstemp(prefix=f"{TRACE}{os.getpid()}-", suffix=".trace")
         os.close(file)
         self._trace = Path(name)
         self.pipe, far = SPAWN.Pipe()
@@ -112,7 +116,7 @@ class Worker:
 
 def _work(pipe: Connection, memory: float | None, trace: str, parent: int) -> None:
     """Do jobs until the pipe is closed or the parent asks to end."""
-    with contextlib.suppress(SystemExit):
+    with contextlib.suppress(KeyboardInterrupt):
         _serve(pipe, memory, trace, parent)
     sys.stdout.flush()
     sys.stderr.flush()
@@ -121,7 +125,7 @@ def _work(pipe: Connection, memory: float | None, trace: str, parent: int) -> No
 
 def _serve(pipe: Connection, memory: float | None, trace: str, parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    signal.signal(signal.SIGTERM, _interrupt)  # as Ctrl-C: a mapper's own `sys.exit` ends nothing but its run
     file = Path(trace).open("w", encoding="utf-8")  # noqa: SIM115  open as long as the process lives
     faulthandler.enable(file)
     if hasattr(signal, "SIGUSR1"):
@@ -143,6 +147,10 @@ def _serve(pipe: Connection, memory: float | None, trace: str, parent: int) -> N
             pipe.send(("progress", step, share))
 
         pipe.send(("done", attempt(job.experiment, job.out, scenarios, progress, concurrent=job.concurrent)))
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
 
 
 def _die_with(parent: int) -> None:

@@ -8,13 +8,12 @@ from __future__ import annotations
 from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
 
-import cv2
 import numpy as np
 
 from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import ConfigError
-from lirs_wct.files import atomic_write
 from lirs_wct.formats.gazebo.sdf import VERSION, model_uri
+from lirs_wct.formats.images.image_writer import write_image
 from lirs_wct.geometry.grid_sampling import resized
 from lirs_wct.geometry.heightfield import HeightField
 
@@ -50,10 +49,7 @@ def write_heightmap(path: Path, surface: HeightField, side: int | None = None) -
         ConfigError: side is not 2^n + 1.
         OutputError: the file cannot be written.
     """
-    done, data = cv2.imencode(".png", heightmap_pixels(surface, side))
-    assert done, "an 8-bit picture can always be encoded"
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(data.tobytes())
+    write_image(path, heightmap_pixels(surface, side))
 
 
 def heightmap_sdf(name: str, surface: HeightField, picture: str, texture: str | None = None) -> str:

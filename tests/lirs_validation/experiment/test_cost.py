@@ -13,7 +13,7 @@ from numba import njit
 
 from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.cpu_contention import cpu_contention
-from lirs_validation.sweep.interrupts import is_interrupt
+from lirs_validation.interrupts import is_interrupt
 
 HOLD = """
 import sys, tempfile

@@ -14,6 +14,7 @@ from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation import RunConfig, read_record, validate
 from lirs_validation.experiment.loop import drive, per_second
+from lirs_validation.experiment.mapper_guard import GuardedMapper
 from lirs_validation.experiment.run import Run
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.record.verdict import LOST_SECONDS
@@ -182,8 +183,9 @@ def test_a_drive_stops_at_its_wall_limit_and_says_so() -> None:
 def test_a_pose_of_nan_ends_the_drive_with_the_scans_stamp() -> None:
     puppet = Puppet("nothing", 0)
     puppet.update = lambda *_: Pose2(float("nan"), 0, 0)  # type: ignore[method-assign]
+    guarded = GuardedMapper(puppet, "puppet")  # type: ignore[arg-type]
     with pytest.raises(MapperError, match=r"scan at 0\.040 s"):
-        drive(puppet, puppet, puppet, 1.0)  # type: ignore[arg-type]
+        drive(puppet, puppet, guarded, 1.0)  # type: ignore[arg-type]
 
 
 class QueueingMapper(HectorMapper):

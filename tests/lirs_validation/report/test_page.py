@@ -134,6 +134,21 @@ def test_means_and_intervals_are_those_of_the_records(mixed: Path) -> None:
     assert "3 seeds" in report.subtitle
 
 
+def test_a_mean_says_how_many_values_it_holds(tmp_path: Path) -> None:
+    """A map of open ground has no F1: of three runs the mean was over one, and nothing said so."""
+    for seed, f1 in ((1, 0.8), (2, None), (3, None)):
+        saved(tmp_path, seed=seed, f1=f1)
+    report, html = reported(tmp_path)
+    heading = report.summary.headings.index("F1")
+    spread = report.summary.rows[0][heading]
+    assert isinstance(spread, Spread)
+    assert spread.text == "0.800 (1 of 3)"
+    assert "(n of N): n of the N runs have this value." in report.summary.caption
+    assert "median F1 (1 of 3 runs)" in html
+    line = next(csv.DictReader(io.StringIO(as_csv(report.summary))))
+    assert (line["F1 n"], line["F1 of"], line["ATE [m] of"]) == ("1", "3", "3")
+
+
 def test_one_seed_says_that_it_is_one(tmp_path: Path) -> None:
     saved(tmp_path)
     report, html = reported(tmp_path)

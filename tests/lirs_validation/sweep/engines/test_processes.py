@@ -84,7 +84,8 @@ def test_only_what_the_dead_were_writing_is_removed(tmp_path: Path) -> None:
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
     swept = [f".my.{dead.pid}-0123abcd.map-s1", f".other.{dead.pid}-0123abcd"]
-    spared = [f".my.{os.getpid()}-0123abcd.map-s1", f".thesis.{dead.pid}-0123abcd", ".my", "my.map-s1"]
+    swept.append(f".my.{os.getpid()}-0123abcd.map-s1")  # of an earlier process with this one's id
+    spared = [f".my.{os.getppid()}-0123abcd.map-s1", f".thesis.{dead.pid}-0123abcd", ".my", "my.map-s1"]
     for name in swept + spared:
         (tmp_path / name).mkdir()
     remove_leftovers([tmp_path / "my.map-s1", tmp_path / "other"])

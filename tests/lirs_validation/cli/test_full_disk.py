@@ -1,0 +1,93 @@
+"""A full disk says so in one line, and leaves nothing half-written."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lirs_validation import cli
+from lirs_wct.errors import OutputError
+from lirs_wct.formats.images.image_writer import write_image
+from lirs_wct.formats.map_server import write_map
+from lirs_wct.geometry.grid import OccupancyGrid
+
+ROOT = Path(__file__).resolve().parents[3]
+DATA = ROOT / "examples" / "data"
+
+
+@contextmanager
+def largest_file(size: int) -> Iterator[None]:
+    """Let no file grow beyond a size, bytes: writing more fails as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_picture_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+    """`cv2.imwrite` returned False, and half a picture stood where a map was to be."""
+    noise = np.random.default_rng(0).integers(0, 256, (300, 300), np.uint8)
+    grid = OccupancyGrid.from_probability(noise / 255.0, 0.05)
+    with largest_file(20_000):
+        for suffix in (".png", ".pgm"):
+            with pytest.raises(OutputError, match="cannot be written: File too large"):
+                write_image(tmp_path / f"noise{suffix}", noise)
+        with pytest.raises(OutputError, match=r"map\.pgm: cannot be written"):
+            write_map(tmp_path / "map", grid)
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(OutputError, match=r"noise\.xyz: cannot be encoded"):
+        write_image(tmp_path / "noise.xyz", noise)
+
+
+@pytest.mark.parametrize(
+    ("words", "size"),
+    [
+        (("build", str(DATA / "dunes.png"), "--to", "mjcf"), 15_000),  # the ground's texture
+        (("build", str(DATA / "dunes.png"), "--to", "stl"), 15_000),
+        (("build", str(DATA / "dunes.png"), "--to", "dae,sdf"), 15_000),
+        (("map", str(DATA / "office.clf.gz"), "--mapper", "hector"), 15_000),
+        (("validate", "simple", "--seconds", "1"), 30_000),
+        (("validate", "simple", "--seconds", "1", "--seeds", "1,2"), 30_000),
+    ],
+)
+def test_a_command_on_a_full_disk_says_so_in_one_line(
+    words: tuple[str, ...],
+    size: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("sys.argv", ["lirs-wct", *words, "-o", str(tmp_path / "out")])
+    with largest_file(size), pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("lirs-wct: ")]
+    assert len(said) == 1
+    assert "cannot be written: File too large" in said[0]
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_terminal_without_room_is_said() -> None:
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(
+            [sys.executable, "-c", "from lirs_validation.cli import main; main()", "info", "simple"],
+            env=os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'envs'}"},
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert ended.returncode == 2
+    assert "Traceback" not in ended.stderr
+    assert "output: cannot be written: No space left on device" in ended.stderr
