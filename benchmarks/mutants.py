@@ -43,7 +43,10 @@ GROUPS = {
         85,
         (
             "lirs_wct/formats/images/*.py",
-            *(f"lirs_wct/formats/carmen/{name}.py" for name in ("lines", "laser", "odometry", "log")),
+            *(
+                f"lirs_wct/formats/carmen/{name}.py"
+                for name in ("lines", "laser", "odometry", "stamps", "log")
+            ),
             *(f"lirs_wct/formats/{name}.py" for name in ("map_server", "tum", "imu_csv", "world_json")),
             "lirs_wct/formats/meshes/mesh_reader.py",
             "lirs_wct/sources/laser_map.py",
@@ -106,13 +109,16 @@ def drawn(modules: Sequence[str], number: int | None, seed: int) -> list[Mutant]
 
 
 def tests_of(module: str) -> list[str]:
-    """Return the tests of a module's name, else the nearest folder of tests that mirrors its own."""
+    """Return the tests with a module's name in theirs, else the nearest folder that mirrors its own."""
     path = Path(module)
     folder = Path("tests", *(part for part in path.parent.parts if part != "envs"))
-    named = [folder / f"test_{path.stem}.py"]
-    for kind in ("properties", "reference"):
-        named += sorted((ROOT / "tests" / kind).glob(f"test_{path.stem}*.py"))
-    found = [str((ROOT / test).relative_to(ROOT)) for test in named if (ROOT / test).is_file()]
+    named = [
+        test
+        for place in (folder, "tests/properties", "tests/reference")
+        for test in sorted((ROOT / place).glob("test_*.py"))
+        if path.stem in test.stem
+    ]
+    found = [str(test.relative_to(ROOT)) for test in named]
     while not found and not (ROOT / folder).is_dir():
         folder = folder.parent
     return found or [str(folder)]

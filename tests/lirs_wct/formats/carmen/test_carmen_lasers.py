@@ -213,3 +213,229 @@ def test_the_user_may_say_the_largest_range(tmp_path: Path) -> None:
     ranges = np.stack([s.ranges for s in log.scans])
     assert ranges[np.isfinite(ranges)].max() < 2.5
     assert np.isposinf(ranges).any()
+
+
+# ---- codes, mounts and limits by hand
+
+
+def ranges(scans: int, beams: int, most: float = 7.0) -> np.ndarray:
+    return np.random.default_rng(9).uniform(0.5, most, (scans, beams)).astype(np.float32)
+
+
+@pytest.mark.parametrize(("share", "code"), [(0.0012, True), (0.0008, False)])
+def test_a_code_is_a_thousandth_of_all(share: float, code: bool) -> None:
+    r = np.full((400, 100), 3.0, np.float32)
+    count = round(share * r.size)
+    r.flat[np.arange(count) * (r.size // count) + np.arange(count) % 7] = 8.0
+    assert no_return(r) == (pytest.approx(7.995) if code else 50.0)
+
+
+@pytest.mark.parametrize(("beams", "code"), [(5, True), (4, False)])
+def test_a_code_comes_in_a_twentieth_of_the_directions(beams: int, code: bool) -> None:
+    r = np.full((100, 100), 3.0, np.float32)
+    r[:40, 20 : 20 + beams] = 8.0
+    assert no_return(r) == (pytest.approx(7.995) if code else 50.0)
+
+
+@pytest.mark.parametrize(("below", "code"), [(4, True), (6, False)])
+def test_a_code_is_twenty_times_as_frequent_as_the_three_metres_below(below: int, code: bool) -> None:
+    """100 readings of the code; each centimetre from 5 to 8 m comes 4 or 6 times."""
+    r = np.full((30, 100), 1.0, np.float32)
+    r.flat[: below * 300] = np.repeat(np.arange(500, 800), below) / np.float32(100)
+    r[29] = 8.0
+    assert no_return(r) == (pytest.approx(7.995) if code else 50.0)
+
+
+def test_a_largest_range_that_is_all_there_is_is_a_wall() -> None:
+    r = np.full((10, 200), 8.0, np.float32)
+    for others, code in ((19, False), (21, True)):
+        r[:] = 8.0
+        r.flat[:others] = 2.0
+        assert no_return(r) == (pytest.approx(7.995) if code else 50.0), others
+
+
+def test_readings_that_are_none_are_no_code() -> None:
+    r = ranges(50, 100)
+    for value in (0.0, 0.019, 50.0, 81.83, math.inf, math.nan, -5.0):
+        codes = r.copy()
+        codes[:, ::3] = value
+        assert no_return(codes) == 50.0
+    codes[:, ::3] = 49.99
+    assert no_return(codes) == pytest.approx(49.985)
+    assert no_return(np.zeros((3, 4), np.float32)) == 50.0
+
+
+@pytest.mark.parametrize(
+    ("value", "meaning"),
+    [
+        ("0.02", 0.02),
+        ("0.019", -math.inf),
+        ("-3", -math.inf),
+        ("49.99", 49.99),
+        ("50.0", math.inf),
+        ("81.87", math.nan),
+        ("81.88", math.nan),
+        ("81.89", math.nan),
+        ("81.90", math.nan),
+        ("81.91", math.nan),
+        ("81.86", math.inf),
+        ("81.92", math.inf),
+    ],
+)
+def test_what_a_range_means(tmp_path: Path, value: str, meaning: float) -> None:
+    beams = " ".join([value, *["2.0"] * 179])
+    line = f"FLASER 180 {beams} 1 0 0 1 0 0 5.0 host 0"
+    scan = read_carmen(write_log(tmp_path / "x.clf", [line])).scans[0]
+    np.testing.assert_array_equal(scan.ranges[:2], np.float32([meaning, 2.0]))
+    assert (scan.range_min, scan.range_max) == (0.02, 50.0)
+
+
+@pytest.mark.parametrize(
+    ("said", "facts", "most"), [("20.0", None, 20.0), ("99.0", None, 50.0), ("20.0", 9.0, 9.0)]
+)
+def test_the_largest_range_is_the_least_that_is_said(
+    tmp_path: Path, said: str, facts: float | None, most: float
+) -> None:
+    sweep = f"-1.570796 3.141593 0.017453 {said}"
+    line = robotlaser(1.0, sweep=sweep).replace("2.0 2.0", f"{most} {most - 0.01}", 1)
+    scan = read_carmen(write_log(tmp_path / "x.clf", [line]), LaserFacts(range_max=facts)).scans[0]
+    assert scan.range_max == most
+    np.testing.assert_array_equal(scan.ranges[:3], np.float32([np.inf, most - 0.01, 2.0]))
+    assert (scan.angle_min, scan.angle_increment) == (-1.570796, 0.017453)
+
+
+FOVS = {
+    180: 180,
+    181: 180,
+    360: 180,
+    361: 180,
+    101: 100,
+    201: 100,
+    401: 100,
+    540: 270,
+    541: 270,
+    1080: 270,
+    1081: 270,
+}
+
+
+@pytest.mark.parametrize("n", FOVS)
+def test_angles_of_every_usual_laser(tmp_path: Path, n: int) -> None:
+    scan = read_carmen(write_log(tmp_path / "x.clf", [flaser(np.full(n, 2.0), at(1), 1.0)])).scans[0]
+    assert math.degrees(scan.angle_min) == pytest.approx(-FOVS[n] / 2)
+    assert math.degrees(scan.angle_increment) == pytest.approx(FOVS[n] / (n - n % 2))
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "n", "fov"),
+    [
+        ("FLASER", "laser_front_laser_resolution 0.5", 240, 120),
+        ("FLASER", "laser_front_laser_resolution 0.5", 241, 120),
+        ("RLASER", "laser_rear_laser_resolution 1.0", 91, 90),
+        ("FLASER", "laser_front_laser_resolution 1.0", 362, None),
+        ("FLASER", "laser_front_laser_resolution 1.0", 359, 358),
+        ("FLASER", "laser_front_laser_resolution 2.0", 182, None),
+        ("FLASER", "laser_front_laser_resolution 0.0", 91, None),
+        ("FLASER", "laser_rear_laser_resolution 1.0", 91, None),
+    ],
+)
+def test_the_resolution_of_a_parameter(
+    tmp_path: Path, name: str, parameter: str, n: int, fov: float | None
+) -> None:
+    path = write_log(tmp_path / "x.clf", [f"PARAM {parameter}", flaser(np.full(n, 2.0), at(1), 1.0, name)])
+    if fov is None:
+        with pytest.raises(SourceError, match=f"{name} messages of {n} beams do not say how wide they see"):
+            read_carmen(path)
+        return
+    scan = read_carmen(path).scans[0]
+    assert math.degrees(scan.angle_min) == pytest.approx(-fov / 2)
+    assert math.degrees(scan.angle_increment) == pytest.approx(fov / (n - n % 2))
+
+
+def test_a_whole_turn_of_two_beams(tmp_path: Path) -> None:
+    """A field of view of a whole turn is legal; one beam has all of it."""
+    LaserFacts(fov=math.tau)
+    for n in (1, 2):
+        path = write_log(tmp_path / "x.clf", [flaser(np.full(n, 2.0), at(1), 1.0)])
+        scan = read_carmen(path, LaserFacts(fov=math.tau)).scans[0]
+        assert (scan.angle_min, scan.angle_increment) == (-math.pi, math.tau / (1 if n == 1 else 2))
+
+
+@pytest.mark.parametrize(
+    ("mount", "known"),
+    [
+        (Pose2(0.3, -0.2, 0.5), True),
+        (Pose2(2.9, 0.5, 0.0), True),
+        (Pose2(2.9, 0.9, 0.0), False),
+        (Pose2(0.1, 0.0, math.pi), True),
+        (Pose2(0.0, 0.0011, 0.0), True),
+        (Pose2(0.0, 0.0009, 0.0), False),
+        (Pose2(0.0, 0.0, 0.0011), True),
+        (Pose2(0.0011, 0.0, 0.0), True),
+    ],
+)
+def test_the_mount_is_where_the_laser_follows_the_base(tmp_path: Path, mount: Pose2, known: bool) -> None:
+    lines = [robotlaser(1.0 + k, base=at(k), laser=at(k) @ mount) for k in range(9)]
+    found = read_carmen(write_log(tmp_path / "x.clf", lines)).scans[0].T_base_laser
+    expected = Pose3.from_pose2(mount) if known else Pose3()
+    assert (found.x, found.y, found.z) == pytest.approx((expected.x, expected.y, 0.0), abs=5e-6)
+    assert math.remainder(found.yaw - expected.yaw, math.tau) == pytest.approx(0.0, abs=5e-6)
+
+
+@pytest.mark.parametrize(("spread", "steady"), [(0.045, True), (0.055, False)])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_mount_that_differs_by_five_centimetres_is_none(
+    tmp_path: Path, spread: float, steady: bool, axis: int
+) -> None:
+    """Half of the poses differ from the median one by so many metres or radians, to either side."""
+
+    def mount(k: int) -> Pose2:
+        off = [0.0, 0.0, 0.0]
+        off[axis] = (0.0, spread, -spread, spread, -spread)[k % 5]
+        return Pose2(0.4 + off[0], -0.3 + off[1], 0.7 + off[2])
+
+    lines = [robotlaser(1.0 + k, base=at(k), laser=at(k) @ mount(k)) for k in range(15)]
+    log = read_carmen(write_log(tmp_path / "x.clf", lines))
+    found = log.scans[0].T_base_laser
+    assert (found.x, found.y) == (pytest.approx((0.4, -0.3), abs=1e-5) if steady else (0.0, 0.0))
+    assert list(log.repaired.values()) == ([] if steady else [15])
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "x", "yaw"),
+    [
+        ("FLASER", "robot_frontlaser_offset 0.25", 0.25, 0.0),
+        ("FLASER", "robot_frontlaser_offset -2.99", -2.99, 0.0),
+        ("FLASER", "robot_frontlaser_offset 3.0", 0.0, 0.0),
+        ("FLASER", "robot_rearlaser_offset 0.25", 0.0, 0.0),
+        ("RLASER", "robot_rearlaser_offset 0.25", 0.25, math.pi),
+        ("RLASER", "robot_frontlaser_offset 0.25", 0.0, math.pi),
+    ],
+)
+def test_the_mount_of_a_parameter(tmp_path: Path, name: str, parameter: str, x: float, yaw: float) -> None:
+    lines = [f"PARAM {parameter}", *(flaser(HALF, at(k), 10.0 + k, name) for k in range(3))]
+    found = read_carmen(write_log(tmp_path / "x.clf", lines)).scans[0].T_base_laser
+    assert (found.x, found.y, found.z) == (x, 0.0, 0.0)
+    assert abs(found.yaw) == pytest.approx(yaw)
+
+
+@pytest.mark.parametrize(("facts", "legal"), [({"fov": 1e-9}, True), ({"range_max": 0.021}, True),
+                                              ({"range_max": 0.02}, False), ({"fov": math.tau + 1e-6}, False),
+                                              ({"fov": -1.0}, False)])  # fmt: skip
+def test_limits_of_what_the_user_says(facts: dict[str, float], legal: bool) -> None:
+    if legal:
+        LaserFacts(**facts)
+        return
+    with pytest.raises(ConfigError, match="must be above"):
+        LaserFacts(**facts)
+
+
+def test_readings_of_a_code_are_counted(tmp_path: Path) -> None:
+    """Every range from the code on and below 50 m, of all scans."""
+    lines = [
+        flaser(np.concatenate((np.linspace(1, 3, 160), [8.0] * 20, [50.0])), at(k), 10.0 + k)
+        for k in range(9)
+    ]
+    log = read_carmen(write_log(tmp_path / "x.clf", lines))
+    assert log.repaired == {f"readings of {7.995:.2f} m or more, a code for no return": 180}
+    assert log.scans[0].range_max == pytest.approx(7.995)
