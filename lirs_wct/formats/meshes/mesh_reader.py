@@ -15,6 +15,13 @@ from lirs_wct.geometry.mesh import TriangleMesh
 
 _HEAD = 1 << 16
 """Bytes of a COLLADA file in which its <asset> stands."""
+_UPRIGHT = {
+    "X": np.array(((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))),
+    "Y": np.array(((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))),
+    "Z": np.eye(3),
+}
+"""Where the file's x, y and z go, by the axis that is up: of X_UP -y is right and z to the viewer, of Y_UP x
+is right and z to the viewer, of Z_UP x is right and -y to the viewer (COLLADA 1.4.1, <up_axis>)."""
 
 
 def read_upright(path: Path) -> TriangleMesh:
@@ -33,9 +40,7 @@ def read_upright(path: Path) -> TriangleMesh:
         return mesh.rotated_x(90.0)
     if path.suffix.lower() == ".dae":
         up, unit = _collada_frame(path)
-        turn = {"X": np.array(((0, 1, 0), (-1, 0, 0), (0, 0, 1))), "Y": None, "Z": np.eye(3)}[up]
-        mesh = mesh.rotated_x(90.0) if turn is None else TriangleMesh(mesh.vertices @ turn, mesh.faces)
-        return TriangleMesh(mesh.vertices * unit, mesh.faces)
+        return TriangleMesh(mesh.vertices @ _UPRIGHT[up] * unit, mesh.faces)
     return mesh
 
 

@@ -63,3 +63,16 @@ def test_what_is_none_is_said(tmp_path: Path, data: bytes, told: str) -> None:
     path.write_bytes(data)
     with pytest.raises(SourceError, match=rf"imu\.csv\.gz: .*{told}"):
         read_imu(path)
+
+
+def test_every_number_has_its_place(tmp_path: Path) -> None:
+    path = tmp_path / "imu.csv.gz"
+    path.write_bytes(gzip.compress(f"{HEADER}\n1.5,2,3,4,5,6,7,8,9\n2,3,4,5,6,7,8,9,10\n".encode()))
+    first, second = read_imu(path)
+    assert first == Imu(
+        stamp=1.5, roll=2.0, pitch=3.0, angular_velocity=(4.0, 5.0, 6.0), linear_acceleration=(7.0, 8.0, 9.0)
+    )
+    assert second.linear_acceleration == (8.0, 9.0, 10.0)
+    write_imu(path, [first])
+    assert gzip.decompress(path.read_bytes()).decode() == f"{HEADER}\n1.5,2,3,4,5,6,7,8,9\n"
+    assert path.read_bytes()[4:8] == bytes(4)  # no time of day: the same data give the same bytes

@@ -74,3 +74,24 @@ def test_what_is_none_is_refused_in_one_line(case: str, tmp_path: Path) -> None:
 def test_what_is_not_there_is_told(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match=r"none\.tum: No such file"):
         read_tum(tmp_path / "none.tum")
+
+
+def test_every_number_has_its_place(tmp_path: Path) -> None:
+    """Quaternions need not be of unit length in the file."""
+    path = tmp_path / "t.tum"
+    path.write_bytes(b"# a\n\n10.5 1 -2 3 0.1 0.2 0.3 0.4\n  #b\n11 4 5 6 0 0 -2 0\n")
+    found = read_tum(path)
+    assert found.stamps.tolist() == [10.5, 11.0]
+    assert found.positions.tolist() == [[1, -2, 3], [4, 5, 6]]
+    expected = [np.array((0.4, 0.1, 0.2, 0.3)) / np.sqrt(0.3), (0, 0, 0, -1)]
+    np.testing.assert_allclose(found.quaternions, expected, atol=1e-12)
+    write_tum(path, found)
+    assert path.read_text().splitlines()[0] == "# stamp[s] x y z[m] qx qy qz qw"
+    words = path.read_text().splitlines()[2].split()
+    assert words == ["11.000000000", "4.000000000", "5.000000000", "6.000000000",
+                     "0.000000000", "0.000000000", "-1.000000000", "0.000000000"]  # fmt: skip
+
+
+def test_one_pose_is_a_trajectory(tmp_path: Path) -> None:
+    (tmp_path / "t.tum").write_bytes(POSE)
+    assert len(read_tum(tmp_path / "t.tum")) == 1

@@ -105,3 +105,68 @@ def test_real_logs(shared_data: Path, name: str, scans: int, beams: int) -> None
     assert (len(log.scans), log.skipped) == (scans, {})
     assert {len(s.ranges) for s in log.scans} == {beams}
     assert max(float(s.ranges[s.hits].max()) for s in log.scans) < 50
+
+
+def raw(stamp: float, n: int = 180) -> str:
+    return f"RAWLASER1 0 -1.57 3.14 0.017453 20.0 0.1 0 {n} {' '.join(['2.0'] * n)} 0 {stamp} h 0"
+
+
+def test_the_laser_with_poses_comes_before_the_commoner_one(tmp_path: Path) -> None:
+    rear = [flaser(20.0 + k).replace("FLASER", "RLASER") for k in range(4)]
+    lines = [*(raw(k + 0.5) for k in range(3)), *(flaser(10.0 + k, x=float(k)) for k in range(2)), *rear]
+    log = read_carmen(write(tmp_path, *lines))
+    assert (log.laser, log.stamps.tolist()) == ("FLASER", [10.0, 11.0])
+    assert log.skipped == {"RAWLASER1 beside FLASER": 3, "RLASER beside FLASER": 4}
+    log = read_carmen(write(tmp_path, *lines[:3], *rear))
+    assert (log.laser, log.skipped) == ("RAWLASER1", {"RLASER beside RAWLASER1": 4})
+
+
+def test_a_laser_without_a_usable_line_gives_way(tmp_path: Path) -> None:
+    log = read_carmen(write(tmp_path, "FLASER x", "FLASER y", raw(1.5)))
+    assert (log.laser, log.skipped) == ("RAWLASER1", {"FLASER cut off or malformed": 2})
+
+
+def test_the_commonest_number_of_beams_is_kept(tmp_path: Path) -> None:
+    sizes = (181, 180, 361, 180, 181, 180)
+    lines = [flaser(10.0 + k, n=n, x=float(k)) for k, n in enumerate(sizes)]
+    log = read_carmen(write(tmp_path, *lines))
+    assert log.stamps.tolist() == [11.0, 13.0, 15.0]
+    assert log.skipped == {
+        "FLASER of 181 beams where the log's have 180": 2,
+        "FLASER of 361 beams where the log's have 180": 1,
+    }
+
+
+@pytest.mark.parametrize(
+    ("away", "among", "left_out"),
+    [(86_500.0, 100, True), (-86_500.0, 100, True), (86_300.0, 100, False), (86_500.0, 99, False)],
+)
+def test_one_stamp_in_a_hundred_may_be_of_another_day(
+    tmp_path: Path, away: float, among: int, left_out: bool
+) -> None:
+    stamps = [1e6 + 0.25 * k for k in range(among)]
+    stamps[among - 1 if away > 0 else 0] += away
+    lines = [flaser(t, n=3, x=float(k)) for k, t in enumerate(stamps)]
+    log = read_carmen(write(tmp_path, "PARAM laser_front_laser_resolution 1.0", *lines))
+    assert len(log.scans) == among - left_out
+    assert log.skipped == ({"stamp more than a day from the others": 1} if left_out else {})
+
+
+@pytest.mark.parametrize("reasons", [5, 6, 8])
+def test_an_error_tells_five_reasons(tmp_path: Path, reasons: int) -> None:
+    lines = [f"MESSAGE{k} 1" for k in range(reasons) for _ in range(k + 1)]
+    with pytest.raises(SourceError) as told:
+        read_carmen(write(tmp_path, *lines))
+    said = str(told.value).split("; skipped: ")[1]
+    listed = ", ".join(f"{k + 1} x message MESSAGE{k}" for k in reversed(range(reasons - 5, reasons)))
+    assert said == listed + (f" and {reasons - 5} other reasons" if reasons > 5 else "")
+
+
+def test_a_log_of_nothing_has_no_reasons(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match=r"in this CARMEN log$"):
+        read_carmen(write(tmp_path))
+
+
+def test_long_names_are_cut(tmp_path: Path) -> None:
+    log = read_carmen(write(tmp_path, flaser(1.0), "ABCDEFGHIJKLMNOPQRSTUVWXYZ 1"))
+    assert log.skipped == {"message ABCDEFGHIJKLMNOPQRST": 1}

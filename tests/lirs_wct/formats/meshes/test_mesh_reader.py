@@ -1,0 +1,127 @@
+"""Meshes are read upright, in metres, with one vertex a place."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lirs_wct.errors import SourceError
+from lirs_wct.formats.meshes.mesh_reader import read_upright
+from lirs_wct.geometry.mesh import TriangleMesh
+
+CORNERS = np.array([(1.0, 2.0, 3.0), (5.0, 2.0, 3.5), (1.0, 7.0, 4.0)])
+
+
+def stl(path: Path, triangles: np.ndarray) -> Path:
+    """Write binary STL by hand."""
+    body = b"".join(struct.pack("<12fH", 0, 0, 0, *t.ravel(), 0) for t in np.asarray(triangles))
+    path.write_bytes(bytes(80) + struct.pack("<I", len(triangles)) + body)
+    return path
+
+
+def dae(path: Path, asset: str, padding: int = 0) -> Path:
+    numbers = " ".join(map(str, CORNERS.ravel()))
+    path.write_text(
+        f'<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">'
+        f"<!--{'x' * padding}--><asset>{asset}</asset>"
+        f'<library_geometries><geometry id="g"><mesh><source id="p"><float_array id="a" count="9">{numbers}'
+        '</float_array><technique_common><accessor source="#a" count="3" stride="3">'
+        '<param name="X" type="float"/><param name="Y" type="float"/>'
+        '<param name="Z" type="float"/></accessor></technique_common></source>'
+        '<vertices id="v"><input semantic="POSITION" source="#p"/></vertices><triangles count="1">'
+        '<input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2</p></triangles></mesh></geometry>'
+        '</library_geometries><library_visual_scenes><visual_scene id="s"><node><instance_geometry url="#g"/>'
+        "</node></visual_scene></library_visual_scenes>"
+        '<scene><instance_visual_scene url="#s"/></scene></COLLADA>'
+    )
+    return path
+
+
+def triangles(mesh: TriangleMesh) -> list[list[list[float]]]:
+    """Return the corners of each triangle, the least first."""
+    found = []
+    for t in mesh.vertices[mesh.faces].round(6).tolist():
+        k = t.index(min(t))
+        found.append(t[k:] + t[:k])
+    return sorted(found)
+
+
+UP = {
+    "Z": CORNERS,
+    "Y": np.column_stack((CORNERS[:, 0], -CORNERS[:, 2], CORNERS[:, 1])),  # y up: z points south
+    "X": np.column_stack((-CORNERS[:, 1], -CORNERS[:, 2], CORNERS[:, 0])),  # -y to the right, z to the viewer
+}
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.01, 0.0254])
+def test_collada_says_its_axis_and_its_unit(tmp_path: Path, unit: float) -> None:
+    for up, expected in UP.items():
+        asset = f'<unit name="u" meter="{unit}"/><up_axis> {up}_UP </up_axis>'
+        mesh = read_upright(dae(tmp_path / "a.dae", asset))
+        assert triangles(mesh) == triangles(TriangleMesh(expected * unit, np.array([[0, 1, 2]], np.int32)))
+
+
+def test_collada_without_a_word_has_y_up_in_metres(tmp_path: Path) -> None:
+    expected = TriangleMesh(UP["Y"], np.array([[0, 1, 2]], np.int32))
+    assert triangles(read_upright(dae(tmp_path / "a.dae", ""))) == triangles(expected)
+
+
+@pytest.mark.parametrize(
+    ("asset", "told"),
+    [
+        ('<unit meter="inch"/>', "its unit is not a number of metres"),
+        ('<unit meter="0"/>', "its unit must be above 0 m, got 0"),
+        ('<unit meter="-1"/>', "its unit must be above 0 m, got -1"),
+        ('<unit meter="inf"/>', "its unit must be above 0 m, got inf"),
+    ],
+)
+def test_a_unit_that_is_none(tmp_path: Path, asset: str, told: str) -> None:
+    with pytest.raises(SourceError, match=rf"a\.dae: {told}"):
+        read_upright(dae(tmp_path / "a.dae", asset))
+
+
+def test_the_asset_is_looked_for_in_the_first_64_kib(tmp_path: Path) -> None:
+    for padding, up in ((60_000, "Z"), (70_000, "Y")):
+        mesh = read_upright(dae(tmp_path / "a.dae", "<up_axis>Z_UP</up_axis>", padding))
+        assert triangles(mesh) == triangles(TriangleMesh(UP[up], np.array([[0, 1, 2]], np.int32)))
+
+
+def test_a_glb_has_y_up_and_the_others_z(tmp_path: Path) -> None:
+    whole = trimesh.Trimesh(CORNERS, [[0, 1, 2]], process=False)
+    for suffix, up in ((".glb", "Y"), (".ply", "Z"), (".obj", "Z"), (".STL", "Z")):
+        path = tmp_path / f"a{suffix}"
+        whole.export(path, file_type=suffix[1:].lower())
+        assert triangles(read_upright(path)) == triangles(
+            TriangleMesh(UP[up], np.array([[0, 1, 2]], np.int32))
+        )
+
+
+def test_a_suffix_that_is_no_mesh(tmp_path: Path) -> None:
+    path = stl(tmp_path / "a.stl", CORNERS[None]).rename(tmp_path / "a.xyz")
+    with pytest.raises(SourceError, match=r"a\.xyz: not a mesh that is read; legal: "):
+        read_upright(path)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_one_vertex_a_place_and_no_triangle_without_area(
+    tmp_path_factory: pytest.TempPathFactory, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    places = rng.integers(-2, 3, (6, 3)).astype(np.float32)
+    places[rng.random((6, 3)) < 0.2] = -0.0
+    faces = rng.integers(0, 6, (9, 3))
+    faces[0] = (0, 1, 2)
+    places[:3] = ((0, 0, -0.0), (1, 0, 0), (0, 1, 0))
+    mesh = read_upright(stl(tmp_path_factory.mktemp("m") / "a.stl", places[faces]))
+    corners = [[tuple(p) for p in t] for t in (places[faces] + 0.0).tolist()]
+    whole = [t for t in corners if len(set(t)) == 3]
+    assert len(mesh.faces) == len(whole)
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], np.array(whole))
+    assert len(np.unique(mesh.vertices, axis=0)) == len(mesh.vertices)
+    assert mesh.faces.dtype == np.int32
