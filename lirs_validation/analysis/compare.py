@@ -17,9 +17,11 @@ from lirs_validation.analysis.groups import FIELDS, Group, by_group
 from lirs_validation.analysis.paired import Test, holm, paired_test
 from lirs_validation.record.formatting import Entry
 from lirs_validation.record.metric_catalog import Metric
+from lirs_validation.record.odometry import worse_than_odometry
 from lirs_validation.record.run_record import succeeded
 from lirs_wct.errors import ConfigError, unknown_name
 
+UNTESTED: tuple[Test, None, None, None] = ("none", None, None, None)
 LEVEL = 0.05
 """A difference is significant where its corrected p value is below this."""
 
@@ -39,8 +41,9 @@ class Difference:
         pairs: how many seeds both results have, and the metric in both.
         seeds: in how many seeds both runs succeeded, with the metric or without.
         test: paired t; Wilcoxon's signed ranks where the differences are plainly not normal (the interval is
-            then bootstrapped); the sign test where all are the same; none of one pair.
-        p: two-sided, as tested; None of one pair.
+            then bootstrapped); the sign test where all are the same; none of one pair, or
+            where a metric is not tested.
+        p: two-sided, as tested; None where nothing was.
         p_corrected: after Holm, over all tests of the comparison.
     """
 
@@ -73,6 +76,8 @@ class Comparison:
         only_b: groups that only the second has.
         failed_a: succeeded and failed runs of each common group in the first result.
         failed_b: the same in the second.
+        worse_a: runs of each common group in the first result that are worse than their odometry.
+        worse_b: the same in the second.
     """
 
     differences: tuple[Difference, ...]
@@ -80,6 +85,8 @@ class Comparison:
     only_b: tuple[Group, ...]
     failed_a: dict[Group, tuple[int, int]]
     failed_b: dict[Group, tuple[int, int]]
+    worse_a: dict[Group, int]
+    worse_b: dict[Group, int]
 
 
 def compare(
@@ -115,6 +122,8 @@ def compare(
         only_b=tuple(group for group in runs_b if group not in runs_a),
         failed_a={group: _counts(runs_a[group]) for group in common},
         failed_b={group: _counts(runs_b[group]) for group in common},
+        worse_a={group: sum(map(worse_than_odometry, runs_a[group].values())) for group in common},
+        worse_b={group: sum(map(worse_than_odometry, runs_b[group].values())) for group in common},
     )
 
 
@@ -157,7 +166,7 @@ def _difference(group: Group, metric: Metric, a: dict[int, Entry], b: dict[int, 
     if not values:
         return None
     x, y = np.array(values).T
-    test, p, low, high = paired_test(y - x)
+    test, p, low, high = paired_test(y - x) if metric.tested else UNTESTED
     return Difference(
         group=group,
         metric=metric,

@@ -94,10 +94,11 @@ def map_log(
 def figures_table(record: MapRecord) -> Table:
     """Return the metrics of a mapped log, and what was wrong with it, as a table to print."""
     from lirs_validation.record.map_formatting import map_lines, repair_lines
+    from lirs_validation.record.odometry import WORSE
 
     table = Table(title=record.config.log, show_header=False, title_justify="left")
     for name, value in map_lines(record):
-        table.add_row(name, value)
+        table.add_row(name, value, style="yellow" if value == WORSE else "")
     for name, value in repair_lines(record):
         table.add_row(name, value, style="yellow")
     return table

@@ -85,5 +85,6 @@ def _bar(console: Console, *columns: ProgressColumn) -> ProgressBar:
         TimeRemainingColumn(),
         console=console,
         transient=True,
+        disable=not console.is_terminal,
         speed_estimate_period=LONG,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from lirs_validation.drawing.style import (
 )
 from lirs_validation.metrics.agreement import contradicted
 from lirs_validation.record.metric_catalog import picture_lines
+from lirs_validation.record.odometry import WORSE, worse_than_odometry
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory
@@ -87,6 +89,8 @@ def _headline(record: RunRecord) -> str:
     c = record.config
     method = c.mapper + (" without attitude" if c.attitude == "none" else "")
     text = f"{record.world['name']}: {c.robot} maps with {method}, seed {c.seed}"
+    if worse_than_odometry(asdict(record)):
+        text += f" ({WORSE})"
     if record.status == "ok":
         return text
     return f"{text} ({'' if record.status in SUCCEEDED else 'failed: '}{record.reason or record.status})"

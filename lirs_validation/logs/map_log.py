@@ -16,7 +16,7 @@ from lirs_validation.experiment.mapper_guard import GuardedMapper
 from lirs_validation.logs.inertial import inertial_readings, with_recorded_mount
 from lirs_validation.logs.log_mapper import check_log, make_log_mapper, warm_up_log_mapper
 from lirs_validation.logs.mapped_log import MappedLog
-from lirs_validation.logs.truth import read_truth, reference_in_time, relations_in_time
+from lirs_validation.logs.truth import odometry_accuracy, read_truth, reference_in_time, relations_in_time
 from lirs_validation.metrics.association import scan_coverage
 from lirs_validation.metrics.log_accuracy import trajectory_accuracy
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
@@ -117,6 +117,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
         trajectory={"poses": len(trajectory), "scan_coverage": coverage},
         mapper=asdict(mapper.stats),
         accuracy=accuracy.metrics(),
+        odometry=odometry_accuracy(log.track, relations, reference),
         cost=cost,
     )
     mapped = MappedLog(record, log, grid, trajectory, reference, accuracy)

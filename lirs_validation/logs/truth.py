@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from lirs_validation.config import MapConfig
 from lirs_validation.logs.reference import read_reference
+from lirs_validation.metrics.log_accuracy import trajectory_accuracy
 from lirs_validation.metrics.relative_pose_constraints import RelativePoseConstraint, read_constraints
 from lirs_wct.formats.carmen.stamps import LineStamps
 from lirs_wct.geometry.trajectory import Trajectory
@@ -26,6 +28,17 @@ def read_truth(config: MapConfig) -> tuple[tuple[RelativePoseConstraint, ...] | 
         None if c.relations is None else read_constraints(Path(c.relations)),
         None if c.reference is None else read_reference(Path(c.reference)),
     )
+
+
+def odometry_accuracy(
+    odometry: Trajectory,
+    relations: Sequence[RelativePoseConstraint] | None,
+    reference: Trajectory | None,
+) -> dict[str, Any]:
+    """Return the accuracy of a log's raw odometry alone, as a record holds it; empty without odometry."""
+    if len(odometry) == 0:
+        return {}
+    return trajectory_accuracy(odometry, odometry, relations, reference).metrics()
 
 
 def relations_in_time(

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from lirs_validation.record.map_record import MapRecord
+from lirs_validation.record.odometry import WORSE, is_worse
 
 MANY = 8
 """Reasons for skipping that are listed one by one."""
@@ -61,20 +63,34 @@ def _inertial_line(record: MapRecord) -> list[tuple[str, str]]:
 
 
 def _accuracy_lines(record: MapRecord) -> list[tuple[str, str]]:
+    """Return the errors of the path, those of the odometry alone beside them."""
     lines = []
     relations, reference = record.accuracy["relations"], record.accuracy["reference"]
     if relations is not None and relations["used"]:
         shift = f"{relations['translation_mean']:.3f} +- {relations['translation_std']:.3f} m"
         turn = f"{relations['rotation_mean_deg']:.2f} +- {relations['rotation_std_deg']:.2f} deg"
         lines += [(f"{relations['used']} relations", shift), ("", turn)]
+        alone = record.odometry.get("relations")
+        if alone is not None and alone["used"]:
+            shift, turn = f"{alone['translation_mean']:.3f} m", f"{alone['rotation_mean_deg']:.2f} deg"
+            lines.append(("... of the odometry", f"{shift}, {turn}"))
     if reference is not None and reference["used"]:
         lines.append((f"ATE over {reference['used']} poses", f"{reference['ate_rmse']:.3f} m"))
+        lines += _odometry_lines(reference["ate_rmse"], record.odometry.get("reference"))
     lines += [
         (name, "nothing within the log's time")
         for name, errors in record.accuracy.items()
         if errors is not None and not errors["used"]
     ]
     return lines
+
+
+def _odometry_lines(ate: float, alone: Mapping[str, Any] | None) -> list[tuple[str, str]]:
+    """Return the odometry's ATE, and whether the mapper's is the worse."""
+    if alone is None or not alone["used"]:
+        return []
+    lines = [("ATE of the odometry", f"{alone['ate_rmse']:.3f} m")]
+    return [*lines, ("", WORSE)] if is_worse(ate, alone["ate_rmse"]) else lines
 
 
 def _most(counts: Mapping[str, int]) -> list[tuple[str, int]]:

@@ -34,6 +34,7 @@ class MapRecord:
         trajectory: poses, and the share of the scans that has one (scan_coverage).
         mapper: scans received, used, skipped, lost, milliseconds, bytes of its maps, its own counts.
         accuracy: `relations` (relative-pose constraints) and `reference`, null where not given.
+        odometry: the same of the raw odometry alone; empty where the log has none.
         cost: seconds for reading, compiling and mapping; processor time; peak memory in bytes.
     """
 
@@ -47,6 +48,7 @@ class MapRecord:
     mapper: dict[str, Any]
     accuracy: dict[str, Any]
     cost: dict[str, Any]
+    odometry: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=versions)
     machine: dict[str, Any] = field(default_factory=machine)
 

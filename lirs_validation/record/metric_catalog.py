@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from lirs_validation.record.formatting import NOTHING, Entry, as_entry, significant, value_at
+from lirs_validation.record.odometry import WORSE, worse_than_odometry
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.errors import unknown_name
 
@@ -39,6 +40,7 @@ class Metric:
         selections: where else it is shown.
         title: name in a run's picture; empty = the same.
         short: heading of a narrow column, with the unit; empty = the same.
+        tested: whether comparisons test it; the odometry's error belongs to the drive, not to the mapper.
         optional: whether the table of runs leaves it out where no run has it.
         detail: whether the report's tables leave it out; comparisons take it by its key.
     """
@@ -53,6 +55,7 @@ class Metric:
     selections: tuple[Selection, ...] = ()
     title: str = ""
     short: str = ""
+    tested: bool = True
     optional: bool = False
     detail: bool = False
 
@@ -94,7 +97,8 @@ METRICS: tuple[Metric, ...] = (
     Metric("trajectory.ate_rmse_unaligned", "ATE unaligned", "trajectory", "m", better="less",
            selections=("picture",), title="ATE (RMSE, unaligned)"),
     Metric("trajectory.odometry_ate_rmse", "ATE of odometry", "trajectory", "m", better="less",
-           selections=("picture",), title="ATE of the odometry"),
+           selections=("picture", "runs", "summary", "compared", "headline"), title="ATE of the odometry",
+           short="odom. ATE [m]", tested=False),
     Metric("trajectory.scan_coverage", "scans covered", "trajectory", "%", 1, PERCENT, "more",
            selections=("picture",), title="scans with a pose"),
     Metric("trajectory.rpe_metre.translation_rmse", "RPE per m", "trajectory", "mm", 1, MM, "less",
@@ -196,4 +200,6 @@ def picture_lines(record: RunRecord | Entry) -> list[tuple[str, str]]:
         if value is not None:
             unit = f" {metric.unit}" if metric.unit else ""
             lines.append((metric.title or metric.name, metric.formatted(value) + unit))
+    if worse_than_odometry(entry):
+        lines.insert(1, ("", WORSE))
     return lines

@@ -13,6 +13,7 @@ from lirs_validation.analysis.groups import Group
 from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.record.formatting import span
 from lirs_validation.record.metric_catalog import Section, metrics_selected, rtf_counts
+from lirs_validation.record.odometry import WORSE, WORSE_MARK, worse_than_odometry
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.charts import AROUND, distribution_chart, rtf_chart
 from lirs_validation.report.contents import Report, seeds_text
@@ -58,7 +59,7 @@ def page(report: Report, command: str) -> str:
         undefined=StrictUndefined,
     )
     style, _, _ = PackageLoader("lirs_validation.report").get_source(environment, "report.css")
-    context = {"style": style, "report_command": command} | _context(report)
+    context = {"style": style, "report_command": command, "worse_mark": WORSE_MARK} | _context(report)
     context["contents"] = _contents(context)
     return environment.get_template("report.html.j2").render(context)
 
@@ -138,6 +139,7 @@ def _pictures(runs: Sequence[RunFolder]) -> tuple[list[Picture], str]:
         )
         name += "without attitude, " if c.get("attitude") == "none" else ""
         name += f"seed {c['seed']}" + ("" if run.entry["status"] == "ok" else f": {run.entry['status']}")
+        name += f": {WORSE}" if worse_than_odometry(run.entry) else ""
         pictures.append(Picture(name, picture.url, f"Paths and maps of {name}", picture.note))
     return pictures, note
 

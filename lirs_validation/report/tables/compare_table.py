@@ -6,34 +6,39 @@ import csv
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from itertools import groupby
 from pathlib import Path
 from typing import Any
-
-from rich.table import Table
-from rich.text import Text
 
 from lirs_validation.analysis.compare import LEVEL, Comparison, Difference
 from lirs_validation.analysis.groups import FIELDS, Group, distinguishing_fields
 from lirs_validation.record.formatting import NOTHING
-from lirs_validation.report.tables.screen import screen_table
+from lirs_validation.record.odometry import WORSE
+from lirs_validation.report.tables.screen import FittedTable
+from lirs_validation.report.tables.table import ReportTable
 from lirs_wct.files import atomic_write
 
 
-def compare_table(comparison: Comparison, names: tuple[str, str]) -> Table:
+def compare_table(comparison: Comparison, names: tuple[str, str]) -> FittedTable:
     """Return the differences group by group, significant ones bold; below, how to read them."""
     differences = comparison.differences
     shown = distinguishing_fields(d.group for d in differences)
-    table = screen_table(f"a = {names[0]}, b = {names[1]}", reading(comparison))
-    for heading in ("group", "metric"):
-        table.add_column(heading, overflow="fold")
-    for heading in ("a", "b", "b - a", "95 %", "n", "p", ""):
-        table.add_column(heading, justify="left" if heading == "" else "right", no_wrap=True)
-    before: Group | None = None
-    for d in differences:
-        named = "" if d.group == before else d.group.named(shown)
-        before = d.group
-        table.add_row(*map(Text, (named, *formatted(d))), style="bold" if d.significant else "")
-    return table
+    rows: list[tuple[str, ...]] = []
+    styles: list[str] = []
+    for group, held in groupby(differences, key=lambda d: d.group):
+        rows.append((group.named(shown), *[""] * (len(HEADINGS) - 1)))
+        styles.append("italic")
+        for d in held:
+            name, *rest = formatted(d)
+            rows.append((f"  {name}", *rest))
+            styles.append("bold" if d.significant else "")
+    table = ReportTable("compare", "", reading(comparison), HEADINGS, tuple(rows), 1, remarks=False)
+    return FittedTable(table, title=f"a = {names[0]}, b = {names[1]}", styles=styles, drop=(INTERVAL, "p"))
+
+
+INTERVAL = "95\N{NO-BREAK SPACE}%"
+HEADINGS = ("metric", "a", "b", "b\N{NO-BREAK SPACE}-\N{NO-BREAK SPACE}a", INTERVAL, "n", "p", "")
+"""Of the table on the screen; the last column is the verdict."""
 
 
 def formatted(d: Difference) -> tuple[str, ...]:
@@ -47,6 +52,8 @@ def formatted(d: Difference) -> tuple[str, ...]:
 
 def verdict(d: Difference) -> str:
     """Return in short what the difference is."""
+    if not d.metric.tested:
+        return "not tested"
     if d.significant is None:
         return "one seed"
     if not d.significant:
@@ -60,7 +67,7 @@ def reading(comparison: Comparison) -> str:
     """Return how the table is to be read, what could not be compared, and what failed."""
     tests = sum(d.p is not None for d in comparison.differences)
     lines = []
-    if any(d.pairs == 1 for d in comparison.differences):
+    if any(d.pairs == 1 and d.metric.tested for d in comparison.differences):
         lines.append("One seed in common: of its differences nothing can be said. Run more: --seeds 1-5.")
     if tests:
         significant = sum(d.significant is True for d in comparison.differences)
@@ -75,8 +82,18 @@ def reading(comparison: Comparison) -> str:
     for name, groups in (("a", comparison.only_a), ("b", comparison.only_b)):
         if groups:
             lines.append(f"Only in {name}: {'; '.join(group.named() for group in groups)}.")
-    lines += _failures(comparison)
+    lines += _failures(comparison) + _worse(comparison)
     return "\n".join(lines)
+
+
+def _worse(comparison: Comparison) -> list[str]:
+    """Return of which groups the mapper is worse than its odometry, and in how many runs."""
+    return [
+        f"{group.named()}: {WORSE} in {in_a} of {sum(comparison.failed_a[group])} runs of a, "
+        f"{comparison.worse_b[group]} of {sum(comparison.failed_b[group])} of b."
+        for group, in_a in comparison.worse_a.items()
+        if in_a or comparison.worse_b[group]
+    ]
 
 
 def write_compare_csv(path: Path, comparison: Comparison) -> None:

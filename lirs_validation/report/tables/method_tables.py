@@ -17,6 +17,7 @@ from lirs_validation.analysis.as_published import (
 from lirs_validation.analysis.groups import Group, distinguishing_fields
 from lirs_validation.record.formatting import Entry
 from lirs_validation.record.metric_catalog import metrics_named
+from lirs_validation.record.odometry import WORSE, WORSE_MARK
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.tables.metric_tables import group_texts, over_runs
 from lirs_validation.report.tables.table import Content, ReportTable
@@ -25,7 +26,7 @@ ATE, ODOMETRY_ATE = metrics_named(("trajectory.ate_rmse", "trajectory.odometry_a
 CAPTION = (
     "ATE [m], mean over the runs that succeeded. A run holds where its ATE is at most "
     f"{TIMES} x the odometry's + {SLACK} m, a method where {MOST:.0%} of its runs do. Runs that tipped over, "
-    "got stuck, left the world or diverged are not counted."
+    f"got stuck, left the world or diverged are not counted. {WORSE_MARK} {WORSE} in at least one run."
 )
 KINDS: tuple[tuple[str, str, Callable[[Iterable[Entry]], tuple[MethodPair, ...]]], ...] = (
     ("as-published", "As published, with attitude, odometry alone", published_pairs),

@@ -9,10 +9,12 @@ from lirs_validation.analysis.groups import FIELDS, Group, by_group, distinguish
 from lirs_validation.analysis.repeats import repeats
 from lirs_validation.record.formatting import Entry
 from lirs_validation.record.metric_catalog import Metric, Section, metrics_in, metrics_selected, rtf_counts
+from lirs_validation.record.odometry import WORSE, WORSE_MARK, worse_than_odometry
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.tables.table import Content, ReportTable, Spread
 
 EXTRAPOLATED = "†"
+ATE = "trajectory.ate_rmse"
 SECTIONS: dict[Section, str] = {
     "rtf": "Real-time factor",
     "trajectory": "Trajectory",
@@ -21,6 +23,8 @@ SECTIONS: dict[Section, str] = {
     "cost": "Cost",
 }
 """Sections of the report and their titles."""
+MOST_NAMED = 12
+"""Groups that a caption names one by one."""
 
 
 def failures_table(entries: Sequence[Entry]) -> ReportTable:
@@ -36,6 +40,21 @@ def failures_table(entries: Sequence[Entry]) -> ReportTable:
     headings = (*fields, "seed", "status", "reason", "folder")
     caption = f"{len(failed)} of {len(entries)} runs failed; they are in no mean below."
     return ReportTable("failures", "Failures", caption, headings, tuple(rows), len(headings))
+
+
+def failure_lines(entries: Sequence[Entry]) -> list[str]:
+    """Return the runs that failed and why, a line each, and how many they are."""
+    failed = [entry for entry in entries if not succeeded(entry)]
+    fields = distinguishing_fields(by_group(entries))
+    fields = tuple(field for field in FIELDS if field in {"world", "robot", "mapper", *fields})
+    lines = [
+        f"{Group.of(e).named(fields)}, seed {e['seed']} failed: {e['status']}"
+        + (f": {e['reason']}" if e["reason"] else "")
+        for e in failed
+    ]
+    return (
+        [*lines, f"{len(failed)} of {len(entries)} runs failed; they are in no mean below."] if lines else []
+    )
 
 
 def summary_table(entries: Sequence[Entry]) -> ReportTable:
@@ -89,7 +108,9 @@ def over_runs(metric: Metric, entries: Sequence[Entry]) -> Spread:
     """Return a metric over runs; the RTF of runs that were not alone on the machine is left out."""
     values = [v for e in entries if (v := metric.comparable(e)) is not None]
     stopped = metric.section == "rtf" and any(e["rtf"]["extrapolated"] for e in entries if rtf_counts(e))
-    return Spread(metric, repeats(values), EXTRAPOLATED if stopped else "", len(entries))
+    worse = metric.key == ATE and any(map(worse_than_odometry, entries))
+    mark = EXTRAPOLATED if stopped else WORSE_MARK if worse else ""
+    return Spread(metric, repeats(values), mark, len(entries))
 
 
 def _caption(metrics: Sequence[Metric], entries: Sequence[Entry]) -> str:
@@ -108,7 +129,22 @@ def _caption(metrics: Sequence[Metric], entries: Sequence[Entry]) -> str:
             lines.append(f"{beside} {runs} with something running beside {have} no RTF here.")
         if any(e["rtf"] and e["rtf"]["extrapolated"] for e in entries):
             lines.append(f"{EXTRAPOLATED} extrapolated: some drives were stopped at their wall limit.")
+    if any(metric.key == ATE for metric in metrics):
+        lines += _worse(entries)
     return " ".join(lines)
+
+
+def _worse(entries: Sequence[Entry]) -> list[str]:
+    """Return which groups have runs that are worse than their odometry, in one sentence; none where none."""
+    groups = by_group([entry for entry in entries if succeeded(entry)])
+    fields = _fields(groups)
+    named = []
+    for group, runs in groups.items():
+        worse = sum(map(worse_than_odometry, runs))
+        if worse:
+            named.append(f"{group.named(fields)} ({worse} of {len(runs)} run{'s' if len(runs) > 1 else ''})")
+    more = f" and {len(named) - MOST_NAMED} more" if len(named) > MOST_NAMED else ""
+    return [f"{WORSE_MARK} {WORSE}: {'; '.join(named[:MOST_NAMED])}{more}."] if named else []
 
 
 def _fields(groups: Mapping[Group, Any]) -> tuple[str, ...]:

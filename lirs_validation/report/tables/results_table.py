@@ -6,13 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from rich.table import Table
-from rich.text import Text
-
 from lirs_validation.record.formatting import Entry, as_entry, text_at
 from lirs_validation.record.metric_catalog import Metric, metrics_selected
+from lirs_validation.record.odometry import worse_lines, worse_than_odometry
 from lirs_validation.record.run_record import RunRecord, succeeded
-from lirs_validation.report.tables.screen import screen_table
+from lirs_validation.report.tables.screen import FittedTable
+from lirs_validation.report.tables.table import ReportTable
 
 FACTS = {
     "world": "world.name",
@@ -23,43 +22,40 @@ FACTS = {
     "status": "status",
 }
 """Columns before the metrics, and their places in the record."""
+LEAST = ("driven [m]",)
+"""Columns that are left out first where the screen is narrow."""
 COMMON = ("robot", "mapper", "attitude", "seed")
 """Columns that move into the title where all runs have the same."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column: its heading, the text of a run in it, whether it is aligned to the left."""
+    """A column: its heading, the text of a run in it, whether it is one of FACTS and no metric."""
 
     heading: str
     text: Callable[[Entry], str]
-    left: bool = False
+    fact: bool = False
 
 
-def results_table(records: Sequence[RunRecord | Entry]) -> Table:
-    """Return the runs as a rich table; below it why runs failed.
+def results_table(records: Sequence[RunRecord | Entry]) -> FittedTable:
+    """Return the runs for the screen; below them why runs failed, and which are worse than their odometry.
 
     What all runs have in common stands above it, so that the table fits a terminal of 80 characters.
     """
     entries = ordered(records)
-    reasons = _reasons(entries)
     shown = _columns(entries)
     common = [c for c in shown if c.heading in COMMON and len({c.text(e) for e in entries}) == 1]
-    table = screen_table(", ".join(_named(entries[0], c) for c in common), reasons)
     columns = [c for c in shown if c not in common]
-    for column in columns:
-        width = max(len(column.text(entry)) for entry in entries)
-        table.add_column(
-            Text(column.heading.replace(" ", "\n")),
-            justify="left" if column.left else "right",
-            min_width=min(width, 10),
-            overflow="fold",
-        )
-    for entry in entries:
-        # As plain text: a name may hold brackets, which rich would take for its markup.
-        cells = (Text(column.text(entry)) for column in columns)
-        table.add_row(*cells, style="" if succeeded(entry) else "bold red")
-    return table
+    table = ReportTable(
+        "runs",
+        "",
+        _remarks(entries),
+        tuple(column.heading for column in columns),
+        tuple(tuple(column.text(entry) for column in columns) for entry in entries),
+        sum(column.fact for column in columns),
+    )
+    title = ", ".join(_named(entries[0], column) for column in common)
+    return FittedTable(table, title=title, styles=[_style(entry) for entry in entries], drop=LEAST)
 
 
 def markdown_table(records: Sequence[RunRecord | Entry]) -> str:
@@ -68,13 +64,13 @@ def markdown_table(records: Sequence[RunRecord | Entry]) -> str:
     columns = _columns(entries)
     lines = [
         "| " + " | ".join(c.heading for c in columns) + " |",
-        "|" + "|".join("---" if c.left else "---:" for c in columns) + "|",
+        "|" + "|".join("---" if c.fact and c.heading != "seed" else "---:" for c in columns) + "|",
     ]
     for entry in entries:
         cells = (c.text(entry).replace("|", "\\|") for c in columns)
         lines.append("| " + " | ".join(cells) + " |")
-    reasons = _reasons(entries)
-    return "\n".join(lines) + "\n" + (f"\n{reasons}\n" if reasons else "")
+    remarks = _remarks(entries)
+    return "\n".join(lines) + "\n" + (f"\n{remarks}\n" if remarks else "")
 
 
 def ordered(records: Sequence[RunRecord | Entry]) -> list[Entry]:
@@ -84,7 +80,7 @@ def ordered(records: Sequence[RunRecord | Entry]) -> list[Entry]:
 
 def _columns(entries: Sequence[Entry]) -> list[Column]:
     facts = [
-        Column(name, partial(text_at, key=key), name != "seed")
+        Column(name, partial(text_at, key=key), fact=True)
         for name, key in FACTS.items()
         if name != "attitude" or any(text_at(entry, key) == "none" for entry in entries)
     ]
@@ -105,8 +101,14 @@ def _named(entry: Entry, column: Column) -> str:
     return text if column.heading in ("robot", "mapper") else f"{column.heading} {text}"
 
 
-def _reasons(entries: Sequence[Entry]) -> str:
-    """Return what failed or was stopped and why, one line each."""
+def _style(entry: Entry) -> str:
+    if not succeeded(entry):
+        return "bold red"
+    return "yellow" if worse_than_odometry(entry) else ""
+
+
+def _remarks(entries: Sequence[Entry]) -> str:
+    """Return what failed or was stopped and why, and what is worse than its odometry, one line each."""
     ended = [entry for entry in entries if entry["status"] != "ok"]
     lines = []
     for entry in ended:
@@ -115,4 +117,4 @@ def _reasons(entries: Sequence[Entry]) -> str:
         lines.append(
             f"{run}{'' if succeeded(entry) else ' failed'}: {entry.get('reason') or entry['status']}"
         )
-    return "\n".join(lines)
+    return "\n".join((*lines, *worse_lines(entries)))

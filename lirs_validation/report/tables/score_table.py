@@ -8,31 +8,30 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
-from rich.text import Text
-
 from lirs_validation.analysis.score import Score
-from lirs_validation.record.formatting import NOTHING
 from lirs_validation.record.metric_catalog import metrics_in
-from lirs_validation.report.tables.screen import screen_table
+from lirs_validation.record.odometry import WORSE, worse_than_odometry
+from lirs_validation.report.tables.screen import FittedTable
+from lirs_validation.report.tables.table import ReportTable
 from lirs_wct.files import atomic_write
 
 
-def score_table(score: Score, record: Mapping[str, Any]) -> Table:
-    """Return the metrics of the score beside those of the run's own mapper."""
+def score_table(score: Score, record: Mapping[str, Any]) -> FittedTable:
+    """Return the metrics of the score and of the run's own mapper; below, which is worse than odometry."""
     lines = [f"{score.status}: {score.reason}"] if score.reason else []
     lines.append(f"read in the {score.frame} frame")
     if score.trajectory:
         lines.append(f"{score.trajectory['poses']} of {score.given} poses lie at stamps of the run's scans")
-    table = screen_table(score.run, "; ".join(lines))
-    table.add_column("metric")
-    for heading in ("scored", str(record["config"]["mapper"])):
-        table.add_column(Text(heading), justify="right")
-    for metric in metrics_in("trajectory", "map"):
-        scored = metric.formatted(metric.of(asdict(score)))
-        if scored != NOTHING:
-            table.add_row(*map(Text, (metric.heading, scored, metric.formatted(metric.of(record)))))
-    return table
+    mapper = str(record["config"]["mapper"])
+    entries = {"scored": asdict(score), mapper: record}
+    worse = [f"{name}: {WORSE}" for name, entry in entries.items() if worse_than_odometry(entry)]
+    rows = [
+        (metric.heading, *(metric.formatted(metric.of(entry)) for entry in entries.values()))
+        for metric in metrics_in("trajectory", "map")
+        if metric.of(entries["scored"]) is not None
+    ]
+    caption = "\n".join(("; ".join(lines), *worse))
+    return FittedTable(ReportTable("score", "", caption, ("metric", *entries), tuple(rows)), title=score.run)
 
 
 def write_score(path: Path, score: Score, trajectory: Path | None, map_yaml: Path | None) -> None:

@@ -1,14 +1,22 @@
-"""Tables on the screen, in one style."""
+"""Tables on the screen, in one style, as wide as the screen allows."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Literal
 
 from rich import box
+from rich.console import Console, ConsoleOptions
 from rich.table import Table
 from rich.text import Text
 
-from lirs_validation.report.tables.table import ReportTable
+from lirs_validation.report.tables.table import Content, ReportTable, Spread
+
+UNBOUNDED = 100_000
+"""Columns of a screen on which every table fits."""
+FEWEST = 2
+"""Columns of numbers that are shown however narrow the screen is."""
 
 
 def screen_table(title: str = "", caption: str = "") -> Table:
@@ -27,12 +35,100 @@ def screen_table(title: str = "", caption: str = "") -> Table:
     )
 
 
-def on_screen(table: ReportTable, style: str = "", title: str = "") -> Table:
-    """Return a table of the report for the screen."""
-    shown = screen_table(title, table.caption)
-    for k, heading in enumerate(table.headings):
-        justify: Literal["left", "right"] = "left" if table.is_text(k) else "right"
-        shown.add_column(Text(heading), justify=justify, overflow="fold")
-    for row in table.texts():
-        shown.add_row(*map(Text, row), style=style)
-    return shown
+class FittedTable:
+    """A table that fits the screen without a name, a number or a unit being broken.
+
+    One that is too wide is shown without the intervals of its means, then without columns, named below it:
+    those that are said to go first, then metrics that the table of runs leaves out, else the last ones.
+    Remarks stand below, a line each.
+    """
+
+    def __init__(
+        self, table: ReportTable, *, title: str = "", styles: Sequence[str] = (), drop: Sequence[str] = ()
+    ) -> None:
+        """Take a table, the style of each row, and headings of columns that are left out first."""
+        self.table = _remarks_below(table)
+        self._title, self._drop = title, tuple(drop)
+        self._styles = tuple(styles) or ("",) * len(table.rows)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Table]:
+        """Yield the first form that fits."""
+        wide = options.update(width=UNBOUNDED)
+        shown = Table()
+        for form in self._forms():
+            shown = self._drawn(form, whole=True)
+            if console.measure(shown, options=wide).maximum <= options.max_width:
+                yield shown
+                return
+        yield self._drawn(form, whole=False)
+
+    def _forms(self) -> Iterator[ReportTable]:
+        """Yield the table as it is, without intervals, and with fewer and fewer columns."""
+        yield self.table
+        table = _without_intervals(self.table)
+        yield table
+        gone: list[str] = []
+        for column in self._dropped_in_order():
+            gone.append(self.table.headings[column])
+            yield _without(table, gone)
+
+    def _dropped_in_order(self) -> list[int]:
+        """Return the columns that may be left out, the first to go first."""
+        headings = self.table.headings
+        numbers = [k for k in range(len(headings)) if not self.table.is_text(k)]
+        rank = {k: (self._rank(headings[k], k), -k) for k in numbers}
+        return sorted(numbers, key=lambda k: rank[k])[: max(0, len(numbers) - FEWEST)]
+
+    def _rank(self, heading: str, column: int) -> int:
+        """Return 0 for what is said to go first, 1 for metrics that the table of runs leaves out, else 2."""
+        if heading in self._drop:
+            return 0
+        contents = [row[column] for row in self.table.rows]
+        return 1 if any(isinstance(c, Spread) and "runs" not in c.metric.selections for c in contents) else 2
+
+    def _drawn(self, table: ReportTable, *, whole: bool) -> Table:
+        """Return a table for the screen; its cells are plain text, for a name may hold brackets."""
+        shown = screen_table(self._title, table.caption)
+        for k, heading in enumerate(table.headings):
+            justify: Literal["left", "right"] = "left" if table.is_text(k) else "right"
+            shown.add_column(
+                Text(heading.replace(" ", "\n")), justify=justify, no_wrap=whole, overflow="fold"
+            )
+        for row, style in zip(table.texts(), self._styles, strict=True):
+            shown.add_row(*map(Text, row), style=style)
+        return shown
+
+
+def _remarks_below(table: ReportTable) -> ReportTable:
+    """Return a table whose remarks are lines of its caption, each after the texts of its row."""
+    if not table.remarks:
+        return table
+    lines = [f"{', '.join(row[: table.text_columns])}: {row[-1]}" for row in table.texts()]
+    return replace(
+        table,
+        headings=table.headings[:-1],
+        rows=tuple(row[:-1] for row in table.rows),
+        caption="\n".join((*lines, table.caption)),
+        remarks=False,
+    )
+
+
+def _without_intervals(table: ReportTable) -> ReportTable:
+    """Return a table of the means alone."""
+
+    def mean(content: Content) -> Content:
+        return content.without_interval if isinstance(content, Spread) else content
+
+    return replace(table, rows=tuple(tuple(map(mean, row)) for row in table.rows))
+
+
+def _without(table: ReportTable, headings: Sequence[str]) -> ReportTable:
+    """Return a table without some of its columns; its caption says which."""
+    kept = [k for k, heading in enumerate(table.headings) if heading not in headings]
+    note = f"No room here for {', '.join(headings)}."
+    return replace(
+        table,
+        headings=tuple(table.headings[k] for k in kept),
+        rows=tuple(tuple(row[k] for k in kept) for row in table.rows),
+        caption=f"{table.caption}\n{note}" if table.caption else note,
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lirs_validation.analysis.repeats import Repeats
 from lirs_validation.record.formatting import NOTHING
@@ -42,6 +42,11 @@ class Spread:
         reach = self.values.half_width
         held = f" ({self.values.count} of {self.of})" if self.partial else ""
         return (mean if reach is None else f"{mean} ± {self.metric.formatted(reach)}") + self.mark + held
+
+    @property
+    def without_interval(self) -> Spread:
+        """The mean alone."""
+        return self if self.values is None else replace(self, values=replace(self.values, half_width=None))
 
 
 Content = str | Spread

@@ -19,7 +19,7 @@ def entry(world: str = "simple", status: str = "ok", reason: str = "", **more: A
         "status": status,
         "reason": reason,
         "rtf": {"mean": 42.13},
-        "trajectory": {"length": 81.24, "ate_rmse": 0.0312},
+        "trajectory": {"length": 81.24, "ate_rmse": more.get("ate", 0.0312), "odometry_ate_rmse": 0.2},
         "map": {
             "f1": more.get("f1", 0.931),
             "f1_input": more.get("f1_input"),
@@ -56,15 +56,15 @@ def test_a_drive_that_its_wall_limit_stopped_has_not_failed() -> None:
 def test_the_figures_are_the_records() -> None:
     line = next(k for k in markdown_table([entry()]).splitlines() if "simple" in k)
     assert [c.strip() for c in line.strip("|").split("|")] == [
-        "simple", "husky", "hector", "1", "ok", "42.1", "81.2", "0.031", "0.931", "0.012",
+        "simple", "husky", "hector", "1", "ok", "42.1", "81.2", "0.031", "0.200", "0.931", "0.012",
     ]  # fmt: skip
 
 
 def test_what_does_not_exist_is_a_dash_and_never_a_number() -> None:
     line = next(k for k in markdown_table([entry(f1=None)]).splitlines() if "simple" in k)
-    assert line.split("|")[9].strip() == "-"
+    assert line.split("|")[10].strip() == "-"
     empty = {"world": {"name": "x"}, "config": {}, "status": "diverged", "reason": "", "trajectory": {}}
-    assert "| x | - | - | - | diverged | - | - | - | - | - |" in markdown_table([empty])
+    assert "| x | - | - | - | diverged | - | - | - | - | - | - |" in markdown_table([empty])
     assert picture_lines(empty) == [("status", "diverged")]
 
 
@@ -76,10 +76,23 @@ def test_an_input_map_adds_its_column() -> None:
 @pytest.mark.parametrize("mapper", ["hector", "cartographer"])
 def test_it_fits_eighty_characters(mapper: str) -> None:
     text = shown(entry("simple"), entry("advanced", "off world", "gone", mapper=mapper, f1_input=0.9))
-    for heading in ("world", "RTF", "driven", "[m]", "ATE", "F1", "occ."):
+    for heading in ("world", "RTF", "driven", "[m]", "ATE", "odom.", "F1", "occ."):
         assert heading in text
     assert "0.012" in text  # the last column is still there
+    assert {"simple", "advanced"} <= set(text.split()), "names are whole"
     assert max(len(line) for line in text.splitlines()) <= 80
+
+
+def test_a_mapper_that_is_worse_than_its_odometry_is_told() -> None:
+    worse = "medium, husky, hector, seed 1: worse than its odometry (ATE 0.450 m, odometry 0.200 m)"
+    text = " ".join(shown(entry(), entry("medium", ate=0.45)).split())
+    assert worse in text
+    assert text.count("worse than") == 1
+    assert worse in markdown_table([entry("medium", ate=0.45)])
+    assert ("", "worse than its odometry") in picture_lines(entry(ate=0.45))
+    # What no table shows is no difference.
+    for ate in (0.2, 0.2004):
+        assert "worse" not in shown(entry(ate=ate))
 
 
 def test_what_all_runs_share_stands_above() -> None:
