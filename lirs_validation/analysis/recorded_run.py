@@ -12,7 +12,8 @@ import numpy as np
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import RunConfig, SourceOptions
-from lirs_wct.errors import SourceError
+from lirs_validation.record.source_files import with_recorded_source
+from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.imu_csv import read_imu
 from lirs_wct.formats.tum import read_tum
@@ -33,19 +34,31 @@ def recorded_config(entry: Mapping[str, Any]) -> RunConfig:
         SourceError: it has options that this version does not know.
     """
     held = dict(entry["config"])
-    build: dict[str, Any] = {
-        key: tuple(v) if isinstance(v, list) else v for key, v in held.pop("build").items()
+    given: dict[str, Any] = {
+        key: tuple(v) if isinstance(v, list) else v for key, v in dict(held.pop("build")).items()
     }
-    if build.get("origin") is not None:
-        build["origin"] = Pose2(**build["origin"])
-    if build.get("texture") is not None:
-        build["texture"] = Path(build["texture"])
     unknown = (set(held) - {f.name for f in fields(RunConfig)}) | (
-        set(build) - {f.name for f in fields(SourceOptions)}
+        set(given) - {f.name for f in fields(SourceOptions)}
     )
     if unknown:
         raise SourceError(f"{entry['name']}: options unknown to this version: {', '.join(sorted(unknown))}")
-    return RunConfig(**held, build=SourceOptions(**build))
+    try:
+        if given.get("origin") is not None:
+            given["origin"] = Pose2(**given["origin"])
+        if given.get("texture") is not None:
+            given["texture"] = Path(given["texture"])
+        return RunConfig(**held, build=SourceOptions(**given))
+    except (ConfigError, TypeError, ValueError, AttributeError) as error:
+        raise SourceError(f"{entry['name']}: damaged: an option cannot be used: {error}") from error
+
+
+def recorded_world_config(entry: Mapping[str, Any]) -> RunConfig:
+    """Return the config of a record with the very source that the run was made from, wherever one stands.
+
+    Raises:
+        SourceError: it has options that this version does not know, or its source is no longer what it was.
+    """
+    return with_recorded_source(recorded_config(entry), entry["world"].get("files", ()))
 
 
 def recorded_truth(folder: Path) -> Trajectory:

@@ -10,8 +10,7 @@ from types import NoneType
 from lirs_validation.collision.validation import CollisionVerdict
 from lirs_validation.record.formatting import Entry
 from lirs_validation.record.map_record import is_mapped_log
-from lirs_validation.record.run_record import read_record
-from lirs_validation.record.schema import schema_error
+from lirs_validation.record.schema import read_whole_record
 from lirs_validation.sweep.collision_experiment import STATUS, read_verdict
 from lirs_validation.sweep.manifest import NAME as MANIFEST
 from lirs_wct.errors import SourceError
@@ -55,11 +54,7 @@ def read_run(folder: Path) -> RunFolder:
     Raises:
         SourceError: it holds no record, or one that is damaged or of another version.
     """
-    entry = read_record(folder)
-    problem = schema_error(entry)
-    if problem is not None:
-        raise SourceError(f"{folder / 'record.json'}: damaged: {problem}")
-    return RunFolder(folder, entry)
+    return RunFolder(folder, read_whole_record(folder))
 
 
 def read_results(root: Path) -> ResultFolder:

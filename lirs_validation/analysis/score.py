@@ -9,11 +9,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lirs_validation.analysis.recorded_run import recorded_config, recorded_truth, true_pose_map
+from lirs_validation.analysis.recorded_run import recorded_truth, recorded_world_config, true_pose_map
 from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.metrics import StartAlignment, map_scores, start_alignment, trajectory_errors
-from lirs_validation.metrics.agreement import decided, sampled
+from lirs_validation.metrics.agreement import agreement, decided, sampled
 from lirs_validation.metrics.association import MAX_GAP, associated
 from lirs_validation.record.verdict import incompleteness
 from lirs_wct.errors import SourceError, unknown_name
@@ -28,6 +28,8 @@ FRAMES: tuple[Frame, ...] = ("auto", "map", "world")
 NEAR, NEAR_SHARE, NEAR_YAW = 0.5, 0.1, math.radians(20)
 """A trajectory begins where the run was: within so many metres, this share of the way driven until then, and
 this angle; else it is in another frame."""
+TOLD_APART = 0.2
+"""Difference of F1 from which on one of two frames is the right one."""
 SAME_RESOLUTION = 1e-6
 
 
@@ -63,7 +65,7 @@ def score(
         trajectory: TUM file, poses of base_link at stamps of the run.
         map_yaml: ROS map.
         frame: of both: `map`, whose origin is the first base pose; `world`, as the run's own files; `auto`:
-            found by where the trajectory begins, `map` without one.
+            found by where the trajectory begins; without one, by the true-pose map.
 
     Raises:
         SourceError: a file cannot be read, or does not fit the run: stamps, frame, place.
@@ -73,7 +75,8 @@ def score(
     if estimate is not None and trajectory is not None:
         _check_stamps(trajectory, estimate, truth)
         frame = frame_of(trajectory, estimate, truth, frame)
-    frame = "map" if frame == "auto" else frame
+    if frame == "auto":
+        frame = "map" if map_yaml is None else frame_of_map(run, map_yaml, truth)
     T_world_frame = truth.pose2(0) if frame == "map" else Pose2()
     errors, alignment, lacking = dict[str, Any](), None, None
     if estimate is not None:
@@ -126,6 +129,28 @@ def frame_of(path: Path, estimate: Trajectory, truth: Trajectory, frame: Frame) 
     )
 
 
+def frame_of_map(run: RunFolder, path: Path, truth: Trajectory) -> Literal["map", "world"]:
+    """Return the frame in which a map agrees with the recorded true-pose map.
+
+    Raises:
+        SourceError: it agrees as well, or as badly, in the other frame.
+    """
+    built, reference = read_map(path), read_map(run.folder / "map_true_pose.yaml")
+    in_map, in_world = (_agreed(grid, reference) for grid in (built.moved(truth.pose2(0)), built))
+    if in_map == in_world:  # the frames are the same, or the map is of another place
+        return "map"
+    if abs(in_map - in_world) < TOLD_APART:
+        raise SourceError(
+            f"{path}: in which frame? F1 is {in_map:.3f} in the map frame, {in_world:.3f} in the world "
+            "frame: --frame map (origin: the first base pose) or --frame world (as the run's own files)"
+        )
+    return "map" if in_map > in_world else "world"
+
+
+def _agreed(built: OccupancyGrid, reference: OccupancyGrid) -> float:
+    return agreement(decided(built), decided(reference)).f1 or 0.0
+
+
 def _near(a: Pose2, b: Pose2, driven: float) -> bool:
     return a.distance(b) <= NEAR + NEAR_SHARE * driven and abs(wrap_angle(a.yaw - b.yaw)) <= NEAR_YAW
 
@@ -168,7 +193,7 @@ def _score_map(
     Raises:
         SourceError: the map knows nothing of where the run took place.
     """
-    config = recorded_config(run.entry)
+    config = recorded_world_config(run.entry)
     built = read_map(path).moved(T_world_frame)
     reference = read_map(run.folder / "map_true_pose.yaml")
     if abs(reference.resolution - built.resolution) > SAME_RESOLUTION:

@@ -107,7 +107,7 @@ def score(
         typer.Option(
             metavar="auto|map|world",
             help="Frame of both: map, whose origin is the first base pose; world, as the run's own files; "
-            "auto: by where the trajectory begins.",
+            "auto: by where the trajectory begins; of a map alone, by where it fits.",
         ),
     ] = "auto",
     output: Annotated[Path, typer.Option("-o", "--output", help="JSON to write.")] = Path("score.json"),

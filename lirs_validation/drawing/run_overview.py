@@ -1,4 +1,4 @@
-"""The picture of a run: terrain with both paths, speed and metrics, true-pose map, built map."""
+"""The picture of a run: terrain and paths, speed, metrics; true-pose map, built map as it is and aligned."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from scipy.ndimage import binary_dilation
 
 from lirs_validation.drawing.canvas import MARGIN, Canvas, bounds_shown
 from lirs_validation.drawing.hillshade import shaded_heights
@@ -20,6 +21,7 @@ from lirs_validation.drawing.style import (
     BLUE,
     GRAY,
     GREEN,
+    TEXT,
     VERMILLION,
     legend,
     map_axes,
@@ -36,6 +38,9 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.world import World
 
+PANEL = 4.7
+"""Width of a panel, inches."""
+
 
 def overview_figure(
     world: World,
@@ -44,6 +49,7 @@ def overview_figure(
     estimate: Trajectory,
     true_pose: OccupancyGrid,
     built: OccupancyGrid,
+    aligned: OccupancyGrid | None = None,
 ) -> Figure:
     """Draw a run on one page.
 
@@ -54,21 +60,24 @@ def overview_figure(
         estimate: estimated poses, world frame (moved by the true start pose).
         true_pose: map made with the true poses, world frame.
         built: the mapper's map, world frame (moved by the true start pose).
+        aligned: the same after the trajectory's alignment; None where there is none.
     """
     canvas = Canvas.over(shown_bounds(world, truth, true_pose))
     rows, cols = canvas.shape
-    width = 4.9
-    tall = width * min(max(rows / cols, 0.35), 1.5)
-    upper = max(tall, 4.2)
-    figure = new_figure(2 * width + 0.6, 1.2 + upper + tall)
-    grid = figure.add_gridspec(2, 2, height_ratios=(upper, tall))
+    shape = min(max(rows / cols, 0.35), 1.5)
+    upper = max(PANEL * shape, 4.2)
+    figure = new_figure(3 * PANEL + 0.6, 1.2 + upper + PANEL * shape)
+    grid = figure.add_gridspec(2, 3, height_ratios=(upper, PANEL * shape))
     headline(figure, _headline(record))
     _terrain(figure.add_subplot(grid[0, 0]), world, canvas, truth, estimate)
-    speed = grid[0, 1].subgridspec(2, 1, height_ratios=(1.0, 1.05))
-    _rtf(figure.add_subplot(speed[0]), record.rtf)
-    value_list(figure.add_subplot(speed[1]), picture_lines(record))
+    _rtf(figure.add_subplot(grid[0, 1]), record.rtf)
+    value_list(figure.add_subplot(grid[0, 2]), picture_lines(record))
     _reference(figure.add_subplot(grid[1, 0]), canvas, true_pose)
-    _built(figure.add_subplot(grid[1, 1]), canvas, built, true_pose)
+    _built(figure.add_subplot(grid[1, 1]), canvas, built, true_pose, record.map.get("f1"))
+    if aligned is not None:
+        axes = figure.add_subplot(grid[1, 2])
+        _built(axes, canvas, aligned, true_pose, record.map.get("f1_aligned"))
+        title(axes, "Built map, aligned")
     return figure
 
 
@@ -115,14 +124,26 @@ def _reference(axes: Axes, canvas: Canvas, true_pose: OccupancyGrid) -> None:
     title(axes, "Map at the true poses")
 
 
-def _built(axes: Axes, canvas: Canvas, built: OccupancyGrid, true_pose: OccupancyGrid) -> None:
-    """Show the built map; what the true-pose map contradicts by more than 0.10 m stands out."""
+def _built(
+    axes: Axes, canvas: Canvas, built: OccupancyGrid, true_pose: OccupancyGrid, f1: float | None
+) -> None:
+    """Show a built map over the true-pose map: what is more than 0.10 m off or missing stands out."""
     picture = canvas.grid_picture(built)
-    wrong = contradicted(built, true_pose)
-    picture[canvas.marked(wrong, built.resolution, built.origin)] = rgb(VERMILLION)
+    for asked, other, color in ((true_pose, built, BLUE), (built, true_pose, VERMILLION)):
+        wrong = contradicted(asked, other)
+        marked = canvas.marked(wrong, asked.resolution, asked.origin)
+        picture[binary_dilation(marked)] = rgb(color)  # a wall is a pixel wide
     map_axes(axes, canvas, picture)
     title(axes, "Built map")
-    handles = [Patch(color="black", label="occupied"), Patch(color=VERMILLION, label="> 0.10 m off")]
+    if f1 is not None:
+        box = {"facecolor": "white", "edgecolor": GRAY, "linewidth": 0.6, "boxstyle": "square,pad=0.3"}
+        corner = axes.transAxes
+        axes.text(0.02, 0.03, f"F1 {f1:.3f}", transform=corner, fontsize=TEXT, color=BLACK, bbox=box)
+    handles = [
+        Patch(color="black", label="occupied"),
+        Patch(color=VERMILLION, label="> 0.10 m off"),
+        Patch(color=BLUE, label="missing"),
+    ]
     legend(axes, handles)
 
 

@@ -43,6 +43,11 @@ class Maps:
     scores: dict[str, Any]
     alignment: StartAlignment | None = None
 
+    @property
+    def aligned(self) -> OccupancyGrid | None:
+        """The built map after the alignment of its trajectory."""
+        return None if self.alignment is None else self.built.moved(self.alignment.T_world_aligned)
+
 
 def evaluate(
     scenario: Scenario,
@@ -179,5 +184,6 @@ def evaluate_world(scenario: Scenario, simulation: Simulation) -> dict[str, Any]
         "relief": surface.relief,
         "nodes": surface.shape,
         "window": scenario.window,
+        "files": [asdict(file) for file in scenario.files],
         "contact": evaluate_contact(simulation),
     }

@@ -33,7 +33,6 @@ def write_results(folder: Path, record: RunRecord, log: DriveLog, maps: Maps, wo
         write_imu(temporary / "imu.csv.gz", [o.imu for o in log.observations])
         rows = [f"{second},{rtf:.4f}" for second, rtf in enumerate(record.rtf["series"], start=1)]
         (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *rows]) + "\n", encoding="utf-8")
-        overview_figure(world, record, truth, estimate, maps.true_pose, maps.built).savefig(
-            temporary / "overview.png"
-        )
+        overview = overview_figure(world, record, truth, estimate, maps.true_pose, maps.built, maps.aligned)
+        overview.savefig(temporary / "overview.png")
     return folder

@@ -10,6 +10,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.config import RunConfig
+from lirs_validation.record.source_files import SourceFile, source_files
 from lirs_wct.errors import LogSourceError
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.window import Window
@@ -24,11 +25,19 @@ KEPT = 2
 
 @dataclass(frozen=True)
 class Scenario:
-    """A config and its world; `window` is the square that was cut out of a larger one, if any."""
+    """A config and its world.
+
+    Attributes:
+        config: what is run.
+        world: of the config.
+        window: square that was cut out of a larger one, if any.
+        files: that the world was made from; none of a bundled one.
+    """
 
     config: RunConfig
     world: World
     window: Window | None
+    files: tuple[SourceFile, ...] = ()
 
     def simulation(self, robot: Robot) -> Simulation:
         """Put the robot into the world."""
@@ -42,7 +51,7 @@ class Scenario:
 def build_scenario(config: RunConfig) -> Scenario:
     """Build the config's world; of a terrain larger than 200 m, its middle 50 m."""
     try:
-        world = build_world(config.source, config.build)
+        files, world = source_files(config), build_world(config.source, config.build)
     except LogSourceError as error:
         raise LogSourceError(
             f"{error}: lirs-wct build does both, and so does lirs_validation.resolve_source"
@@ -53,10 +62,11 @@ def build_scenario(config: RunConfig) -> Scenario:
         or world.overhangs
         or config.build.window is not None
     ):
-        return Scenario(config, world, config.build.window)
+        return Scenario(config, world, config.build.window, files)
     west, south, east, north = world.surface.bounds
     window = ((west + east) / 2, (south + north) / 2, WINDOW)
-    return Scenario(config, build_world(config.source, replace(config.build, window=window)), window)
+    cut = build_world(config.source, replace(config.build, window=window))
+    return Scenario(config, cut, window, files)
 
 
 class ScenarioCache:

@@ -45,7 +45,7 @@ class RunRecord:
     A run that came to nothing (`error`, `timeout`) has no metrics.
 
     Attributes:
-        world: name, kind, size, relief, contact grid, scale, window.
+        world: name, kind, size, relief, contact grid, scale, window, files that it was made from.
         status: `ok`, or how it ended before its time; `reason` says why.
         rtf: mean, std, min, parts, physics_only, series, concurrent, extrapolated.
         trajectory: ate_rmse, ate_unaligned, length, final drift, scan_coverage, ...
@@ -98,7 +98,7 @@ def read_record(folder: Path) -> dict[str, Any]:
     try:
         entry: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         schema = entry["schema"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise SourceError(f"{path}: not a run's record, or damaged ({type(error).__name__})") from error
     if schema != SCHEMA:
         raise SourceError(f"{path}: schema {schema} is not the one this version reads ({SCHEMA})")

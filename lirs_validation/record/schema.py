@@ -6,10 +6,14 @@ import json
 from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 from jsonschema import Draft202012Validator
 from jsonschema.exceptions import best_match
+
+from lirs_validation.record.run_record import read_record
+from lirs_wct.errors import SourceError
 
 
 def record_schema() -> dict[str, Any]:
@@ -30,6 +34,19 @@ def schema_error(entry: Mapping[str, Any]) -> str | None:
     except ValueError:
         return "record: a number is not finite"
     return None
+
+
+def read_whole_record(folder: Path) -> dict[str, Any]:
+    """Read a run's `record.json`.
+
+    Raises:
+        SourceError: missing, damaged, of another schema, or something in it does not fit the schema.
+    """
+    entry = read_record(folder)
+    problem = schema_error(entry)
+    if problem is not None:
+        raise SourceError(f"{folder / 'record.json'}: damaged: {problem}")
+    return entry
 
 
 @cache

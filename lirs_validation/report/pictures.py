@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lirs_validation.analysis.recorded_run import recorded_config
+from lirs_validation.analysis.recorded_run import recorded_world_config
 from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.drawing.canvas import Canvas, bounds_shown
 from lirs_validation.drawing.hillshade import shaded_heights
@@ -81,7 +81,7 @@ class Painter:
         (truth, estimate), (true_pose, built) = tracks, maps
         note = ""
         try:
-            world = self._scenarios.scenario(recorded_config(run.entry)).world
+            world = self._scenarios.scenario(recorded_world_config(run.entry)).world
             canvas = Canvas.over(shown_bounds(world, truth, true_pose), tile)
             ground = shaded_heights(world, canvas)
         except WctError as error:

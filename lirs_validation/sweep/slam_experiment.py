@@ -14,7 +14,10 @@ from lirs_validation.config import RunConfig, run_name
 from lirs_validation.experiment.mapper_loading import mapper_named, source_file
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.record.run_record import RunRecord, read_record
+from lirs_validation.record.result_files import lacking_files
+from lirs_validation.record.run_record import RunRecord
+from lirs_validation.record.schema import read_whole_record
+from lirs_validation.record.source_files import same_source
 from lirs_validation.record.staleness import is_stale, world_files
 from lirs_validation.sweep.outcome import Outcome
 from lirs_wct.errors import SourceError
@@ -75,12 +78,14 @@ class SlamExperiment:
             (folder / "error.txt").write_text(outcome.trace or outcome.reason, encoding="utf-8")
 
     def finished(self, out: Path) -> Outcome | None:
-        """Return how the run ended, if this code wrote it after source and mapper changed last."""
+        """Return how the run ended, if this code wrote it, whole, after source and mapper changed last."""
         folder = out / self.name
         try:
-            record = read_record(folder)
-            status, reason, limit = record["status"], record["reason"], record["config"]["wall_limit"]
-        except (SourceError, KeyError, TypeError):
+            record = read_whole_record(folder)
+        except SourceError:
+            return None
+        status, reason, limit = record["status"], record["reason"], record["config"]["wall_limit"]
+        if lacking_files(folder, status) or not same_source(self.config, record["world"].get("files", ())):
             return None
         inputs = [*world_files(self.config), source_file(self.config.mapper)]
         if is_stale(folder / "record.json", record.get("versions"), inputs):

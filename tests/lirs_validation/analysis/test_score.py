@@ -78,6 +78,24 @@ def test_the_map_frame_is_that_of_the_first_base_pose(run: RunFolder, foreign: t
     }
 
 
+def test_a_map_alone_is_read_in_the_frame_that_it_fits(
+    run: RunFolder, foreign: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """The run's own map was read in the map frame without a word, and had an F1 of .067."""
+    own = score(run, map_yaml=run.folder / "map.yaml")
+    assert (own.frame, own.map["f1"]) == ("world", run.entry["map"]["f1"])
+    assert score(run, map_yaml=foreign[1]).frame == "map"
+    built = read_map(run.folder / "map.yaml")
+    rng = np.random.default_rng(0)
+    noise = replace(built, log_odds=rng.permuted(built.log_odds.ravel()).reshape(built.shape))
+    write_map(tmp_path / "noise", noise)
+    with pytest.raises(
+        SourceError, match=r"noise\.yaml: in which frame\? F1 .* --frame map .* --frame world"
+    ):
+        score(run, map_yaml=tmp_path / "noise.yaml")
+    assert score(run, map_yaml=tmp_path / "noise.yaml", frame="world").frame == "world"
+
+
 def test_a_map_of_other_cells_meets_a_true_pose_map_of_its_own(run: RunFolder, tmp_path: Path) -> None:
     config = recorded_config(run.entry)
     fine = true_pose_map(run.folder, config, 0.05)

@@ -122,7 +122,7 @@ def record(status: str = "ok", series: tuple[float, ...] = (40.0, 50.0, 60.0)) -
         reason="" if status == "ok" else "it fell",
         rtf={"mean": 48.0, "std": 8.0, "series": list(series)},
         trajectory={"ate_rmse": 0.02, "length": 2.0},
-        map={"f1": None},
+        map={"f1": 0.93, "f1_aligned": 0.99},
         collisions={},
         mapper={},
         versions={},
@@ -140,12 +140,17 @@ def drive() -> tuple[World, Trajectory, OccupancyGrid]:
 @pytest.mark.parametrize("status", ["ok", "tipped"])
 def test_an_overview_shows_the_same_metres_in_all_panels(status: str, tmp_path: Path) -> None:
     world, truth, grid = drive()
-    figure = overview_figure(world, record(status), truth, truth, grid, grid)
+    figure = overview_figure(world, record(status), truth, truth, grid, grid, grid)
     panels = {axes.get_title(loc="left"): axes for axes in figure.axes}
-    names = ["Input map and paths", "Map at the true poses", "Built map"]
+    names = [
+        "Input map and paths",
+        "Map at the true poses",
+        "Built map",
+        "Built map, aligned",
+    ]
     assert len({(*panels[n].get_xlim(), *panels[n].get_ylim()) for n in names}) == 1
     texts = {t.get_text() for axes in figure.axes for t in axes.texts}
-    assert "0.020 m" in texts
+    assert {"0.020 m", "F1 0.930", "F1 0.990"} <= texts
     assert ("it fell" in figure.get_suptitle()) == (status != "ok")
     figure.savefig(tmp_path / "overview.png")
     assert (tmp_path / "overview.png").stat().st_size > 20_000
@@ -165,7 +170,16 @@ def test_an_overview_of_a_run_that_hardly_began() -> None:
 def test_what_is_off_stands_out() -> None:
     world, truth, grid = drive()
     wrong = grid.moved(Pose2(0.3, 0.0, 0.0))
-    figure = overview_figure(world, record(), truth, truth, grid, wrong)
-    built = next(a for a in figure.axes if a.get_title(loc="left") == "Built map")
-    picture = np.asarray(built.images[0].get_array())
-    assert (np.abs(picture - (0.835, 0.369, 0.0)).max(axis=-1) < 0.01).sum() > 100
+    figure = overview_figure(world, record(), truth, truth, grid, wrong, grid)
+    found = {}
+    for name in ("Built map", "Built map, aligned"):
+        axes = next(a for a in figure.axes if a.get_title(loc="left") == name)
+        picture = np.asarray(axes.images[0].get_array())
+        found[name] = [
+            int((np.abs(picture - color).max(axis=-1) < 0.01).sum())
+            for color in ((0.835, 0.369, 0.0), (0.0, 0.447, 0.698))
+        ]
+    off, missing = found["Built map"]
+    assert off > 100
+    assert missing > 100
+    assert found["Built map, aligned"] == [0, 0]

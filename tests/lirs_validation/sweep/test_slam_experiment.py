@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 from lirs_validation.config import RunConfig
-from lirs_validation.record.run_record import RunRecord, Status, read_record
+from lirs_validation.record.result_files import WITH_RESULTS
+from lirs_validation.record.run_record import Status, read_record
+from lirs_validation.record.source_files import source_files
 from lirs_validation.sweep.engines.processes import Processes
 from lirs_validation.sweep.engines.serial import Serial
 from lirs_validation.sweep.outcome import Outcome
@@ -21,15 +23,23 @@ from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct import BuildOptions
 from lirs_wct.errors import WctError
+from tests.lirs_validation.records import record
 
 TIMES = {"rtf", "cost", "mapper", "versions"}
 """Groups of a record that hold wall times; a developer's code may change while engines run."""
 
 
 def saved(experiment: SlamExperiment, out: Path, status: Status = "ok") -> Path:
-    """Write a record as a finished run leaves it; return its file."""
-    record = RunRecord(config=experiment.config, world={"name": experiment.world}, status=status)
-    record.save(out / experiment.name)
+    """Write a folder as a finished run leaves it; return its record's file."""
+    like = record(status=status)
+    world = {
+        **like.world,
+        "name": experiment.world,
+        "files": [vars(f) for f in source_files(experiment.config)],
+    }
+    replace(like, config=experiment.config, world=world).save(out / experiment.name)
+    for name in WITH_RESULTS[1:]:
+        (out / experiment.name / name).write_text("something")
     return out / experiment.name / "record.json"
 
 
@@ -55,11 +65,28 @@ def test_a_run_of_another_schema_version_or_code_is_not_kept(tmp_path: Path) -> 
         {"versions": versions | {"code": "00000000"}},
         {"versions": None},
         {"config": None},
+        {"status": ["ok"]},
+        {"reason": 7},
+        {"world": []},
+        {"map": {"f1": "good"}},
     ):
         saved(experiment, tmp_path)
         edited(file, **changes)
         assert experiment.finished(tmp_path) is None, changes
-    file.write_text('{"schema": 2, "sta')
+    for text in ('{"schema": 3, "sta', "[]", '"ok"', "3", "[" * 100_000):
+        file.write_text(text)
+        assert experiment.finished(tmp_path) is None
+
+
+@pytest.mark.parametrize("name", WITH_RESULTS)
+@pytest.mark.parametrize("how", ["gone", "empty"])
+def test_a_run_whose_folder_is_not_whole_is_run_again(name: str, how: str, tmp_path: Path) -> None:
+    experiment = SlamExperiment(RunConfig(source="simple"))
+    saved(experiment, tmp_path)
+    file = tmp_path / experiment.name / name
+    file.write_text("")
+    if how == "gone":
+        file.unlink()
     assert experiment.finished(tmp_path) is None
 
 
@@ -103,10 +130,10 @@ def test_a_failure_leaves_a_record_without_figures(tmp_path: Path) -> None:
     experiment.write_failure(
         tmp_path, Outcome(experiment=experiment.name, status="error", reason="it broke", trace="line 7")
     )
-    record = read_record(tmp_path / experiment.name)
-    assert (record["status"], record["reason"]) == ("error", "it broke")
+    written = read_record(tmp_path / experiment.name)
+    assert (written["status"], written["reason"]) == ("error", "it broke")
     groups = ("rtf", "trajectory", "map", "collisions", "mapper", "cost")
-    assert [record[group] for group in groups] == [{}] * 6
+    assert [written[group] for group in groups] == [{}] * 6
     assert (tmp_path / experiment.name / "error.txt").read_text() == "line 7"
 
 
@@ -136,15 +163,15 @@ def test_engines_give_the_same_bytes(tmp_path: Path) -> None:
     for file in a.iterdir():
         if file.name not in ("record.json", "rtf.csv", "overview.png"):
             assert file.read_bytes() == (b / file.name).read_bytes(), file.name
-    record, other = read_record(a), read_record(b)
-    assert {k: v for k, v in record.items() if k not in TIMES} == {
+    one, other = read_record(a), read_record(b)
+    assert {k: v for k, v in one.items() if k not in TIMES} == {
         k: v for k, v in other.items() if k not in TIMES
     }
-    assert record["mapper"]["counts"] == other["mapper"]["counts"]
-    assert record["cost"]["scans_dropped"] == other["cost"]["scans_dropped"] == 0
-    assert not record["rtf"]["extrapolated"]
-    assert record["cost"]["cpu_seconds"] > 0
-    assert record["cost"]["peak_memory"] > 50e6
+    assert one["mapper"]["counts"] == other["mapper"]["counts"]
+    assert one["cost"]["scans_dropped"] == other["cost"]["scans_dropped"] == 0
+    assert not one["rtf"]["extrapolated"]
+    assert one["cost"]["cpu_seconds"] > 0
+    assert one["cost"]["peak_memory"] > 50e6
 
 
 def test_a_single_cell_with_a_bad_source_says_so_and_leaves_nothing(tmp_path: Path) -> None:
