@@ -79,47 +79,47 @@ SLOWEST, SPARE = 5, 20.0
 
 @dataclass(frozen=True)
 class Mutant:
-    """A mutation of a module, a path in the checkout."""
+    """A mutation of a module, a path in the checkout, whose source was as it is here."""
 
     module: str
+    source: str
     mutation: Mutation
 
     @property
     def diff(self) -> str:
         """The changed lines."""
-        return self.mutation.diff((ROOT / self.module).read_text(encoding="utf-8"))
+        return self.mutation.diff(self.source)
 
 
-def modules_of(patterns: Sequence[str]) -> list[str]:
+def modules_of(patterns: Sequence[str], root: Path) -> list[str]:
     """Return the modules of patterns, paths in the checkout; packages' `__init__` is left out."""
-    found = sorted({path for pattern in patterns for path in ROOT.glob(pattern)})
-    return [str(path.relative_to(ROOT)) for path in found if path.name != "__init__.py"]
+    found = sorted({path for pattern in patterns for path in root.glob(pattern)})
+    return [str(path.relative_to(root)) for path in found if path.name != "__init__.py"]
 
 
-def drawn(modules: Sequence[str], number: int | None, seed: int) -> list[Mutant]:
+def drawn(modules: Sequence[str], number: int | None, seed: int, root: Path) -> list[Mutant]:
     """Return a sample of the modules' mutants: slice `seed` (from 1) of one shuffled list of all."""
+    sources = {module: (root / module).read_text(encoding="utf-8") for module in modules}
     found = [
-        Mutant(module, mutation)
-        for module in modules
-        for mutation in mutations_of((ROOT / module).read_text(encoding="utf-8"))
+        Mutant(name, text, mutation) for name, text in sources.items() for mutation in mutations_of(text)
     ]
     random.Random(0).shuffle(found)
     number = len(found) if number is None else number
     return sorted(found[(seed - 1) * number : seed * number], key=lambda m: (m.module, m.mutation.start))
 
 
-def tests_of(module: str) -> list[str]:
+def tests_of(module: str, root: Path) -> list[str]:
     """Return the tests with a module's name in theirs, else the nearest folder that mirrors its own."""
     path = Path(module)
     folder = Path("tests", *(part for part in path.parent.parts if part != "envs"))
     named = [
         test
         for place in (folder, "tests/properties", "tests/reference")
-        for test in sorted((ROOT / place).glob("test_*.py"))
+        for test in sorted((root / place).glob("test_*.py"))
         if path.stem in test.stem
     ]
-    found = [str(test.relative_to(ROOT)) for test in named]
-    while not found and not (ROOT / folder).is_dir():
+    found = [str(test.relative_to(root)) for test in named]
+    while not found and not (root / folder).is_dir():
         folder = folder.parent
     return found or [str(folder)]
 
@@ -137,10 +137,9 @@ class Laboratory:
 
     def killed(self, mutant: Mutant) -> bool:
         """Whether the tests of a mutant's module notice it."""
-        source = (ROOT / mutant.module).read_text(encoding="utf-8")
-        tests, jit = tests_of(mutant.module), "@njit" not in source
+        tests, jit = tests_of(mutant.module, self.folder), "@njit" not in mutant.source
         limit = self._limit(tests, jit)
-        with self._mutated(mutant.module, mutant.mutation.apply(source)):
+        with self._mutated(mutant):
             return self._run(tests, jit, limit) != 0
 
     def _limit(self, tests: list[str], jit: bool) -> float:
@@ -156,16 +155,15 @@ class Laboratory:
         return self._limits[key]
 
     @contextmanager
-    def _mutated(self, module: str, source: str) -> Iterator[None]:
-        path = self.folder / module
-        original = path.read_text(encoding="utf-8")
-        path.write_text(source, encoding="utf-8")
+    def _mutated(self, mutant: Mutant) -> Iterator[None]:
+        path = self.folder / mutant.module
+        path.write_text(mutant.mutation.apply(mutant.source), encoding="utf-8")
         for compiled in (path.parent / "__pycache__").glob(f"{path.stem}.cpython-*.pyc"):
             compiled.unlink()
         try:
             yield
         finally:
-            path.write_text(original, encoding="utf-8")
+            path.write_text(mutant.source, encoding="utf-8")
 
     def _run(self, tests: list[str], jit: bool, limit: float, keep: bool = False) -> int:
         """Run tests in a forked process; return pytest's exit code, -1 where it takes too long."""
@@ -198,10 +196,8 @@ def _pytest(folder: Path, tests: list[str], jit: bool, keep: bool) -> None:
     os.dup2(quiet, 1)
     os.dup2(quiet, 2)
     hypothesis = importlib.import_module("hypothesis")
-    phases = (
-        hypothesis.Phase.explicit,
-        hypothesis.Phase.generate,
-    )  # a failure is enough, it need not be small
+    # A failure is enough, it need not be small.
+    phases = (hypothesis.Phase.explicit, hypothesis.Phase.generate)
     hypothesis.settings.register_profile(
         "mutants", deadline=None, derandomize=True, database=None, phases=phases
     )
@@ -210,18 +206,14 @@ def _pytest(folder: Path, tests: list[str], jit: bool, keep: bool) -> None:
     os._exit(int(code))
 
 
-def figures(mutants: Sequence[Mutant], console: Console) -> list[dict[str, Any]]:
+def figures(laboratory: Laboratory, mutants: Sequence[Mutant], console: Console) -> list[dict[str, Any]]:
     """Run every mutant; return its module, its diff and whether it was killed."""
-    for name in PRELOADED:
-        importlib.import_module(name)
     rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        laboratory = Laboratory(Path(folder))
-        for mutant in mutants:
-            killed = laboratory.killed(mutant)
-            rows.append({"module": mutant.module, "killed": killed, "diff": mutant.diff})
-            if not killed:
-                console.print(f"survived: {mutant.module}\n{mutant.diff}\n", markup=False, highlight=False)
+    for mutant in mutants:
+        killed = laboratory.killed(mutant)
+        rows.append({"module": mutant.module, "killed": killed, "diff": mutant.diff})
+        if not killed:
+            console.print(f"survived: {mutant.module}\n{mutant.diff}\n", markup=False, highlight=False)
     return rows
 
 
@@ -236,7 +228,7 @@ def table(rows: Sequence[dict[str, Any]], title: str) -> Table:
     return shown
 
 
-def samples(given: argparse.Namespace) -> Iterator[tuple[str, list[Mutant]]]:
+def samples(given: argparse.Namespace, root: Path) -> Iterator[tuple[str, list[Mutant]]]:
     """Yield a name and the mutants of each group, of the modules, or of an earlier run's survivors."""
     if given.survivors:
         old = [row for row in json.loads(given.survivors.read_text(encoding="utf-8")) if not row["killed"]]
@@ -244,18 +236,18 @@ def samples(given: argparse.Namespace) -> Iterator[tuple[str, list[Mutant]]]:
             f"survivors of {given.survivors}",
             [
                 mutant
-                for mutant in drawn(sorted({row["module"] for row in old}), None, 1)
+                for mutant in drawn(sorted({row["module"] for row in old}), None, 1, root)
                 if any((row["module"], row["diff"]) == (mutant.module, mutant.diff) for row in old)
             ],
         )
     elif given.module:
         modules = [str(path.resolve().relative_to(ROOT)) for path in given.module]
-        yield "modules", drawn(modules, given.number, given.seed)
+        yield "modules", drawn(modules, given.number, given.seed, root)
     else:
         for name in given.groups or GROUPS:
             number, patterns = GROUPS[name]
             number = given.number or (8 if given.quick else number)
-            yield f"{name}, seed {given.seed}", drawn(modules_of(patterns), number, given.seed)
+            yield f"{name}, seed {given.seed}", drawn(modules_of(patterns, root), number, given.seed, root)
 
 
 def main() -> None:
@@ -276,10 +268,14 @@ def main() -> None:
     if given.seed < 1:
         parser.error(f"seed must be 1 or more, got {given.seed}")
     console, rows = Console(width=130), []
-    for title, mutants in samples(given):
-        found = figures(mutants, console)
-        console.print(table(found, title))
-        rows += found
+    for name in PRELOADED:
+        importlib.import_module(name)
+    with tempfile.TemporaryDirectory() as folder:
+        laboratory = Laboratory(Path(folder))
+        for title, mutants in samples(given, laboratory.folder):
+            found = figures(laboratory, mutants, console)
+            console.print(table(found, title))
+            rows += found
     if given.json:
         given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 

@@ -49,6 +49,8 @@ FUNCTIONS = [
     ("radians", "degrees"),
 ]
 TWIN = {**dict(FUNCTIONS), **{b: a for a, b in FUNCTIONS}}
+GUARDS = ("strict", "stacklevel")
+"""Arguments without a say in what comes out."""
 OPERATIONS = (ast.BinOp, ast.BoolOp, ast.Compare, ast.UnaryOp)
 Node = ast.expr | ast.stmt
 
@@ -96,7 +98,7 @@ def mutations_of(source: str) -> list[Mutation]:
 
 
 def _nodes(node: ast.AST, in_function: bool) -> Iterator[tuple[Node, bool]]:
-    """Walk the code of a tree; texts, annotations, decorators and `zip`'s `strict` are left out."""
+    """Walk the code of a tree; texts, annotations, decorators and what only warns or guards are left out."""
     in_function = in_function or isinstance(node, ast.FunctionDef | ast.Lambda)
     if isinstance(node, ast.expr | ast.stmt):
         yield node, in_function
@@ -105,7 +107,7 @@ def _nodes(node: ast.AST, in_function: bool) -> Iterator[tuple[Node, bool]]:
             continue
         for child in value if isinstance(value, list) else [value]:
             text = isinstance(child, ast.JoinedStr) or (
-                isinstance(child, ast.keyword) and child.arg == "strict"
+                isinstance(child, ast.keyword) and child.arg in GUARDS
             )
             if isinstance(child, ast.AST) and not text:
                 yield from _nodes(child, in_function)

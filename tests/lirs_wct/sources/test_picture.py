@@ -444,3 +444,11 @@ def test_deterrace_needs_levels_and_takes_their_own_step(tmp_path: Path) -> None
     assert len(np.unique(wide.round(3))) > 21
     with pytest.raises(SourceError, match="floating-point heights, --deterrace needs gray levels"):
         read(tiff(tmp_path / "c.tif", RAMP.astype(np.float32)), deterrace=True)
+
+
+def test_heights_of_a_few_millimetres_are_scaled_like_any_other(tmp_path: Path) -> None:
+    path = tiff(tmp_path / "a.tif", (RAMP / 4096).astype(np.float32))
+    np.testing.assert_allclose(read(path, height=2.0).z, RAMP / 11 * 2, rtol=1e-5)
+    own = tiff(tmp_path / "b.tif", (RAMP / 4096).astype(np.float32), scale=(1.0, 1.0, 0.0))
+    np.testing.assert_allclose(read(own).z, RAMP / 4096, rtol=1e-5)
+    np.testing.assert_allclose(read(own, height=2.0).z, RAMP / 11 * 2, rtol=1e-5)

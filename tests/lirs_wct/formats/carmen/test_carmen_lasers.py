@@ -439,3 +439,10 @@ def test_readings_of_a_code_are_counted(tmp_path: Path) -> None:
     log = read_carmen(write_log(tmp_path / "x.clf", lines))
     assert log.repaired == {f"readings of {7.995:.2f} m or more, a code for no return": 180}
     assert log.scans[0].range_max == pytest.approx(7.995)
+
+
+@pytest.mark.parametrize(("x", "known"), [(3.0, True), (3.25, False)])
+def test_a_laser_three_metres_away_is_still_mounted(tmp_path: Path, x: float, known: bool) -> None:
+    lines = [robotlaser(1.0 + k, base=Pose2(k), laser=Pose2(k + x)) for k in range(5)]
+    found = read_carmen(write_log(tmp_path / "x.clf", lines)).scans[0].T_base_laser
+    assert found == Pose3(x if known else 0.0)

@@ -170,3 +170,18 @@ def test_a_log_of_nothing_has_no_reasons(tmp_path: Path) -> None:
 def test_long_names_are_cut(tmp_path: Path) -> None:
     log = read_carmen(write(tmp_path, flaser(1.0), "ABCDEFGHIJKLMNOPQRSTUVWXYZ 1"))
     assert log.skipped == {"message ABCDEFGHIJKLMNOPQRST": 1}
+
+
+@pytest.mark.parametrize("commoner", ["FLASER", "ROBOTLASER1"])
+def test_of_two_front_lasers_with_poses_the_commoner_is_read(tmp_path: Path, commoner: str) -> None:
+    sweep, poses = "0 -1.57 3.14 0.017453 20.0 0.1 0", "1.0 2.0 0.5 1.0 2.0 0.5"
+    lines = {
+        "FLASER": [flaser(10.0 + k) for k in range(3)],
+        "ROBOTLASER1": [
+            f"ROBOTLASER1 {sweep} 180 {' '.join(['2.0'] * 180)} 0 {poses} 0 0 0 0 0 {20.0 + k} h 0"
+            for k in range(3)
+        ],
+    }
+    other = next(name for name in lines if name != commoner)
+    log = read_carmen(write(tmp_path, *lines[other][:2], *lines[commoner]))
+    assert (log.laser, log.skipped) == (commoner, {f"{other} beside {commoner}": 2})

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from lirs_wct.formats.images import tiff
-from lirs_wct.formats.images.header import PictureHeader, check_complete, read_header
+from lirs_wct.formats.images.header import MAX_PIXELS, PictureHeader, check_complete, read_header
 
 
 def header(data: bytes) -> PictureHeader:
@@ -42,6 +42,10 @@ def test_sizes_that_pillow_writes(form: str, mode: str) -> None:
     check(file.getvalue())
 
 
+def test_twenty_five_million_pixels_are_allowed() -> None:
+    assert MAX_PIXELS == 25_000_000
+
+
 def test_what_is_no_picture() -> None:
     for data in (b"GIF88a\1\0\1\0\0", b"P7\n1 1", b"II*\1", b"\x89PNG\r\n\x1a\r", b"\xff\xd8\xfe", b""):
         with pytest.raises(ValueError, match="is not a picture; legal: PNG"):
@@ -68,14 +72,19 @@ def test_png_is_whole_up_to_its_end_chunk() -> None:
             check(bytes(damaged))
 
 
+def gif_colors(flags: int) -> bytes:
+    """A table of colors that look like the beginning of an image and of the end."""
+    return b",\xfa;" * (1 << (flags % 8 + 1)) if flags & 0x80 else b""
+
+
 def gif(*blocks: bytes, flags: int = 0, size: tuple[int, int] = (7, 300)) -> bytes:
-    table = bytes(3 << (flags % 8 + 1)) if flags & 0x80 else b""
+    table = gif_colors(flags)
     return b"GIF89a" + struct.pack("<HHBBB", *size, flags, 0, 0) + table + b"".join(blocks) + b";"
 
 
 def gif_image(w: int, h: int, flags: int = 0) -> bytes:
     """An image at (9, 9); its data hold separators that are none."""
-    table = bytes(3 << (flags % 8 + 1)) if flags & 0x80 else b""
+    table = gif_colors(flags)
     return b"," + struct.pack("<HHHHB", 9, 9, w, h, flags) + table + b"\x02" + b"\x03,,," + b"\x02;;" + b"\0"
 
 

@@ -1,0 +1,259 @@
+"""Repaired stamps against a plain twin: the definition line by line, pools of adjacent violators by hand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lirs_wct.formats.carmen.lines import Message
+from lirs_wct.formats.carmen.stamps import LineStamps, in_file_order
+from lirs_wct.geometry.pose import Pose2
+
+RANGES = np.full(3, 2.0, np.float32)
+
+
+def pooled(values: list[float]) -> list[float]:
+    """Return the rising values nearest to some, in the least squares' sense: neighbours that fall are one."""
+    pools: list[list[float]] = []
+    for value in values:
+        pools.append([value])
+        while len(pools) > 1 and np.mean(pools[-2]) >= np.mean(pools[-1]):
+            last = pools.pop()
+            pools[-1] += last
+    return [float(np.mean(pool)) for pool in pools for _ in pool]
+
+
+def least_steps(stamps: list[float], poses: list[Pose2]) -> list[float]:
+    """Return the least seconds between lines: what their motion takes at the log's own speed limit."""
+    n = min(20, len(stamps) - 1)
+    windows = [(k, k + n) for k in range(len(stamps) - n)]
+    pace = float(np.median([stamps[b] - stamps[a] for a, b in windows])) / n
+    if pace <= 0:
+        pace = (max(stamps) - min(stamps)) / (len(stamps) - 1) or 0.1
+    metres = [math.dist((p.x, p.y), (q.x, q.y)) for p, q in pairwise(poses)]
+    radians = [abs(math.remainder(q.yaw - p.yaw, math.tau)) for p, q in pairwise(poses)]
+    takes = [0.0] * len(metres)
+    for steps in (metres, radians):
+        speeds = [sum(steps[a:b]) / max(stamps[b] - stamps[a], n * pace / 2) for a, b in windows]
+        limit = 1.25 * float(np.percentile(speeds, 99))
+        if limit > 0:
+            takes = [max(t, step / limit) for t, step in zip(takes, steps, strict=True)]
+    return [min(max(t, 1e-3), max(pace, 1e-3)) for t in takes]
+
+
+def twin(logged: list[float], poses: list[Pose2]) -> list[float]:
+    start = float(np.median(logged))
+    stamps = [t - start for t in logged]
+    least = np.concatenate(((0.0,), np.cumsum(least_steps(stamps, poses))))
+    rising = np.array(pooled((np.array(stamps) - least).tolist())) + least + start
+    return [old if abs(new - old) < 1e-6 else new for new, old in zip(rising.tolist(), logged, strict=True)]
+
+
+def lines(logged: list[float], poses: list[Pose2 | None], scans: list[bool]) -> list[Message]:
+    """Return messages in the order of the file."""
+    plain = [Message(k, t, p) for k, (t, p) in enumerate(zip(logged, poses, strict=True))]
+    return [replace(m, ranges=RANGES) if scan else m for m, scan in zip(plain, scans, strict=True)]
+
+
+def repaired(messages: list[Message]) -> list[float]:
+    """Return the stamps as repaired; the messages come back in their order with them."""
+    scans = [m for m in messages if len(m.ranges)]
+    odoms = [m for m in messages if not len(m.ranges)]
+    got_scans, got_odoms, found = in_file_order(scans, odoms)
+    assert [m.line for m in got_scans] == [m.line for m in scans]
+    assert [m.line for m in got_odoms] == [m.line for m in odoms]
+    by_line = sorted([*got_scans, *got_odoms], key=lambda m: m.line)
+    assert [m.stamp for m in by_line] == found.repaired.tolist()
+    assert found.logged.tolist() == [m.stamp for m in messages]
+    assert found.scans.tolist() == [len(m.ranges) > 0 for m in messages]
+    return found.repaired.tolist()
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from((2, 3, 8, 21, 22, 60)))
+def test_bursts_and_delays(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    logged = (
+        1e6 + np.cumsum(rng.exponential(0.2, n)) + rng.exponential(0.3, n) * (rng.random(n) < 0.3)
+    ).round(3)
+    logged[-1] = logged[max(0, n - 9) : n - 1].min()  # at least one stamp goes back or repeats
+    steps = rng.normal(0, (0.1, 0.02, 0.3), (n, 3)) * (rng.random((n, 1)) < 0.8) + (1e-4, 0, 0)
+    poses = [Pose2(*row) for row in np.cumsum(steps, axis=0).tolist()]
+    scans = [True, True, *(rng.random(n - 2) < 0.5).tolist()]  # two poses of scans: they have their own
+    found = repaired(lines(logged.tolist(), list(poses), scans))
+    np.testing.assert_allclose(found, twin(logged.tolist(), poses), atol=2e-6, rtol=0)
+
+
+def east(n: int) -> list[Pose2]:
+    return [Pose2(0.1 * k) for k in range(n)]
+
+
+def test_stamps_by_hand() -> None:
+    """A robot that drives 0.1 m a line and second; the least step is 0.8 s, a second over 1.25.
+
+    Less the least steps the stamps are 0, .2, .4, .6, -.2, 1, ...: the middle three become their mean.
+    """
+    logged = [0.0, 1.0, 2.0, 3.0, 3.0, 5.0, 6.0, 7.0]
+    found = repaired(lines(logged, list(east(8)), [True, False] * 4))
+    mean = 0.8 / 3
+    np.testing.assert_allclose(found, [0, 1, 1.6 + mean, 2.4 + mean, 3.2 + mean, 5, 6, 7], atol=1e-9)
+    assert found[:2] == logged[:2]
+
+
+@pytest.mark.parametrize(
+    ("scan", "step", "sound"),
+    [
+        ([True, True, True], [0.1, 0.1], False),
+        ([True, False, True], [0.1, 0.1], False),
+        ([True, False, True], [0.1, 0.0], True),  # the scan's own odometry, at the same stamp
+        ([True, True, True], [0.1, 0.0], False),  # two scans cannot share a stamp
+    ],
+)
+def test_when_a_stamp_may_repeat(scan: list[bool], step: list[float], sound: bool) -> None:
+    x = np.cumsum([0.0, *step]).tolist()
+    logged = [1.0, 2.0, 2.0]
+    assert (repaired(lines(logged, [Pose2(v) for v in x], scan)) == logged) == sound
+
+
+def test_a_turn_is_a_motion() -> None:
+    logged = [1.0, 2.0, 2.0, 3.0]
+    turned = [Pose2(yaw=v) for v in (0.0, 0.1, 0.2, 0.3)]
+    found = repaired(lines(logged, list(turned), [True, False, True, False]))
+    np.testing.assert_allclose(found, twin(logged, turned), atol=2e-6)
+    assert found != logged
+
+
+def test_a_line_without_a_pose_has_that_of_the_nearer_one() -> None:
+    logged = [0.0, 1.0, 1.9, 3.0, 4.1, 3.9, 6.0]
+    posed = [Pose2(k * 0.1, 0.2 * k, 0.01 * k) for k in range(7)]
+    bases: list[Pose2 | None] = [posed[0], None, posed[2], None, None, posed[5], None]
+    # Stamp 1.0 is nearer to 1.9 than to 0, 3.0 to 3.9 (alike, later), 4.1 to 3.9, 6.0 has the line before.
+    meant = [posed[0], posed[2], posed[2], posed[5], posed[5], posed[5], posed[5]]
+    found = repaired(lines(logged, bases, [False, True, False, True, True, False, True]))
+    np.testing.assert_allclose(found, twin(logged, meant), atol=2e-6)
+    assert found != logged
+
+
+def test_poses_of_scans_that_never_change_are_none() -> None:
+    logged = [0.0, 1.0, 2.0, 2.0, 4.0]
+    wheels = east(5)
+    bases: list[Pose2 | None] = [wheels[0], Pose2(9.0), wheels[2], Pose2(9.0), wheels[4]]
+    meant = [wheels[0], wheels[2], wheels[2], wheels[2], wheels[4]]
+    found = repaired(lines(logged, bases, [False, True, False, True, False]))
+    # The line at 2 s has the pose of the scan before it: it may share its stamp.
+    assert found == logged or np.allclose(found, twin(logged, meant), atol=2e-6)
+
+
+# ---- leaps of the clock
+
+
+def second(*offsets: float) -> list[float]:
+    """One line a second, with offsets."""
+    return [k + offset for k, offset in enumerate(offsets)]
+
+
+@pytest.mark.parametrize(
+    ("offsets", "expected"),
+    [
+        ([0] * 5 + [-100] + [0] * 5, range(11)),
+        ([0] * 5 + [-100] * 5 + [0] * 5, range(15)),  # five damaged lines
+        ([0] * 5 + [-100] * 6 + [0] * 5, None),  # six are a clock set back and forth
+        ([0] * 8 + [-100] * 3, range(11)),  # set back: the longest part keeps its stamps
+        ([0] * 3 + [-100] * 8, range(-100, -89)),
+        ([0] * 5 + [50] * 2 + [0] * 3 + [-20] * 2 + [0] * 2, range(14)),
+    ],
+)
+def test_leaps_backward(offsets: list[float], expected: range | None) -> None:
+    n = len(offsets)
+    found = repaired(lines(second(*offsets), list(east(n)), [True, False] * (n // 2) + [True] * (n % 2)))
+    assert (np.diff(found) > 0).all()
+    if expected is not None:
+        np.testing.assert_allclose(found, list(expected), atol=1e-6)
+
+
+@pytest.mark.parametrize(("back", "leap"), [(10.5, False), (12.0, True)])
+def test_more_than_ten_seconds_back_is_a_leap(back: float, leap: bool) -> None:
+    """A step from line to line of 1 s less the offset: 9.5 s back is a delay, 11 s a damaged stamp."""
+    offsets = [0.0] * 30
+    offsets[15] = -back
+    found = repaired(lines(second(*offsets), list(east(30)), [True, False] * 15))
+    assert np.allclose(found, range(30), atol=1e-6) == leap
+
+
+def test_scans_and_odometry_one_after_the_other_are_merged_by_stamp() -> None:
+    scans = [replace(m, ranges=RANGES) for m in lines([0.5, 20.5], list(east(2)), [False] * 2)]
+    for back, merged in ((9.0, False), (30.0, True)):
+        odoms = [Message(2 + k, 20.5 - back + k, Pose2(0.1 * k)) for k in range(3)]
+        *_, found = in_file_order(scans, odoms)
+        stamps = [0.5, 20.5, *(20.5 - back + k for k in range(3))]
+        assert found.logged.tolist() == (sorted(stamps) if merged else stamps)
+
+
+def test_a_clock_set_anew_runs_on_at_the_usual_step() -> None:
+    """Steps of 2 s; the clock is set back twice, and the longest part keeps its stamps."""
+    parts = [np.arange(4) * 2.0, np.arange(9) * 2.0 - 500.0, np.arange(5) * 2.0 - 900.0]
+    n = 18
+    found = repaired(lines(np.concatenate(parts).tolist(), list(east(n)), [True, False] * 9))
+    np.testing.assert_allclose(found, -500.0 + 2.0 * (np.arange(n) - 4), atol=1e-6)
+
+
+def test_a_damaged_last_line_is_a_clock_set_anew() -> None:
+    offsets = [0.0] * 11
+    offsets[10] = -100.0
+    found = repaired(lines(second(*offsets), list(east(11)), [True, False] * 5 + [True]))
+    np.testing.assert_allclose(found, range(11), atol=1e-6)
+
+
+def test_pauses_and_single_forward_leaps_stay() -> None:
+    """Stamps that leap forward and do not come back are a pause."""
+    offsets = [0.0] * 40 + [300.0] * 40
+    offsets[2] = -1.0  # a repeat: there is something to repair
+    found = repaired(lines(second(*offsets), list(east(80)), [True, False] * 40))
+    np.testing.assert_allclose(found[5:], second(*offsets)[5:], atol=1e-9)
+    forward = [0.0] * 12
+    forward[5], forward[9] = 300.0, -60.0  # two damaged stamps, one each way
+    found = repaired(lines(second(*forward), list(east(12)), [True, False] * 6))
+    np.testing.assert_allclose(found, range(12), atol=1e-6)
+
+
+@pytest.mark.parametrize("metres", [0.0, 0.1])
+def test_a_log_without_a_clock_gets_steps_of_its_own(metres: float) -> None:
+    """A tenth of a second a line, half of it in a burst: 2 m/s, and a quarter more is the limit."""
+    n = 30
+    poses = [Pose2(metres * k) for k in range(n)]
+    found = repaired(lines([5.0] * n, list(poses), [True] * n))
+    np.testing.assert_allclose(np.diff(found), 0.04 if metres else 1e-3, atol=1e-9)
+    assert np.mean(found) == pytest.approx(5.0)
+
+
+# ---- what is said about them
+
+
+def test_counts_by_hand() -> None:
+    found = LineStamps(
+        np.array([0.0, 2.0, 1.0, 1.0, 1.0, 5.0]),
+        np.array([0.0, 1.0, 1.25, 1.5, 1.75, 5.0]),
+        np.array([True, False, True, False, True, False]),
+    )
+    assert (found.back, found.repeated, found.moved, found.furthest) == (1, 2, 4, 1.0)
+    assert found.summary() == (
+        "stamps go back at 1 of 5 steps and repeat at 2: "
+        "the order of the file is kept, 4 stamps moved by up to 1.00 s"
+    )
+    nothing = LineStamps(np.array([1.0]), np.array([1.0]), np.array([True]))
+    assert (nothing.back, nothing.repeated, nothing.moved, nothing.furthest) == (0, 0, 0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("asked", "expected"),
+    [(-3.0, -3.0), (0.49, 0.49), (0.5, 0.75), (1.0, 1.25), (1.4, 1.65), (2.0, 2.5), (9.0, 9.5)],
+)
+def test_a_stamp_moves_as_the_nearest_line_did(asked: float, expected: float) -> None:
+    """Lines at 0, 1 and 2 s moved by 0, 1/4 and 1/2 s; halfway the later one counts."""
+    found = LineStamps(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.25, 2.5]), np.array([True] * 3))
+    assert found.repaired_at(np.array([asked])).tolist() == [expected]
