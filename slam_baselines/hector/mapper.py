@@ -52,8 +52,12 @@ class HectorConfig(BuilderConfig):
         ConfigError: lost_score above search_threshold, or iterations not given for each level.
     """
 
-    # Its slides are learnt: see Calibration.
-    motion: MotionConfig = field(default_factory=lambda: MotionConfig(slide_per_radian=1.0))
+    # Slides are learnt: see Calibration. Wheels that stand do not err; the stamps of logs are no witness.
+    motion: MotionConfig = field(
+        default_factory=lambda: MotionConfig(
+            slide_per_radian=1.0, translation_per_second=1e-5, rotation_per_second=1e-5
+        )
+    )
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
     calibration_score: float = 0.6

@@ -2,8 +2,11 @@
 
 Wheels of unequal size, a wrong track, a laser that is not where the log says: such errors are the same
 in every step, so a prior that is right on average needs them taken out. The correction of a step is
-linear in the distance traveled and the angle turned; recursive least squares with forgetting finds it from
-the poses that scan matching confirms (Haykin 2002, "Adaptive filter theory", table 9.1).
+linear in the distance traveled and the angle turned; recursive least squares finds it from the poses that
+scan matching confirms. Forgetting is directional (Cao and Schwartz 2000, "A directional forgetting algorithm
+based on the decomposition of the information matrix", Automatica 36, Eqs. 21-23): a step takes the place of
+older ones of its kind only. A robot that drives circles for minutes tells nothing about straight steps, and
+with plain exponential forgetting the covariance of what it does not show would grow without bound.
 
 Wheels that skid in a turn have spent their friction, so on a slope the robot slides downhill as well: by
 so much per radian turned and unit of slope. That is one more gain, estimated likewise.
@@ -30,7 +33,7 @@ class CalibrationConfig:
         per_metre: standard deviation of the correction per metre before anything is known (m/m, rad/m).
         per_radian: the same per radian turned (m/rad, rad/rad).
         noise: of the correction seen in one step, metres and radians.
-        memory: steps after which an observation counts 1/e.
+        memory: steps of one kind after which an observation of that kind counts 1/e.
         slide: standard deviation of the slide before anything is known, metres per radian and unit of slope.
         slide_noise: of the slide seen in one step, metres.
 
@@ -60,12 +63,20 @@ class Calibration:
     def __init__(self, config: CalibrationConfig) -> None:
         self.gain = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         self.slide = 0.0
-        self._start = config.per_meter**2, config.per_radian**2
-        self._P = self._start[0], 0.0, self._start[1]
+        self._prior = 1 / config.per_meter**2, 1 / config.per_radian**2
+        self._information = 0.0, 0.0, 0.0
         self._noise = config.noise**2
         self._keep = math.exp(-1 / config.memory)
         self._slide_start = self._slide_variance = config.slide**2
         self._slide_noise = config.slide_noise**2
+
+    @property
+    def covariance(self) -> tuple[float, float, float]:
+        """Variances and covariance of each row of the gain: per metre and metre, metre and radian, radian."""
+        p, q, r = self._information
+        p, r = p + self._prior[0], r + self._prior[1]
+        determinant = p * r - q * q
+        return r / determinant, -q / determinant, p / determinant
 
     def corrected(self, step: Pose2, down: Slope = LEVEL) -> Pose2:
         """Return the step `T_before_now` to expect when odometry says `step`, on ground that falls `down`."""
@@ -80,23 +91,30 @@ class Calibration:
 
     def learn(self, step: Pose2, true: Pose2, down: Slope = LEVEL) -> None:
         """Take note that what odometry called `step` was `true`, on ground that falls `down`."""
-        p, q, r = self._P
         d, a = step.x, step.yaw
-        u, v = p * d + q * a, q * d + r * a
-        scale = 1 / (self._noise + u * d + v * a)
         c = self.corrected(step, down)
-        error = true.x - c.x, true.y - c.y, wrap_angle(true.yaw - c.yaw)
-        u, v = u * scale, v * scale
+        x, y, t = error = true.x - c.x, true.y - c.y, wrap_angle(true.yaw - c.yaw)
+        self._observe(d, a)
+        p, q, r = self.covariance
+        u, v = (p * d + q * a) / self._noise, (q * d + r * a) / self._noise
         xx, xt, yx, yt, tx, tt = self.gain
-        x, y, t = error
         self.gain = xx + x * u, xt + x * v, yx + y * u, yt + y * v, tx + t * u, tt + t * v
-        k = self._keep
-        self._P = (
-            min((p - u * u / scale) / k, self._start[0]),
-            (q - u * v / scale) / k,
-            min((r - v * v / scale) / k, self._start[1]),
-        )
         self._learn_slide(abs(a) * down[0], abs(a) * down[1], error)
+
+    def _observe(self, d: float, a: float) -> None:
+        """Add a step's information, in the place of older information about such steps.
+
+        What was known before the first step is not forgotten: it bounds the covariance from above.
+        """
+        p, q, r = self._information
+        u, v = p * d + q * a, q * d + r * a
+        known = u * d + v * a
+        forget = (1 - self._keep) / known if known > 0 else 0.0
+        self._information = (
+            p - forget * u * u + d * d / self._noise,
+            q - forget * u * v + d * a / self._noise,
+            r - forget * v * v + a * a / self._noise,
+        )
 
     def _learn_slide(self, u: float, v: float, error: tuple[float, float, float]) -> None:
         """Take note that a slide of (u, v) for a gain of 1 left an error."""

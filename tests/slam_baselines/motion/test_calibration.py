@@ -47,6 +47,56 @@ def test_constant_errors_are_learnt(
     np.testing.assert_allclose(got.as_array(), expected, atol=5e-4)
 
 
+def eigenvalues(calibration: Calibration) -> tuple[float, float]:
+    p, q, r = calibration.covariance
+    low, high = np.linalg.eigvalsh(np.array(((p, q), (q, r)))).tolist()
+    return low, high
+
+
+STEPS = st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.tuples(STEPS, st.integers(1, 400)), min_size=1, max_size=8),
+    st.floats(1e-6, 1.0),
+    st.floats(5.0, 800.0),
+)
+def test_the_covariance_stays_within_bounds_whatever_is_driven(
+    parts: list[tuple[tuple[float, float], int]], scale: float, memory: float
+) -> None:
+    """Positive definite, never above what was assumed at first, never below what the memory can hold."""
+    config = CalibrationConfig(memory=memory)
+    calibration = Calibration(config)
+    longest = max(math.hypot(*step) for step, _ in parts) * scale
+    most = longest**2 / config.noise**2 / (1 - math.exp(-1 / memory))
+    for (d, a), times in parts:
+        for _ in range(times):
+            calibration.learn(Pose2(d * scale, 0.0, a * scale), Pose2(d * scale, 0.0, a * scale))
+            low, high = eigenvalues(calibration)
+            assert low >= 1 / (1 / config.per_meter**2 + 1.001 * most) * (1 - 1e-9)
+            assert high <= config.per_meter**2 * (1 + 1e-9)
+
+
+def test_circles_do_not_unlearn_the_straight() -> None:
+    """What circles do not show is kept, and the gain stays that of the odometry, for an hour."""
+    rng, calibration = np.random.default_rng(5), Calibration(CalibrationConfig())
+
+    def drive(d: float, a: float) -> None:
+        step = Pose2(d, 0.0, a)
+        true = Pose2(1.03 * d + rng.normal(0, 0.01), rng.normal(0, 0.01), a + 0.02 * d + rng.normal(0, 0.005))
+        calibration.learn(step, true)
+
+    for _ in range(500):
+        drive(0.2, 0.0)
+    for _ in range(20_000):
+        drive(0.1, 0.1)
+        assert eigenvalues(calibration)[0] > 0
+    straight = calibration.corrected(Pose2(1.0, 0.0, 0.0))
+    np.testing.assert_allclose(straight.as_array(), (1.03, 0.0, 0.02), atol=0.01)
+    assert max(map(abs, calibration.gain)) < 0.05
+
+
 def test_a_level_floor_teaches_nothing_about_slopes() -> None:
     calibration = Calibration(CalibrationConfig())
     for _ in range(50):
