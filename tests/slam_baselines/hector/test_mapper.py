@@ -121,6 +121,21 @@ def test_intel_beginning(shared_data: Path) -> None:
 
 
 @pytest.mark.shared
+def test_the_stamps_of_a_log_have_no_part_in_its_map(shared_data: Path) -> None:
+    """With odometry, time says nothing: the stamps as logged give the same, repaired in the file's order."""
+    folder, paths = shared_data / "logs" / "intel", []
+    with pytest.warns(UserWarning, match="stamps go back"):
+        logs = [read_carmen(folder / name) for name in ("intel.clf.gz", "stamps_as_logged.clf.gz")]
+    for log in logs:
+        mapper = HectorMapper()
+        for scan, odometry in zip(log.scans[:1500], log.odometry[:1500], strict=True):
+            mapper.update(scan, odometry, None)
+        paths.append(mapper.trajectory())
+    np.testing.assert_allclose(paths[0].positions, paths[1].positions, atol=0.005)
+    np.testing.assert_allclose(paths[0].yaw, paths[1].yaw, atol=0.002)
+
+
+@pytest.mark.shared
 def test_csail_beginning(shared_data: Path) -> None:
     folder = shared_data / "logs" / "csail"
     log, mapper = read_carmen(folder / "mit-csail.clf.gz"), HectorMapper()
