@@ -1,11 +1,12 @@
 """Draw the picture of docs/from_log_to_world.md: log -> map -> world -> simulated run in it.
 
-python docs/make_log_picture.py intel.clf.gz            # writes docs/log_to_world.png
+python docs/make_log_picture.py intel.clf.gz                              # writes out/log_to_world.png
+python docs/make_log_picture.py intel.clf.gz -o docs/log_to_world.png     # in place of the tracked one
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -20,8 +21,12 @@ from lirs_wct.formats.tum import read_tum
 
 def main() -> None:
     """Map a log, drive a Husky through the world made of it, and draw both."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("log", help="CARMEN log")
+    parser.add_argument("-o", "--output", type=Path, default=Path("out/log_to_world.png"))
+    given = parser.parse_args()
     with TemporaryDirectory() as out:
-        source = Path(resolve_source(sys.argv[1], BuildOptions(), Path(out)))
+        source = Path(resolve_source(given.log, BuildOptions(), Path(out)))
         grid, path = read_map(source), read_tum(source.with_name("estimate.tum"))
         run = validate(source, seconds=120, seed=1)
     truth, estimate, _ = run.log.trajectories()
@@ -40,7 +45,8 @@ def main() -> None:
     for axes in (mapped, world, built):
         axes.set_axis_off()
         axes.set_anchor("S")
-    figure.savefig(Path(__file__).with_name("log_to_world.png"), dpi=110)
+    given.output.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(given.output, dpi=110)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,12 @@
 """Draw the README's picture: image -> world -> map, all of it made by the project itself.
 
-python docs/make_picture.py            # writes docs/overview.png
+python docs/make_picture.py                           # writes out/overview.png
+python docs/make_picture.py -o docs/overview.png      # in place of the tracked one
 """
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from lirs_validation import validate
@@ -18,6 +20,9 @@ WORLD = "advanced"
 
 def main() -> None:
     """Run the advanced world with a Husky and Hector, and draw what went in and what came out."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-o", "--output", type=Path, default=Path("out/overview.png"))
+    given = parser.parse_args()
     run = validate(WORLD, seconds=120, seed=3)
     truth, estimate, _ = run.log.trajectories()
     canvas = Canvas.over(run.world.surface.bounds)
@@ -35,7 +40,8 @@ def main() -> None:
     for axes in (image, world, built):
         axes.set_axis_off()
         axes.set_anchor("S")
-    figure.savefig(Path(__file__).with_name("overview.png"), dpi=110)
+    given.output.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(given.output, dpi=110)
 
 
 if __name__ == "__main__":

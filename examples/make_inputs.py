@@ -1,6 +1,7 @@
 """Make the inputs that the examples and the README use: a height picture, a laser map, a robot's log.
 
-    python examples/make_inputs.py         # writes examples/data/
+    python examples/make_inputs.py                        # writes out/inputs/
+    python examples/make_inputs.py -o examples/data       # in place of the tracked ones
 
 The terrain and the floor plan are drawn by seeded code; the log is what a simulated TurtleBot 2 with an
 RPLIDAR recorded while it drove through the floor plan.
@@ -8,6 +9,7 @@ RPLIDAR recorded while it drove through the floor plan.
 
 from __future__ import annotations
 
+import argparse
 import shutil
 import tempfile
 from pathlib import Path
@@ -19,20 +21,21 @@ from scipy import ndimage
 from lirs_validation import validate
 from lirs_wct.arrays import ByteArray
 
-DATA = Path(__file__).with_name("data")
-
 
 def main() -> None:
     """Write the three inputs."""
-    DATA.mkdir(exist_ok=True)
-    cv2.imwrite(str(DATA / "dunes.png"), dunes(np.random.default_rng(7)))
-    cv2.imwrite(str(DATA / "office.pgm"), office())
-    (DATA / "office.yaml").write_text(
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-o", "--output", type=Path, default=Path("out/inputs"), help="folder")
+    data: Path = parser.parse_args().output
+    data.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(data / "dunes.png"), dunes(np.random.default_rng(7)))
+    cv2.imwrite(str(data / "office.pgm"), office())
+    (data / "office.yaml").write_text(
         "image: office.pgm\nresolution: 0.05\norigin: [-6.0, -4.0, 0.0]\n"
         "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n",
         encoding="utf-8",
     )
-    record_log(DATA / "office.yaml", DATA / "office.clf.gz")
+    record_log(data / "office.yaml", data / "office.clf.gz")
 
 
 def dunes(rng: np.random.Generator) -> np.ndarray:

@@ -135,6 +135,15 @@ def required_odometry(mapper: str, odometry: Pose2 | None, stamp: float) -> Pose
     return odometry
 
 
+def parameters(name: str) -> tuple[str, ...]:
+    """Return the names of a method's parameters, those of its configuration.
+
+    Raises:
+        ConfigError: no mapper has that name.
+    """
+    return tuple(_config_class(name).__dataclass_fields__)
+
+
 def make_mapper(
     name: str, *, seed: int | None = None, resolution: float | None = None, **config: Any
 ) -> Mapper:
@@ -149,11 +158,8 @@ def make_mapper(
     Raises:
         ConfigError: no mapper has that name, or its configuration no such field or not that value.
     """
-    if name not in MAPPERS:
-        raise unknown_name("mapper", name, MAPPERS)
+    config_class = _config_class(name)
     method = MAPPERS[name]
-    module = importlib.import_module(method.module)
-    config_class = getattr(module, method.config)
     if seed is not None and "seed" in config_class.__dataclass_fields__:
         config["seed"] = seed
     if resolution is not None:
@@ -162,7 +168,20 @@ def make_mapper(
         if key not in config_class.__dataclass_fields__:
             raise unknown_name(f"parameter of {name}", key, config_class.__dataclass_fields__)
     try:
-        mapper: Mapper = getattr(module, method.factory)(config_class(**config))
+        factory = getattr(importlib.import_module(method.module), method.factory)
+        mapper: Mapper = factory(config_class(**config))
     except TypeError as error:
         raise ConfigError(f"configuration of {name}: {error}") from error
     return mapper
+
+
+def _config_class(name: str) -> Any:
+    """Return the class of a method's configuration.
+
+    Raises:
+        ConfigError: no mapper has that name.
+    """
+    if name not in MAPPERS:
+        raise unknown_name("mapper", name, MAPPERS)
+    method = MAPPERS[name]
+    return getattr(importlib.import_module(method.module), method.config)

@@ -8,7 +8,7 @@ Sequentially Rejective Multiple Test Procedure" (Scandinavian Journal of Statist
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -138,9 +138,7 @@ def by_shared(entries: Sequence[Entry], across: Sequence[str]) -> dict[Group, di
         runs = found.setdefault(_shared(Group.of(entry), across), {})
         seed = int(entry["seed"])
         if seed in runs:
-            raise ConfigError(
-                f"two runs of one group and seed, {runs[seed]['name']} and {entry['name']}: which is meant?"
-            )
+            raise ConfigError(_ambiguous(runs[seed], entry, across))
         runs[seed] = entry
     return found
 
@@ -191,6 +189,38 @@ def _shared(group: Group, across: Sequence[str]) -> Group:
 def _counts(runs: dict[int, Entry]) -> tuple[int, int]:
     good = sum(map(succeeded, runs.values()))
     return good, len(runs) - good
+
+
+def _ambiguous(first: Entry, second: Entry, across: Sequence[str]) -> str:
+    """Say what two runs of one result differ in that are to be paired with the same run of the other."""
+    groups = Group.of(first), Group.of(second)
+    differing = [f for f in FIELDS if f in across and getattr(groups[0], f) != getattr(groups[1], f)]
+    runs = f"one result holds two runs of one group and seed, {first['name']} and {second['name']}"
+    if not differing:
+        return f"{runs}: move one of them to another folder"
+    values = ", ".join(f"{f} ({getattr(groups[0], f)} and {getattr(groups[1], f)})" for f in differing)
+    chosen = " ".join(f"{f}={getattr(groups[0], f)}" for f in differing)
+    return f"{runs}; they differ in {values}: choose one with --only-a or --only-b, such as {chosen}"
+
+
+def only(entries: Sequence[Entry], fields: Mapping[str, str]) -> list[Entry]:
+    """Return the records whose groups have the given values, such as `mapper` = `hector`.
+
+    Raises:
+        ConfigError: there is no such field, or no record with that value.
+    """
+    for field, value in fields.items():
+        if field not in FIELDS:
+            raise unknown_name("field of a group", field, FIELDS)
+        there = {_text(Group.of(entry), field) for entry in entries}
+        if value not in there:
+            raise unknown_name(field, value, there)
+    return [e for e in entries if all(_text(Group.of(e), f) == value for f, value in fields.items())]
+
+
+def _text(group: Group, field: str) -> str:
+    value = getattr(group, field)
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _nothing_common(a: Sequence[Group], b: Sequence[Group]) -> str:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import errno
+import importlib.metadata
 import os
 import sys
 import warnings
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 from typer.exceptions import TyperException
 
 from lirs_validation.cli.collide import collide
-from lirs_validation.cli.console import BAD_INPUT, INTERRUPTED, RUN_FAILED, err
+from lirs_validation.cli.console import BAD_INPUT, INTERRUPTED, RUN_FAILED, err, out
 from lirs_validation.cli.map import map_log
 from lirs_validation.cli.reports import compare, report, score
 from lirs_validation.cli.robot_card import robot
@@ -36,6 +37,22 @@ app = typer.Typer(
 for command in (build, validate, report, compare, score, collide, view, info, convert, robot):
     app.command()(command)
 app.command("map")(map_log)
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        out.print(f"lirs-wct {importlib.metadata.version('lirs-wct')}", highlight=False)
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit."),
+    ] = False,
+) -> None:
+    """Take the options of the program itself."""
 
 
 def main() -> None:

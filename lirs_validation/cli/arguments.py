@@ -27,6 +27,18 @@ def read_names(text: str, flag: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
+def read_fields(text: str | None, flag: str) -> dict[str, str]:
+    """Return the fields and values of a list such as `mapper=hector,world=medium`; nothing of None.
+
+    Raises:
+        ConfigError: it is no such list.
+    """
+    pairs = [part.partition("=") for part in (text.split(",") if text is not None else ())]
+    if not all(name.strip() and value.strip() for name, _, value in pairs):
+        raise ConfigError(f"{flag} must be a list such as mapper=hector,world=medium, got {text!r}")
+    return {name.strip(): value.strip() for name, _, value in pairs}
+
+
 def read_seeds(text: str, flag: str = "--seeds") -> tuple[int, ...]:
     """Return the seeds of a list such as `1-5` or `1,3,7-9`, each once.
 

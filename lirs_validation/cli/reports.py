@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from lirs_validation.cli.arguments import read_names
+from lirs_validation.cli.arguments import read_fields, read_names
 from lirs_validation.cli.console import RUN_FAILED, err, out
 from lirs_wct.errors import ConfigError
 
@@ -63,6 +63,13 @@ def compare(
             "seconds, attitude.",
         ),
     ] = None,
+    only_a: Annotated[
+        str | None,
+        typer.Option(metavar="FIELD=VALUE,...", help="Of A take these runs only, such as mapper=hector."),
+    ] = None,
+    only_b: Annotated[
+        str | None, typer.Option(metavar="FIELD=VALUE,...", help="Of B take these runs only.")
+    ] = None,
     figures: Annotated[
         str | None,
         typer.Option(metavar="KEY,...", help="Metrics of the record to compare, such as map.f1,rtf.mean."),
@@ -72,6 +79,7 @@ def compare(
 ) -> None:
     """Compare two results: which differences are statistically significant (Holm)."""
     from lirs_validation.analysis.compare import compare as compared
+    from lirs_validation.analysis.compare import only
     from lirs_validation.analysis.result_folders import read_results
     from lirs_validation.record.metric_catalog import metrics_named, metrics_selected
     from lirs_validation.report.tables.compare_table import (
@@ -80,12 +88,12 @@ def compare(
         write_compare_json,
     )
 
-    names = (str(a), str(b))
+    names = (_named(a, only_a), _named(b, only_b))
     first, second = read_results(a), read_results(b)
     _print_skipped(first.skipped + second.skipped)
     comparison = compared(
-        [run.entry for run in first.runs],
-        [run.entry for run in second.runs],
+        only([run.entry for run in first.runs], read_fields(only_a, "--only-a")),
+        only([run.entry for run in second.runs], read_fields(only_b, "--only-b")),
         metrics_named(read_names(figures, "--figures")) if figures else metrics_selected("compared"),
         read_names(across, "--across") if across else (),
     )
@@ -127,6 +135,10 @@ def score(
     out.print(f"{output}", soft_wrap=True, highlight=False)
     if result.status != "ok":
         raise typer.Exit(RUN_FAILED)
+
+
+def _named(folder: Path, only: str | None) -> str:
+    return str(folder) if only is None else f"{folder} ({only})"
 
 
 def _write(path: Path, text: str) -> None:

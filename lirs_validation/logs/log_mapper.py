@@ -8,7 +8,7 @@ from lirs_validation.config import MapConfig
 from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.log import CarmenLog
-from slam_baselines.mapper import MAPPERS, Mapper, make_mapper, requires_odometry
+from slam_baselines.mapper import MAPPERS, Mapper, make_mapper, parameters, requires_odometry
 from slam_baselines.warm_up import warm_up
 
 WARM_UP_CONFIG = {"gmapping": {"particles": 4}}
@@ -27,6 +27,9 @@ def make_log_mapper(config: MapConfig) -> Mapper:
     if config.resolution is not None:
         given["resolution"] = config.resolution
     if config.mapper in MAPPERS:
+        if config.particles is not None and "particles" not in parameters(config.mapper):
+            takers = ", ".join(name for name in MAPPERS if "particles" in parameters(name))
+            raise ConfigError(f"{config.mapper} has no particles: --particles can be given for {takers}")
         return make_mapper(config.mapper, seed=config.seed, **given)
     if given:
         raise ConfigError(f"{', '.join(given)} can be given for {', '.join(MAPPERS)} only")

@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 from rich.console import Console
 from scipy import stats
 
-from lirs_validation.analysis.compare import compare
+from lirs_validation.analysis.compare import compare, only
 from lirs_validation.analysis.paired import holm, paired_test
 from lirs_validation.analysis.repeats import repeats
 from lirs_validation.record.metric_catalog import metrics_named, metrics_selected
@@ -125,8 +125,29 @@ def test_another_mapper_is_paired_when_asked() -> None:
     assert compare(a, b, ATE, ("mapper",)).differences[0].pairs == 5
     with pytest.raises(ConfigError, match="unknown field of a group 'maper'"):
         compare(a, b, ATE, ("maper",))
-    with pytest.raises(ConfigError, match="two runs of one group and seed"):
+    with pytest.raises(
+        ConfigError,
+        match=r"two runs of one group and seed, .*; they differ in mapper \(hector and gmapping\): "
+        r"choose one with --only-a or --only-b, such as mapper=hector",
+    ):
         compare(a + b, a, ATE, ("mapper",))
+    chosen = compare(only(a + b, {"mapper": "gmapping"}), only(a + b, {"mapper": "hector"}), ATE, ("mapper",))
+    assert chosen.differences[0].difference == pytest.approx(-0.01, abs=1e-3)
+    with pytest.raises(ConfigError, match="move one of them to another folder"):
+        compare(a + a, a, ATE)
+
+
+def test_runs_are_chosen_by_the_fields_of_their_groups() -> None:
+    runs = [
+        entry(world, 1, mapper=mapper) for world in ("simple", "medium") for mapper in ("hector", "gmapping")
+    ]
+    assert only(runs, {}) == runs
+    assert only(runs, {"world": "medium", "mapper": "hector"}) == [runs[2]]
+    assert only(runs, {"seconds": "30", "attitude": "imu"}) == runs
+    with pytest.raises(ConfigError, match="unknown mapper 'hektor'; legal: gmapping, hector"):
+        only(runs, {"mapper": "hektor"})
+    with pytest.raises(ConfigError, match="unknown field of a group 'maper'"):
+        only(runs, {"maper": "hector"})
 
 
 def test_what_only_one_has_is_named() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import subprocess
 import sys
 from pathlib import Path
@@ -65,7 +66,7 @@ def test_bad_input_is_one_line_and_code_2(case: str, files: Path) -> None:
     done = wct(*arguments, cwd=files)
     assert done.returncode == 2, done.stderr
     assert expected in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+    assert done.stderr.count("\n") == 1, "one line, and no empty one before it"
     assert "Traceback" not in done.stderr
     assert sorted(files.rglob("*")) == before
 
@@ -104,3 +105,9 @@ def test_no_command_shows_the_help_and_nothing_else(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "Usage" in done.stdout + done.stderr
     assert "lirs-wct:" not in done.stderr
+
+
+def test_the_version_is_shown(tmp_path: Path) -> None:
+    said = wct("--version", cwd=tmp_path)
+    assert (said.returncode, said.stderr) == (0, "")
+    assert said.stdout == f"lirs-wct {importlib.metadata.version('lirs-wct')}\n"

@@ -171,7 +171,11 @@ def test_an_interrupted_mapping_leaves_nothing(room: Path, tmp_path: Path) -> No
 
 BAD = {
     "mapper": ({"mapper": "slam"}, ConfigError, "unknown mapper 'slam'"),
-    "particles of hector": ({"mapper": "hector", "particles": 5}, ConfigError, "particles"),
+    "particles of hector": (
+        {"mapper": "hector", "particles": 5},
+        ConfigError,
+        "hector has no particles: --particles can be given for gmapping",
+    ),
     "no particles": ({"mapper": "gmapping", "particles": 0}, ConfigError, "particles must be above 0"),
     "seed": ({"seed": -1}, ConfigError, "seed must be at least 0, got -1"),
     "cells": ({"resolution": 1e-5}, ConfigError, "resolution must be within [0.01, 1] m, got 1e-05"),
