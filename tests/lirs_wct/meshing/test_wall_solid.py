@@ -80,3 +80,32 @@ def test_no_edge_joins_more_than_two_triangles(kind: np.ndarray) -> None:
     assert theirs.is_watertight
     assert theirs.is_winding_consistent
     assert len(np.unique(mesh.faces)) == len(mesh.vertices)
+
+
+@pytest.mark.parametrize(
+    ("shape", "wall", "faces"),
+    [
+        # A block: two triangles a side above and below the floor, two on top, a fan of 4 below.
+        ((3, 5), (0, 3, 0, 5), 4 * 2 + 4 * 2 + 2 + 4),
+        # Floor alone: a box.
+        ((3, 5), (0, 0, 0, 0), 2 + 4 * 2 + 4),
+    ],
+)
+def test_large_cells_are_few_triangles(
+    shape: tuple[int, int], wall: tuple[int, int, int, int], faces: int
+) -> None:
+    solid = np.zeros(shape, np.bool_)
+    south, north, west, east = wall
+    solid[south:north, west:east] = True
+    mesh = wall_mesh(WallGrid(solid, 0.5))
+    assert len(mesh.faces) == faces
+
+
+def test_a_wall_in_the_middle_of_a_floor() -> None:
+    """One wall of 1 x 2 cells in 5 x 6 cells of floor: four rectangles of floor, which share its corners."""
+    solid = np.zeros((5, 6), np.bool_)
+    solid[2, 2:4] = True
+    mesh = wall_mesh(WallGrid(solid, 0.5, Pose2(1, 2, 0.3), 2.0))
+    corners = len(np.unique(mesh.vertices.round(9)[:, :2], axis=0))
+    assert corners <= 4 + 4 + 8 + 5  # of the map, of the wall, where cuts meet the border, middles of fans
+    assert len(mesh.faces) < 60

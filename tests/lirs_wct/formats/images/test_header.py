@@ -102,6 +102,7 @@ COMMENT = b"!\xfe" + b"\x05,;,;," + b"\x01," + b"\0"
         (gif(gif_image(5, 6, 0x80), gif_image(1, 1, 0x87), gif_image(1, 1, 0x03), flags=0x82), (7, 300), 3),
         (gif(gif_image(5, 6), flags=0x07), (7, 300), 1),
         (gif(gif_image(5, 6)) + gif_image(999, 999), (7, 300), 1),
+        (gif(gif_image(5, 6)) + b"\0\0" + gif_image(999, 999), (7, 300), 1),
         (gif(gif_image(5, 6), gif_image(5, 6))[:-4], (7, 300), 2),
     ],
 )
