@@ -41,6 +41,7 @@ class Metric:
         title: name in a run's picture; empty = the same.
         short: heading of a narrow column, with the unit; empty = the same.
         tested: whether comparisons test it; the odometry's error belongs to the drive, not to the mapper.
+        baseline: key of what stands beside it in the report's distributions, in the same unit of the record.
         optional: whether the table of runs leaves it out where no run has it.
         detail: whether the report's tables leave it out; comparisons take it by its key.
     """
@@ -56,6 +57,7 @@ class Metric:
     title: str = ""
     short: str = ""
     tested: bool = True
+    baseline: str = ""
     optional: bool = False
     detail: bool = False
 
@@ -93,7 +95,8 @@ METRICS: tuple[Metric, ...] = (
     Metric("trajectory.length", "driven", "trajectory", "m", 1,
            selections=("picture", "runs", "summary"), title="distance driven"),
     Metric("trajectory.ate_rmse", "ATE", "trajectory", "m", better="less", title="ATE (RMSE, aligned)",
-           selections=("picture", "runs", "summary", "compared", "distribution", "headline")),
+           selections=("picture", "runs", "summary", "compared", "distribution", "headline"),
+           baseline="trajectory.odometry_ate_rmse"),
     Metric("trajectory.ate_rmse_unaligned", "ATE unaligned", "trajectory", "m", better="less",
            selections=("picture",), title="ATE (RMSE, unaligned)"),
     Metric("trajectory.odometry_ate_rmse", "ATE of odometry", "trajectory", "m", better="less",

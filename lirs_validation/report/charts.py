@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from numpy.lib.stride_tricks import sliding_window_view
 
 from lirs_validation.analysis.groups import Group, by_group, distinguishing_fields
-from lirs_validation.record.formatting import Entry
+from lirs_validation.record.formatting import Entry, value_at
 from lirs_validation.record.metric_catalog import Metric, rtf_counts
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.svg import INK, SMALL, as_svg, color_of, plain
@@ -76,7 +76,8 @@ def series_band(runs: Sequence[Entry]) -> tuple[FloatArray, FloatArray]:
 def distribution_chart(entries: Sequence[Entry], metrics: Sequence[Metric]) -> tuple[str, int] | None:
     """Return every run as a dot, group by group and metric by metric, as SVG; None where none succeeded.
 
-    The bar is the median. Also returned is how many groups were left out.
+    The bar is the median, a dotted one that of the metric's baseline. Also returned is how many groups were
+    left out.
     """
     groups = by_group([e for e in entries if succeeded(e)])
     shown = dict(list(groups.items())[:MOST_ROWS])
@@ -106,6 +107,13 @@ def _strip(axes: Axes, metric: Metric, groups: Mapping[Group, Sequence[Entry]], 
             values, [row] * len(values), "o", color=color, markersize=3.5, alpha=0.75, markeredgewidth=0
         )
         axes.plot([float(np.median(values))] * 2, (row - 0.33, row + 0.33), color=INK, linewidth=1.1)
+        baseline = [
+            metric.scale * float(v) for run in runs if (v := value_at(run, metric.baseline)) is not None
+        ]
+        if baseline:
+            axes.plot(
+                [float(np.median(baseline))] * 2, (row - 0.33, row + 0.33), ":", color=INK, linewidth=1.4
+            )
     if metric.section == "rtf":
         values = [v for runs in groups.values() for v in _values(metric, runs)]
         if min(values) > 0 and max(values) / min(values) > WIDE:

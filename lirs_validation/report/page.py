@@ -117,7 +117,10 @@ def _spread(report: Report) -> dict[str, str] | None:
     made = distribution_chart(report.entries, metrics_selected("distribution"))
     if made is None:
         return None
-    caption = "Every run that succeeded is a dot, the bar their median; one row a group."
+    caption = (
+        "Every run that succeeded is a dot, the bar their median, the dotted bar their odometry's median; "
+        "one row a group."
+    )
     if made[1]:
         caption += f" {made[1]} more groups are left out; their values stand in the tables."
     return {"svg": made[0], "caption": caption}

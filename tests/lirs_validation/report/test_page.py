@@ -312,3 +312,33 @@ def test_numbers_have_three_digits_that_count() -> None:
     ]
     assert Spread(metrics_in("rtf")[0], None).text == "-"
     assert as_markdown(ReportTable("k", "T", "c", ("a|b",), (("x|y",),))).count("x\\|y") == 1
+
+
+def test_who_holds_in_which_world_stands_in_one_row_and_in_words(tmp_path: Path) -> None:
+    for seed in (1, 2):
+        saved(tmp_path, "medium", seed, mapper="hector", ate=0.02)
+        saved(tmp_path, "medium", seed, mapper="hector_original", ate=1.5)
+        saved(tmp_path, "medium", seed, mapper="hector", ate=0.9, attitude="none")
+    report, html = reported(tmp_path)
+    assert '<a href="#methods">As published</a>' in html
+    assert html.index('id="methods"') < html.index('id="trajectory-section"')
+    assert html.count("As published it loses its way here; with attitude it holds.") == 1
+    assert html.count("Without attitude it loses its way here; with attitude it holds.") == 1
+    assert [table.key for table in report.methods] == ["as-published", "without-attitude"]
+    assert report.methods[0] in report.tables
+
+
+def test_a_mapper_that_is_worse_than_its_odometry_is_marked_in_every_table(tmp_path: Path) -> None:
+    saved(tmp_path, "medium", 1, mapper="hector", ate=0.02)
+    saved(tmp_path, "medium", 1, mapper="gmapping", ate=0.45)
+    saved(tmp_path, "medium", 2, mapper="gmapping", ate=0.01)
+    report, html = reported(tmp_path)
+    line = "‡ worse than its odometry: medium, gmapping (1 of 2 runs)."
+    trajectory = next(groups for key, groups, _ in report.sections if key == "trajectory")
+    assert line in report.summary.caption
+    assert line in trajectory.caption
+    marked = re.findall(r'<tr class="worse">.*?</tr>', html)
+    assert len(marked) == 3  # summary, trajectory by group and by run
+    assert all("gmapping" in row and "0.200" in row for row in marked)
+    assert "median ATE of odometry [m]" in html
+    assert len(re.findall("</tr>", html)) > 3 * len(marked)
