@@ -36,27 +36,20 @@ from rich.console import Console
 from rich.table import Table
 
 ROOT = Path(__file__).resolve().parents[1]
+CARMEN = ("lines", "laser", "odometry", "stamps", "log")
+READERS = (
+    "lirs_wct/formats/images/*.py",
+    *(f"lirs_wct/formats/carmen/{name}.py" for name in CARMEN),
+    *(f"lirs_wct/formats/{name}.py" for name in ("map_server", "tum", "imu_csv", "world_json")),
+    "lirs_wct/formats/meshes/mesh_reader.py",
+    *(f"lirs_wct/sources/{name}.py" for name in ("laser_map", "picture", "window")),
+    *(f"lirs_wct/geometry/{name}.py" for name in ("walls", "rectangles")),
+    "lirs_wct/meshing/wall_solid.py",
+)
 GROUPS = {
     "metrics": (63, ("lirs_validation/metrics/*.py",)),
     "poses": (48, tuple(f"lirs_wct/geometry/{name}.py" for name in ("pose", "grid", "trajectory"))),
-    "readers": (
-        85,
-        (
-            "lirs_wct/formats/images/*.py",
-            *(
-                f"lirs_wct/formats/carmen/{name}.py"
-                for name in ("lines", "laser", "odometry", "stamps", "log")
-            ),
-            *(f"lirs_wct/formats/{name}.py" for name in ("map_server", "tum", "imu_csv", "world_json")),
-            "lirs_wct/formats/meshes/mesh_reader.py",
-            "lirs_wct/sources/laser_map.py",
-            "lirs_wct/sources/picture.py",
-            "lirs_wct/sources/window.py",
-            "lirs_wct/geometry/walls.py",
-            "lirs_wct/geometry/rectangles.py",
-            "lirs_wct/meshing/wall_solid.py",
-        ),
-    ),
+    "readers": (85, READERS),
 }
 """Mutants that are drawn, and the modules."""
 COPIED = ("lirs_wct", "lirs_validation", "slam_baselines", "envs", "tests", "examples", "pyproject.toml")

@@ -7,7 +7,7 @@ import numpy as np
 
 from lirs_validation.metrics.agreement import sampled
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
+from lirs_wct.geometry.grid import OccupancyGrid
 
 WINDOW, SIGMA = 11, 1.5
 """Side and standard deviation of the Gaussian window, cells (Wang et al., Sec. III-C)."""
@@ -30,8 +30,7 @@ def map_ssim(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
 
 def as_picture(grid: OccupancyGrid) -> FloatArray:
     """Return (rows, cols) 0 for occupied, 1 for free, 0.5 for all else; row 0 = south."""
-    p = grid.probability
-    return np.where(p > OCCUPIED, 0.0, np.where(p < FREE, 1.0, 0.5))
+    return np.where(grid.occupied, 0.0, np.where(grid.free, 1.0, 0.5))
 
 
 def similarity(x: FloatArray, y: FloatArray) -> FloatArray:

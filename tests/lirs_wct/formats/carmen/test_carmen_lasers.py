@@ -335,6 +335,8 @@ def test_angles_of_every_usual_laser(tmp_path: Path, n: int) -> None:
         ("FLASER", "laser_front_laser_resolution 1.0", 362, None),
         ("FLASER", "laser_front_laser_resolution 1.0", 359, 358),
         ("FLASER", "laser_front_laser_resolution 2.0", 182, None),
+        ("FLASER", "laser_front_laser_resolution 0.5", 720, 360),
+        ("FLASER", "laser_front_laser_resolution 0.1", 8, 0.8),
         ("FLASER", "laser_front_laser_resolution 0.0", 91, None),
         ("FLASER", "laser_rear_laser_resolution 1.0", 91, None),
     ],
