@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from rich.table import Table
-from rich.text import Text
-
 from lirs_validation.collision.validation import Check, CollisionVerdict
 from lirs_validation.record.formatting import NOTHING
-from lirs_validation.report.tables.screen import screen_table
+from lirs_validation.report.tables.screen import FittedTable
 from lirs_validation.report.tables.table import ReportTable
 
 COLUMNS: tuple[tuple[str, Callable[[CollisionVerdict], str]], ...] = (
@@ -18,37 +15,36 @@ COLUMNS: tuple[tuple[str, Callable[[CollisionVerdict], str]], ...] = (
     ("terrain", lambda v: v.terrain),
     ("seed", lambda v: str(v.seed)),
     ("", lambda v: "ok" if v.passed else "FAIL"),
-    ("99.9 %\n[mm]", lambda v: f"{1e3 * v.penetration_p999:.1f}"),
-    ("peak\n[mm]", lambda v: f"{1e3 * v.penetration_peak:.1f}"),
-    ("legal\n[mm]", lambda v: f"{1e3 * v.penetration_limit:.0f}"),
-    ("gain\n[%]", lambda v: f"{100 * v.energy_gain / v.energy_limit:.0f}"),
-    ("force\n[N]", lambda v: f"{v.force_peak:.0f}"),
-    ("slope\n[deg]", lambda v: "-" if v.slope is None else f"{v.slope:.0f}"),
+    ("99.9 % [mm]", lambda v: f"{1e3 * v.penetration_p999:.1f}"),
+    ("peak [mm]", lambda v: f"{1e3 * v.penetration_peak:.1f}"),
+    ("legal [mm]", lambda v: f"{1e3 * v.penetration_limit:.0f}"),
+    ("gain [%]", lambda v: f"{100 * v.energy_gain / v.energy_limit:.0f}"),
+    ("force [N]", lambda v: f"{v.force_peak:.0f}"),
+    ("slope [deg]", lambda v: "-" if v.slope is None else f"{v.slope:.0f}"),
     ("tips", lambda v: str(v.tip_overs)),
 )
 """Heading and content; the energy gained stands as a share of its limit."""
 COMMON = ("robot", "terrain", "seed")
 """Columns that move into the title where all verdicts have the same, so that the table fits 80 characters."""
+TEXTS = ("world", *COMMON, "")
+"""Columns of text; the last one is the verdict."""
 
 
-def verdicts_table(verdicts: Sequence[CollisionVerdict]) -> Table:
+def verdicts_table(verdicts: Sequence[CollisionVerdict]) -> FittedTable:
     """Return the verdicts as a table, failures first; below it each metric that is over its limit."""
     ordered = sorted(verdicts, key=lambda verdict: verdict.passed)
     common = [c for c in COLUMNS if c[0] in COMMON and len({c[1](v) for v in ordered}) == 1]
-    table = screen_table(
-        title=", ".join(f"{name} {text(ordered[0])}" for name, text in common),
-        caption="\n".join(line for verdict in ordered for line in over_limits(verdict)),
-    )
     columns = [c for c in COLUMNS if c not in common]
-    for heading, _ in columns:
-        left = heading in ("world", "robot", "terrain")
-        table.add_column(
-            Text(heading), justify="left" if left else "right", overflow="fold", no_wrap=not left
-        )
-    for verdict in ordered:
-        cells = (Text(text(verdict)) for _, text in columns)
-        table.add_row(*cells, style="" if verdict.passed else "bold red")
-    return table
+    table = ReportTable(
+        "collisions",
+        "",
+        "\n".join(line for verdict in ordered for line in over_limits(verdict)),
+        tuple(heading for heading, _ in columns),
+        tuple(tuple(text(verdict) for _, text in columns) for verdict in ordered),
+        sum(heading in TEXTS for heading, _ in columns),
+    )
+    title = ", ".join(f"{name} {text(ordered[0])}" for name, text in common)
+    return FittedTable(table, title=title, styles=["" if v.passed else "bold red" for v in ordered])
 
 
 def over_limits(verdict: CollisionVerdict) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Literal
@@ -15,6 +16,8 @@ from lirs_validation.report.tables.table import Content, ReportTable, Spread
 
 UNBOUNDED = 100_000
 """Columns of a screen on which every table fits."""
+BETWEEN_WORDS = re.compile(r"(?<=[\w,.]) (?=\w)| (?=\[)")
+"""Where headings go on in the next line: between words and before a unit, not within `99.9 %` or `b - a`."""
 FEWEST = 2
 """Columns of numbers that are shown however narrow the screen is."""
 
@@ -91,9 +94,8 @@ class FittedTable:
         shown = screen_table(self._title, table.caption)
         for k, heading in enumerate(table.headings):
             justify: Literal["left", "right"] = "left" if table.is_text(k) else "right"
-            shown.add_column(
-                Text(heading.replace(" ", "\n")), justify=justify, no_wrap=whole, overflow="fold"
-            )
+            stacked = BETWEEN_WORDS.sub("\n", heading)
+            shown.add_column(Text(stacked), justify=justify, no_wrap=whole, overflow="fold")
         for row, style in zip(table.texts(), self._styles, strict=True):
             shown.add_row(*map(Text, row), style=style)
         return shown

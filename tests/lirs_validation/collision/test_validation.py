@@ -294,7 +294,7 @@ def test_files_and_table(blocks: World, tmp_path: Path) -> None:
     lines = sheet.read_text().splitlines()
     assert len(lines) == 3
     assert lines[0].startswith("world,robot,terrain")
-    caption = str(verdicts_table([good, bad]).caption)
+    caption = verdicts_table([good, bad]).table.caption
     assert "seed 2: penetration, 99.9 % 20 mm, legal: at most 10 mm" in caption
 
 

@@ -72,6 +72,16 @@ def test_a_screen_too_narrow_for_names_breaks_them_and_shows_two_columns_of_numb
     assert "No room here for c." in " ".join(text.split())
 
 
+def test_headings_stand_in_lines_that_keep_a_unit_whole() -> None:
+    table = ReportTable(
+        "t", "", "", ("world", "99.9 % [mm]", "b - a", "odom. ATE [m]"), (("w", "1", "2", "3"),)
+    )
+    lines = [
+        line.split() for line in shown(FittedTable(table), 80).split("─")[0].splitlines() if line.strip()
+    ]
+    assert lines == [["odom."], ["99.9", "%", "ATE"], ["world", "[mm]", "b", "-", "a", "[m]"]]
+
+
 def test_failures_are_lines_that_name_the_run() -> None:
     assert failure_lines(ENTRIES) == []
     lines = failure_lines([*ENTRIES, entry("medium", 4, mapper="my[1]:Slam", status="error")])
