@@ -98,6 +98,8 @@ def drawn(modules: Sequence[str], number: int | None, seed: int, root: Path) -> 
     ]
     random.Random(0).shuffle(found)
     number = len(found) if number is None else number
+    if (seed - 1) * number >= len(found):
+        sys.exit(f"--seed {seed}: there are {len(found)} mutants, {number} a seed")
     return sorted(found[(seed - 1) * number : seed * number], key=lambda m: (m.module, m.mutation.start))
 
 
@@ -136,14 +138,14 @@ class Laboratory:
             return self._run(tests, jit, limit) != 0
 
     def _limit(self, tests: list[str], jit: bool) -> float:
-        """Return the seconds that a mutant gets: the tests must pass without one."""
+        """Return the seconds that a mutant gets; the tests must pass without one."""
         key = (*tests, jit)
         if key not in self._limits:
             if self._run(tests, True, 600.0, keep=True) != 0:  # compiles modules and kernels
-                sys.exit(f"{' '.join(tests)}: fail without a mutant; nothing can be learnt from them")
+                sys.exit(f"{' '.join(tests)}: fail without a mutant, or hold no test")
             start = time.perf_counter()
             if self._run(tests, jit, 600.0, keep=True) != 0:
-                sys.exit(f"{' '.join(tests)}: fail without numba; nothing can be learnt from them")
+                sys.exit(f"{' '.join(tests)}: fail where kernels run as plain Python")
             self._limits[key] = SLOWEST * (time.perf_counter() - start) + SPARE
         return self._limits[key]
 
@@ -164,14 +166,13 @@ class Laboratory:
             target=_pytest, args=(self.folder, tests, jit, keep)
         )
         process.start()
-        process.join(limit)
-        with suppress(ProcessLookupError):
-            os.killpg(process.pid or 0, signal.SIGKILL)  # its children, too
-        process.join()
-        code = process.exitcode
-        if code in (3, 4, 5):
-            sys.exit(f"pytest {' '.join(tests)}: exit code {code}, no test was run")
-        return -1 if code is None else code
+        try:
+            process.join(limit)
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid or 0, signal.SIGKILL)  # its children, too
+            process.join()
+        return -1 if process.exitcode is None else process.exitcode
 
 
 def _pytest(folder: Path, tests: list[str], jit: bool, keep: bool) -> None:
@@ -258,8 +259,11 @@ def main() -> None:
     given = parser.parse_args()
     if unknown := [name for name in given.groups if name not in GROUPS]:
         parser.error(f"unknown group {unknown[0]!r}; legal: {', '.join(GROUPS)}")
-    if given.seed < 1:
-        parser.error(f"seed must be 1 or more, got {given.seed}")
+    if given.seed < 1 or (given.number or 1) < 1:
+        parser.error("--seed and --number must be 1 or more")
+    for path in given.module or []:
+        if not path.is_file() or not path.resolve().is_relative_to(ROOT):
+            parser.error(f"{path}: no module of this checkout")
     console, rows = Console(width=130), []
     for name in PRELOADED:
         importlib.import_module(name)

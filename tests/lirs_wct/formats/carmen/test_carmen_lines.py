@@ -63,6 +63,9 @@ def test_no_remissions() -> None:
     assert same(parsed(f"RAWLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 12.5 host 0.5"), None, None, [1, 2, 3, 4])
     line = f"ROBOTLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 {LASER} {BASE} 0.6 0.7 0.8 0.9 1.1 12.5 host 0.5"
     assert same(parsed(line), T_BASE, T_LASER, [1, 2, 3, 4])
+    assert same(parsed(f"RAWLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 12.5"), None, None, [1, 2, 3, 4])
+    bare = f"ROBOTLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 {LASER} {BASE} 0.6 0.7 0.8 0.9 1.1 12.5"
+    assert same(parsed(bare), T_BASE, T_LASER, [1, 2, 3, 4])
 
 
 @pytest.mark.parametrize(

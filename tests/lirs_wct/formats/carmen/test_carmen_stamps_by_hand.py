@@ -83,7 +83,8 @@ def test_bursts_and_delays(seed: int, n: int) -> None:
     ).round(3)
     logged[-1] = logged[max(0, n - 9) : n - 1].min()  # at least one stamp goes back or repeats
     steps = rng.normal(0, (0.1, 0.02, 0.3), (n, 3)) * (rng.random((n, 1)) < 0.8) + (1e-4, 0, 0)
-    poses = [Pose2(*row) for row in np.cumsum(steps, axis=0).tolist()]
+    steps[0, 2] += 3.0  # the yaw crosses pi
+    poses = [Pose2() @ Pose2(*row) for row in np.cumsum(steps, axis=0).tolist()]
     scans = [True, True, *(rng.random(n - 2) < 0.5).tolist()]  # two poses of scans: they have their own
     found = repaired(lines(logged.tolist(), list(poses), scans))
     np.testing.assert_allclose(found, twin(logged.tolist(), poses), atol=2e-6, rtol=0)
