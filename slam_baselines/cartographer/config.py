@@ -38,10 +38,15 @@ class SubmapConfig:
 
     Attributes:
         num_range_data: scans after which the next submap begins; each gets twice as many.
+        max_distance: distance traveled after which the next submap begins, however few the scans, metres.
         resolution: edge of a cell of the finest level, metres.
         levels: number of levels, each twice as coarse as the one before.
         search_level: level on which loops are searched for.
+        max_search_cells: cells along an edge of a submap from which on loops are searched for on a coarser
+            level than the search_level.
         branch_and_bound_depth: number of times that four cells become one in the loop search.
+        max_unpacked_bytes: memory of the finished submaps that are kept unpacked, because they were searched
+            in last.
         update: of the occupancy by a scan. Milder than for a map to look at: the mean of many scans shows
             where within a cell a wall is.
 
@@ -50,15 +55,17 @@ class SubmapConfig:
     """
 
     num_range_data: int = 60
+    max_distance: float = 15.0
     resolution: float = 0.05
     levels: int = 3
     search_level: int = 1
+    max_search_cells: int = 1500
     branch_and_bound_depth: int = 6
+    max_unpacked_bytes: int = 160_000_000
     update: UpdateConfig = field(default_factory=UpdateConfig)
 
     def __post_init__(self) -> None:
-        names = ("num_range_data", "levels", "branch_and_bound_depth", "resolution")
-        require_above(self, 0, *names, of="the submaps")
+        require_above(self, 0, *(n for n in _numbers(self) if n != "search_level"), of="the submaps")
         require_within(self, f"[0, {self.levels - 1}]", "search_level", of="the submaps")
 
 

@@ -43,6 +43,7 @@ class GlobalSlam:
         builder: of loop constraints.
         loops: constraints found and accepted.
         events: closed loops, for users.
+        trimmer: of redundant submaps.
         trimmed: number of submaps trimmed.
         optimizations: number of optimizations applied.
         version: changes whenever poses that were there before have changed.
@@ -59,7 +60,7 @@ class GlobalSlam:
         self.loops: list[LoopConstraint] = []
         self.events: list[LoopEvent] = []
         self.optimizations = self.version = self.trimmed = 0
-        self._trimmer = Trimmer(config.trimming)
+        self.trimmer = Trimmer(config.trimming)
         self._local = local
         self._verification = LoopVerification(config.verification)
         self._to_nodes: list[PoseConstraint] = []
@@ -134,7 +135,7 @@ class GlobalSlam:
         first = node.submaps[0]
         if submaps[first].finished:
             self._finished.append(first)
-            self._trimmer.add_finished_submap(first, submaps[first])
+            self.trimmer.add_finished_submap(first, submaps[first])
             own = set(submaps[first].nodes)
             stride = max(1, round(1 / self.config.candidates.sampling_ratio))
             for j in range(0, index, stride):
@@ -158,6 +159,7 @@ class GlobalSlam:
         match = self.builder.compute_constraint(
             submap, node.scan.hits[walls], expected, self._traveled_between(node, submap_index)
         )
+        self._local.submaps.note_search(submap_index)
         self.candidates.record_result(index, submap_index, found=match is not None)
         if match is None:
             return
@@ -189,7 +191,7 @@ class GlobalSlam:
     def _trim_submaps(self) -> None:
         """Empty redundant submaps, and the scans that are in no other."""
         submaps = self._local.submaps.all
-        for index in self._trimmer.pop_redundant(self.submap_poses):
+        for index in self.trimmer.pop_redundant(self.submap_poses):
             self.trimmed += 1
             self._finished.remove(index)
             submaps[index].drop_grids()
@@ -227,5 +229,5 @@ class GlobalSlam:
         submaps = [Pose2(*p) for p in solution.submaps.tolist()]
         newer = self._local.submaps.all[len(submaps) :]
         self.submap_poses = submaps + [self.T_map_local @ submap.pose for submap in newer]
-        if self._trimmer.trimming_due():
+        if self.trimmer.trimming_due():
             self._trim_submaps()

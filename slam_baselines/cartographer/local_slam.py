@@ -154,7 +154,9 @@ class LocalSlam:
         Returns:
             The same nodes with new poses.
         """
-        self.submaps = Submaps(replace(self.config.submaps, num_range_data=len(nodes) + 1))
+        self.submaps = Submaps(
+            replace(self.config.submaps, num_range_data=len(nodes) + 1, max_distance=math.inf)
+        )
         found = register_backwards(nodes, self._register)
         self.submaps = Submaps(self.config.submaps)
         again: list[Node] = []

@@ -117,7 +117,9 @@ class CartographerMapper:
             lost=local.lost_scans,
             memory=sum(submap.nbytes for submap in local.submaps.all)
             + sum(node.nbytes for node in graph.nodes)
-            + local.ground_filter.grid.nbytes,
+            + local.ground_filter.grid.nbytes
+            + graph.trimmer.nbytes
+            + self._map.nbytes,
             counts={
                 "nodes": len(graph.nodes),
                 "submaps": len(local.submaps.all),

@@ -1,4 +1,4 @@
-"""The map drawn from all nodes at their poses: after a loop has closed, drawn again."""
+"""The map drawn from all nodes at their poses: after a loop has closed, or where it is large, drawn again."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ from slam_baselines.cartographer.node import Node
 from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
 from slam_baselines.mapping.occupancy_map import OccupancyMap, UpdateConfig, bounding_box
 
+MAX_KEPT_BYTES = 64_000_000
+"""Memory up to which a drawing is kept for the next time."""
+
 
 class NodeMap:
-    """Draws nodes; keeps what it has drawn as long as the nodes stay where they were."""
+    """Draws nodes; keeps a small drawing as long as the nodes stay where they were."""
 
     def __init__(self, resolution: float, update: UpdateConfig, ground_filter: GroundFilterConfig) -> None:
         self._resolution = resolution
@@ -30,7 +33,15 @@ class NodeMap:
             if not trimmed:
                 self._draw_node(node, pose)
             self._drawn.append((pose, trimmed))
-        return self._map.occupancy_grid(self._ground_filter.wall_slope)
+        grid = self._map.occupancy_grid(self._ground_filter.wall_slope)
+        if self.nbytes > MAX_KEPT_BYTES:
+            self._clear()
+        return grid
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of what is kept."""
+        return self._map.grid.nbytes + self._ground_filter.grid.nbytes
 
     def _clear(self) -> None:
         self._map = OccupancyMap(self._resolution, self._update)

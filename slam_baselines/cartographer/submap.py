@@ -2,18 +2,21 @@
 
 Hess et al. 2016, "Real-time loop closure in 2D LIDAR SLAM", section IV: a scan enters two submaps, the
 older of which is matched against; it has seen enough to match well, and when it is finished the
-younger has, too.
+younger has, too. A finished submap is packed; the searched ones that were needed last stay unpacked.
 """
 
 from __future__ import annotations
+
+from collections import OrderedDict
 
 import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.cartographer.config import SubmapConfig
+from slam_baselines.cartographer.packed_grids import PackedGrids
 from slam_baselines.mapping.occupancy_map import UNKNOWN, OccupancyMap, bounding_box
-from slam_baselines.mapping.pyramid import MapPyramid
+from slam_baselines.mapping.pyramid import Levels, MapPyramid
 from slam_baselines.matching.branch_and_bound import BoundGrids
 from slam_baselines.scan.leveling import ScanPoints
 
@@ -25,30 +28,57 @@ class Submap:
         pose: `T_local_submap`, the pose of its first scan.
         nodes: indices of the scans in it.
         finished: whether no more scans will enter it.
-        pyramid: occupancy, finest level first, in the local frame.
+        pyramid: occupancy, finest level first, in the local frame; empty when it is finished.
     """
 
     def __init__(self, config: SubmapConfig, pose: Pose2) -> None:
         self.pose = pose
         self.nodes: list[int] = []
-        self.finished = False
         self._config = config
         self._wall_slope = 0
+        self._packed: PackedGrids | None = None
+        self._unpacked: Levels | None = None
         self._bounds: BoundGrids | None = None
         sizes = [config.resolution * 2**level for level in range(config.levels)]
         self.pyramid = MapPyramid(tuple(OccupancyMap(size, config.update) for size in sizes))
 
+    @property
+    def finished(self) -> bool:
+        """Whether no more scans will enter it."""
+        return self._packed is not None
+
+    def finish(self) -> None:
+        """Take no more scans, and keep what matching needs."""
+        self._packed = PackedGrids.of(self.pyramid)
+        self._drop_layers()
+
     def drop_grids(self) -> None:
         """Drop what was drawn; pose and nodes stay."""
-        empty = (OccupancyMap(level.resolution) for level in self.pyramid.maps)
-        self.pyramid, self._bounds = MapPyramid(tuple(empty)), None
+        self._packed = PackedGrids(())
+        self._drop_layers()
+
+    def _drop_layers(self) -> None:
+        self.pyramid = MapPyramid(tuple(OccupancyMap(level.resolution) for level in self.pyramid.maps))
+        self.release()
+
+    def release(self) -> None:
+        """Drop what can be unpacked or computed again."""
+        self._unpacked = self._bounds = None
 
     @property
     def known_points(self) -> FloatArray:
         """(n, 2) centers of the cells of the coarsest level that beams came to, in the local frame."""
-        grid = self.pyramid.maps[-1].grid
-        cells = np.argwhere(grid.layers["log_odds"] != UNKNOWN)[:, ::-1] + (grid.col0, grid.row0)
-        return np.asarray((cells + 0.5) * grid.resolution, dtype=np.float64)
+        level = self.pyramid.maps[-1]
+        if self._packed is None:
+            cells = np.argwhere(level.layers.log_odds != UNKNOWN)[:, ::-1] + (
+                level.grid.col0,
+                level.grid.row0,
+            )
+        elif self._packed.levels:
+            cells = self._packed.levels[-1].known_cells()
+        else:
+            cells = np.empty((0, 2), np.int64)
+        return np.asarray((cells + 0.5) * level.resolution, dtype=np.float64)
 
     def draw_range_data(self, node: int, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int) -> None:
         """Draw a scan, given in the local frame (see OccupancyMap.update)."""
@@ -63,7 +93,8 @@ class Submap:
         """Let matchers see as walls only what has a minimum slope of `wall_slope`."""
         if wall_slope == self._wall_slope:
             return
-        self._wall_slope, self._bounds = wall_slope, None
+        self._wall_slope = wall_slope
+        self.release()
         for level in self.pyramid.maps:
             level.revalue(wall_slope)
 
@@ -72,18 +103,41 @@ class Submap:
         return self.pyramid.maps[-1].min_slope(points)
 
     @property
+    def levels(self) -> Levels:
+        """What the matcher sees; of a finished submap unpacked when first needed."""
+        if self._packed is None:
+            return self.pyramid.levels
+        if self._unpacked is None:
+            self._unpacked = self._packed.unpacked(self._wall_slope)
+        return self._unpacked
+
+    @property
     def bounds(self) -> BoundGrids:
-        """Upper bounds for the search for loops; computed when first needed after the submap finished."""
-        if self._bounds is None:
-            level = self.pyramid.maps[self._config.search_level]
-            self._bounds = BoundGrids.of(level.grid, self._config.branch_and_bound_depth)
-        return self._bounds
+        """Upper bounds for the search for loops; of a finished submap computed when first needed."""
+        if self._bounds is not None:
+            return self._bounds
+        c, levels = self._config, self.levels
+        small = (k for k, value in enumerate(levels.values) if max(value.shape) <= c.max_search_cells)
+        k = max(c.search_level, next(small, c.levels - 1))
+        row0, col0, resolution = levels.frames[k].tolist()
+        bounds = BoundGrids.of_values(
+            levels.values[k], (int(row0), int(col0)), resolution, c.branch_and_bound_depth
+        )
+        if self.finished:
+            self._bounds = bounds
+        return bounds
+
+    @property
+    def unpacked_nbytes(self) -> int:
+        """Memory of what `release` would drop."""
+        unpacked = 0 if self._unpacked is None else sum(value.nbytes for value in self._unpacked.values)
+        return unpacked + (0 if self._bounds is None else self._bounds.nbytes)
 
     @property
     def nbytes(self) -> int:
         """Memory of its grids."""
-        grids = sum(level.grid.nbytes for level in self.pyramid.maps)
-        return grids + (0 if self._bounds is None else self._bounds.nbytes)
+        drawn = sum(level.grid.nbytes for level in self.pyramid.maps)
+        return drawn + (0 if self._packed is None else self._packed.nbytes) + self.unpacked_nbytes
 
 
 class Submaps:
@@ -91,6 +145,8 @@ class Submaps:
 
     def __init__(self, config: SubmapConfig) -> None:
         self._config = config
+        self._searched: OrderedDict[int, Submap] = OrderedDict()
+        self._last, self._distance = Pose2(), 0.0
         self.all: list[Submap] = []
 
     @property
@@ -110,11 +166,30 @@ class Submaps:
         self, node: int, pose: Pose2, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int
     ) -> range:
         """Draw a scan taken at `pose`; return the submaps it entered."""
-        if not self.all or len(self.all[-1].nodes) >= self._config.num_range_data:
+        if not self.all or self._newest_full:
             self.all.append(Submap(self._config, pose))
+            self._last, self._distance = pose, 0.0
+        self._distance += pose.distance(self._last)
+        self._last = pose
         entered = self.active
         for i in entered:
             self.all[i].draw_range_data(node, scan, min_slopes, wall_slope)
-        older = self.all[entered[0]]
-        older.finished = len(older.nodes) >= 2 * self._config.num_range_data
+        if len(entered) > 1 and self._newest_full:
+            self.all[entered[0]].finish()
         return entered
+
+    @property
+    def _newest_full(self) -> bool:
+        """Whether the newest submap holds enough scans, or they lead far enough, for the next to begin."""
+        c = self._config
+        return len(self.all[-1].nodes) >= c.num_range_data or self._distance >= c.max_distance
+
+    def note_search(self, index: int) -> None:
+        """Take note that a finished submap was searched in; release those searched in longest ago."""
+        self._searched[index] = self.all[index]
+        self._searched.move_to_end(index)
+        held = sum(submap.unpacked_nbytes for submap in self._searched.values())
+        while held > self._config.max_unpacked_bytes and len(self._searched) > 1:
+            _, oldest = self._searched.popitem(last=False)
+            held -= oldest.unpacked_nbytes
+            oldest.release()

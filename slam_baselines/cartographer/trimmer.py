@@ -8,13 +8,51 @@ freshest submaps are kept.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray, IntArray
+from lirs_wct.arrays import ByteArray, FloatArray, IntArray
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.cartographer.config import TrimmingConfig
 from slam_baselines.cartographer.submap import Submap
+
+
+@dataclass(frozen=True, slots=True)
+class _Covered:
+    """Squares that a submap covers, in its own frame, one bit each.
+
+    Attributes:
+        bits: packed rows.
+        cols: number of squares in a row.
+        corner: (2,) column and row of the first square.
+    """
+
+    bits: ByteArray
+    cols: int
+    corner: IntArray
+
+    @staticmethod
+    def by(points: FloatArray, square: float) -> _Covered:
+        """Return the squares, of edge `square`, that (n, 2) points lie in."""
+        cells = np.floor(points / square).astype(np.int64)
+        corner = cells.min(axis=0, initial=0)
+        cols, rows = (cells.max(axis=0, initial=0) - corner + 1).tolist()
+        mask = np.zeros((rows, cols), np.bool_)
+        mask[cells[:, 1] - corner[1], cells[:, 0] - corner[0]] = True
+        return _Covered(np.packbits(mask, axis=1), cols, corner)
+
+    def centers(self, square: float) -> FloatArray:
+        """Return (n, 2) the middles of the squares."""
+        mask = np.unpackbits(self.bits, axis=1, count=self.cols)
+        cells = np.argwhere(mask)[:, ::-1] + self.corner
+        return np.asarray((cells + 0.5) * square, dtype=np.float64)
+
+    def corners(self, square: float) -> FloatArray:
+        """Return (4, 2) the corners of the box around all squares."""
+        (x0, y0), (rows, cols) = self.corner, (len(self.bits), self.cols)
+        box = ((x0, y0), (x0 + cols, y0), (x0, y0 + rows), (x0 + cols, y0 + rows))
+        return np.asarray(box, dtype=np.float64) * square
 
 
 class Trimmer:
@@ -22,16 +60,20 @@ class Trimmer:
 
     def __init__(self, config: TrimmingConfig) -> None:
         self._config = config
-        self._covered: dict[int, FloatArray] = {}
+        self._square = config.cell / 2
+        self._covered: dict[int, _Covered] = {}
         self._trimmed_at = 0
         self._finished = 0
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the areas."""
+        return sum(covered.bits.nbytes for covered in self._covered.values())
 
     def add_finished_submap(self, index: int, submap: Submap) -> None:
         """Record the area of a submap that no scan will enter any more."""
         self._finished += 1
-        local = submap.pose.inverse().apply(submap.known_points)
-        squares = np.unique(np.floor(local / (self._config.cell / 2)).astype(np.int64), axis=0)
-        self._covered[index] = np.asarray((squares + 0.5) * (self._config.cell / 2), dtype=np.float64)
+        self._covered[index] = _Covered.by(submap.pose.inverse().apply(submap.known_points), self._square)
 
     def trimming_due(self) -> bool:
         """Whether there are enough new submaps to trim again."""
@@ -44,20 +86,19 @@ class Trimmer:
             poses: `T_map_submap` of all submaps.
         """
         c, self._trimmed_at = self._config, self._finished
-        keys = {i: self._cells(self._covered[i], poses[i]) for i in sorted(self._covered, reverse=True)}
-        cells, at = np.unique(np.concatenate(list(keys.values())), return_inverse=True)
-        count, first, redundant = np.zeros(len(cells), np.int64), 0, []
-        for index, own in keys.items():
-            mine = at[first : first + len(own)]
-            first += len(own)
-            if (count[mine] < c.fresh_submaps_count).sum() * c.cell**2 < c.min_covered_area:
+        corners = [poses[i].apply(covered.corners(self._square)) for i, covered in self._covered.items()]
+        low, high = (np.floor(f(np.concatenate(corners), axis=0) / c.cell) for f in (np.min, np.max))
+        count = np.zeros((high - low).astype(np.int64)[::-1] + 1, np.int16)
+        redundant = []
+        for index in sorted(self._covered, reverse=True):
+            points = poses[index].apply(self._covered[index].centers(self._square))
+            cells = (np.floor(points / c.cell) - low).astype(np.int64)
+            mine = np.zeros(count.shape, np.bool_)
+            mine[cells[:, 1], cells[:, 0]] = True
+            fresh = np.count_nonzero(mine & (count < c.fresh_submaps_count))
+            if fresh * c.cell**2 < c.min_covered_area:
                 redundant.append(index)
                 del self._covered[index]
             else:
-                count[mine] += 1
+                count += mine
         return redundant
-
-    def _cells(self, local: FloatArray, pose: Pose2) -> IntArray:
-        """Return the keys of the cells that points of a submap lie in."""
-        cells = np.floor(pose.apply(local) / self._config.cell).astype(np.int64)
-        return np.unique(cells[:, 0] * (1 << 32) + cells[:, 1])

@@ -39,19 +39,22 @@ class BoundGrids:
     @staticmethod
     def of(grid: GrowingGrid, depth: int) -> BoundGrids:
         """Precompute the bounds of a grid's layer `value`, whose zeros do not matter."""
-        value = grid.layers["value"]
+        return BoundGrids.of_values(grid.layers["value"], (grid.row0, grid.col0), grid.resolution, depth)
+
+    @staticmethod
+    def of_values(value: ByteArray, corner: tuple[int, int], resolution: float, depth: int) -> BoundGrids:
+        """Precompute the bounds of (rows, cols) values, of which cell (0, 0) is `corner` of the lattice."""
         rows, cols = (np.flatnonzero(value.any(axis=axis)) for axis in (1, 0))
         if len(rows) == 0:
-            return BoundGrids(np.zeros((depth + 1, 1, 1), np.uint8), grid.row0, grid.col0, grid.resolution)
+            return BoundGrids(np.zeros((depth + 1, 1, 1), np.uint8), *corner, resolution)
         pad = 2**depth - 1
         known = value[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
         levels = np.zeros((depth + 1, known.shape[0] + pad, known.shape[1] + pad), np.uint8)
         levels[0, pad:, pad:] = known
         for h in range(depth):
             _pool(levels[h], 2**h, levels[h + 1])
-        return BoundGrids(
-            levels, grid.row0 + int(rows[0]) - pad, grid.col0 + int(cols[0]) - pad, grid.resolution
-        )
+        row0, col0 = corner[0] + int(rows[0]) - pad, corner[1] + int(cols[0]) - pad
+        return BoundGrids(levels, row0, col0, resolution)
 
     @property
     def nbytes(self) -> int:

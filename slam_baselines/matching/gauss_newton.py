@@ -11,7 +11,7 @@ so that a direction in which the map says nothing (a long corridor, open terrain
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numba import njit
@@ -21,7 +21,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above
 from slam_baselines.common.linalg import invert3, solve3
 from slam_baselines.mapping.occupancy_map import FULL, UNSEEN
-from slam_baselines.mapping.pyramid import Levels, MapPyramid
+from slam_baselines.mapping.pyramid import Levels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +91,15 @@ class _Settings(NamedTuple):
     exact: bool
 
 
+class Matchable(Protocol):
+    """A map that scans can be matched to: a MapPyramid, or what stands for one."""
+
+    @property
+    def levels(self) -> Levels:
+        """What the matcher sees of the map, finest level first."""
+        ...
+
+
 class ScanMatcher:
     """Gauss-Newton matching against a pyramid."""
 
@@ -101,7 +110,7 @@ class ScanMatcher:
         self._ones: FloatArray = np.ones(0)
 
     def match(
-        self, pyramid: MapPyramid, points: FloatArray, weights: FloatArray | None, prior: Prior, *,
+        self, pyramid: Matchable, points: FloatArray, weights: FloatArray | None, prior: Prior, *,
         start: FloatArray | None = None, levels: int = 0, information_share: float = 1.0,
     ) -> Match:  # fmt: skip
         """Match the scan to the map.

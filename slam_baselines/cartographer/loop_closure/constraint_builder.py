@@ -132,7 +132,7 @@ class ConstraintBuilder:
                 return None
             start, linear, angular = found, *c.search_deviation
         prior = Prior(start, np.diag((linear**2, linear**2, angular**2)))
-        match = self._matcher.match(submap.pyramid, points, None, prior, levels=len(c.match.iterations))
+        match = self._matcher.match(submap, points, None, prior, levels=len(c.match.iterations))
         if match.score < c.min_refined_score or match.known < c.min_known_ratio:
             self.counts.poor += 1
             return None
