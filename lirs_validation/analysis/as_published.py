@@ -14,6 +14,7 @@ from typing import Literal
 
 from lirs_validation.analysis.groups import Group, by_group
 from lirs_validation.record.formatting import Entry, value_at
+from lirs_validation.record.odometry import ATE, ODOMETRY_ATE
 from lirs_validation.record.run_record import Status, succeeded
 
 SUFFIX = "_original"
@@ -56,15 +57,16 @@ class Outcome:
         """Whether the method loses its way."""
         return self.runs > 0 and self.runs - self.held >= MOST * self.runs
 
-    @property
-    def clause(self) -> str:
-        """What the method does, as the end of a sentence about it."""
+    def clause(self, where: str = "") -> str:
+        """Return what the method does, as the end of a sentence about it; `where` is ` here` or nothing."""
         if self.runs == 0:
-            return "has no run that counts"
+            return f"has no run that counts{where}"
         if self.holds:
-            return "holds"
+            return f"holds{where}"
         says = " and says so" if self.lost == self.runs - self.held else ""
-        return f"loses its way{says}" if self.loses else f"holds in {self.held} of {self.runs} runs"
+        if self.loses:
+            return f"loses its way{where}{says}"
+        return f"holds in {self.held} of {self.runs} runs{where}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,20 +132,21 @@ def outcome_of(entries: Sequence[Entry]) -> Outcome:
 
 def holds(entry: Entry) -> bool:
     """Whether a run succeeded, and its ATE is at most TIMES its odometry's + SLACK."""
-    ate, odometry = (value_at(entry, f"trajectory.{key}") for key in ("ate_rmse", "odometry_ate_rmse"))
+    ate, odometry = value_at(entry, ATE), value_at(entry, ODOMETRY_ATE)
     return succeeded(entry) and None not in (ate, odometry) and ate <= TIMES * odometry + SLACK
 
 
 def conclusion(planar: Outcome, aware: Outcome, how: Planar) -> str:
     """Return in one sentence what follows for who runs the method on such ground."""
+    first = f"{how.capitalize()} it {planar.clause(' here')}"
     if planar.holds and aware.holds:
-        return f"{how.capitalize()} it holds here, {_compared(planar, aware)}."
+        return f"{first}, {_compared(planar, aware)}."
     if planar.loses and aware.loses:
         alone = "odometry alone is as good or better"
-        if planar.clause == aware.clause:
-            return f"It {planar.clause} here, {how} and with attitude: {alone}."
-        return f"{how.capitalize()} it {planar.clause} here, with attitude it {aware.clause}: {alone}."
-    return f"{how.capitalize()} it {planar.clause} here; with attitude it {aware.clause}."
+        if planar.clause() == aware.clause():
+            return f"It {planar.clause(' here')}, {how} and with attitude: {alone}."
+        return f"{first}, with attitude it {aware.clause()}: {alone}."
+    return f"{first}; with attitude it {aware.clause()}."
 
 
 def _compared(planar: Outcome, aware: Outcome) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from lirs_validation.record.formatting import NOTHING, Entry, as_entry, significant, value_at
-from lirs_validation.record.odometry import WORSE, worse_than_odometry
+from lirs_validation.record.odometry import ATE, ODOMETRY_ATE, WORSE, worse_than_odometry
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.errors import unknown_name
 
@@ -94,12 +94,12 @@ METRICS: tuple[Metric, ...] = (
     Metric("rtf.physics_only", "physics only", "rtf", digits=None, better="more"),
     Metric("trajectory.length", "driven", "trajectory", "m", 1,
            selections=("picture", "runs", "summary"), title="distance driven"),
-    Metric("trajectory.ate_rmse", "ATE", "trajectory", "m", better="less", title="ATE (RMSE, aligned)",
+    Metric(ATE, "ATE", "trajectory", "m", better="less", title="ATE (RMSE, aligned)",
            selections=("picture", "runs", "summary", "compared", "distribution", "headline"),
-           baseline="trajectory.odometry_ate_rmse"),
+           baseline=ODOMETRY_ATE),
     Metric("trajectory.ate_rmse_unaligned", "ATE unaligned", "trajectory", "m", better="less",
            selections=("picture",), title="ATE (RMSE, unaligned)"),
-    Metric("trajectory.odometry_ate_rmse", "ATE of odometry", "trajectory", "m", better="less",
+    Metric(ODOMETRY_ATE, "ATE of odometry", "trajectory", "m", better="less",
            selections=("picture", "runs", "summary", "compared", "headline"), title="ATE of the odometry",
            short="odom. ATE [m]", tested=False),
     Metric("trajectory.scan_coverage", "scans covered", "trajectory", "%", 1, PERCENT, "more",
@@ -203,6 +203,6 @@ def picture_lines(record: RunRecord | Entry) -> list[tuple[str, str]]:
         if value is not None:
             unit = f" {metric.unit}" if metric.unit else ""
             lines.append((metric.title or metric.name, metric.formatted(value) + unit))
-    if worse_than_odometry(entry):
-        lines.insert(1, ("", WORSE))
+            if metric.key == ODOMETRY_ATE and worse_than_odometry(entry):
+                lines.append(("", WORSE))
     return lines

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 from lirs_validation.record.formatting import Entry, text_at, value_at
 
+ATE, ODOMETRY_ATE = "trajectory.ate_rmse", "trajectory.odometry_ate_rmse"
+"""Places of the mapper's and of the odometry's error in a record."""
 WORSE = "worse than its odometry"
 WORSE_MARK = "‡"
 """Marks an ATE that is worse than the odometry's, in tables that have no room for the words."""
@@ -15,8 +17,7 @@ VISIBLE = 0.0005
 
 def worse_than_odometry(entry: Entry) -> bool:
     """Whether a run's, a score's or a mapped log's ATE is larger than that of the odometry alone."""
-    errors = entry.get("trajectory") or {}
-    return is_worse(errors.get("ate_rmse"), errors.get("odometry_ate_rmse"))
+    return is_worse(value_at(entry, ATE), value_at(entry, ODOMETRY_ATE))
 
 
 def is_worse(ate: float | None, odometry: float | None) -> bool:
@@ -30,6 +31,6 @@ def worse_lines(entries: Sequence[Entry]) -> list[str]:
     for entry in filter(worse_than_odometry, entries):
         keys = ("world.name", "config.robot", "config.mapper")
         run = f"{', '.join(text_at(entry, key) for key in keys)}, seed {text_at(entry, 'config.seed')}"
-        ate, odometry = (value_at(entry, f"trajectory.{key}") for key in ("ate_rmse", "odometry_ate_rmse"))
+        ate, odometry = value_at(entry, ATE), value_at(entry, ODOMETRY_ATE)
         lines.append(f"{run}: {WORSE} (ATE {ate:.3f} m, odometry {odometry:.3f} m)")
     return lines

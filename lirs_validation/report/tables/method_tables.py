@@ -17,12 +17,12 @@ from lirs_validation.analysis.as_published import (
 from lirs_validation.analysis.groups import Group, distinguishing_fields
 from lirs_validation.record.formatting import Entry
 from lirs_validation.record.metric_catalog import metrics_named
-from lirs_validation.record.odometry import WORSE, WORSE_MARK
+from lirs_validation.record.odometry import ATE, ODOMETRY_ATE, WORSE, WORSE_MARK
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.tables.metric_tables import group_texts, over_runs
 from lirs_validation.report.tables.table import Content, ReportTable
 
-ATE, ODOMETRY_ATE = metrics_named(("trajectory.ate_rmse", "trajectory.odometry_ate_rmse"))
+ERROR, ODOMETRY_ERROR = metrics_named((ATE, ODOMETRY_ATE))
 CAPTION = (
     "ATE [m], mean over the runs that succeeded. A run holds where its ATE is at most "
     f"{TIMES} x the odometry's + {SLACK} m, a method where {MOST:.0%} of its runs do. Runs that tipped over, "
@@ -58,13 +58,13 @@ def _table(key: str, title: str, pairs: Sequence[MethodPair]) -> ReportTable:
 
 def _row(pair: MethodPair) -> tuple[Content, ...]:
     planar, aware = outcome_of(pair.planar), outcome_of(pair.aware)
-    driven = [entry for entry in pair.runs if succeeded(entry)]
+    driven = {entry["seed"]: entry for entry in pair.runs if succeeded(entry)}
     return (
-        over_runs(ATE, [entry for entry in pair.planar if succeeded(entry)]),
+        over_runs(ERROR, [entry for entry in pair.planar if succeeded(entry)]),
         f"{planar.held} of {planar.runs}",
-        over_runs(ATE, [entry for entry in pair.aware if succeeded(entry)]),
+        over_runs(ERROR, [entry for entry in pair.aware if succeeded(entry)]),
         f"{aware.held} of {aware.runs}",
-        over_runs(ODOMETRY_ATE, driven),
+        over_runs(ODOMETRY_ERROR, list(driven.values())),
         conclusion(planar, aware, pair.how),
     )
 

@@ -9,12 +9,11 @@ from lirs_validation.analysis.groups import FIELDS, Group, by_group, distinguish
 from lirs_validation.analysis.repeats import repeats
 from lirs_validation.record.formatting import Entry
 from lirs_validation.record.metric_catalog import Metric, Section, metrics_in, metrics_selected, rtf_counts
-from lirs_validation.record.odometry import WORSE, WORSE_MARK, worse_than_odometry
+from lirs_validation.record.odometry import ATE, WORSE, WORSE_MARK, worse_than_odometry
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.tables.table import Content, ReportTable, Spread
 
 EXTRAPOLATED = "†"
-ATE = "trajectory.ate_rmse"
 SECTIONS: dict[Section, str] = {
     "rtf": "Real-time factor",
     "trajectory": "Trajectory",

@@ -68,12 +68,13 @@ class FittedTable:
     def _forms(self) -> Iterator[ReportTable]:
         """Yield the table as it is, without intervals, and with fewer and fewer columns."""
         yield self.table
-        table = _without_intervals(self.table)
-        yield table
-        gone: list[str] = []
+        table, gone = self.table, list[str]()
+        if any(isinstance(c, Spread) and c != c.without_interval for row in table.rows for c in row):
+            table, gone = _means_alone(table), ["intervals (±)"]
+            yield _noted(table, gone)
         for column in self._dropped_in_order():
             gone.append(self.table.headings[column])
-            yield _without(table, gone)
+            yield _noted(_without(table, gone), gone)
 
     def _dropped_in_order(self) -> list[int]:
         """Return the columns that may be left out, the first to go first."""
@@ -115,7 +116,7 @@ def _remarks_below(table: ReportTable) -> ReportTable:
     )
 
 
-def _without_intervals(table: ReportTable) -> ReportTable:
+def _means_alone(table: ReportTable) -> ReportTable:
     """Return a table of the means alone."""
 
     def mean(content: Content) -> Content:
@@ -125,12 +126,15 @@ def _without_intervals(table: ReportTable) -> ReportTable:
 
 
 def _without(table: ReportTable, headings: Sequence[str]) -> ReportTable:
-    """Return a table without some of its columns; its caption says which."""
+    """Return a table without some of its columns."""
     kept = [k for k, heading in enumerate(table.headings) if heading not in headings]
-    note = f"No room here for {', '.join(headings)}."
     return replace(
         table,
         headings=tuple(table.headings[k] for k in kept),
         rows=tuple(tuple(row[k] for k in kept) for row in table.rows),
-        caption=f"{table.caption}\n{note}" if table.caption else note,
     )
+
+
+def _noted(table: ReportTable, gone: Sequence[str]) -> ReportTable:
+    """Return a table whose caption says what there is no room for."""
+    return replace(table, caption=f"{table.caption}\nNo room here for {', '.join(gone)}.".lstrip())

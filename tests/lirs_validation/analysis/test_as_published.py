@@ -18,6 +18,7 @@ from lirs_validation.analysis.as_published import (
 )
 from lirs_validation.record.formatting import Entry
 from lirs_validation.report.tables.method_tables import method_tables
+from lirs_validation.report.tables.table import Spread
 from tests.lirs_validation.records import entry
 
 ODOMETRY = 0.2
@@ -79,6 +80,11 @@ def test_four_of_five_runs_decide(held: int, of: int, holds: bool, loses: bool) 
             "As published it holds here; with attitude it loses its way and says so.",
         ),
         (
+            outcome(1, lost=4),
+            outcome(5),
+            "As published it loses its way here and says so; with attitude it holds.",
+        ),
+        (
             outcome(0),
             outcome(1),
             "It loses its way here, as published and with attitude: odometry alone is as good or better.",
@@ -136,6 +142,14 @@ def test_methods_are_paired_with_their_originals_world_by_world() -> None:
         "medium", "hector", "2.000 ± 0.000‡", "0 of 5", "0.020 ± 0.000", "5 of 5", "0.200 ± 0.000",
         "As published it loses its way here; with attitude it holds.",
     ]  # fmt: skip
+
+
+def test_the_odometry_is_counted_once_a_seed() -> None:
+    (table,) = method_tables([*runs("hector", [0.02] * 2), *runs("hector_original", [2.0] * 3)])
+    spread = table.rows[0][table.headings.index("odometry")]
+    assert isinstance(spread, Spread)
+    assert spread.values is not None
+    assert spread.values.count == 3
 
 
 def test_mappers_are_paired_with_themselves_without_attitude() -> None:

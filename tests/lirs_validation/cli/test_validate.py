@@ -62,6 +62,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         (("simple", "smple"), "smple: no such file or folder"),
         (("simple", "--terrain", "hfield,lava"), "--terrain must be hfield, mesh"),
         (("simple", "--rays", "ours,theirs"), "--rays must be builtin or mujoco, got 'ours,theirs'"),
+        (("simple", "--attitude", "imu,some"), "--attitude must be imu or none, got 'some'"),
         (("simple", "--robot", "husky,,jackal"), "--robot must be a list such as a,b,c"),
         (("simple", "--seeds", "5-1"), "--seeds must be a list such as 1-5 or 1,3,7-9, got '5-1'"),
         (("simple", "--seed", "1", "--seeds", "2"), "give one of --seed, --seeds"),

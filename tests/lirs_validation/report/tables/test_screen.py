@@ -51,7 +51,7 @@ def test_no_name_is_broken_and_what_is_left_out_is_said(width: int) -> None:
 def test_metrics_that_the_table_of_runs_leaves_out_go_first() -> None:
     text = shown(FittedTable(summary_table(ENTRIES)), 80)
     note = " ".join(text.split("No room here for ")[1].split())
-    assert note.startswith("false occupied, aligned, IoU, F1 aligned")
+    assert note.startswith("intervals (±), false occupied, aligned, IoU, F1 aligned")
     assert "ATE" in text.split("─")[0]
     assert "odometry" in text.split("─")[0]
 
