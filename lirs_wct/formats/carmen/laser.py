@@ -86,7 +86,9 @@ def scans_of(
     scans = []
     for message, meant in zip(messages, _decoded(ranges), strict=True):
         config = field or message.config or _usual_config(name, n, parameters)
-        most = min(limit, NO_RETURN if message.config is None else message.config.most)
+        logged = NO_RETURN if message.config is None else message.config.most
+        # A code that is the largest range to the centimetre is that range, and hits up to it are hits.
+        most = logged if logged - limit <= 0.01 else limit
         r = np.where(meant >= most, np.float32(np.inf), meant)
         scans.append(LaserScan(r, config.start, config.step, RANGE_MIN, most, message.stamp, mount))
     return scans
