@@ -129,7 +129,10 @@ class HectorOriginalMapper:
     def _points(self, scan: LaserScan) -> tuple[FloatArray, FloatArray]:
         """Return (2,) the laser and (n, 2) usable ends of beams in the base frame, as if it were level."""
         c, ranges = self.config, scan.ranges.astype(np.float64)
-        nearest, farthest = max(scan.range_min, c.laser_min_dist), min(scan.range_max - 0.1, c.laser_max_dist)
+        nearest, farthest = (
+            max(scan.range_min, c.laser_min_dist),
+            min(scan.range_max - 0.01, c.laser_max_dist),
+        )
         usable = (ranges > nearest) & (ranges < farthest)
         r, angle = ranges[usable], scan.angles[usable]
         points = np.stack((r * np.cos(angle), r * np.sin(angle), np.zeros(len(r))), axis=-1)

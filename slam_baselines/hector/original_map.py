@@ -12,6 +12,7 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.common.linalg import solve3
+from slam_baselines.mapping.bresenham import line_cells
 from slam_baselines.mapping.growing_grid import GrowingGrid
 
 MOST = 50.0
@@ -21,7 +22,10 @@ LARGEST_TURN = 0.2
 
 
 class OriginalMap:
-    """A growing map of log-odds, 0 where no beam came; a scan changes each cell once."""
+    """A growing map of log-odds, 0 where no beam came; a scan changes each cell once.
+
+    As in the original, cell (0, 0) has its center in the origin.
+    """
 
     def __init__(self, resolution: float, miss: float, hit: float) -> None:
         """Start empty; `miss` and `hit` are the log-odds that a beam adds."""
@@ -46,7 +50,7 @@ class OriginalMap:
         g = self._grid
         if 0 in g.shape:
             return pose
-        corner = np.array((g.col0 + 0.5, g.row0 + 0.5, g.resolution))
+        corner = np.array((g.col0, g.row0, g.resolution))
         matched: FloatArray = _match(g.layers["probability"], corner, ends, pose, steps)
         return matched
 
@@ -62,10 +66,8 @@ class OriginalMap:
         low, high = (f(np.vstack((origin[None], points)), axis=0) for f in (np.min, np.max))
         g = self._grid
         g.ensure(low[0], low[1], high[0], high[1])
-        corner = np.array((g.col0, g.row0))
-        cells = np.floor(np.vstack((origin[None], points)) / g.resolution).astype(np.int64) - corner.astype(
-            np.int64
-        )
+        places = np.vstack((origin[None], points)) / g.resolution
+        cells = np.floor(places + 0.5).astype(np.int64) - (g.col0, g.row0)
         self._scans += 2
         layers = g.layers["log_odds"], g.layers["probability"], g.layers["drawn"]
         _draw(layers, cells, self._scans, self._odds)
@@ -79,7 +81,7 @@ class OriginalMap:
         rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
         box = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
         values = np.where(known[box], log_odds[box], np.float32(np.nan)).astype(np.float32)
-        corner = Pose2((g.col0 + cols[0]) * g.resolution, (g.row0 + rows[0]) * g.resolution)
+        corner = Pose2((g.col0 + cols[0] - 0.5) * g.resolution, (g.row0 + rows[0] - 0.5) * g.resolution)
         return OccupancyGrid(values, g.resolution, corner)
 
 
@@ -131,24 +133,12 @@ def _draw(layers: Any, cells: Any, scan: int, odds: Any) -> None:
     """Draw the lines from cells[0] to all others; `scan` marks a cell as passed, `scan` + 1 as hit."""
     log_odds, probability, drawn = layers
     for k in range(1, len(cells)):
-        col, row = cells[0]
-        dx, dy = cells[k, 0] - col, cells[k, 1] - row
-        if dx == 0 and dy == 0:
+        if cells[k, 0] == cells[0, 0] and cells[k, 1] == cells[0, 1]:
             continue
-        along, across = max(abs(dx), abs(dy)), min(abs(dx), abs(dy))
-        error = along // 2
-        for _ in range(along):
+        for row, col in line_cells(cells[0, 1], cells[0, 0], cells[k, 1], cells[k, 0]):
             if drawn[row, col] < scan:
                 _change(log_odds, probability, row, col, odds[0])
                 drawn[row, col] = scan
-            error += across
-            sideways = error >= along
-            if sideways:
-                error -= along
-            if abs(dx) >= abs(dy) or sideways:
-                col += 1 if dx > 0 else -1
-            if abs(dx) < abs(dy) or sideways:
-                row += 1 if dy > 0 else -1
         row, col = cells[k, 1], cells[k, 0]
         if drawn[row, col] < scan + 1:
             if drawn[row, col] == scan:  # passed by another beam of this scan: a hit wins
