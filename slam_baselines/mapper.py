@@ -36,8 +36,17 @@ MAPPERS: Mapping[str, Method] = {
         "slam_baselines.hector.original", "HectorOriginalConfig", "HectorOriginalMapper", "map_resolution"
     ),
     "gmapping": Method("slam_baselines.gmapping.mapper", "GmappingConfig", "GmappingMapper", "delta"),
+    "gmapping_original": Method(
+        "slam_baselines.gmapping.original.mapper", "GmappingOriginalConfig", "GmappingOriginalMapper", "delta"
+    ),
     "cartographer": Method(
         "slam_baselines.cartographer.mapper", "CartographerConfig", "make_cartographer", "map_resolution"
+    ),
+    "cartographer_original": Method(
+        "slam_baselines.cartographer.original",
+        "CartographerOriginalConfig",
+        "CartographerOriginalMapper",
+        "map_resolution",
     ),
 }
 """The methods by name."""

@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
 from lirs_wct.arrays import FloatArray, IntArray
+
+
+class UniformSource(Protocol):
+    """What draws numbers of the uniform distribution, as a NumPy generator does."""
+
+    def random(self) -> float:
+        """Return the next number within [0, 1)."""
+        ...
 
 
 def normalized(log_weights: FloatArray) -> FloatArray:
@@ -18,7 +28,7 @@ def effective_number(weights: FloatArray) -> float:
     return float(1.0 / np.square(weights).sum())
 
 
-def systematic_resample(weights: FloatArray, rng: np.random.Generator) -> IntArray:
+def systematic_resample(weights: FloatArray, rng: UniformSource) -> IntArray:
     """Return (n,) indices of the particles that live on, each n w times, up to one more or less.
 
     One random number moves a comb of n teeth over the cumulative weights (n,).

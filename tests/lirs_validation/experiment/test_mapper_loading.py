@@ -91,7 +91,8 @@ def test_a_library_call_leaves_the_import_path_as_it_was(monkeypatch: pytest.Mon
         ("their_slam:Greedy", r"cannot be made: TypeError: .*'weights'"),
         (
             "hektor",
-            r"unknown mapper 'hektor'; legal: cartographer, gmapping, hector, hector_original, module:name",
+            r"unknown mapper 'hektor'; legal: cartographer, cartographer_original, gmapping, "
+            r"gmapping_original, hector, hector_original, module:name",
         ),
     ],
 )

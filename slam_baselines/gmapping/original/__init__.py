@@ -1,0 +1,1 @@
+"""GMapping as its original behaves: OpenSLAM's program, planar, with its published defaults."""

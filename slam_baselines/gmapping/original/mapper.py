@@ -1,0 +1,142 @@
+"""GMapping as its original behaves: planar, with the scan matcher and the defaults of OpenSLAM's program.
+
+Grisetti, Stachniss, Burgard 2007, as the authors' program has it: particles are matched by a hill climb and
+stay where it ends, and a processed scan is registered by its hits alone. No attitude, no ground filter: on
+uneven ground hillsides are walls. With the random numbers of the original the same seed gives the
+original's trajectory; readings are used as finely as a CARMEN log holds them, so that a run and its
+recorded log give the same too.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lirs_wct.arrays import FloatArray
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.common.stopwatch import Stopwatch
+from slam_baselines.gmapping.original.config import GmappingOriginalConfig
+from slam_baselines.gmapping.original.particles import OriginalParticles
+from slam_baselines.gmapping.original.path_map import ProcessedScan, path_map
+from slam_baselines.mapper import MapperStats, required_odometry
+from slam_baselines.mapping.keyframe_trajectory import KeyframeTrajectory
+
+__all__ = ["GmappingOriginalConfig", "GmappingOriginalMapper"]
+
+MILLIMETRE, MICROMETRE = 3, 6
+"""Decimals of a range and of a position in a CARMEN log."""
+HEADING = 8
+"""Decimals of a heading in a CARMEN log, radians."""
+BEAM = 6
+"""Decimals of a beam's angle, degrees: the original's table of beams is in whole or half degrees."""
+
+
+class GmappingOriginalMapper:
+    """A filter over whole paths, as published by its authors.
+
+    Attributes:
+        lost: always False: the original has no monitor.
+        requires_odometry: True.
+    """
+
+    lost = False
+    requires_odometry = True
+
+    def __init__(self, config: GmappingOriginalConfig | None = None) -> None:
+        self.config = config or GmappingOriginalConfig()
+        self._particles = OriginalParticles(self.config)
+        self._scans = KeyframeTrajectory()
+        self._kept: list[ProcessedScan] = []
+        self._odometry: Pose2 | None = None
+        self._processed_at = self._best = Pose2()
+        self._distance = self._turn = 0.0
+        self._received = 0
+        self._stopwatch = Stopwatch()
+
+    @property
+    def resolution(self) -> float:
+        """Edge of a cell of the map, metres."""
+        return self.config.delta
+
+    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        """Move the particles by the odometry, process the scan if due; return `T_map_base`.
+
+        Raises:
+            ConfigError: there is no odometry.
+        """
+        started = self._stopwatch.start()
+        now = _logged_pose(required_odometry("gmapping_original", odometry, scan.stamp))
+        self._received += 1
+        self._move(now)
+        if self._due:
+            self._process(scan, now)
+        increment = self._processed_at.inverse() @ now
+        self._scans.add(scan.stamp, len(self._kept) - 1, increment)
+        self._stopwatch.stop(started)
+        return self._best @ increment
+
+    def map(self) -> OccupancyGrid:
+        """Return the map along the best particle's path."""
+        c = self.config
+        return path_map(self._particles.path, self._kept, c.delta, c.occ_thresh)
+
+    def trajectory(self) -> Trajectory:
+        """Return the pose of every scan: the best particle's path, and the odometry in between."""
+        return self._scans.trajectory([Pose2(*pose) for pose in self._particles.path.tolist()])
+
+    @property
+    def stats(self) -> MapperStats:
+        """What was done so far."""
+        particles, processed = self._particles, len(self._kept)
+        return MapperStats(
+            received=self._received,
+            used=processed,
+            skipped={"not moved": self._received - processed},
+            memory=particles.maps.nbytes + sum(s.ends.nbytes + s.hits.nbytes for s in self._kept),
+            counts={
+                "particles": self.config.particles,
+                "resamplings": particles.resamplings,
+                "patches": particles.maps.in_use,
+            },
+            **self._stopwatch.summary(),
+        )
+
+    @property
+    def _due(self) -> bool:
+        c = self.config
+        return not self._kept or self._distance >= c.linearUpdate or self._turn >= c.angularUpdate
+
+    def _move(self, now: Pose2) -> None:
+        before, self._odometry = self._odometry or now, now
+        self._particles.move(before.inverse() @ now)
+        self._distance += before.distance(now)
+        self._turn += abs(wrap_angle(now.yaw - before.yaw))
+
+    def _process(self, scan: LaserScan, now: Pose2) -> None:
+        increment = self._processed_at.inverse() @ now if self._kept else Pose2()
+        self._kept.append(kept := _usable(scan, self.config.maxUrange))
+        self._particles.process_scan(kept.ends[kept.hits], increment)
+        self._best, self._processed_at = self._particles.pose, now
+        self._distance = self._turn = 0.0
+
+
+def _logged_pose(pose: Pose2) -> Pose2:
+    return Pose2(round(pose.x, MICROMETRE), round(pose.y, MICROMETRE), round(pose.yaw, HEADING))
+
+
+def _usable(scan: LaserScan, max_urange: float) -> ProcessedScan:
+    """Return the beams that say something, as a CARMEN log would hold them."""
+    most = round(scan.range_max, MILLIMETRE)
+    ranges = np.round(scan.ranges.astype(np.float64), MILLIMETRE)
+    ranges[scan.ranges == np.inf] = most
+    known = np.isfinite(ranges) & (ranges > 0)
+    r = ranges[known]
+    angles = np.radians(np.round(np.degrees(scan.angles[known]), BEAM))
+    mount = _logged_pose(scan.T_base_laser.to_pose2())
+    hits = r <= max_urange
+    ends: FloatArray = mount.apply(
+        np.minimum(r, max_urange)[:, None] * np.stack((np.cos(angles), np.sin(angles)), axis=-1)
+    )
+    return ProcessedScan(np.array((mount.x, mount.y)), ends, hits)
