@@ -172,6 +172,7 @@ def test_metres_in_a_degree_as_published() -> None:
     """WGS 84 (NGA's calculator): 111,319.5 and 110,574.3 m at the equator, 78,846.8 and 111,131.7 at 45."""
     assert tiff.metres_per_degree(0.0, {}) == pytest.approx((111319.49, 110574.28), abs=0.05)
     assert tiff.metres_per_degree(45.0, {}) == pytest.approx((78846.81, 111131.75), abs=0.05)
+    assert 0 < tiff.metres_per_degree(89.999999, {})[0] < 0.01
     assert tiff.metres_per_degree(-45.0, {}) == tiff.metres_per_degree(45.0, {})
     for latitude in (91.0, -120.0):
         with pytest.raises(ValueError, match="degrees have no width there"):
