@@ -5,6 +5,9 @@
 The peer is the paper: Gazebo, Husky, the same SLAM method on solid worlds (its Tables III and IV);
 its figure for the simple world is lost with its Table II, its abstract says 0.42 to 0.73.
 
+`f1_aligned` and `false_occupied_aligned` are of the map after its trajectory's alignment, which moves the
+start by `start_shift` metres and turns the map by `start_turn_deg`.
+
 `ate_level` is the ATE of the same mapper fed with the same scans levelled by the true attitude, and
 `ratio_level` the run's ATE over it: what the IMU's errors cost on uneven ground (at most 1.5 is asked).
 """
@@ -13,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -71,6 +75,7 @@ def row(source: str, run: Run) -> dict[str, Any]:
     """Return the figures that the table shows."""
     record = run.record
     level, ate = levelled_ate(run), record.trajectory["ate_rmse"]
+    turn = record.map["start_turn"]
     paper = PAPER_RTF.get(record.config.mapper, {}).get(source)
     parts = {f"{name}_ms": 1e3 * value for name, value in record.rtf["parts"].items()}
     return {
@@ -85,8 +90,12 @@ def row(source: str, run: Run) -> dict[str, Any]:
         "ratio_level": ate / level if level and ate is not None else None,
         "odometry_ate": record.trajectory["odometry_ate_rmse"],
         "f1": record.map["f1"],
+        "f1_aligned": record.map["f1_aligned"],
+        "start_shift": record.map["start_shift"],
+        "start_turn_deg": None if turn is None else math.degrees(turn),
         "f1_input": record.map["f1_input"],
         "false_occupied": record.map["false_occupied"],
+        "false_occupied_aligned": record.map["false_occupied_aligned"],
         "length": record.trajectory["length"],
     }
 

@@ -44,12 +44,25 @@ def recorded_config(entry: Mapping[str, Any]) -> RunConfig:
         raise SourceError(f"{entry['name']}: options unknown to this version: {', '.join(sorted(unknown))}")
     try:
         if given.get("origin") is not None:
-            given["origin"] = Pose2(**given["origin"])
+            given["origin"] = Pose2(**{key: float(value) for key, value in given["origin"].items()})
+        for key, value in given.items():
+            if not _fits(value, getattr(SourceOptions(), key)):
+                raise TypeError(f"{key} is {value!r}")
         if given.get("texture") is not None:
             given["texture"] = Path(given["texture"])
         return RunConfig(**held, build=SourceOptions(**given))
-    except (ConfigError, TypeError, ValueError, AttributeError) as error:
-        raise SourceError(f"{entry['name']}: damaged: an option cannot be used: {error}") from error
+    except (ConfigError, TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
+        reason = " ".join(str(error).split())
+        raise SourceError(f"{entry['name']}: damaged: an option cannot be used: {reason}") from error
+
+
+def _fits(value: object, default: object) -> bool:
+    """Whether an option's value is of its default's kind; of an option without one, any plain value."""
+    if isinstance(value, tuple) and (default is None or isinstance(default, tuple)):
+        return all(isinstance(part, (int, float)) for part in value)
+    if default is None:
+        return value is None or isinstance(value, (int, float, str, Pose2))
+    return isinstance(value, str if isinstance(default, str) else (int, float))
 
 
 def recorded_world_config(entry: Mapping[str, Any]) -> RunConfig:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from types import NoneType
 
 from lirs_validation.collision.validation import CollisionVerdict
 from lirs_validation.record.formatting import Entry
@@ -14,9 +13,6 @@ from lirs_validation.record.schema import read_whole_record
 from lirs_validation.sweep.collision_experiment import STATUS, read_verdict
 from lirs_validation.sweep.manifest import NAME as MANIFEST
 from lirs_wct.errors import SourceError
-
-TEXTS = ("world", "robot", "terrain", "diverged")
-"""Of a collision verdict, what is not a number."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +98,7 @@ def _read_folder(folder: Path) -> RunFolder | CollisionVerdict | str | None:
         return read_run(folder)
     if not (folder / STATUS).exists():
         return None
-    return _failure(folder / STATUS) or _sane(folder, read_verdict(folder))
+    return _failure(folder / STATUS) or read_verdict(folder)
 
 
 def _failure(path: Path) -> str | None:
@@ -114,30 +110,22 @@ def _failure(path: Path) -> str | None:
     return None if status == "ok" else reason or status
 
 
-def _sane(folder: Path, verdict: CollisionVerdict) -> CollisionVerdict:
-    """Return a verdict whose values are numbers.
-
-    Raises:
-        SourceError: one is not.
-    """
-    for name, value in vars(verdict).items():
-        if not isinstance(value, (str, int, float, NoneType)) or isinstance(value, str) != (name in TEXTS):
-            raise SourceError(f"{folder / 'collisions.json'}: damaged: {name} is {value!r}")
-    return verdict
-
-
 def _manifest(path: Path, skipped: list[tuple[str, str]]) -> Entry | None:
     if not path.exists():
         return None
     try:
         entry = _json(path)
         cells = entry.get("cells", [])
-        if not (isinstance(cells, list) and all(isinstance(cell, dict) for cell in cells)):
-            raise SourceError(f"{path}: damaged: cells must be a list of objects")
+        if not (isinstance(cells, list) and all(map(_names_a_run, cells))):
+            raise SourceError(f"{path}: damaged: cells must be a list of objects with a name")
         return entry
     except SourceError as error:
         skipped.append((path.name, str(error)))
         return None
+
+
+def _names_a_run(cell: object) -> bool:
+    return isinstance(cell, dict) and isinstance(cell.get("name"), str)
 
 
 def _json(path: Path) -> Entry:

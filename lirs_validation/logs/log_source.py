@@ -10,6 +10,7 @@ from lirs_validation.logs.map_log import folder_name, run_mapping
 from lirs_validation.record.staleness import is_stale
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
+from lirs_wct.formats.map_server import read_map
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.source import find_source
@@ -35,12 +36,14 @@ def resolve_source(
     )
     out = Path(out)
     folder = out / folder_name(config)
-    status = _status(folder)
-    if status is None:
-        status = run_mapping(config, out=out, progress=progress).record.status
+    found_before = _ended(folder)
+    if found_before is None:
+        record = run_mapping(config, out=out, progress=progress).record
+        found_before = record.status, record.reason
+    status, reason = found_before
     if status != "ok":
         raise SourceError(
-            f"{source}: {config.mapper} lost its place in this log, its map is no world (see {folder}); "
+            f"{source}: {status} with {config.mapper}: {reason}; its map is no world (see {folder}), "
             "try another --log-mapper"
         )
     named = folder / f"{found.name}.yaml"
@@ -49,15 +52,14 @@ def resolve_source(
     return named
 
 
-def _status(folder: Path) -> str | None:
-    """Return how the mapping ended whose results lie in a folder; None where none of ours do."""
+def _ended(folder: Path) -> tuple[str, str] | None:
+    """Return status and reason of the mapping whose results lie in a folder; None where none of ours do."""
     path = folder / "record.json"
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
-        status, written_by = str(record["status"]), record["versions"]
-    except (OSError, ValueError, KeyError, TypeError):
+        ended, written_by = (str(record["status"]), str(record["reason"])), record["versions"]
+        read_map(folder / "map.yaml")
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, SourceError):
         return None
     # The folder's name holds the digest of the log: another content is another folder.
-    if is_stale(path, written_by, inputs=()) or not (folder / "map.yaml").is_file():
-        return None
-    return status
+    return None if is_stale(path, written_by, inputs=()) else ended

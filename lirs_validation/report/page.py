@@ -26,8 +26,9 @@ INTROS: dict[Section, str] = {
     "rtf": "Simulated seconds per wall second of the whole loop, compilation left out; its parts in wall "
     "milliseconds per simulated second; and the same drive replayed through MuJoCo's step alone.",
     "trajectory": "Errors of the mapper's final trajectory in the plane, against the simulator's truth.",
-    "map": "The built map, moved by the true start pose and by nothing else, against the map that the same "
-    "update makes of the same scans at the true poses; false occupied against the world's geometry.",
+    "map": "The built map as the true start pose puts it, and aligned as the path is for the ATE, against "
+    "the map that the same update makes of the same scans at the true poses; false occupied against the "
+    "world's geometry, that of the true-pose map too: what both maps draw wrongly, F1 does not see.",
     "contacts": "What the robot touched, and how deeply, while it was mapping.",
     "cost": "Processor time of the drive, peak memory of the process, compilation before the clock starts, "
     "and what a scan costs the mapper.",

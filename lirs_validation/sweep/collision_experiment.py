@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import NoneType
+from typing import TYPE_CHECKING, Any, get_args
 
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import RunConfig, run_name
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.provenance import versions
+from lirs_validation.record.run_record import Status
 from lirs_validation.record.staleness import is_stale, world_files
 from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.slam_experiment import world_name
@@ -22,6 +24,8 @@ from lirs_wct.progress import Progress
 if TYPE_CHECKING:
     from lirs_validation.collision.validation import CollisionVerdict
 
+TEXTS = ("world", "robot", "terrain", "diverged")
+"""Of a verdict, what is not a number."""
 STATUS = "cell.json"
 """How the experiment ended, and which code says so."""
 
@@ -97,9 +101,13 @@ class CollisionExperiment:
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
             status, reason, written_by = found["status"], found["reason"], found["versions"]
-        except (OSError, ValueError, KeyError, TypeError):
+            if is_stale(path, written_by, world_files(self.world_config)):
+                return None
+            if status == "ok":
+                read_verdict(out / self.name)
+        except (OSError, ValueError, KeyError, TypeError, RecursionError, SourceError):
             return None
-        if is_stale(path, written_by, world_files(self.world_config)):
+        if status not in get_args(Status) or not isinstance(reason, str):
             return None
         return Outcome(experiment=self.name, status=status, reason=reason, written=True)
 
@@ -126,6 +134,10 @@ def read_verdict(folder: Path) -> CollisionVerdict:
     path = folder / "collisions.json"
     try:
         entry = json.loads(path.read_text(encoding="utf-8"))["collisions"][0]
-        return CollisionVerdict(**{f.name: entry[f.name] for f in fields(CollisionVerdict)})
-    except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
+        verdict = CollisionVerdict(**{f.name: entry[f.name] for f in fields(CollisionVerdict)})
+    except (OSError, ValueError, KeyError, IndexError, TypeError, RecursionError) as error:
         raise SourceError(f"{path}: not a collision check, or damaged ({type(error).__name__})") from error
+    for name, value in vars(verdict).items():
+        if not isinstance(value, (str, int, float, NoneType)) or isinstance(value, str) != (name in TEXTS):
+            raise SourceError(f"{path}: damaged: {name} is {value!r}")
+    return verdict

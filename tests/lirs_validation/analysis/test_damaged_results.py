@@ -1,0 +1,175 @@
+"""Folders of results that were cut off, emptied or filled with nonsense: named in one line, no traceback."""
+
+from __future__ import annotations
+
+import copy
+import json
+import shutil
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lirs_validation import cli, map_log, validate
+from lirs_validation.analysis.recorded_run import recorded_config
+from lirs_validation.analysis.result_folders import read_results
+from lirs_validation.record.result_files import WITH_RESULTS
+from lirs_validation.report.contents import report_of
+from lirs_validation.report.tables.results_table import results_table
+from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_wct.errors import SourceError
+from tests.lirs_validation.records import entry, saved
+
+ROOT = Path(__file__).resolve().parents[3]
+NONSENSE: tuple[Any, ...] = (None, [], {}, "much", -7, [[1]], {"a": {"b": 1}}, True, "\u0000", 1e308)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = validate("simple", seconds=4, out=tmp_path_factory.mktemp("out"))
+    assert made.folder is not None
+    return made.folder
+
+
+@pytest.fixture
+def folder(run: Path, tmp_path: Path) -> Path:
+    """A copy of the run, beside a second one that is whole."""
+    saved(tmp_path / "out", seed=2)
+    shutil.copytree(run, tmp_path / "out" / run.name)
+    return tmp_path / "out" / run.name
+
+
+def lines(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: str
+) -> tuple[int, str]:
+    """Run a command; whatever it says, a traceback would come out of it as an exception."""
+    monkeypatch.setattr("sys.argv", ["lirs-wct", *words])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert isinstance(ended.value.code, int)
+    return ended.value.code, capsys.readouterr().err
+
+
+def cut(path: Path, how: str) -> None:
+    content = path.read_bytes()
+    if how == "gone":
+        path.unlink()
+    else:
+        path.write_bytes(
+            {"empty": b"", "half": content[: len(content) // 2], "noise": b"\xff\x00{[" * 40}[how]
+        )
+
+
+@pytest.mark.parametrize("how", ["gone", "empty", "half", "noise"])
+@pytest.mark.parametrize("name", WITH_RESULTS)
+def test_a_file_that_is_cut_off_is_named(
+    name: str, how: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut(folder / name, how)
+    out = str(folder.parent)
+    monkeypatch.chdir(folder.parent.parent)
+    code, said = lines(monkeypatch, capsys, "report", out, "-o", "r.html")
+    assert code == 0
+    if name == "record.json" and how != "gone":
+        assert said.count("\n") == 1
+        assert said.startswith(f"skipped {folder.name}: record.json: ")
+    code, said = lines(monkeypatch, capsys, "compare", out, out)
+    assert code == 0
+    files = ("--trajectory", str(folder / "estimate.tum"), "--map", str(folder / "map.yaml"))
+    code, said = lines(monkeypatch, capsys, "score", str(folder), *files)
+    assert code in (0, 2, 3)
+    assert code != 2 or (said.count("\n") == 1 and str(folder) in said), said
+
+
+def places(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield every place in a record; of lists the first element alone."""
+    if path:
+        yield path
+    children = (
+        node.items() if isinstance(node, dict) else enumerate(node[:1]) if isinstance(node, list) else ()
+    )
+    for key, child in children:
+        yield from places(child, (*path, key))
+
+
+def test_nonsense_in_a_record_is_named_or_does_not_matter(tmp_path: Path) -> None:
+    """Every value of a record is replaced by nonsense, one at a time."""
+    whole = entry()
+    experiment = SlamExperiment(recorded_config(whole))
+    folder = tmp_path / experiment.name
+    folder.mkdir()
+    for name in WITH_RESULTS[1:]:
+        (folder / name).write_text("something")
+    (folder / "record.json").write_text(json.dumps(whole))
+    assert experiment.finished(tmp_path) is not None
+    for place in places(whole):
+        for value in NONSENSE:
+            odd = copy.deepcopy(whole)
+            at = odd
+            for part in place[:-1]:
+                at = at[part]
+            at[place[-1]] = value
+            (folder / "record.json").write_text(json.dumps(odd))
+            outcome = experiment.finished(tmp_path)  # no traceback
+            assert outcome is None or isinstance(outcome.reason, str), (place, value)
+            with suppress(SourceError):
+                results = read_results(tmp_path)
+                assert len(report_of(results).commands.texts()) == 1
+                results_table([run.entry for run in results.runs])
+                recorded_config(results.runs[0].entry)
+
+
+@pytest.mark.parametrize(
+    "cells", [3, [3], [{"name": []}], [{"name": {}}], {"a": 1}, [{"name": None, "x": 1}]]
+)
+def test_nonsense_in_a_manifest_does_not_matter(
+    cells: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved(tmp_path / "out")
+    (tmp_path / "out" / "sweep.json").write_text(json.dumps({"cells": cells, "suite": [], "command": {}}))
+    code, _ = lines(monkeypatch, capsys, "report", str(tmp_path / "out"), "-o", str(tmp_path / "r.html"))
+    assert code == 0
+
+
+@pytest.mark.parametrize(
+    "text", ["[]", '{"status": [], "reason": 1, "versions": {}}', "3", "{", '{"status": "ok"}']
+)
+def test_a_collision_check_that_is_nonsense_is_run_again(text: str, tmp_path: Path) -> None:
+    from lirs_validation.record.provenance import versions
+    from lirs_validation.sweep.collision_experiment import CollisionExperiment
+
+    check = CollisionExperiment(source="simple", robot="husky")
+    folder = tmp_path / check.name
+    folder.mkdir()
+    (folder / "cell.json").write_text(text)
+    assert check.finished(tmp_path) is None
+    whole = {"status": "ok", "reason": "", "versions": versions()}
+    (folder / "cell.json").write_text(json.dumps(whole))
+    (folder / "collisions.json").write_text(text)
+    assert check.finished(tmp_path) is None
+
+
+@pytest.mark.parametrize("name", ["record.json", "map.pgm", "map.yaml"])
+@pytest.mark.parametrize("how", ["gone", "empty", "half", "noise"])
+def test_a_mapped_log_that_is_cut_off_is_mapped_again(
+    name: str, how: str, mapped: Path, tmp_path: Path
+) -> None:
+    from lirs_validation.logs.log_source import resolve_source
+    from lirs_wct.formats.map_server import read_map
+    from lirs_wct.sources.options import BuildOptions
+
+    log = ROOT / "examples" / "data" / "office.clf.gz"
+    out = tmp_path / "out"
+    shutil.copytree(mapped.parent, out)
+    cut(out / mapped.name / name, how)
+    found = resolve_source(log, BuildOptions(), out)
+    assert read_map(Path(found)).known.any()
+
+
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = map_log(ROOT / "examples" / "data" / "office.clf.gz", out=tmp_path_factory.mktemp("mapped"))
+    assert made.folder is not None
+    return made.folder

@@ -1,0 +1,82 @@
+"""A trajectory that leaves out scans is no result, however well its few poses fit: in runs and logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lirs_validation import cli, map_log, validate
+from lirs_validation.analysis.result_folders import read_run
+from lirs_validation.record.result_files import lacking_files
+from lirs_validation.report.pictures import Painter
+from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.hector.mapper import HectorMapper
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+class FewPoses(HectorMapper):
+    """Maps as Hector does, and gives only some of its poses."""
+
+    kept: slice | tuple[int, ...] = (0, -1)
+
+    def trajectory(self) -> Trajectory:
+        """Return what is kept of the trajectory."""
+        whole, kept = super().trajectory(), self.kept
+        kept = kept if isinstance(kept, slice) else np.array(kept, dtype=np.int64)  # type: ignore[assignment]
+        return Trajectory(whole.stamps[kept], whole.positions[kept], whole.quaternions[kept])
+
+
+@pytest.mark.parametrize(
+    ("kept", "coverage", "ate"),
+    [((0, -1), 2 / 76, True), ((0,), 1 / 76, False), ((), 0.0, False), (slice(None, None, 2), 38 / 76, True)],
+)
+def test_a_run_whose_trajectory_leaves_out_scans_is_incomplete(
+    kept: slice | tuple[int, ...], coverage: float, ate: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Two poses earned an ATE of 0.000 and `ok`."""
+    mapper = FewPoses()
+    mapper.kept = kept
+    monkeypatch.setattr("lirs_validation.experiment.run.mapper_named", lambda name, seed: mapper)
+    run = validate("simple", seconds=3, out=tmp_path)
+    assert run.folder is not None
+    record = read_run(run.folder).entry
+    assert record["status"] == "incomplete"
+    assert f"a pose for {100 * coverage:.1f} % of the scans, at least 95 % are required" in record["reason"]
+    assert record["trajectory"]["scan_coverage"] == pytest.approx(coverage)
+    assert ("ate_rmse" in record["trajectory"]) == ate
+    assert lacking_files(run.folder, record["status"]) == []
+    picture = Painter(1).paint(read_run(run.folder))
+    assert picture.url or "estimate.tum" in picture.note
+
+
+def test_a_log_whose_trajectory_leaves_out_scans_is_incomplete(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = str(ROOT / "examples" / "data" / "office.clf.gz")
+    monkeypatch.setattr("lirs_validation.logs.map_log.make_log_mapper", lambda config: FewPoses())
+    record = map_log(log, mapper="hector").record
+    assert record.status == "incomplete"
+    assert record.trajectory["poses"] == 2
+    assert record.trajectory["scan_coverage"] < 0.05
+    monkeypatch.setattr("sys.argv", ["lirs-wct", "map", log, "--mapper", "hector", "-o", str(tmp_path)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 3
+    assert "incomplete" in capsys.readouterr().out
+
+
+def test_a_log_during_which_the_place_was_lost_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last scan alone was looked at: 756 of 2,008 lost scans were told as ok."""
+
+    class LostInBetween(HectorMapper):
+        @property
+        def lost(self) -> bool:
+            return 20 <= self.stats.received < 60
+
+    monkeypatch.setattr("lirs_validation.logs.map_log.make_log_mapper", lambda config: LostInBetween())
+    record = map_log(ROOT / "examples" / "data" / "office.clf.gz", mapper="hector").record
+    assert record.status == "lost"
+    assert "40 of " in record.reason
