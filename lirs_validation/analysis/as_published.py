@@ -119,9 +119,7 @@ def attitude_pairs(entries: Iterable[Entry]) -> tuple[MethodPair, ...]:
 def outcome_of(entries: Sequence[Entry]) -> Outcome:
     """Return how runs of one method in one world compare with their odometry."""
     counted = [entry for entry in entries if entry["status"] not in OF_THE_DRIVE]
-    errors = [
-        ate for e in counted if succeeded(e) and (ate := value_at(e, "trajectory.ate_rmse")) is not None
-    ]
+    errors = [ate for e in counted if succeeded(e) and (ate := value_at(e, ATE)) is not None]
     return Outcome(
         runs=len(counted),
         held=sum(map(holds, counted)),

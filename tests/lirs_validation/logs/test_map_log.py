@@ -13,6 +13,8 @@ import pytest
 
 from lirs_validation import map_log
 from lirs_validation.config import MapConfig
+from lirs_validation.record.map_formatting import map_lines
+from lirs_validation.record.odometry import WORSE
 from lirs_wct.errors import ConfigError, MapperError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum, write_tum
@@ -240,3 +242,19 @@ def test_a_mapper_of_your_own(room: Path, tmp_path: Path, monkeypatch: pytest.Mo
     (tmp_path / "wct_needy_log_mapper.py").write_text(needy)
     with pytest.raises(SourceError, match=r"holds no odometry.*wct_needy_log_mapper:Still needs it"):
         map_log(room / "blind.clf", mapper="wct_needy_log_mapper:Still")
+
+
+@pytest.mark.usefixtures("without_warm_up")
+def test_the_accuracy_of_the_odometry_stands_beside_that_of_the_mapper(room: Path) -> None:
+    truth = {"reference": room / "truth.tum", "relations": room / "room.relations"}
+    record = map_log(room / "room.clf", mapper="hector", **truth).record
+    alone = record.odometry
+    assert alone["reference"]["used"] == record.accuracy["reference"]["used"] == SCANS
+    assert alone["reference"]["ate_rmse"] > 2 * record.accuracy["reference"]["ate_rmse"]
+    assert alone["relations"]["translation_mean"] > record.accuracy["relations"]["translation_mean"]
+    lines = dict(map_lines(record))
+    assert lines["ATE of the odometry"] == f"{alone['reference']['ate_rmse']:.3f} m"
+    assert WORSE not in lines.values()
+    worse = replace(record, odometry={"relations": None, "reference": {"used": 9, "ate_rmse": 0.001}})
+    assert WORSE in dict(map_lines(worse)).values()
+    assert map_log(room / "blind.clf", mapper="hector", **truth).record.odometry == {}
