@@ -28,11 +28,16 @@ def associated(
         return i, j
     if len(first) == 0:
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    after = np.clip(np.searchsorted(second, first), 0, len(second) - 1)
+    near = nearest(second, first)
+    kept = np.flatnonzero(np.abs(second[near] - first) <= max_gap)
+    return kept.astype(np.int64), near[kept]
+
+
+def nearest(stamps: FloatArray, wanted: FloatArray) -> IntArray:
+    """Return (n,) which of the stamps (m,), increasing, is nearest; of two that are, the earlier."""
+    after = np.minimum(np.searchsorted(stamps, wanted), len(stamps) - 1)
     before = np.maximum(after - 1, 0)
-    nearest = np.where(np.abs(second[after] - first) < np.abs(first - second[before]), after, before)
-    kept = np.flatnonzero(np.abs(second[nearest] - first) <= max_gap)
-    return kept.astype(np.int64), nearest[kept].astype(np.int64)
+    return np.where(wanted - stamps[before] <= stamps[after] - wanted, before, after).astype(np.int64)
 
 
 def scan_coverage(scans: FloatArray, poses: FloatArray) -> float:
@@ -50,7 +55,4 @@ def scan_coverage(scans: FloatArray, poses: FloatArray) -> float:
     steps = np.diff(scans)
     steps = steps[steps > 0]
     gap = min(MAX_GAP, 0.49 * float(np.median(steps))) if len(steps) else MAX_GAP
-    after = np.clip(np.searchsorted(poses, scans), 0, len(poses) - 1)
-    before = np.maximum(after - 1, 0)
-    nearest = np.minimum(np.abs(poses[after] - scans), np.abs(scans - poses[before]))
-    return float((nearest <= gap).mean())
+    return float((np.abs(poses[nearest(poses, scans)] - scans) <= gap).mean())

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from lirs_validation.metrics.association import nearest
 from lirs_validation.metrics.planar import motion, planar, wrapped
 from lirs_validation.metrics.relative_pose_error import motion_errors, pairs_by_path
 from lirs_wct.arrays import FloatArray, IntArray
@@ -170,7 +170,7 @@ def poses_at(estimate: Trajectory, stamps: FloatArray, odometry: Trajectory) -> 
         stamps: (n,) seconds.
         odometry: not empty, in any frame.
     """
-    near = _nearest(estimate.stamps, stamps)
+    near = nearest(estimate.stamps, stamps)
     poses, there = planar(estimate)[near], estimate.stamps[near]
     step = motion(odometry.planar_at(there), odometry.planar_at(stamps))
     step[np.abs(there - stamps) <= PROPAGATED] = 0.0
@@ -178,10 +178,3 @@ def poses_at(estimate: Trajectory, stamps: FloatArray, odometry: Trajectory) -> 
     return poses + np.column_stack(
         (c * step[:, 0] - s * step[:, 1], s * step[:, 0] + c * step[:, 1], step[:, 2])
     )
-
-
-def _nearest(stamps: FloatArray, wanted: FloatArray) -> NDArray[np.intp]:
-    """Return (n,) which of the stamps, increasing, is nearest; of two that are, the earlier."""
-    after = np.clip(np.searchsorted(stamps, wanted), 0, len(stamps) - 1)
-    before = np.maximum(after - 1, 0)
-    return np.where(wanted - stamps[before] <= stamps[after] - wanted, before, after)

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lirs_validation.metrics.association import MAX_GAP, associated, scan_coverage
+from lirs_validation.metrics.association import MAX_GAP, associated, nearest, scan_coverage
 
 # Whole eighths: many stamps coincide and lie halfway, and nothing is rounded.
 stamps = st.lists(st.integers(-40, 40), unique=True, max_size=12).map(lambda k: np.array(sorted(k)) / 8)
 
 
-def nearest(first: np.ndarray, second: np.ndarray, gap: float) -> list[tuple[int, int]]:
+def all_pairs(first: np.ndarray, second: np.ndarray, gap: float) -> list[tuple[int, int]]:
     """Return for each of the shorter list the nearest of the longer; of two alike the earlier."""
     pairs = []
     for i, stamp in enumerate(first.tolist()):
@@ -30,9 +30,9 @@ def test_each_of_the_shorter_with_the_nearest_of_the_longer(
     i, j = associated(first, second, max_gap=gap)
     found = list(zip(i.tolist(), j.tolist(), strict=True))
     if len(first) <= len(second):
-        assert found == nearest(first, second, gap)
+        assert found == all_pairs(first, second, gap)
     else:
-        assert found == [(a, b) for b, a in nearest(second, first, gap)]
+        assert found == [(a, b) for b, a in all_pairs(second, first, gap)]
 
 
 @pytest.mark.parametrize(("count", "other"), [(0, 0), (0, 3), (3, 0)])
@@ -67,3 +67,12 @@ def test_coverage_by_hand() -> None:
     assert scan_coverage(fast, fast + 0.48 / 64) == 1.0
     assert scan_coverage(fast, fast[:1] + 0.495 / 64) == 0.0
     assert scan_coverage(np.array([3.0]), np.array([3.0199])) == 1.0
+    repeated = np.repeat(fast, 3)  # the period is that of the stamps that rise
+    assert scan_coverage(repeated, fast + 0.4 / 64) == 1.0
+
+
+@given(stamps, stamps)
+def test_the_nearest_stamp_of_any(first: np.ndarray, wanted: np.ndarray) -> None:
+    if len(first):
+        expected = [min(range(len(first)), key=lambda k: (abs(first[k] - t), k)) for t in wanted]
+        assert nearest(first, wanted).tolist() == expected

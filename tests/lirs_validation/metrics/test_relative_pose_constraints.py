@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from lirs_validation.metrics.relative_pose_constraints import (
     RelativePoseConstraint,
     close_pairs,
+    constraint_error_summary,
     constraint_errors,
     poses_at,
     read_constraints,
@@ -172,6 +173,24 @@ def test_close_pairs_by_hand() -> None:
     assert list(zip(i.tolist(), j.tolist(), strict=True)) == expected
     assert [len(k) for k in close_pairs(poses[:2])] == [0, 0]
     assert [len(k) for k in close_pairs(poses[:3])] == [1, 1]
+
+
+def test_close_poses_of_two_paths_by_hand() -> None:
+    """Marks at 0, 1, 2 and 3 m; the estimate is 10 % too long and turns by 0.1, -0.2 and 0.4 rad."""
+    true = np.column_stack((np.arange(7) / 2, np.zeros(7), np.zeros(7)))
+    yaw = np.array([0.0, 9.0, 0.1, 9.0, -0.1, 9.0, 0.3])
+    found = constraint_error_summary(true, np.column_stack((1.1 * true[:, 0], np.zeros(7), yaw)))
+    pairs = [(0, 2), (0, 4), (2, 4), (2, 6), (4, 6)]  # at most 2 m apart
+    a, b = np.array(pairs).T
+    # The estimated step in its own first frame, less the true one.
+    step = 1.1 * (true[b, 0] - true[a, 0])
+    shift = np.hypot(step * np.cos(yaw[a]) - step / 1.1, step * np.sin(yaw[a]))
+    turn = np.abs(yaw[b] - yaw[a])
+    assert found is not None
+    assert found.relations == 5
+    assert (found.translation_mean, found.translation_std) == pytest.approx((shift.mean(), shift.std()))
+    assert (found.rotation_mean, found.rotation_std) == pytest.approx((turn.mean(), turn.std()))
+    assert constraint_error_summary(true[:2], true[:2]) is None
 
 
 BAD = {
