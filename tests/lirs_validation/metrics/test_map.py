@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import asdict
 from pathlib import Path
@@ -291,6 +292,7 @@ def test_every_score_is_of_its_own_two_maps() -> None:
     assert scores.false_occupied_aligned == false_occupied(moved, surface, walls)
     assert scores.reference_false_occupied == false_occupied(true_pose, surface, walls)
     assert (scores.start_shift, scores.start_turn) == (1.25, 0.75)
+    assert json.dumps(asdict(scores))  # plain numbers, as a record holds them
     near = near_obstacle(built.occupied_points(), surface, walls, 0.10 + 1e-9)
     assert scores.false_occupied == pytest.approx(1 - near.mean())
     assert 0 < scores.false_occupied < 1

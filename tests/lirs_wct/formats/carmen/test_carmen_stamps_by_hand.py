@@ -177,9 +177,9 @@ def test_leaps_backward(offsets: list[float], expected: range | None) -> None:
         np.testing.assert_allclose(found, list(expected), atol=1e-6)
 
 
-@pytest.mark.parametrize(("back", "leap"), [(10.5, False), (12.0, True)])
+@pytest.mark.parametrize(("back", "leap"), [(10.5, False), (11.0, False), (12.0, True)])
 def test_more_than_ten_seconds_back_is_a_leap(back: float, leap: bool) -> None:
-    """A step from line to line of 1 s less the offset: 9.5 s back is a delay, 11 s a damaged stamp."""
+    """A step from line to line of 1 s less the offset: up to 10 s back is a delay, 11 s a damaged stamp."""
     offsets = [0.0] * 30
     offsets[15] = -back
     found = repaired(lines(second(*offsets), list(east(30)), [True, False] * 15))
@@ -230,6 +230,14 @@ def test_a_log_without_a_clock_gets_steps_of_its_own(metres: float) -> None:
     found = repaired(lines([5.0] * n, list(poses), [True] * n))
     np.testing.assert_allclose(np.diff(found), 0.04 if metres else 1e-3, atol=1e-9)
     assert np.mean(found) == pytest.approx(5.0)
+
+
+def test_kinds_that_go_back_themselves_are_not_merged() -> None:
+    scans = [replace(m, ranges=RANGES) for m in lines([0.5, 40.5, 40.0], list(east(3)), [False] * 3)]
+    odoms = [Message(3 + k, 1.0 + k, Pose2(0.1 * k)) for k in range(3)]
+    for first, second in ((scans, odoms), (odoms, scans)):
+        *_, found = in_file_order(first, second)
+        assert found.logged.tolist() == [0.5, 40.5, 40.0, 1.0, 2.0, 3.0]
 
 
 # ---- what is said about them
