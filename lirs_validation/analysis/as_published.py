@@ -25,6 +25,8 @@ MOST = 0.8
 """Share of the runs that decides what a method does in a world."""
 CLEARLY = 1.5
 """Times as accurate from which on it is said."""
+UNCHECKED = ("cartographer",)
+"""Methods whose version as published was never compared with runs of its original."""
 OF_THE_DRIVE: tuple[Status, ...] = ("tipped", "stuck", "off world", "diverged")
 """Ends that say nothing of the mapper."""
 

@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterable, Sequence
 from lirs_validation.analysis.as_published import (
     MOST,
     SLACK,
+    SUFFIX,
     TIMES,
+    UNCHECKED,
     MethodPair,
     attitude_pairs,
     conclusion,
@@ -53,7 +55,17 @@ def _table(key: str, title: str, pairs: Sequence[MethodPair]) -> ReportTable:
         "what follows",
     )
     rows = tuple((*group_texts(pair.group, fields), *_row(pair)) for pair in pairs)
-    return ReportTable(key, title, CAPTION, headings, rows, len(fields), remarks=True)
+    return ReportTable(key, title, CAPTION + _unchecked(pairs), headings, rows, len(fields), remarks=True)
+
+
+def _unchecked(pairs: Sequence[MethodPair]) -> str:
+    """Return which methods as published have no reference, as sentences; nothing where all have one."""
+    names = dict.fromkeys(pair.group.mapper for pair in pairs if pair.how == "as published")
+    return "".join(
+        f" {name}{SUFFIX} was never compared with runs of its original."
+        for name in names
+        if name in UNCHECKED
+    )
 
 
 def _row(pair: MethodPair) -> tuple[Content, ...]:
