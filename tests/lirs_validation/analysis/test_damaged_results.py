@@ -62,8 +62,13 @@ def cut(path: Path, how: str) -> None:
         )
 
 
-@pytest.mark.parametrize("how", ["gone", "empty", "half", "noise"])
-@pytest.mark.parametrize("name", WITH_RESULTS)
+@pytest.mark.parametrize(
+    ("name", "how"),
+    [
+        *((name, how) for name in WITH_RESULTS for how in ("gone", "half")),
+        *((name, how) for name in ("record.json", "map.pgm", "truth.tum") for how in ("empty", "noise")),
+    ],
+)
 def test_a_file_that_is_cut_off_is_named(
     name: str, how: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
