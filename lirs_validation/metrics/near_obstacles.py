@@ -49,8 +49,9 @@ def _near_steep(
     for k in range(len(points)):
         # In metres from the south-west node.
         x, y = points[k, 0] - origin[0], points[k, 1] - origin[1]
-        i0, i1 = max(0, math.floor((x - distance) / cx)), min(cols - 2, math.floor((x + distance) / cx))
-        j0, j1 = max(0, math.floor((y - distance) / cy)), min(rows - 2, math.floor((y + distance) / cy))
+        # A cell holds both of its edges: a point on the line between two is on either.
+        i0, i1 = max(0, math.ceil((x - distance) / cx) - 1), min(cols - 2, math.floor((x + distance) / cx))
+        j0, j1 = max(0, math.ceil((y - distance) / cy) - 1), min(rows - 2, math.floor((y + distance) / cy))
         for j in range(j0, j1 + 1):
             for i in range(i0, i1 + 1):
                 if near[k]:
@@ -73,8 +74,8 @@ def _near_wall(points: FloatArray, solid: BoolArray, resolution: float, distance
     near = np.zeros(len(points), np.bool_)
     for k in range(len(points)):
         x, y = points[k, 0], points[k, 1]
-        i0, i1 = math.floor((x - distance) / resolution), math.floor((x + distance) / resolution)
-        j0, j1 = math.floor((y - distance) / resolution), math.floor((y + distance) / resolution)
+        i0, i1 = math.ceil((x - distance) / resolution) - 1, math.floor((x + distance) / resolution)
+        j0, j1 = math.ceil((y - distance) / resolution) - 1, math.floor((y + distance) / resolution)
         for j in range(max(0, j0), min(rows - 1, j1) + 1):
             for i in range(max(0, i0), min(cols - 1, i1) + 1):
                 if solid[j, i]:

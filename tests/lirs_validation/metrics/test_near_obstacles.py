@@ -102,13 +102,36 @@ def test_a_distance_that_is_just_met_is_near() -> None:
     z = np.zeros((3, 4), np.float32)
     z[:, 2:] = 4.0  # a face from x = 1.5 to 1.75 (cells of 0.25 by 0.5)
     field = HeightField(z, (0.25, 0.5), (1.25, -3.0))
-    x = np.array([1.5 - 0.125, 1.5 - 0.1328125, 1.5, 1.75, 1.75 + 0.125 - 2**-30, 1.75 + 0.1328125])
+    x = np.array([1.5 - 0.125, 1.5 - 0.1328125, 1.5, 1.75, 1.75 + 0.125, 1.75 + 0.1328125])
     near = near_obstacle(np.column_stack((x, np.full(6, -2.5))), field, None, 0.125)
     assert near.tolist() == [True, False, True, True, True, False]
     walls = WallGrid(np.array([[False, True, False]]), 0.25, Pose2(-8.0, 4.0))
-    x = np.array([-7.75 - 0.125, -7.75 - 0.1328125, -7.5 + 0.125 - 2**-30, -7.5 + 0.1328125, -7.625])
+    x = np.array([-7.75 - 0.125, -7.75 - 0.1328125, -7.5 + 0.125, -7.5 + 0.1328125, -7.625])
     near = near_obstacle(np.column_stack((x, np.full(5, 4.125))), FLAT, walls, 0.125)
     assert near.tolist() == [True, False, True, False, True]
+
+
+@pytest.mark.parametrize("distance", [0.0, 0.125])
+@pytest.mark.parametrize("turned", [False, True])
+def test_both_sides_of_a_face_are_alike(distance: float, turned: bool) -> None:
+    """A face between flats, in either direction; each of its triangles ends at one side."""
+    z = np.zeros((4, 5), np.float32)
+    z[:, 2:] = 8.0  # the face lies between x = 0.25 and 0.5
+    field = HeightField(z.T[::-1].copy() if turned else z, (0.25, 0.25), (0.0, 0.0))
+    across = np.array([0.25 - distance - 2**-20, 0.25 - distance, 0.5 + distance, 0.5 + distance + 2**-20])
+    solid = np.zeros((4, 4), np.bool_)
+    solid[:, 1] = True
+    points = np.column_stack((across, np.full(4, 0.4)))
+    points = points[:, ::-1].copy() if turned else points
+    assert near_obstacle(points, field, None, distance).tolist() == [False, True, True, False]
+    assert near_obstacle(
+        points, FLAT, WallGrid(solid.T.copy() if turned else solid, 0.25), distance
+    ).tolist() == [
+        False,
+        True,
+        True,
+        False,
+    ]
 
 
 def test_in_the_footprint_is_near_at_no_distance() -> None:

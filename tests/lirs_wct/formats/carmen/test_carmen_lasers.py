@@ -90,7 +90,7 @@ def test_raw_scans_take_their_odometry_from_odom_lines(tmp_path: Path) -> None:
     lines.insert(2, f"RAWLASER1 0 -1.570796 3.141593 0.017453 20.0 0.1 0 181 {'2.0 ' * 181} 0 1.25 host 0")
     log = read_carmen(write_log(tmp_path / "x.clf", lines))
     assert log.odometry == (Pose2(1.25),)
-    assert log.skipped == {}
+    assert (log.skipped, log.repaired) == ({}, {})
 
 
 def test_odometry_that_never_changes_is_none(tmp_path: Path) -> None:
