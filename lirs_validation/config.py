@@ -7,7 +7,7 @@ import json
 from dataclasses import asdict, dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from lirs_wct.errors import unknown_name
+from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.field_validators import require_above, require_at_least, require_within
 from lirs_wct.option import option
 from lirs_wct.sources.options import MAP_PANEL, BuildOptions
@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 Attitude = Literal["imu", "none"]
 ATTITUDES: tuple[Attitude, ...] = get_args(Attitude)
 """What a mapper is told of roll and pitch: the IMU's readings, or nothing."""
-LATER = {"attitude": "imu"}
+TOUR = "tour"
+DRIVERS = {TOUR: "", "frontier": "", "waypoints": "FILE", "replay": "RUN"}
+"""Who drives, and what each needs: a file of waypoints, the folder of a finished run."""
+LATER = {"attitude": "imu", "driver": TOUR}
 """Options that came later: at these values they are in no digest, so that folders keep their names."""
 RECORDED_RAYS = {"builtin": "ours", "mujoco": "mujoco"}
 """Rays as records name them."""
@@ -46,6 +49,19 @@ class SourceOptions(BuildOptions):
         return cls(**{entry.name: getattr(options, entry.name) for entry in fields(options)})
 
 
+def driver_parts(text: str) -> tuple[str, str]:
+    """Return kind and path of a driver: `tour`, `frontier`, `waypoints:FILE` or `replay:RUN`.
+
+    Raises:
+        ConfigError: it is none of these.
+    """
+    kind, colon, path = text.partition(":")
+    if kind not in DRIVERS or bool(DRIVERS[kind]) != bool(path) or (colon and not path):
+        legal = ", ".join(f"{name}:{what}" if what else name for name, what in DRIVERS.items())
+        raise ConfigError(f"unknown driver {text!r}; legal: {legal}")
+    return kind, path
+
+
 @dataclass(frozen=True, kw_only=True)
 class RunConfig:
     """What to run.
@@ -61,11 +77,12 @@ class RunConfig:
         seed: of every random number in the run.
         wall_limit: wall seconds after which the drive is stopped; None = never.
         attitude: what the mapper is told of roll and pitch: `imu`, or `none` (no inertial reading).
+        driver: who drives: `tour`, `frontier`, `waypoints:FILE` or `replay:RUN` (docs/sweeps.md).
         build: how the source becomes a world.
 
     Raises:
         ConfigError: seconds or the wall limit is not above 0, the seed is negative, or there is no such
-            terrain, rays or attitude.
+            terrain, rays, attitude or driver.
     """
 
     source: str
@@ -78,6 +95,7 @@ class RunConfig:
     seed: int = 1
     wall_limit: float | None = None
     attitude: Attitude = "imu"
+    driver: str = TOUR
     build: BuildOptions = field(default_factory=SourceOptions)
 
     def __post_init__(self) -> None:
@@ -94,6 +112,7 @@ class RunConfig:
             raise unknown_name("terrain for MuJoCo", self.terrain, CONTACT_GEOMETRIES)
         if self.attitude not in ATTITUDES:
             raise unknown_name("attitude", self.attitude, ATTITUDES)
+        driver_parts(self.driver)
         object.__setattr__(self, "rays", RECORDED_RAYS[resolve_rays(self.rays)])
 
     @property
@@ -115,9 +134,10 @@ def _without_later(entry: dict[str, Any]) -> dict[str, Any]:
 
 
 def run_name(config: RunConfig, world: str) -> str:
-    """Return the name of the run's folder; of a mapper's `module:name` only the name."""
+    """Return the name of the run's folder; of `module:name` only the name, of a driver only the kind."""
     mapper = config.mapper.rpartition(":")[2]
-    return f"{world}-{config.robot}-{mapper}-s{config.seed}-{config.digest}"
+    driver = "" if config.driver == TOUR else f"-{driver_parts(config.driver)[0]}"
+    return f"{world}-{config.robot}-{mapper}{driver}-s{config.seed}-{config.digest}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,10 +7,11 @@ from dataclasses import astuple, dataclass
 from functools import cache
 
 from lirs_envs.robots.catalog import make_robot
+from lirs_validation.config import LATER
 from lirs_validation.record.formatting import Entry
 from lirs_wct.errors import ConfigError
 
-FIELDS = ("world", "robot", "mapper", "terrain", "rays", "lidar", "seconds", "attitude")
+FIELDS = ("world", "robot", "mapper", "terrain", "rays", "lidar", "seconds", "attitude", "driver")
 
 
 @dataclass(frozen=True, order=True)
@@ -24,7 +25,8 @@ class Group:
     rays: str
     lidar: str
     seconds: float
-    attitude: str = "imu"
+    attitude: str = LATER["attitude"]
+    driver: str = LATER["driver"]
 
     @staticmethod
     def of(entry: Entry) -> Group:
@@ -38,13 +40,14 @@ class Group:
             c["rays"],
             c["lidar"] or _own_lidar(c["robot"]),
             float(c["seconds"]),
-            c.get("attitude", "imu"),
+            *(c.get(name, usual) for name, usual in LATER.items()),
         )
 
     def named(self, fields: Iterable[str] = FIELDS) -> str:
         """Return the group's name: its fields, or some of them, in one line."""
         texts = {**dict(zip(FIELDS, astuple(self), strict=True)), "seconds": f"{self.seconds:g} s"}
         texts |= {"rays": f"rays: {self.rays}", "attitude": f"attitude: {self.attitude}"}
+        texts["driver"] = f"driver: {self.driver}"
         return ", ".join(str(texts[field]) for field in FIELDS if field in set(fields))
 
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from lirs_validation.config import DRIVERS, driver_parts
 from lirs_wct.errors import ConfigError
 
 SOURCE_HELP = "simple, medium, advanced, a picture, a map YAML, a laser log, a mesh or a built folder."
@@ -37,6 +38,25 @@ def read_fields(text: str | None, flag: str) -> dict[str, str]:
     if not all(name.strip() and value.strip() for name, _, value in pairs):
         raise ConfigError(f"{flag} must be a list such as mapper=hector,world=medium, got {text!r}")
     return {name.strip(): value.strip() for name, _, value in pairs}
+
+
+def read_drivers(text: str, flag: str = "--driver") -> tuple[str, ...]:
+    """Return the drivers of a list such as `tour,replay:out/a,b`, each once.
+
+    A path may hold commas: the list is split where a driver follows.
+
+    Raises:
+        ConfigError: one is no driver.
+    """
+    plain = "|".join(name for name, needs in DRIVERS.items() if not needs)
+    needy = "|".join(name for name, needs in DRIVERS.items() if needs)
+    drivers = re.split(rf",\s*(?=(?:{plain})\s*(?:,|$)|(?:{needy}):)", text.strip())
+    for driver in drivers:
+        try:
+            driver_parts(driver.strip())
+        except ConfigError as error:
+            raise ConfigError(f"{flag}: {error}") from error
+    return tuple(dict.fromkeys(driver.strip() for driver in drivers))
 
 
 def read_seeds(text: str, flag: str = "--seeds") -> tuple[int, ...]:

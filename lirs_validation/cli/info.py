@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from rich.table import Table
 
-from lirs_envs.robots.catalog import ROBOTS
+from lirs_envs.robots.catalog import ROBOTS, make_robot
 from lirs_validation.metrics.mesh import mesh_error
+from lirs_validation.metrics.scan_support import ScanSupport, scan_support
 from lirs_wct.world import World
 
 CELLS = 2000
@@ -30,6 +31,7 @@ class WorldFacts:
         triangles: of the mesh that is written.
         watertight: whether it is closed.
         volume: enclosed, cubic metres.
+        support: what a planar scanner of a robot has to hold on to.
         error: largest vertical distance of the mesh from the surface at its nodes, metres; None for the
             walls of a laser map, which are exact.
     """
@@ -43,11 +45,16 @@ class WorldFacts:
     triangles: int
     watertight: bool
     volume: float
+    support: ScanSupport
     error: float | None
 
 
-def world_facts(world: World) -> WorldFacts:
-    """Measure a world."""
+def world_facts(world: World, robot: str = "husky") -> WorldFacts:
+    """Measure a world; what a scanner sees, for a robot.
+
+    Raises:
+        ConfigError: there is no such robot.
+    """
     surface, walls, mesh = world.surface, world.walls, world.mesh
     slope = np.degrees(surface.slope())
     return WorldFacts(
@@ -62,6 +69,7 @@ def world_facts(world: World) -> WorldFacts:
         triangles=len(mesh.faces),
         watertight=mesh.is_watertight,
         volume=mesh.volume,
+        support=scan_support(world, make_robot(robot)),
         error=None if walls is not None else mesh_error(world),
     )
 
@@ -78,6 +86,8 @@ def facts_table(world: World, facts: WorldFacts) -> Table:
             (f"drivable, {robot}", f"{share:.1f} %, up to {math.degrees(ROBOTS[robot].max_slope):.0f} deg")
             for robot, share in facts.drivable.items()
         ),
+        (f"walls in sight, {facts.support.robot}", _support(facts.support)),
+        ("expectation", facts.support.expectation),
         ("start poses", f"{len(world.spawn_poses)}"),
         ("triangles", f"{facts.triangles}"),
         ("watertight", f"{'yes' if facts.watertight else 'no'}, {facts.volume:.6g} m3"),
@@ -89,6 +99,16 @@ def facts_table(world: World, facts: WorldFacts) -> Table:
     for row in rows:
         table.add_row(*row)
     return table
+
+
+def _support(found: ScanSupport) -> str:
+    """Return what the beams of a scan meet, in words."""
+    if not found.poses:
+        return "-"
+    return (
+        f"{found.wall_median:.0f} of {found.beams} beams a scan, {found.wall_p10:.0f} in the worst tenth of "
+        f"places; {found.ground_median:.0f} meet other ground"
+    )
 
 
 def _cells(world: World) -> str:

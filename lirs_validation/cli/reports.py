@@ -60,7 +60,7 @@ def compare(
         typer.Option(
             metavar="FIELD,...",
             help="Pair runs that differ in these: world, robot, mapper, terrain, rays, lidar, "
-            "seconds, attitude.",
+            "seconds, attitude, driver.",
         ),
     ] = None,
     only_a: Annotated[

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lirs_validation.cli.arguments import read_names, read_seeds
+from lirs_validation.cli.arguments import read_drivers, read_names, read_seeds
 from lirs_validation.cli.typer_options import mujoco_terrain
-from lirs_validation.config import ATTITUDES, SourceOptions
+from lirs_validation.config import ATTITUDES, TOUR, SourceOptions
 from lirs_wct.errors import ConfigError
 from lirs_wct.sources.option_text import chosen
 
@@ -67,6 +67,17 @@ Attitudes = Annotated[
         metavar="imu|none",
         show_default="imu",
         help="What mappers are told of roll and pitch: the IMU's readings, or none, as planar SLAM has them.",
+        rich_help_panel=AXES,
+    ),
+]
+Drivers = Annotated[
+    str | None,
+    typer.Option(
+        "--driver",
+        metavar="tour|frontier|waypoints:FILE|replay:RUN",
+        show_default="tour",
+        help="Who drives: a tour over the true ground; an explorer that sees the mapper's map and pose; "
+        "waypoints (x, y[, yaw] a line) by the true pose; the commands of a finished run again.",
         rich_help_panel=AXES,
     ),
 ]
@@ -135,7 +146,8 @@ def read_experiments(
     Args:
         sources: worlds; none with a suite.
         suite: its name; None = sources and axes are given.
-        axes: axis -> what was said of it, for `robot`, `mapper`, `lidar`, `terrain`, `rays` and `attitude`.
+        axes: axis -> what was said of it, for `robot`, `mapper`, `lidar`, `terrain`, `rays`, `attitude`
+            and `driver`.
         seeds: None = the suite's own, or 1.
         seconds: simulated seconds of each run; None = the suite's own, or 120.
         wall_limit: of each drive; None = the suite's own, or none.
@@ -192,6 +204,7 @@ def _axes_experiments(
             Representation(terrain=terrain, rays=ray) for terrain in terrains for ray in rays
         ),
         attitudes=tuple(chosen(name, "--attitude", ATTITUDES) for name in _names(given, "attitude", "imu")),
+        drivers=(TOUR,) if given.get("driver") is None else read_drivers(str(given["driver"])),
         seeds=seeds or (1,),
         seconds=DEFAULT_SECONDS if seconds is None else seconds,
         wall_limit=wall_limit,

@@ -34,6 +34,7 @@ def validate(
     terrain: option.Terrains = None,
     rays: option.RayKinds = None,
     attitude: option.Attitudes = None,
+    driver: option.Drivers = None,
     seconds: option.Seconds = None,
     seed: option.Seed = None,
     seeds: option.Seeds = None,
@@ -66,6 +67,7 @@ def validate(
         "terrain": terrain,
         "rays": rays,
         "attitude": attitude,
+        "driver": driver,
     }
     chosen = option.read_seed_options(seed, seeds)
     experiments = option.read_experiments(sources, suite, axes, chosen, seconds, wall_limit, options)

@@ -78,16 +78,19 @@ def info(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="PNG to draw; default: no picture.")
     ] = None,
+    robot: Annotated[str, typer.Option(metavar="R", help="Whose lidar looks round.")] = "husky",
     *,
     options: SourceOptions,
 ) -> None:
-    """Say what a source is: size, heights, slopes, where robots can drive, triangles, error."""
+    """Say what a source is: size, heights, slopes, where robots drive, walls in sight, triangles, error."""
+    from lirs_envs.robots.catalog import make_robot
     from lirs_validation.cli.info import facts_table, world_facts
     from lirs_wct.world import build_world
 
+    make_robot(robot)
     with err.status(f"measuring {source}"):
         world = build_world(source, options)
-        facts = world_facts(world)
+        facts = world_facts(world, robot)
     out.print(facts_table(world, facts))
     if output is not None:
         _draw(world, output)

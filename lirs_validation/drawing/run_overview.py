@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from scipy.ndimage import binary_dilation
 
+from lirs_validation.config import TOUR, driver_parts
 from lirs_validation.drawing.canvas import MARGIN, Canvas, bounds_shown
 from lirs_validation.drawing.hillshade import shaded_heights
 from lirs_validation.drawing.panels import headline, path_ends, value_list
@@ -97,7 +98,8 @@ def shown_bounds(
 def _headline(record: RunRecord) -> str:
     c = record.config
     method = c.mapper + (" without attitude" if c.attitude == "none" else "")
-    text = f"{record.world['name']}: {c.robot} maps with {method}, seed {c.seed}"
+    driver = "" if c.driver == TOUR else f", driver {driver_parts(c.driver)[0]}"
+    text = f"{record.world['name']}: {c.robot} maps with {method}{driver}, seed {c.seed}"
     if worse_than_odometry(asdict(record)):
         text += f" ({WORSE})"
     if record.status == "ok":

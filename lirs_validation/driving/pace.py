@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lirs_envs.robots.robot import Robot
-from lirs_validation.driving.drivers import DriverConfig
+from lirs_validation.driving.path_driver import DriverConfig
 from lirs_validation.driving.pursuit import PursuitConfig
 
 SPEED_SHARE, TURN_SHARE, ACCELERATION_SHARE = 0.8, 0.6, 0.2

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from lirs_validation.driving.clearance import COMFORTABLE, NARROW, path_weight, room_at, room_in
 from lirs_validation.driving.grid_search import Reach, area_round, cells_ahead, penalize_behind, search
 from lirs_validation.driving.path_smoothing import arc_length, smoothed
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
@@ -32,17 +33,19 @@ class TourConfig:
         turn: metres that a turn by 180 deg is worth when the next goal is chosen.
         loop: metres of tour between two returns to an old place.
         arc: radius in which it turns round where there is room, metres.
+        straight: metres that the first tour leads straight ahead, where they are free.
 
     Raises:
         ConfigError: a value is not above 0.
     """
 
     radius: float = 4.0
-    room: float = 0.6
-    narrow: float = 6.0
+    room: float = COMFORTABLE
+    narrow: float = NARROW
     turn: float = 6.0
     loop: float = 50.0
     arc: float = 1.2
+    straight: float = 1.2
 
     def __post_init__(self) -> None:
         require_above(self, 0, *vars(self), of="a tour")
@@ -74,11 +77,8 @@ class CoveragePlanner:
         # In a small place as large a radius would cover all from anywhere, and the robot would only turn.
         side = math.sqrt(float(self._free.sum())) * free.resolution
         self.radius = min(self.config.radius, max(0.8, 0.2 * side))
-        padded = np.pad(self._free, 1).astype(np.uint8)
-        distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-        self.room: FloatArray = np.where(self._free, distance * free.resolution, 0.0)
-        lack = 1 - np.minimum(self.room / self.config.room, 1.0)
-        self._weight = np.where(self._free, 1 + (self.config.narrow - 1) * lack**2, np.inf)
+        self.room = room_in(self._free, free.resolution)
+        self._weight = path_weight(self._free, self.room, self.config.room, self.config.narrow)
         self._plain = np.where(self._free, 1.0, np.inf)
         self._covered_at = np.full(free.shape, -np.inf)
         self._driven: FloatArray = np.array([[start.x, start.y]])
@@ -123,8 +123,7 @@ class CoveragePlanner:
 
     def room_at(self, points: FloatArray) -> FloatArray:
         """Return (n,) metres from points (n, 2) to the nearest blocked cell; 0 in one."""
-        cells = np.clip(self._grid.cells(points), 0, np.array(self._free.shape) - 1)
-        return self.room[cells[:, 0], cells[:, 1]]
+        return room_at(self._grid, self.room, points)
 
     def forget(self, undriven: float) -> None:
         """Take back the last metres of the tour: they were planned and will not be driven."""

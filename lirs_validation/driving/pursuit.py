@@ -11,7 +11,6 @@ from lirs_envs.robots.command import Twist
 from lirs_validation.driving.path_smoothing import SPACING, arc_length, curvature
 from lirs_wct.arrays import FloatArray
 from lirs_wct.field_validators import require_above
-from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 
 
@@ -49,22 +48,21 @@ class PursuitConfig:
 
 
 def speed_profile(
-    points: FloatArray, room: FloatArray, config: PursuitConfig, surface: HeightField | None = None
+    points: FloatArray, room: FloatArray, config: PursuitConfig, height: FloatArray | None = None
 ) -> FloatArray:
     """Return (n,) m/s for the points of a path: slow in bends, narrow places and on steep ground.
 
     Args:
-        points: (n, 2) metres, world frame, evenly spaced.
+        points: (n, 2) metres, evenly spaced.
         room: (n,) metres to the nearest blocked cell.
         config: limits.
-        surface: the ground, where slopes matter.
+        height: (n,) metres of the ground, where slopes matter.
     """
     bend = curvature(points)
     speed = np.minimum(config.speed, 0.7 * config.turn_rate / np.maximum(bend, 1e-6))
     care = np.clip(room / config.careful_room, 0.0, 1.0)
-    if surface is not None and len(points) > 1:
-        z = np.nan_to_num(surface.height_at(points[:, 0], points[:, 1]))
-        slope = np.abs(np.arctan2(np.gradient(z), np.maximum(np.gradient(arc_length(points)), 1e-6)))
+    if height is not None and len(points) > 1:
+        slope = np.abs(np.arctan2(np.gradient(height), np.maximum(np.gradient(arc_length(points)), 1e-6)))
         care = np.minimum(care, np.clip(2.0 - slope / config.steep, 0.0, 1.0))
     speed = np.minimum(speed, config.speed * (config.careful_speed + (1 - config.careful_speed) * care))
     speed = np.maximum(speed, 0.15 * config.speed)
@@ -88,7 +86,7 @@ class Pursuit:
     """Follows one path; remembers how far it got.
 
     Args:
-        points: (n, 2) metres, world frame, 0.1 m apart.
+        points: (n, 2) metres, 0.1 m apart, in the frame of the poses.
         speed: (n,) m/s.
         config: how to drive.
     """
@@ -117,7 +115,7 @@ class Pursuit:
         return (len(self._x) - 1 - self._at) * SPACING
 
     def twist(self, pose: Pose2) -> Twist:
-        """Return the command at a pose in the world frame."""
+        """Return the command at a pose."""
         c = self.config
         self._advance(pose)
         planned = self._speed[self._at]

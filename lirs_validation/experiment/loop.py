@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.sensors import Observation
 from lirs_envs.simulation import Simulation
-from lirs_validation.driving.drivers import CoverageDriver
+from lirs_validation.driving.driver import Driver
 from lirs_validation.record.run_record import Status
 from lirs_validation.record.verdict import LostRule
 from lirs_wct.errors import SimulationError
@@ -33,6 +34,8 @@ class DriveLog:
         mapper_seconds: of these, spent in the mapper.
         status: how it ended; `reason` says why.
         concurrent: whether something else of ours ran at the same time.
+        start: where the driver had the robot set down, world frame.
+        commands: what it commanded, one a tick: the commands after the first observation, the second, ...
     """
 
     observations: list[Observation] = field(default_factory=list)
@@ -44,6 +47,8 @@ class DriveLog:
     status: Status = "ok"
     reason: str = ""
     concurrent: bool = False
+    start: Pose2 = field(default_factory=Pose2)
+    commands: list[Twist] = field(default_factory=list)
 
     def end(self, status: Status, reason: str) -> DriveLog:
         """Note how the drive ended, and return the log."""
@@ -84,7 +89,7 @@ class DriveLog:
 
 def drive(
     simulation: Simulation,
-    driver: CoverageDriver,
+    driver: Driver,
     mapper: Mapper,
     seconds: float,
     progress: Progress = no_progress,
@@ -96,7 +101,7 @@ def drive(
     Raises:
         MapperError: the mapper failed (see `GuardedMapper`).
     """
-    log = DriveLog()
+    log = DriveLog(start=driver.start)
     _map(log, simulation.reset(driver.start), simulation, mapper, time.perf_counter())
     # The first scan comes before anything moves: no simulated time passes, so none is counted.
     log.walls.clear()
@@ -107,7 +112,9 @@ def drive(
     spent = 0.0
     for tick in range(max(1, math.ceil(seconds / period - 1e-9))):
         begun = time.perf_counter()
-        command = driver.command(simulation.T_world_base.to_pose2(), tick * period)
+        pose = simulation.T_world_base.to_pose2() if driver.frame == "world" else log.estimates[-1]
+        command = driver.command(pose, tick * period)
+        log.commands.append(command)
         try:
             observation = simulation.advance(command)
         except SimulationError as error:
@@ -117,6 +124,9 @@ def drive(
         failure = _failure(simulation, driver, tracking)
         if failure is not None:
             return log.end(*failure)
+        if driver.finished and (tick + 1) * period < seconds:
+            log.end("ok", f"{driver.finished} at {simulation.time:.1f} s")
+            break
         spent += log.walls[-1]
         if wall_limit is not None and spent >= wall_limit and (tick + 1) * period < seconds:
             log.end("wall limit", _over(spent, simulation.time, seconds))
@@ -142,7 +152,7 @@ def _map(
     log.walls.append(time.perf_counter() - begun)
 
 
-def _failure(simulation: Simulation, driver: CoverageDriver, tracking: LostRule) -> tuple[Status, str] | None:
+def _failure(simulation: Simulation, driver: Driver, tracking: LostRule) -> tuple[Status, str] | None:
     if simulation.tipped:
         return "tipped", f"the robot tipped over at {simulation.time:.1f} s"
     if simulation.off_world:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from lirs_validation.drawing.run_overview import overview_figure
+from lirs_validation.driving.replay import COMMANDS
 from lirs_validation.experiment.evaluation import Maps
 from lirs_validation.experiment.loop import DriveLog
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.carmen.writer import write_log
+from lirs_wct.formats.commands_csv import Commands, write_commands
 from lirs_wct.formats.imu_csv import write_imu
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.tum import write_tum
@@ -23,16 +27,19 @@ def write_results(folder: Path, record: RunRecord, log: DriveLog, maps: Maps, wo
         OutputError: the folder cannot be written.
     """
     truth, estimate, odometry = log.trajectories()
+    period = record.rtf["simulated_seconds"] / len(log.walls)
     with atomic_folder(folder) as temporary:
         record.save(temporary)
         write_map(temporary / "map", maps.built)
         write_map(temporary / "map_true_pose", maps.true_pose)
         for name, trajectory in (("truth", truth), ("estimate", estimate), ("odometry", odometry)):
             write_tum(temporary / f"{name}.tum", trajectory)
+        rows = [(k * period, c.v, c.omega) for k, c in enumerate(log.commands)]
+        write_commands(temporary / COMMANDS, Commands(log.start, np.array(rows).reshape(-1, 3)))
         write_log(temporary / "scans.clf.gz", [(o.scan, o.odometry) for o in log.observations])
         write_imu(temporary / "imu.csv.gz", [o.imu for o in log.observations])
-        rows = [f"{second},{rtf:.4f}" for second, rtf in enumerate(record.rtf["series"], start=1)]
-        (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *rows]) + "\n", encoding="utf-8")
+        lines = [f"{second},{rtf:.4f}" for second, rtf in enumerate(record.rtf["series"], start=1)]
+        (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *lines]) + "\n", encoding="utf-8")
         overview = overview_figure(world, record, truth, estimate, maps.true_pose, maps.built, maps.aligned)
         overview.savefig(temporary / "overview.png")
     return folder

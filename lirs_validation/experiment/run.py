@@ -8,9 +8,9 @@ from typing import Any
 
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.simulation import Simulation
-from lirs_validation.config import Attitude, RunConfig
-from lirs_validation.driving.drivers import CoverageDriver
-from lirs_validation.driving.tour import plan
+from lirs_validation.config import TOUR, Attitude, RunConfig
+from lirs_validation.driving.choice import make_driver
+from lirs_validation.driving.driver import Driver
 from lirs_validation.experiment.attitude import with_attitude
 from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.cpu_contention import cpu_contention
@@ -53,6 +53,7 @@ def validate(
     seed: int = 1,
     wall_limit: float | None = None,
     attitude: Attitude = "imu",
+    driver: str = TOUR,
     options: BuildOptions | None = None,
     out: str | Path | None = None,
     progress: Progress = no_progress,
@@ -71,6 +72,7 @@ def validate(
         wall_limit: wall seconds after which the drive is stopped; None = never.
         attitude: what the mapper is told of roll and pitch: `imu`, or `none`, which takes the IMU from
             any mapper.
+        driver: who drives: `tour`, `frontier`, `waypoints:FILE` or `replay:RUN` (docs/sweeps.md).
         options: how the source becomes a world.
         out: folder that receives the run's folder; None = nothing is written.
         progress: of the run.
@@ -89,6 +91,7 @@ def validate(
         seed=seed,
         wall_limit=wall_limit,
         attitude=attitude,
+        driver=driver,
         build=options or BuildOptions(),
     )
     return run(config, out=None if out is None else Path(out), progress=progress)
@@ -119,7 +122,7 @@ def run(
     scenario = (scenarios or ScenarioCache()).scenario(config)
     with compile_timer() as compile_seconds:
         progress("plan", 0.0)
-        driver = plan(scenario.world, robot, config)
+        driver = make_driver(scenario.world, robot, config, mapper.map)
         progress("compile", 0.0)
         warm_up(scenario, robot)
     simulation = scenario.simulation(robot)
@@ -134,7 +137,7 @@ def run(
 
 
 def _timed_drive(
-    simulation: Simulation, driver: CoverageDriver, mapper: Mapper, config: RunConfig, progress: Progress
+    simulation: Simulation, driver: Driver, mapper: Mapper, config: RunConfig, progress: Progress
 ) -> tuple[DriveLog, dict[str, Any]]:
     """Drive; return the log and what the drive cost.
 

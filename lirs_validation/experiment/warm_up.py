@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from lirs_envs.robots.robot import Robot
-from lirs_validation.driving.tour import plan
+from lirs_validation.config import driver_parts
+from lirs_validation.driving.choice import make_driver
 from lirs_validation.experiment.attitude import with_attitude
 from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.mapper_guard import GuardedMapper
@@ -26,13 +27,14 @@ def warm_up(scenario: Scenario, robot: Robot) -> None:
     What this process drove before is compiled: it is not driven again.
     """
     c = scenario.config
-    kind = (scenario.world.kind, c.robot, c.lidar, c.terrain, c.rays, c.mapper, c.attitude)
+    driven = driver_parts(c.driver)[0]
+    kind = (scenario.world.kind, c.robot, c.lidar, c.terrain, c.rays, c.mapper, c.attitude, driven)
     if kind in _WARM:
         return
     warm_up_mapper(c.mapper)
     slow = c.rays == "mujoco" and c.terrain == "hfield"
     config = replace(c, seconds=BRIEF if slow else WARM_UP)
-    driver = plan(scenario.world, robot, config)
     mapper = GuardedMapper(with_attitude(mapper_named(c.mapper, c.seed), c.attitude), c.mapper)
+    driver = make_driver(scenario.world, robot, config, mapper.map)
     drive(scenario.simulation(robot), driver, mapper, config.seconds)
     _WARM.add(kind)

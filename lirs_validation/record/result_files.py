@@ -17,6 +17,7 @@ WITH_RESULTS = (
     "scans.clf.gz",
     "imu.csv.gz",
     "rtf.csv",
+    "commands.csv",
 )
 """Of a run that drove."""
 WITHOUT = ("record.json", "error.txt")

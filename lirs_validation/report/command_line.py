@@ -6,7 +6,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from lirs_validation.config import RunConfig
+from lirs_validation.config import LATER, RunConfig
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.option import declared
 from lirs_wct.sources.options import BuildOptions
@@ -16,7 +16,7 @@ def command_of(config: RunConfig) -> str:
     """Return the command line that does this run again; what is as by default is left out."""
     arguments = ["lirs-wct", "validate", config.source, "--robot", config.robot, "--mapper", config.mapper]
     default = RunConfig(source=config.source)
-    for name in ("lidar", "terrain", "rays", "seconds", "seed", "wall_limit", "attitude"):
+    for name in ("lidar", "terrain", "rays", "seconds", "seed", "wall_limit", *LATER):
         value = getattr(config, name)
         if value != getattr(default, name) or name == "seed":
             arguments += [f"--{name.replace('_', '-')}", _formatted(value)]

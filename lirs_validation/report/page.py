@@ -11,6 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from lirs_validation.analysis.groups import Group
 from lirs_validation.analysis.result_folders import RunFolder
+from lirs_validation.config import TOUR
 from lirs_validation.record.formatting import span
 from lirs_validation.record.metric_catalog import Section, metrics_selected, rtf_counts
 from lirs_validation.record.odometry import WORSE, WORSE_MARK, worse_than_odometry
@@ -142,6 +143,7 @@ def _pictures(runs: Sequence[RunFolder]) -> tuple[list[Picture], str]:
             f"{run.entry['world']['name']}, {c['robot']}, {c['mapper']}, {c['terrain']}, {c['rays']} rays, "
         )
         name += "without attitude, " if c.get("attitude") == "none" else ""
+        name += f"driver {c['driver']}, " if c.get("driver", TOUR) != TOUR else ""
         name += f"seed {c['seed']}" + ("" if run.entry["status"] == "ok" else f": {run.entry['status']}")
         name += f": {WORSE}" if worse_than_odometry(run.entry) else ""
         pictures.append(Picture(name, picture.url, f"Paths and maps of {name}", picture.note))

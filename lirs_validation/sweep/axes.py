@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, field
 
-from lirs_validation.config import Attitude, RunConfig
+from lirs_validation.config import TOUR, Attitude, RunConfig
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.sources.options import BuildOptions
@@ -30,6 +30,7 @@ class Axes:
         lidars: names of LRF presets; None = the robot's own.
         representations: representations.
         attitudes: what mappers are told of roll and pitch.
+        drivers: who drives.
         seeds: of every random number.
         seconds: simulated time to drive.
         wall_limit: wall seconds after which a drive is stopped.
@@ -42,6 +43,7 @@ class Axes:
     lidars: tuple[str | None, ...] = (None,)
     representations: tuple[Representation, ...] = (Representation(),)
     attitudes: tuple[Attitude, ...] = ("imu",)
+    drivers: tuple[str, ...] = (TOUR,)
     seeds: tuple[int, ...] = (1,)
     seconds: float = 120.0
     wall_limit: float | None = None
@@ -58,6 +60,7 @@ class Axes:
             self.representations,
             self.robots,
             self.lidars,
+            self.drivers,
             self.mappers,
             self.attitudes,
             self.seeds,
@@ -75,9 +78,10 @@ class Axes:
                     seed=seed,
                     wall_limit=self.wall_limit,
                     attitude=attitude,
+                    driver=driver,
                     build=self.build,
                 ),
                 tables,
             )
-            for source, representation, robot, lidar, mapper, attitude, seed in crossings
+            for source, representation, robot, lidar, driver, mapper, attitude, seed in crossings
         )

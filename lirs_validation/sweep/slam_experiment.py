@@ -11,6 +11,7 @@ from typing import Any
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import RunConfig, run_name
+from lirs_validation.driving.choice import check_driver, driver_files
 from lirs_validation.experiment.mapper_loading import mapper_named, source_file
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
@@ -55,8 +56,9 @@ class SlamExperiment:
         return self.config
 
     def check(self) -> None:
-        """Look for source, robot, LRF and mapper."""
+        """Look for source, robot, LRF and mapper, and at the file that the driver needs."""
         _check_names(self.config.robot, self.config.lidar, self.config.mapper)
+        check_driver(self.config)
         world_name(self.config)
 
     def perform(
@@ -87,7 +89,7 @@ class SlamExperiment:
         status, reason, limit = record["status"], record["reason"], record["config"]["wall_limit"]
         if lacking_files(folder, status) or not same_source(self.config, record["world"].get("files", ())):
             return None
-        inputs = [*world_files(self.config), source_file(self.config.mapper)]
+        inputs = [*world_files(self.config), source_file(self.config.mapper), *driver_files(self.config)]
         if is_stale(folder / "record.json", record.get("versions"), inputs):
             return None
         if status == "wall limit" and limit != self.config.wall_limit:

@@ -7,6 +7,7 @@ from typing import Any
 
 from lirs_validation.analysis.groups import FIELDS, Group, by_group, distinguishing_fields
 from lirs_validation.analysis.repeats import repeats
+from lirs_validation.config import LATER
 from lirs_validation.record.formatting import Entry
 from lirs_validation.record.metric_catalog import Metric, Section, metrics_in, metrics_selected, rtf_counts
 from lirs_validation.record.odometry import ATE, WORSE, WORSE_MARK, worse_than_odometry
@@ -29,8 +30,9 @@ MOST_NAMED = 12
 def failures_table(entries: Sequence[Entry]) -> ReportTable:
     """Return the runs that failed, and why."""
     failed = [entry for entry in entries if not succeeded(entry)]
-    planar = any(Group.of(e).attitude != "imu" for e in entries)
-    fields = ("world", "robot", "mapper", "terrain", "rays", *(("attitude",) if planar else ()))
+    groups = [Group.of(e) for e in entries]
+    unusual = [name for name, usual in LATER.items() if any(getattr(g, name) != usual for g in groups)]
+    fields = ("world", "robot", "mapper", "terrain", "rays", *unusual)
     rows = [
         (*group_texts(Group.of(e), fields), str(e["seed"]),
          str(e["status"]), str(e["reason"] or e["status"]), str(e["name"]))

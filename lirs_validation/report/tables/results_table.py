@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from lirs_validation.record.formatting import Entry, as_entry, text_at
+from lirs_validation.config import LATER
+from lirs_validation.record.formatting import Entry, as_entry, text_at, value_at
 from lirs_validation.record.metric_catalog import Metric, metrics_selected
 from lirs_validation.record.odometry import worse_lines, worse_than_odometry
 from lirs_validation.record.run_record import RunRecord, succeeded
@@ -18,13 +19,14 @@ FACTS = {
     "robot": "config.robot",
     "mapper": "config.mapper",
     "attitude": "config.attitude",
+    "driver": "config.driver",
     "seed": "config.seed",
     "status": "status",
 }
 """Columns before the metrics, and their places in the record."""
 LEAST = ("driven [m]",)
 """Columns that are left out first where the screen is narrow."""
-COMMON = ("robot", "mapper", "attitude", "seed")
+COMMON = ("robot", "mapper", *LATER, "seed")
 """Columns that move into the title where all runs have the same."""
 
 
@@ -82,7 +84,7 @@ def _columns(entries: Sequence[Entry]) -> list[Column]:
     facts = [
         Column(name, partial(text_at, key=key), fact=True)
         for name, key in FACTS.items()
-        if name != "attitude" or any(text_at(entry, key) == "none" for entry in entries)
+        if name not in LATER or any(value_at(entry, key) not in (None, LATER[name]) for entry in entries)
     ]
     metrics = [
         m

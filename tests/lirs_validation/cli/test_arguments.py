@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lirs_validation.cli.arguments import read_names, read_seeds
+from lirs_validation.cli.arguments import read_drivers, read_names, read_seeds
 from lirs_wct.errors import ConfigError
 
 
@@ -18,6 +18,30 @@ def test_names_are_read_each_once() -> None:
 def test_a_list_with_a_missing_name_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="--robot must be a list such as a,b,c"):
         read_names(text, "--robot")
+
+
+@pytest.mark.parametrize(
+    ("text", "drivers"),
+    [
+        ("tour", ("tour",)),
+        ("tour, frontier,tour", ("tour", "frontier")),
+        ("waypoints:a,b.csv,frontier", ("waypoints:a,b.csv", "frontier")),
+        (
+            "replay:out/x,waypoints:a/tour,b.csv,replay:y",
+            ("replay:out/x", "waypoints:a/tour,b.csv", "replay:y"),
+        ),
+    ],
+)
+def test_drivers_are_read_though_paths_hold_commas(text: str, drivers: tuple[str, ...]) -> None:
+    assert read_drivers(text) == drivers
+
+
+@pytest.mark.parametrize("text", ["", "tours", "tour,", "frontier:x", "waypoints", "replay:", "tour,walk"])
+def test_what_is_no_driver_is_told_with_the_legal_ones(text: str) -> None:
+    with pytest.raises(
+        ConfigError, match=r"--driver: unknown driver .*legal: tour, frontier, waypoints:FILE"
+    ):
+        read_drivers(text)
 
 
 @given(st.lists(st.tuples(st.integers(0, 999), st.integers(0, 20)), min_size=1, max_size=6))

@@ -237,6 +237,14 @@ def test_info_says_what_the_world_is(folder: Path, capsys: pytest.CaptureFixture
     assert "exact" in told
 
 
+def test_info_says_what_a_lidar_has_to_hold_on_to(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    wct("info", "hill.png", "--size", "30", "--height", "2", "--robot", "jackal")
+    told = " ".join(capsys.readouterr().out.split())
+    assert "walls in sight, jackal" in told
+    assert "of 1081 beams a scan" in told
+    assert "expectation" in told
+
+
 @pytest.mark.parametrize("source", MESHES)
 def test_convert_keeps_shape_and_up(source: str, folder: Path) -> None:
     wedge = trimesh.Trimesh(

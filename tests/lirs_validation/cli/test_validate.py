@@ -73,6 +73,13 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         (("simple", "--cell-memory", "nan"), "the cell's memory must be above 0 bytes, got nan"),
         (("--suite", "paper", "--wall-limit", "0"), "wall_limit must be above 0 s, got 0"),
         (("--suite", "paper", "--seconds", "0"), "seconds must be a finite number above 0, got 0"),
+        (
+            ("simple", "--driver", "tour,walk"),
+            "--driver: unknown driver 'tour,walk'; legal: tour, frontier, ",
+        ),
+        (("simple", "--driver", "waypoints:none.csv"), "none.csv: cannot be read"),
+        (("simple", "--driver", "tour,replay:none"), "none/record.json: not a run's record"),
+        (("--suite", "paper", "--driver", "frontier"), "leave out --driver"),
         ((), "nothing to validate"),
         (("--suite", "papr"), "unknown suite 'papr'; legal: paper"),
         (("simple", "--suite", "paper", "--robot", "husky"), "leave out --robot, sources"),

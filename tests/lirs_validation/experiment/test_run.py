@@ -26,7 +26,7 @@ from lirs_wct.geometry.scan import Imu, LaserScan
 from slam_baselines.hector.mapper import HectorMapper
 
 FILES = {
-    "record.json", "overview.png", "rtf.csv", "truth.tum", "estimate.tum", "odometry.tum",
+    "record.json", "overview.png", "rtf.csv", "commands.csv", "truth.tum", "estimate.tum", "odometry.tum",
     "map.pgm", "map.yaml", "map_true_pose.pgm", "map_true_pose.yaml", "scans.clf.gz", "imu.csv.gz",
 }  # fmt: skip
 
@@ -128,6 +128,7 @@ class Puppet:
     tipped = property(lambda self: self._failing("tipped"))
     off_world = property(lambda self: self._failing("off world"))
     stuck = property(lambda self: self._failing("stuck"))
+    frame, finished = "world", ""
     lost = property(lambda self: self._failing("lost"))
 
     def reset(self, start: Pose2) -> Observation:
@@ -161,6 +162,14 @@ def test_a_run_without_failure_lasts_its_time() -> None:
     puppet = Puppet("nothing", 0)
     assert drive(puppet, puppet, puppet, 2.0).status == "ok"  # type: ignore[arg-type]
     assert puppet.ticks == 1 + 50
+
+
+def test_a_driver_with_nothing_left_to_drive_ends_the_run() -> None:
+    puppet = Puppet("nothing", 0)
+    puppet.finished = "the last waypoint is reached"  # type: ignore[misc]
+    log = drive(puppet, puppet, puppet, 20.0)  # type: ignore[arg-type]
+    assert (log.status, log.reason) == ("ok", "the last waypoint is reached at 0.1 s")
+    assert len(log.commands) == 1
 
 
 def test_seconds_are_summed_by_simulated_second() -> None:

@@ -34,6 +34,16 @@ def test_every_crossing_is_a_cell_world_by_world() -> None:
     ]
 
 
+def test_drivers_are_an_axis_and_the_usual_one_changes_no_name() -> None:
+    tour, frontier, replay = Axes(
+        sources=("simple",), drivers=("tour", "frontier", "replay:out/a")
+    ).experiments()
+    assert tour.name == Axes(sources=("simple",)).experiments()[0].name == "simple-husky-hector-s1-9ee60b70"
+    assert frontier.name.startswith("simple-husky-hector-frontier-s1-")
+    assert replay.name.startswith("simple-husky-hector-replay-s1-")
+    assert len({e.config.digest for e in (tour, frontier, replay)}) == 3
+
+
 def test_the_papers_suite_has_every_cell_of_its_tables_once() -> None:
     experiments = SUITES["paper"].experiments(seeds=(1, 2))
     runs = [experiment for experiment in experiments if isinstance(experiment, SlamExperiment)]

@@ -1,0 +1,161 @@
+"""Frontier-based exploration (Yamauchi, CIRA 1997) on the mapper's own map, by the mapper's own pose.
+
+The explorer drives to the nearest place where the known free ground borders the unknown, again and again.
+It is given neither the world nor the true pose: where the mapper is wrong, so is the drive.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from lirs_validation.driving.clearance import room_at
+from lirs_validation.driving.driver import Frame
+from lirs_validation.driving.exploration_map import ExplorationMap, distance_in_sight, exploration_map
+from lirs_validation.driving.grid_search import Reach, cells_ahead, nearest, penalize_behind, search
+from lirs_validation.driving.path_driver import DriverConfig, Path
+from lirs_validation.driving.path_smoothing import smoothed
+from lirs_validation.driving.pursuit import speed_profile
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+
+REACH = 0.3
+"""Metres beyond the footprint from which a frontier counts as reached."""
+NEAR, FAR, LOOKS = 8.0, 16.0, 3.0
+"""A frontier that was in sight from so near (metres) in so many plans, and is still one, stays unknown; looks
+from farther away count by the square of the distance, beyond the second one not at all."""
+PLACE = 0.2
+"""Side of the squares whose looks are counted, metres."""
+TURN = 6.0
+"""Metres that a turn by 180 deg is worth when the next frontier is chosen."""
+LOYAL = 1.0
+"""A frontier so near to the one chosen before is the same one, metres: it is kept until it is seen."""
+ARC = 1.2
+"""Radius in which the robot turns round where there is room, metres."""
+STRAIGHT = 1.2
+"""Metres that it drives straight ahead at the very beginning, where they are free."""
+NEIGHBORHOOD = 1.5
+"""Distance within which a place counts as visited, metres."""
+
+
+class FrontierRoute:
+    """Plans to the nearest frontier; where none is left, to the place that was left longest ago.
+
+    Args:
+        mapper_map: returns the mapper's present map, map frame.
+        footprint: radius of the robot, metres.
+        clearance: distance that its centre keeps from occupied cells, metres.
+        config: how paths are driven.
+    """
+
+    frame: Frame = "map"
+    refresh = 1.0
+    ends = ""
+
+    def __init__(
+        self,
+        mapper_map: Callable[[], OccupancyGrid],
+        footprint: float,
+        clearance: float,
+        config: DriverConfig,
+    ) -> None:
+        self._map, self._config = mapper_map, config
+        self._footprint, self._clearance = footprint, clearance
+        self._stood: list[tuple[float, float]] = []
+        self._blocked: list[tuple[float, float, float]] = []
+        self._looks: dict[int, float] = {}
+        self._goal: FloatArray | None = None
+
+    def path(self, pose: Pose2, time: float, undriven: float | None) -> Path | None:
+        """Return the path on the present map; None where the map shows no way."""
+        self._stood.append((pose.x, pose.y))
+        chart = exploration_map(
+            self._map(),
+            np.array(self._stood),
+            np.array(self._blocked).reshape(-1, 3),
+            footprint=self._footprint,
+            clearance=self._clearance,
+        )
+        if not chart.passable.any():
+            return None
+        first = nearest(chart.passable, chart.grid.cells((pose.x, pose.y)))
+        cells = self._ahead(chart, pose)
+        if cells is None:
+            cells = self._to_frontier(chart, pose, first)
+        if cells is None:
+            cells = self._to_old_place(chart, first)
+        if cells is None or len(cells) < 2:
+            return None
+        self._goal = chart.grid.centers(cells[-1])
+        keep = self._config.pursuit.careful_room
+        points = smoothed(chart.grid.centers(cells), chart.grid, chart.room, keep=keep)
+        return Path(
+            points, speed_profile(points, room_at(chart.grid, chart.room, points), self._config.pursuit)
+        )
+
+    def avoid(self, point: tuple[float, float], radius: float) -> None:
+        """Block a place where the robot did not get on, map frame."""
+        self._blocked.append((*point, radius))
+
+    def _ahead(self, chart: ExplorationMap, pose: Pose2) -> IntArray | None:
+        """Return the cells (n, 2) straight ahead at the very beginning; None later, or where it is blocked.
+
+        Turning wheels slip most while a mapper knows least.
+        """
+        left = STRAIGHT - math.dist(self._stood[0], self._stood[-1])
+        ahead = (
+            cells_ahead(chart.grid, chart.passable, pose, left) if left > 0 else np.empty((0, 2), np.int64)
+        )
+        return ahead if len(ahead) * chart.grid.resolution > self._config.step else None
+
+    def _to_frontier(self, chart: ExplorationMap, pose: Pose2, first: IntArray) -> IntArray | None:
+        """Return the cells (n, 2) to the best frontier; None where none can be reached."""
+        goals = chart.goals(self._unseen(chart, pose), self._footprint + REACH)
+        goals[first[0], first[1]] = False
+        if not goals.any():
+            return None
+        local = pose.yaw - chart.grid.origin.yaw
+        weight = penalize_behind(chart.weight, first, local, ARC / chart.grid.resolution)
+        reach = search(weight, first[None], chart.grid.resolution, goals=goals, slack=TURN)
+        found = np.argwhere(goals & np.isfinite(reach.cost))
+        if not len(found):
+            return None
+        return reach.path(self._best(chart, reach, found, pose))
+
+    def _unseen(self, chart: ExplorationMap, pose: Pose2) -> BoolArray:
+        """Return the frontier without what was looked at from near often enough; count the present look."""
+        frontier = chart.frontier.copy()
+        cells = np.argwhere(frontier)
+        places = np.floor(chart.grid.centers(cells) / PLACE).astype(np.int64) @ (1, 1 << 32)
+        distance = distance_in_sight(chart, pose, cells)
+        looks = np.where(distance <= FAR, np.minimum(1.0, (NEAR / np.maximum(distance, NEAR)) ** 2), 0.0)
+        for place, look in dict(zip(places.tolist(), looks.tolist(), strict=True)).items():
+            self._looks[place] = self._looks.get(place, 0.0) + look
+        spent = [place for place, looked in self._looks.items() if looked >= LOOKS]
+        frontier[tuple(cells[np.isin(places, spent)].T)] = False
+        return frontier
+
+    def _best(self, chart: ExplorationMap, reach: Reach, cells: IntArray, pose: Pose2) -> tuple[int, int]:
+        """Return the cell of the frontier chosen before, else the nearest, rather ahead."""
+        points = chart.grid.centers(cells)
+        bearing = np.arctan2(points[:, 1] - pose.y, points[:, 0] - pose.x) - pose.yaw
+        cost = reach.cost[cells[:, 0], cells[:, 1]] + TURN * np.abs(np.angle(np.exp(1j * bearing))) / math.pi
+        if self._goal is not None:
+            same = np.linalg.norm(points - self._goal, axis=1) < LOYAL
+            cost = np.where(same, cost, np.inf) if same.any() else cost
+        row, col = cells[int(np.argmin(cost))].tolist()
+        return row, col
+
+    def _to_old_place(self, chart: ExplorationMap, first: IntArray) -> IntArray | None:
+        """Return the cells (n, 2) to the nearest of the places left longest ago; None where none is."""
+        left = chart.last_visits(np.array(self._stood), NEIGHBORHOOD)
+        reach = search(chart.weight, first[None], chart.grid.resolution)
+        cells = np.argwhere((chart.room > 0) & (reach.cost > self._config.step) & np.isfinite(reach.cost))
+        if not len(cells):
+            return None
+        at = tuple(cells.T)
+        row, col = cells[np.lexsort((reach.cost[at], left[at]))[0]].tolist()
+        return reach.path((row, col))

@@ -1,0 +1,128 @@
+"""Waypoints in their order: the shortest comfortable way from each to the next, over the true free ground."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path as File
+
+import numpy as np
+
+from lirs_validation.driving.clearance import path_weight, room_at, room_in
+from lirs_validation.driving.driver import Frame
+from lirs_validation.driving.grid_search import area_round, nearest, search
+from lirs_validation.driving.path_driver import DriverConfig, Path
+from lirs_validation.driving.path_smoothing import arc_length, smoothed
+from lirs_validation.driving.pursuit import speed_profile
+from lirs_validation.driving.tour import ground_height
+from lirs_wct.arrays import FloatArray
+from lirs_wct.errors import SourceError
+from lirs_wct.formats.waypoints import Waypoint
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
+
+
+class WaypointRoute:
+    """Leads through waypoints; a path ends at the last one, and at each where the robot is to face somewhere.
+
+    Args:
+        waypoints: still to come, world frame.
+        free: free cells = where the robot's centre may be, world frame.
+        config: how paths are driven.
+        surface: the ground, for slower driving where it is steep.
+    """
+
+    frame: Frame = "world"
+    refresh = math.inf
+    ends = "the last waypoint is reached"
+
+    def __init__(
+        self,
+        waypoints: tuple[Waypoint, ...],
+        free: OccupancyGrid,
+        config: DriverConfig,
+        surface: HeightField | None,
+    ) -> None:
+        self._left = list(waypoints)
+        self._config, self._surface, self._grid = config, surface, free
+        self._free = area_round(free, Pose2(waypoints[0].x, waypoints[0].y))
+        self._room = room_in(self._free, free.resolution)
+        self._weight = path_weight(self._free, self._room)
+        self._ends_at: list[float] = []
+        """Metres of the present path after which each of its waypoints is reached."""
+        self._length = 0.0
+
+    def path(self, pose: Pose2, time: float, undriven: float | None) -> Path | None:
+        """Return the path to the next waypoints, without those that the path before came by."""
+        if undriven is not None:
+            driven = self._length - undriven + self._config.step
+            self._left = self._left[sum(end <= driven for end in self._ends_at) :]
+        if not self._left:
+            return None
+        legs: list[FloatArray] = [np.array([[pose.x, pose.y]])]
+        self._ends_at = []
+        for waypoint in self._left:
+            leg = self._leg(legs[-1][-1], waypoint)
+            legs.append(leg[1:] if len(leg) > 1 else leg)
+            self._ends_at.append(float(arc_length(np.concatenate(legs))[-1]))
+            if waypoint.yaw is not None:
+                break
+        points = np.concatenate(legs)[1:]
+        self._length = self._ends_at[-1]
+        height = None if self._surface is None else ground_height(self._surface, points)
+        room = room_at(self._grid, self._room, points)
+        return Path(points, speed_profile(points, room, self._config.pursuit, height), waypoint.yaw)
+
+    def avoid(self, point: tuple[float, float], radius: float) -> None:
+        """Penalize the ground round a place: only the last resort leads there."""
+        cells = np.argwhere(self._free)
+        near = cells[np.linalg.norm(self._grid.centers(cells) - np.array(point), axis=1) < radius]
+        self._weight[near[:, 0], near[:, 1]] += 50.0
+
+    def _leg(self, start: FloatArray, waypoint: Waypoint) -> FloatArray:
+        """Return (n, 2) points from the free cell nearest to a point to a waypoint."""
+        first = nearest(self._free, self._grid.cells(start))
+        goal = nearest(self._free, self._grid.cells((waypoint.x, waypoint.y)))
+        goals = np.zeros_like(self._free)
+        goals[goal[0], goal[1]] = True
+        reach = search(self._weight, first[None], self._grid.resolution, goals=goals)
+        cells = self._grid.centers(reach.path((int(goal[0]), int(goal[1]))))
+        cells[-1] = waypoint.x, waypoint.y
+        return smoothed(cells, self._grid, self._room, keep=self._config.pursuit.careful_room)
+
+
+def check_waypoints(path: File, waypoints: tuple[Waypoint, ...], free: OccupancyGrid, robot: str) -> None:
+    """Check that a robot can stand at every waypoint, and drive to each.
+
+    Args:
+        path: of the file that they come from.
+        waypoints: world frame.
+        free: free cells = where the robot's centre may be, world frame.
+        robot: its name.
+
+    Raises:
+        SourceError: a waypoint is off the map, where the robot cannot be, or cut off from the first.
+    """
+    cells = free.cells([(w.x, w.y) for w in waypoints])
+    inside = np.all((cells >= 0) & (cells < np.array(free.shape)), axis=1)
+    area = None
+    for number, (waypoint, cell, within) in enumerate(zip(waypoints, cells, inside, strict=True), start=1):
+        named = f"{path}: waypoint {number} ({waypoint.x:g}, {waypoint.y:g})"
+        if not within:
+            raise SourceError(f"{named} is off the map, which is {_extent(free)}")
+        if not free.free[cell[0], cell[1]]:
+            raise SourceError(
+                f"{named} is no place for {robot}: in or too near a wall, steep ground or the border"
+            )
+        if area is None:
+            area = area_round(free, Pose2(waypoint.x, waypoint.y))
+        if not area[cell[0], cell[1]]:
+            raise SourceError(f"{named}: no way leads there from the first waypoint for {robot}")
+
+
+def _extent(grid: OccupancyGrid) -> str:
+    """Return the extent of a grid that lies along the axes, in words."""
+    (west, south), (east, north) = grid.centers(
+        [(-0.5, -0.5), (grid.shape[0] - 0.5, grid.shape[1] - 0.5)]
+    ).tolist()
+    return f"x {west:g} to {east:g}, y {south:g} to {north:g} m"

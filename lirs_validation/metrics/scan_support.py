@@ -1,0 +1,127 @@
+"""What a planar scanner has to hold on to in a world, before anything is driven: walls, ground, nothing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from lirs_envs.lidar.mesh_rays import MeshCaster
+from lirs_envs.lidar.presets import make_lidar_preset
+from lirs_envs.lidar.ray_casting import Caster, RayCaster
+from lirs_envs.robots.robot import Robot
+from lirs_validation.metrics.near_obstacles import near_obstacle
+from lirs_wct.arrays import FloatArray
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.world import World
+
+POSES = 300
+"""Places at which a scan is cast."""
+STREAM = 31
+"""Which of the seed's random streams they are drawn from."""
+NEAR = 0.10
+"""Metres from a steep face or wall cell within which a hit is one of a wall, as in `map.false_occupied`."""
+
+
+ENOUGH = 0.05
+"""Share of a scan's beams that must meet walls for a planar mapper to be expected to hold its place."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanSupport:
+    """Hits of single scans over the drivable ground; the other beams return nothing.
+
+    Attributes:
+        robot: whose lidar, mount and drivable ground.
+        beams: in a scan.
+        poses: at which scans were cast; 0 = the robot can stand nowhere.
+        wall_median: hits of faces steeper than 45 deg and of wall cells, median over the poses.
+        wall_p10: the same, 10th percentile: in a tenth of the places there are fewer.
+        ground_median: hits of other ground, median over the poses.
+        ground_p10: its 10th percentile.
+        wall_share: share of all hits that are of walls, over all scans; 0 without a hit.
+    """
+
+    robot: str
+    beams: int
+    poses: int
+    wall_median: float = 0.0
+    wall_p10: float = 0.0
+    ground_median: float = 0.0
+    ground_p10: float = 0.0
+    wall_share: float = 0.0
+
+    @property
+    def expectation(self) -> str:
+        """What to expect of a planar mapper, in words; docs/results.md says how often that came true."""
+        if not self.poses:
+            return "the robot can stand nowhere"
+        if self.wall_p10 >= ENOUGH * self.beams:
+            return "walls nearly everywhere: a planar mapper should hold"
+        if self.wall_median >= ENOUGH * self.beams:
+            return "walls in most places, few in some: a planar mapper may slip"
+        return "few walls: a planar mapper has little to hold on to"
+
+
+def scan_support(world: World, robot: Robot, *, lidar: str | None = None, seed: int = 0) -> ScanSupport:
+    """Cast scans without noise at places drawn over the drivable ground, and tell walls from ground.
+
+    The robot stands as the ground under its footprint lies; one that flies is level.
+
+    Args:
+        world: where.
+        robot: whose lidar and mount.
+        lidar: name of a lidar preset; None = the robot's own.
+        seed: of the places.
+    """
+    preset = make_lidar_preset(lidar or robot.lidar)
+    poses = _poses(world, robot, np.random.default_rng((seed, STREAM)))
+    caster: Caster = MeshCaster(world.mesh) if world.overhangs else RayCaster(world.surface, world.walls)
+    counts = []
+    for pose in poses:
+        laser = standing_on(world, robot, pose) @ robot.T_base_laser
+        directions = np.ascontiguousarray(preset.directions @ laser.rotation.T)
+        ranges = caster.ranges(laser.position, directions, preset.range_max)
+        hit = (ranges >= preset.range_min) & (ranges < preset.range_max)
+        points = laser.position + ranges[hit, None] * directions[hit]
+        walls = int(near_obstacle(points[:, :2], world.surface, world.walls, NEAR).sum())
+        counts.append((walls, len(points) - walls))
+    if not counts:
+        return ScanSupport(robot=robot.name, beams=preset.beams, poses=0)
+    wall, ground = np.array(counts, dtype=np.float64).T
+    return ScanSupport(
+        robot=robot.name,
+        beams=preset.beams,
+        poses=len(counts),
+        wall_median=float(np.median(wall)),
+        wall_p10=float(np.percentile(wall, 10)),
+        ground_median=float(np.median(ground)),
+        ground_p10=float(np.percentile(ground, 10)),
+        wall_share=float(wall.sum() / max(1.0, wall.sum() + ground.sum())),
+    )
+
+
+def standing_on(world: World, robot: Robot, pose: Pose2) -> Pose3:
+    """Return the pose of base_link on the plane through the ground ahead, behind, left and right of it."""
+    if robot.flies:
+        z = float(np.nan_to_num(world.surface.height_at(pose.x, pose.y)))
+        return Pose3.from_pose2(pose, z + robot.base_height)
+    reach = robot.radius / 2
+    ends = pose.apply(np.array([(reach, 0.0), (-reach, 0.0), (0.0, reach), (0.0, -reach)]))
+    ahead, behind, left, right = np.nan_to_num(world.surface.height_at(ends[:, 0], ends[:, 1])).tolist()
+    pitch = -math.atan2(ahead - behind, 2 * reach)
+    roll = math.atan2(left - right, 2 * reach)
+    z = (ahead + behind + left + right) / 4 + robot.base_height
+    return Pose3.from_rpy(pose.x, pose.y, z, roll, pitch, pose.yaw)
+
+
+def _poses(world: World, robot: Robot, rng: np.random.Generator) -> list[Pose2]:
+    """Return poses drawn evenly over the drivable ground, facing anywhere."""
+    free = world.traversable(clearance=robot.radius, max_slope=robot.max_slope)
+    cells = np.argwhere(free.free)
+    if not len(cells):
+        return []
+    points: FloatArray = free.centers(cells[rng.integers(len(cells), size=POSES)])
+    yaws = rng.uniform(-math.pi, math.pi, POSES)
+    return [Pose2(x, y, yaw) for (x, y), yaw in zip(points.tolist(), yaws.tolist(), strict=True)]

@@ -1,0 +1,96 @@
+"""Waypoints: x, y and perhaps yaw a line (text or CSV), or a YAML list; metres and radians, world frame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from lirs_wct.errors import SourceError
+
+LEAST = 2
+"""Waypoints in a file: where the drive begins, and where it leads."""
+NAMES = ("x", "y", "yaw")
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """A place to drive to; `yaw` = where to face there, None = as it comes."""
+
+    x: float
+    y: float
+    yaw: float | None = None
+
+
+def read_waypoints(path: Path) -> tuple[Waypoint, ...]:
+    """Read waypoints.
+
+    Text and CSV: a waypoint a line, numbers between commas or blanks; what follows `#` is a comment, and a
+    first line `x,y,yaw` is a heading. YAML (`.yaml`, `.yml`): a list of `[x, y]`, `[x, y, yaw]` or
+    `{x: ..., y: ..., yaw: ...}`, plain or under `waypoints:`.
+
+    Raises:
+        SourceError: missing or damaged, fewer than two waypoints, or one without two or three finite numbers.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise SourceError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except ValueError as error:
+        raise SourceError(f"{path}: no text: {error}") from error
+    entries = _yaml(path, text) if path.suffix.lower() in (".yaml", ".yml") else _lines(text)
+    found = tuple(_waypoint(path, place, values) for place, values in entries)
+    if len(found) < LEAST:
+        raise SourceError(
+            f"{path}: at least {LEAST} waypoints are needed, the first is the start; got {len(found)}"
+        )
+    return found
+
+
+def _lines(text: str) -> list[tuple[str, Any]]:
+    """Return where each waypoint stands, and its words."""
+    found: list[tuple[str, Any]] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.partition("#")[0].replace(",", " ").split()
+        heading = not found and [word.lower() for word in words] in (list(NAMES), list(NAMES[:2]))
+        if words and not heading:
+            found.append((f"line {number}", words))
+    return found
+
+
+def _yaml(path: Path, text: str) -> list[tuple[str, Any]]:
+    """Return where each waypoint stands, and its values."""
+    try:
+        entries = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise SourceError(f"{path}: no YAML: {' '.join(str(error).split())}") from error
+    if isinstance(entries, dict) and set(entries) == {"waypoints"}:
+        entries = entries["waypoints"]
+    if not isinstance(entries, list):
+        raise SourceError(f"{path}: a YAML list of waypoints is needed, got {type(entries).__name__}")
+    return [
+        (f"waypoint {k}", _values(entry) if isinstance(entry, dict) else entry)
+        for k, entry in enumerate(entries, 1)
+    ]
+
+
+def _values(entry: dict[Any, Any]) -> list[Any]:
+    """Return the values of `{x, y, yaw}` in this order; what is no such mapping keeps no value."""
+    known = set(entry) in ({"x", "y"}, set(NAMES))
+    return [entry[name] for name in NAMES if name in entry] if known else []
+
+
+def _waypoint(path: Path, place: str, values: Any) -> Waypoint:
+    try:
+        numbers = [float(value) for value in values if not isinstance(value, bool)]
+    except (TypeError, ValueError):
+        numbers = []
+    whole = isinstance(values, list) and len(numbers) == len(values)
+    if not whole or len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
+        raise SourceError(
+            f"{path}: {place}: a waypoint is x, y and perhaps yaw (finite numbers), got {values!r}"
+        )
+    return Waypoint(*numbers)

@@ -1,0 +1,112 @@
+"""A replay: the same commands give the same truth bit for bit, whatever maps; what does not fit is named."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lirs_envs.robots.command import Twist
+from lirs_validation import validate
+from lirs_validation.config import RunConfig
+from lirs_validation.driving.replay import ReplayDriver, replay
+from lirs_validation.experiment.run import Run
+from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.formats.commands_csv import Commands, read_commands, write_commands
+from lirs_wct.geometry.pose import Pose2
+
+
+def test_commands_read_back_as_they_were(tmp_path: Path) -> None:
+    rows = np.random.default_rng(0).normal(size=(50, 3)) * (1.0, 1e-9, 1e9)
+    given = Commands(Pose2(0.1, -1 / 3, 2e-17), rows)
+    write_commands(tmp_path / "commands.csv", given)
+    found = read_commands(tmp_path / "commands.csv")
+    assert found.start == given.start
+    assert np.array_equal(found.rows, rows)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "time,v,omega\n0,0,0\n",
+        "# start 0 0 0\nv,omega\n0,0\n",
+        "# start 0 0\ntime,v,omega\n0,0,0\n",
+        "# start 0 0 0\ntime,v,omega\n0,nan,0\n",
+        "# start 0 0 0\ntime,v,omega\n0,0,0\n0.04,1\n",
+    ],
+)
+def test_damaged_commands_are_named(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "commands.csv"
+    path.write_text(text)
+    with pytest.raises(SourceError, match=r"commands\.csv: "):
+        read_commands(path)
+
+
+def test_commands_come_at_their_time_and_rest_follows() -> None:
+    rows = np.array([(0.0, 0.1, 0.2), (0.04, 0.3, 0.4)])
+    driver = ReplayDriver(Commands(Pose2(1.0, 2.0), rows), 0.04, "run")
+    assert driver.command(Pose2(), 0.0) == Twist(0.1, 0.2)
+    assert not driver.finished
+    assert driver.command(Pose2(), 0.04) == Twist(0.3, 0.4)
+    assert driver.finished == "the commands of run end"
+    assert driver.command(Pose2(), 0.08) == Twist()
+
+
+@pytest.fixture(scope="module", params=["husky", "quadrotor"])
+def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    out = tmp_path_factory.mktemp("recorded")
+    return validate("simple", robot=request.param, mapper="hector", seconds=4.0, seed=2, out=out)
+
+
+def test_another_mapper_on_the_same_commands_has_the_same_truth(recorded: Run, tmp_path: Path) -> None:
+    robot = recorded.record.config.robot
+    for mapper in ("hector", "gmapping"):
+        again = validate(
+            "simple",
+            robot=robot,
+            mapper=mapper,
+            driver=f"replay:{recorded.folder}",
+            seconds=4.0,
+            seed=2,
+            out=tmp_path,
+        )
+        assert again.folder is not None
+        assert recorded.folder is not None
+        assert (again.folder / "truth.tum").read_bytes() == (recorded.folder / "truth.tum").read_bytes()
+        assert (again.folder / "commands.csv").read_bytes() == (recorded.folder / "commands.csv").read_bytes()
+        assert again.record.config.driver == f"replay:{recorded.folder}"
+        assert "-replay-" in again.record.name
+
+
+def test_a_replay_ends_with_its_commands(recorded: Run) -> None:
+    robot = recorded.record.config.robot
+    again = validate("simple", robot=robot, driver=f"replay:{recorded.folder}", seconds=30.0, seed=2)
+    assert again.record.status == "ok"
+    assert again.record.reason.startswith("the commands of ")
+    assert again.record.rtf["simulated_seconds"] == pytest.approx(4.0)
+
+
+def test_what_does_not_fit_the_recorded_run_is_named(recorded: Run, tmp_path: Path) -> None:
+    folder, robot = recorded.folder, recorded.record.config.robot
+    assert folder is not None
+    fits = RunConfig(source="simple", robot=robot)
+    assert replay(folder, fits, "simple").start == recorded.log.start
+    with pytest.raises(ConfigError, match="the same is needed"):
+        replay(folder, fits, "medium")
+    with pytest.raises(ConfigError, match=r"drives '.*', this run 'jackal'"):
+        replay(folder, RunConfig(source="simple", robot="jackal"), "simple")
+    with pytest.raises(ConfigError, match="the same lidar is needed"):
+        replay(folder, RunConfig(source="simple", robot=robot, lidar="lds01"), "simple")
+    bare = tmp_path / "bare"
+    shutil.copytree(folder, bare)
+    (bare / "commands.csv").unlink()
+    with pytest.raises(SourceError, match=r"commands\.csv: no such file"):
+        replay(bare, fits, "simple")
+    entry = json.loads((folder / "record.json").read_text())
+    (bare / "record.json").write_text(json.dumps(entry | {"schema": 0}))
+    with pytest.raises(SourceError, match=r"record\.json: schema 0"):
+        replay(bare, fits, "simple")

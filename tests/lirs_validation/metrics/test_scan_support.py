@@ -1,0 +1,107 @@
+"""The forecast: what the beams of a scan meet, in worlds where geometry gives the answer."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from lirs_envs.robots.catalog import make_robot
+from lirs_validation.metrics.scan_support import POSES, ScanSupport, scan_support, standing_on
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.ground import Terrain
+from lirs_wct.sources.bundled import RECIPES
+from lirs_wct.world import World, build_world
+
+HUSKY = make_robot("husky")
+
+
+def terrain(z: np.ndarray, cell: float = 0.1) -> World:
+    field = HeightField.centered(z.astype(np.float32), (cell, cell))
+    return World("made", Terrain(field), spawn_poses=(Pose2(),))
+
+
+def axes(n: int = 401) -> tuple[np.ndarray, np.ndarray]:
+    """x and y of the nodes, row 0 = north."""
+    axis = (np.arange(n) - n // 2) * 0.1
+    return np.meshgrid(axis, -axis)
+
+
+def test_level_ground_returns_nothing() -> None:
+    found = scan_support(terrain(np.zeros((401, 401))), HUSKY)
+    assert (found.wall_median, found.ground_median, found.wall_share) == (0.0, 0.0, 0.0)
+    assert found.poses == POSES
+    assert "little to hold on to" in found.expectation
+
+
+@pytest.mark.parametrize("degrees", [5.0, 15.0])
+def test_on_an_even_slope_the_robot_leans_with_it_and_sees_nothing(degrees: float) -> None:
+    x, _ = axes()
+    found = scan_support(terrain(x * math.tan(math.radians(degrees))), HUSKY)
+    assert found.wall_median == found.ground_median == 0.0
+
+
+def test_the_robot_stands_as_the_ground_lies() -> None:
+    x, y = axes()
+    world = terrain(0.2 * x + 0.1 * y)
+    T = standing_on(world, HUSKY, Pose2(1.0, 2.0, math.pi / 2))
+    ahead, left = T.rotation[:, 0], T.rotation[:, 1]
+    assert ahead[2] / math.hypot(*ahead[:2]) == pytest.approx(0.1, abs=0.01), "north rises by 0.1"
+    assert left[2] / math.hypot(*left[:2]) == pytest.approx(-0.2, abs=0.01), "west falls by 0.2"
+    assert T.z == pytest.approx(0.2 * 1.0 + 0.1 * 2.0 + HUSKY.base_height, abs=1e-6)
+    flying = standing_on(world, make_robot("quadrotor"), Pose2(1.0, 2.0, 0.3))
+    assert (flying.roll, flying.pitch) == pytest.approx((0.0, 0.0))
+
+
+def test_a_pit_with_steep_walls_is_all_walls_and_one_with_gentle_ones_all_ground() -> None:
+    x, y = axes()
+    rim = np.maximum(np.abs(x), np.abs(y)) - 6.0
+    steep = scan_support(terrain(np.clip(rim, 0, 0.2) * 20), HUSKY)
+    gentle = scan_support(terrain(np.maximum(rim, 0) * math.tan(math.radians(35))), HUSKY)
+    inside = scan_support(terrain(np.where(rim > 0, 4.0, 0.0)), HUSKY)
+    assert steep.wall_share > 0.99
+    assert gentle.wall_share < 0.01
+    assert gentle.ground_median > 0
+    assert inside.wall_median > 0
+
+
+def test_the_hits_of_a_wall_are_those_within_its_angle_and_the_range() -> None:
+    """A wall 40 m long all along one side: from y it spans an angle that is computed here by hand."""
+    _, y = axes()
+    world = terrain(np.where(y > 19.0, 3.0, 0.0))
+    found = scan_support(world, HUSKY)
+    rng = np.random.default_rng(0)
+    expected = []
+    for px, py, yaw in zip(
+        rng.uniform(-19, 19, 4000), rng.uniform(-19, 18, 4000), rng.uniform(0, 2 * math.pi, 4000), strict=True
+    ):
+        bearing = yaw + np.radians(np.linspace(-135, 135, found.beams))
+        away = (19.0 - py) / np.maximum(np.sin(bearing), 1e-9)
+        along = px + away * np.cos(bearing)
+        expected.append(int(((np.sin(bearing) > 0) & (away < 20.0) & (np.abs(along) < 20.0)).sum()))
+    assert found.wall_median == pytest.approx(np.median(expected), rel=0.15, abs=5)
+
+
+def test_a_room_is_all_walls_everywhere() -> None:
+    found = scan_support(build_world("examples/data/office.yaml"), HUSKY)
+    assert found.wall_p10 > 0.9 * found.beams
+    assert found.wall_share == pytest.approx(1.0)
+    assert found.expectation.startswith("walls nearly everywhere")
+
+
+def test_the_same_seed_gives_the_same_forecast_and_another_nearly() -> None:
+    world = build_world("simple")
+    assert "simple" in RECIPES
+    one, same, other = (scan_support(world, HUSKY, seed=seed) for seed in (0, 0, 1))
+    assert one == same
+    assert one != other
+    assert one.wall_median == pytest.approx(other.wall_median, rel=0.15)
+
+
+def test_a_robot_that_fits_nowhere_has_no_forecast() -> None:
+    x, _ = axes()
+    found = scan_support(terrain(x * math.tan(math.radians(40))), HUSKY)
+    assert found == ScanSupport(robot="husky", beams=541, poses=0)
+    assert found.expectation == "the robot can stand nowhere"
