@@ -27,7 +27,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.scan_support import scan_support
-from lirs_wct.errors import WctError
+from lirs_wct.errors import MapperError, WctError
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "data"
 OWN = ("simple", "medium", "advanced", str(EXAMPLES / "office.yaml"), str(EXAMPLES / "dunes.png"))
@@ -66,7 +66,7 @@ def runs(
         config = RunConfig(**held, seed=seed)
         try:
             record = run(config, scenarios=worlds).record
-        except WctError as error:
+        except MapperError as error:
             found.append({"seed": seed, "status": "error", "reason": str(error)})
             continue
         figures = {"ate": record.trajectory["ate_rmse"], "odometry": record.trajectory["odometry_ate_rmse"]}
@@ -81,12 +81,10 @@ def measured(options: argparse.Namespace, console: Console) -> list[dict[str, An
         try:
             world = worlds.scenario(RunConfig(source=source)).world
             forecast = scan_support(world, robot)
-            if not forecast.poses:
-                raise WctError(f"{source}: {robot.name} can stand nowhere")
+            found = {mapper: runs(source, mapper, options, worlds) for mapper in options.mapper}
         except WctError as error:
             console.print(f"left out: {error}", highlight=False, markup=False)
             continue
-        found = {mapper: runs(source, mapper, options, worlds) for mapper in options.mapper}
         rows.append({"world": world.name, "forecast": vars(forecast), "runs": found})
         rows[-1]["forecast"] |= {"expectation": forecast.expectation}
         if options.json:
