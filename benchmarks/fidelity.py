@@ -1,12 +1,16 @@
-"""A method as published beside its C++ original, on the scans of the same runs.
+"""Methods as published beside their C++ originals, on the scans of the same runs.
 
-    python benchmarks/fidelity.py [--data FOLDER] [--json FILE]
+    python benchmarks/fidelity.py [--data FOLDER] [--seeds 1-3] [--quick] [--json FILE]
 
-Every run has scans, IMU and truth of a simulated Husky, and the trajectory that the C++ original made of the
-scans (HectorSLAM's core, 0.05 m, odometry as the start of the match). Columns: ATE in metres of the odometry,
-the original, the same method as published here (`hector_original`) and terrain-aware (`hector`, with
-attitude). Below: Spearman's rank correlation with the original, runs within a factor of two of it, runs on
-the same side of the odometry's ATE.
+Every run has scans, IMU and truth of a simulated Husky, and the trajectories that the C++ originals made of
+the scans: HectorSLAM's core (0.05 m, odometry as the start of the match) and OpenSLAM's GMapping (30
+particles, its defaults, three seeds). The table holds ATEs in metres: of the odometry, of each original, of
+the same method as published here (`hector_original`, `gmapping_original`) and terrain-aware (`hector`,
+`gmapping`, with attitude); where a method draws random numbers, the median of the seeds and their range.
+`cartographer_original` stands without an original: there is no reference for it.
+
+Below: Spearman's rank correlation of a method as published with its original, runs within a factor of two of
+it, runs on the same side of the odometry's ATE, all by medians.
 """
 
 from __future__ import annotations
@@ -15,14 +19,19 @@ import argparse
 import gzip
 import json
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from statistics import median
+from typing import Any, NamedTuple
 
 from rich.console import Console
+from rich.progress import track
 from rich.table import Table
 from scipy.stats import spearmanr
 
 from lirs_envs.robots.catalog import make_robot
+from lirs_validation.cli.arguments import read_seeds
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct import Trajectory
 from lirs_wct.formats.carmen.log import read_carmen
@@ -31,7 +40,38 @@ from lirs_wct.formats.tum import read_tum
 from slam_baselines.mapper import make_mapper
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "fidelity"
-COLUMNS = ("run", "odometry", "C++ original", "hector_original", "hector")
+ORIGINALS = {"C++ Hector": "original_hector.tum.gz", "C++ GMapping": "original_gmapping_s*.tum.gz"}
+"""Columns of the originals, and their files in the folder of a run."""
+PUBLISHED = {"hector_original": "C++ Hector", "gmapping_original": "C++ GMapping"}
+"""Methods as published, and the column that they are compared with."""
+SEEDED = ("gmapping_original", "gmapping")
+COLUMNS = (
+    "odometry",
+    *("C++ Hector", "hector_original", "hector"),
+    *("C++ GMapping", "gmapping_original", "gmapping"),
+    *("cartographer_original", "cartographer"),
+)
+QUICK = 3
+"""Runs of --quick."""
+
+Row = dict[str, Sequence[float]]
+"""ATEs in metres by column, one a seed; empty where the run has no such original."""
+
+
+class Agreement(NamedTuple):
+    """How a method as published agrees with its original, by the medians of the seeds.
+
+    Attributes:
+        runs: how many have both.
+        rank_correlation: Spearman's, of the ATEs; None for fewer than three runs.
+        within_factor_two: runs whose ATE is within a factor of two of the original's.
+        same_side: runs on the same side of the odometry's ATE.
+    """
+
+    runs: int
+    rank_correlation: float | None
+    within_factor_two: int
+    same_side: int
 
 
 def main() -> None:
@@ -40,34 +80,43 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--data", type=Path, default=DATA, help="folder with a folder a run")
-    parser.add_argument("--json", type=Path, help="also write the rows there")
+    parser.add_argument("--seeds", default="1-3", help="such as 1-3 or 1,5")
+    parser.add_argument("--quick", action="store_true", help=f"one seed, {QUICK} runs")
+    parser.add_argument("--json", type=Path, help="also write the ATEs and the agreement there")
     given = parser.parse_args()
-    runs = sorted(path.parent for path in given.data.glob("*/original_hector.tum.gz"))
+    runs = sorted(path.parent for path in given.data.glob("*/scans.clf.gz"))[: QUICK if given.quick else None]
     if not runs:
-        parser.error(f"{given.data}: holds no run with original_hector.tum.gz")
-    rows = [row(run) for run in runs]
-    Console().print(table(rows))
-    Console().print(agreement(rows))
+        parser.error(f"{given.data}: holds no run with scans.clf.gz")
+    seeds = read_seeds("1" if given.quick else given.seeds)
+    rows = {run.name: ates(run, seeds) for run in track(runs, "mapping")}
+    found = {method: agreement(rows.values(), method) for method in PUBLISHED}
+    Console(width=170).print(table(rows))
+    for method, figures in found.items():
+        Console().print(formatted(method, figures))
     if given.json:
-        given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        report = {"ate": rows, "agreement": {name: figures._asdict() for name, figures in found.items()}}
+        given.json.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 
-def row(run: Path) -> dict[str, str | float]:
+def ates(run: Path, seeds: Sequence[int]) -> Row:
     """Return the ATEs of one run."""
     log, readings = read_carmen(run / "scans.clf.gz"), read_imu(run / "imu.csv.gz")
     truth = unpacked(run / "truth.tum.gz")
     mount = make_robot("husky").T_base_laser
-    paths = {
-        "odometry": Trajectory.from_poses(log.stamps.tolist(), list(log.odometry)),
-        "C++ original": unpacked(run / "original_hector.tum.gz"),
-    }
-    for name in ("hector_original", "hector"):
-        mapper = make_mapper(name)
-        for scan, odometry, imu in zip(log.scans, log.odometry, readings, strict=True):
-            # The log has the mount in the plane only.
-            mapper.update(replace(scan, T_base_laser=mount), odometry, imu)
-        paths[name] = mapper.trajectory()
-    return {"run": run.name} | {name: trajectory_errors(truth, path).ate_rmse for name, path in paths.items()}
+    # The log has the mount in the plane only.
+    scans = [replace(scan, T_base_laser=mount) for scan in log.scans]
+    odometry = Trajectory.from_poses(log.stamps.tolist(), list(log.odometry))
+    paths = {column: [unpacked(f) for f in sorted(run.glob(name))] for column, name in ORIGINALS.items()}
+    paths["odometry"] = [odometry]
+    for method in COLUMNS:
+        if method in paths:
+            continue
+        for seed in seeds if method in SEEDED else seeds[:1]:
+            mapper = make_mapper(method, seed=seed)
+            for scan, T_odom_base, imu in zip(scans, log.odometry, readings, strict=True):
+                mapper.update(scan, T_odom_base, imu)
+            paths.setdefault(method, []).append(mapper.trajectory())
+    return {c: [trajectory_errors(truth, path).ate_rmse for path in paths[c]] for c in COLUMNS}
 
 
 def unpacked(path: Path) -> Trajectory:
@@ -78,27 +127,44 @@ def unpacked(path: Path) -> Trajectory:
         return read_tum(Path(file.name))
 
 
-def table(rows: list[dict[str, str | float]]) -> Table:
-    """Return the rows for the screen."""
-    shown = Table(*COLUMNS, title="ATE [m]")
-    for entry in rows:
-        shown.add_row(*(f"{entry[c]:.3f}" if c != "run" else str(entry[c]) for c in COLUMNS))
+def agreement(rows: Any, method: str) -> Agreement:
+    """Compare a method as published with its original over the runs that have one."""
+    columns = (method, PUBLISHED[method], "odometry")
+    triples = [[median(row[c]) for c in columns] for row in rows if row[PUBLISHED[method]]]
+    ours, theirs = [t[0] for t in triples], [t[1] for t in triples]
+    return Agreement(
+        runs=len(triples),
+        rank_correlation=float(spearmanr(ours, theirs).statistic) if len(triples) > 2 else None,
+        within_factor_two=sum(t / 2 <= o <= 2 * t for o, t, _ in triples),
+        same_side=sum((o < d) == (t < d) for o, t, d in triples),
+    )
+
+
+def formatted(method: str, figures: Agreement) -> str:
+    """Return the agreement in words."""
+    if not figures.runs:
+        return f"{method}: no run has its original"
+    correlation = figures.rank_correlation
+    return (
+        f"{method}: rank correlation {'-' if correlation is None else f'{correlation:.2f}'}, "
+        f"within a factor of two {figures.within_factor_two} of {figures.runs}, "
+        f"same side of the odometry {figures.same_side} of {figures.runs}"
+    )
+
+
+def table(rows: dict[str, Row]) -> Table:
+    """Return the rows for the screen: the median of the seeds, and their range."""
+    shown = Table("run", *COLUMNS, title="ATE [m]", caption="cartographer_original: no reference")
+    for run, row in rows.items():
+        shown.add_row(run, *(_cell(row[column]) for column in COLUMNS))
     return shown
 
 
-def agreement(rows: list[dict[str, str | float]]) -> str:
-    """Return how well the method as published agrees with its original, in words."""
-    ours, theirs, odometry = (
-        [float(entry[c]) for entry in rows] for c in ("hector_original", "C++ original", "odometry")
-    )
-    pairs = list(zip(ours, theirs, odometry, strict=True))
-    within = sum(t / 2 <= o <= 2 * t for o, t, _ in pairs)
-    side = sum((o < d) == (t < d) for o, t, d in pairs)
-    correlation = float(spearmanr(ours, theirs).statistic)
-    return (
-        f"rank correlation {correlation:.2f}, within a factor of two {within} of {len(rows)}, "
-        f"same side of the odometry {side} of {len(rows)}"
-    )
+def _cell(values: Sequence[float]) -> str:
+    if not values:
+        return "-"
+    spread = f" ({min(values):.3f}-{max(values):.3f})" if len(values) > 1 else ""
+    return f"{median(values):.3f}{spread}"
 
 
 if __name__ == "__main__":
