@@ -99,6 +99,8 @@ def figures_table(record: MapRecord) -> Table:
     table = Table(title=record.config.log, show_header=False, title_justify="left")
     for name, value in map_lines(record):
         table.add_row(name, value, style="yellow" if value == WORSE else "")
+        if name == "status" and record.reason:
+            table.add_row("", record.reason, style="yellow")
     for name, value in repair_lines(record):
         table.add_row(name, value, style="yellow")
     return table

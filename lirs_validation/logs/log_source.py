@@ -42,8 +42,9 @@ def resolve_source(
         found_before = record.status, record.reason
     status, reason = found_before
     if status != "ok":
+        what = "left out scans of" if status == "incomplete" else "lost its place in"
         raise SourceError(
-            f"{source}: {status} with {config.mapper}: {reason}; its map is no world (see {folder}), "
+            f"{source}: {config.mapper} {what} this log ({reason}), its map is no world (see {folder}); "
             "try another --log-mapper"
         )
     named = folder / f"{found.name}.yaml"

@@ -19,7 +19,6 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
     driven = log["odometry_length"]
     lines = [
         ("status", record.status),
-        *([("", record.reason)] if record.reason else []),
         ("scans", f"{log['scans']} of {log['beams']} beams ({log['laser']})"),
         ("time", f"{log['seconds']:.0f} s"),
         ("distance by odometry", "no odometry" if driven is None else f"{driven:.0f} m"),
