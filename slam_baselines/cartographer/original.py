@@ -39,7 +39,9 @@ ALWAYS = 1 << 30
 """A number that nothing reaches."""
 
 LOCAL = LocalConfig(
-    submaps=SubmapConfig(num_range_data=90, levels=1, search_level=0, branch_and_bound_depth=7),
+    submaps=SubmapConfig(
+        num_range_data=90, max_distance=math.inf, levels=1, search_level=0, branch_and_bound_depth=7
+    ),
     motion_filter=MotionFilterConfig(
         max_time_seconds=5.0, max_angle_radians=math.radians(1.0), max_tilt_radians=math.inf
     ),

@@ -43,7 +43,8 @@ def test_it_does_not_localize() -> None:
 def test_the_published_defaults_are_set() -> None:
     c = CartographerOriginalConfig()
     local, graph = c.local, c.graph
-    assert (local.submaps.num_range_data, local.submaps.resolution) == (90, 0.05)
+    submaps = local.submaps
+    assert (submaps.num_range_data, submaps.max_distance, submaps.resolution) == (90, math.inf, 0.05)
     motion = local.motion_filter
     assert (motion.max_time_seconds, motion.max_distance_meters) == (5.0, 0.2)
     assert motion.max_angle_radians == math.radians(1.0)
