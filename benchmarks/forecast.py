@@ -33,13 +33,11 @@ EXAMPLES = Path(__file__).parents[1] / "examples" / "data"
 OWN = ("simple", "medium", "advanced", str(EXAMPLES / "office.yaml"), str(EXAMPLES / "dunes.png"))
 SHARED = (
     "maps/navigation2/depot.yaml",
-    "maps/navigation2/tb3_sandbox.yaml",
     "maps/turtlebot_apps/willow-2010-02-18-0.10.yaml",
     "maps/mir_robot/maze.yaml",
     "height/PX4-SITL_gazebo-classic__terrain.png",
     "height/Pillow__16bit.cropped.tif",
     "height/gazebo_terrain_generator__prayag_height_map.tif",
-    "height/gz-common__dem_moon.tif",
     "height/gz-common__dem_squared.tif",
     "height/hmstl__scene.png",
     "height/unitree_mujoco__height_field.png",
