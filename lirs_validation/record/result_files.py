@@ -18,6 +18,7 @@ WITH_RESULTS = (
     "imu.csv.gz",
     "rtf.csv",
     "commands.csv",
+    "commands.csv",
 )
 """Of a run that drove."""
 WITHOUT = ("record.json", "error.txt")
