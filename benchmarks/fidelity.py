@@ -154,7 +154,7 @@ def formatted(method: str, figures: Agreement) -> str:
 
 def table(rows: dict[str, Row]) -> Table:
     """Return the rows for the screen: the median of the seeds, and their range."""
-    shown = Table("run", *COLUMNS, title="ATE [m]", caption="cartographer_original: no reference")
+    shown = Table("run", *COLUMNS, title="ATE in metres", caption="cartographer_original: no reference")
     for run, row in rows.items():
         shown.add_row(run, *(_cell(row[column]) for column in COLUMNS))
     return shown
