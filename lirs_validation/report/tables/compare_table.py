@@ -33,11 +33,13 @@ def compare_table(comparison: Comparison, names: tuple[str, str]) -> FittedTable
             rows.append((f"  {name}", *rest))
             styles.append("bold" if d.significant else "")
     table = ReportTable("compare", "", reading(comparison), HEADINGS, tuple(rows), 1, remarks=False)
-    return FittedTable(table, title=f"a = {names[0]}, b = {names[1]}", styles=styles, drop=("95 %", "p"))
+    return FittedTable(
+        table, title=f"a = {names[0]}, b = {names[1]}", styles=styles, drop=("95 %", "p"), keep=("verdict",)
+    )
 
 
-HEADINGS = ("metric", "a", "b", "b - a", "95 %", "n", "p", "")
-"""Of the table on the screen; the last column is the verdict."""
+HEADINGS = ("metric", "a", "b", "b - a", "95 %", "n", "p", "verdict")
+"""Of the table on the screen."""
 
 
 def formatted(d: Difference) -> tuple[str, ...]:

@@ -47,11 +47,17 @@ class FittedTable:
     """
 
     def __init__(
-        self, table: ReportTable, *, title: str = "", styles: Sequence[str] = (), drop: Sequence[str] = ()
+        self,
+        table: ReportTable,
+        *,
+        title: str = "",
+        styles: Sequence[str] = (),
+        drop: Sequence[str] = (),
+        keep: Sequence[str] = (),
     ) -> None:
-        """Take a table, the style of each row, and headings of columns that are left out first."""
+        """Take a table, the style of each row, headings of columns that go first, and of those that stay."""
         self.table = _remarks_below(table)
-        self._title, self._drop = title, tuple(drop)
+        self._title, self._drop, self._keep = title, tuple(drop), tuple(keep)
         self._styles = tuple(styles) or ("",) * len(table.rows)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Table]:
@@ -79,16 +85,17 @@ class FittedTable:
     def _dropped_in_order(self) -> list[int]:
         """Return the columns that may be left out, the first to go first."""
         headings = self.table.headings
-        numbers = [k for k in range(len(headings)) if not self.table.is_text(k)]
-        rank = {k: (self._rank(headings[k], k), -k) for k in numbers}
-        return sorted(numbers, key=lambda k: rank[k])[: max(0, len(numbers) - FEWEST)]
+        numbers = [k for k, h in enumerate(headings) if not self.table.is_text(k) and h not in self._keep]
+        return sorted(numbers, key=self._rank)[: max(0, len(numbers) - FEWEST)]
 
-    def _rank(self, heading: str, column: int) -> int:
-        """Return 0 for what is said to go first, 1 for metrics that the table of runs leaves out, else 2."""
+    def _rank(self, column: int) -> tuple[int, int]:
+        """Return a column's place: as said, then metrics that the table of runs leaves out, then the others."""
+        heading = self.table.headings[column]
         if heading in self._drop:
-            return 0
+            return 0, self._drop.index(heading)
         contents = [row[column] for row in self.table.rows]
-        return 1 if any(isinstance(c, Spread) and "runs" not in c.metric.selections for c in contents) else 2
+        detail = any(isinstance(c, Spread) and "runs" not in c.metric.selections for c in contents)
+        return 1 if detail else 2, -column
 
     def _drawn(self, table: ReportTable, *, whole: bool) -> Table:
         """Return a table for the screen; its cells are plain text, for a name may hold brackets."""

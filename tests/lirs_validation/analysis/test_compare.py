@@ -137,6 +137,15 @@ def test_another_mapper_is_paired_when_asked() -> None:
         compare(a + a, a, ATE)
 
 
+def test_the_verdict_stands_however_narrow_the_screen() -> None:
+    a, b = results(0, 0.001), results(0.5, 0.001)
+    console = Console(width=34, record=True, file=io.StringIO())
+    console.print(compare_table(compare(a, b, ATE), ("a", "b")))
+    text = console.export_text()
+    assert "b worse" in text
+    assert "No room here for 95 %, p" in " ".join(text.split())
+
+
 def test_runs_are_chosen_by_the_fields_of_their_groups() -> None:
     runs = [
         entry(world, 1, mapper=mapper) for world in ("simple", "medium") for mapper in ("hector", "gmapping")
