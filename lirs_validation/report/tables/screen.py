@@ -89,7 +89,7 @@ class FittedTable:
         return sorted(numbers, key=self._rank)[: max(0, len(numbers) - FEWEST)]
 
     def _rank(self, column: int) -> tuple[int, int]:
-        """Return a column's place: as said, then metrics that the table of runs leaves out, then the others."""
+        """Return a column's place: as said, then metrics that the table of runs leaves out, then others."""
         heading = self.table.headings[column]
         if heading in self._drop:
             return 0, self._drop.index(heading)
