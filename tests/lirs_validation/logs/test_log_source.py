@@ -153,7 +153,7 @@ BAD = {
     "a picture": (("map", "picture.png"), "picture.png: not a text file, a CARMEN log is one"),
     "a bundled world": (("map", "simple"), "simple: cannot be read: No such file"),
     "no mapper": (("map", "my room.clf", "--mapper", "slam"), "unknown mapper 'slam'; legal: cartographer,"),
-    "particles": (("map", "my room.clf", "--mapper", "hector", "--particles", "3"), "hector has no particles"),
+    "particles": (("map", "my room.clf", "--mapper", "hector", "--particles", "3"), "has no particles"),
     "relations": (("map", "my room.clf", "--relations", "empty.clf"), "empty.clf: holds no relation"),
     "reference": (("map", "my room.clf", "--reference", "empty.clf"), "empty.clf: no usable laser scan"),
     "cells": (("map", "my room.clf", "--resolution", "0"), "resolution must be within [0.01, 1] m, got 0"),
