@@ -1,0 +1,186 @@
+"""Natural terrain without walls: is a mapper worse than its odometry, and does it draw ground as walls?
+
+    python benchmarks/natural_terrain.py [--data FOLDER] [--mapper NAME ...] [--seeds 1-2] [--quick]
+
+Sources are the height pictures of a folder, where a Husky finds a start, and terrains of a seeded
+generator (fractal hills, a valley, dunes, a plain; with and without rocks). An `ok` run breaks the rule where
+its ATE is above 1.1 x the odometry's + 0.05 m, or where more than 20 % of its occupied cells, and at least 50
+cells, are farther than 0.10 m from any face steeper than 45 deg; a run that the mapper's monitor ends as
+`lost` breaks none.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from lirs_validation import validate
+from lirs_validation.cli.arguments import read_seeds
+from lirs_wct.arrays import FloatArray
+from lirs_wct.errors import WctError
+from lirs_wct.sources.options import BuildOptions
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "height"
+MAPPERS = ("hector", "gmapping", "cartographer")
+SUFFIXES = (".png", ".tif", ".pgm", ".jpeg")
+NODES, EDGE = 257, 50.0
+RATIO, SLACK = 1.1, 0.05
+FALSE_SHARE, FALSE_CELLS = 0.2, 50
+
+
+def main() -> None:
+    """Run every source with every mapper and seed; print the table and how many runs broke the rule."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--data", type=Path, default=DATA, help="folder of height pictures")
+    parser.add_argument("--mapper", nargs="+", default=MAPPERS)
+    parser.add_argument("--seeds", default="1-2", help="such as 1-5 or 1,3")
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--quick", action="store_true", help="the generated terrains, one seed, 30 s")
+    parser.add_argument("--json", type=Path, help="also write the rows there")
+    given = parser.parse_args()
+    seconds = 30.0 if given.quick else given.seconds
+    seeds = read_seeds("1" if given.quick else given.seeds)
+    rows: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        pictures = list(generated(Path(folder), seeds))
+        if not given.quick:
+            pictures += [(p, BuildOptions(grayscale=True)) for p in height_pictures(given.data)]
+        for path, options in pictures:
+            rows += rows_of(path, options, given.mapper, seconds, seeds)
+    Console(width=150).print(table(rows))
+    Console(width=150).print(summary(rows))
+    if given.json:
+        given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+
+
+def height_pictures(folder: Path) -> list[Path]:
+    """Return the pictures of a folder, by name."""
+    return sorted(path for path in folder.glob("*") if path.suffix.lower() in SUFFIXES)
+
+
+def rows_of(
+    path: Path, options: BuildOptions, mappers: list[str], seconds: float, seeds: list[int]
+) -> Iterator[dict[str, Any]]:
+    """Yield the rows of one source; one row with the reason where nothing can drive there."""
+    for mapper in mappers:
+        for seed in seeds:
+            try:
+                record = validate(path, mapper=mapper, seconds=seconds, seed=seed, options=options).record
+            except WctError as error:
+                yield {"source": path.stem, "mapper": mapper, "seed": seed, "status": f"not driven: {error}"}
+                return
+            row = {"source": path.stem, "mapper": mapper, "seed": seed, "status": record.status}
+            row |= {"odometry": record.trajectory["odometry_ate_rmse"], "ate": record.trajectory["ate_rmse"]}
+            row |= {key: record.map[key] for key in ("f1", "false_occupied", "occupied_cells")}
+            yield row | {"broken": broken(row)}
+
+
+def broken(row: Mapping[str, Any]) -> list[str]:
+    """Return which rules a run breaks; none where it did not end as `ok`."""
+    if row["status"] != "ok":
+        return []
+    rules = ["ATE"] if row["ate"] > RATIO * row["odometry"] + SLACK else []
+    share = row["false_occupied"] or 0.0
+    return rules + (["walls"] if share > FALSE_SHARE and share * row["occupied_cells"] >= FALSE_CELLS else [])
+
+
+def generated(folder: Path, seeds: list[int]) -> Iterator[tuple[Path, BuildOptions]]:
+    """Write one terrain of each kind and seed as a 16-bit picture; yield it with its scale."""
+    for name, make in TERRAINS.items():
+        for seed in seeds:
+            z = make(np.random.default_rng(seed))
+            z, path = z - z.min(), folder / f"{name} {seed}.png"
+            cv2.imwrite(str(path), np.round(z / z.max() * 65535).astype(np.uint16))
+            yield path, BuildOptions(size=EDGE, height=float(z.max()))
+
+
+def fractal(rng: np.random.Generator, hurst: float = 1.0) -> FloatArray:
+    """Return (n, n) heights 0 to 1 of spectral synthesis (Saupe 1988): amplitudes fall with k^-(H + 1)."""
+    f = np.fft.fftfreq(NODES)
+    k = np.hypot(f[:, None], f)
+    k[0, 0] = np.inf
+    z = np.fft.ifft2(k ** -(hurst + 1) * np.exp(2j * np.pi * rng.random(k.shape))).real
+    heights: FloatArray = (z - z.min()) / np.ptp(z)
+    return heights
+
+
+def across(rng: np.random.Generator) -> FloatArray:
+    """Return (n, n) distance from a line through the middle in some direction, -1.4 to 1.4."""
+    u, angle = np.linspace(-1, 1, NODES), rng.uniform(0, np.pi)
+    distance: FloatArray = u * np.cos(angle) + u[:, None] * np.sin(angle)
+    return distance
+
+
+def dunes(rng: np.random.Generator) -> FloatArray:
+    """Return heights of dunes: long windward sides, short slip faces."""
+    phase = (2.5 * across(rng) + 2 * fractal(rng, 1.2)) % 1
+    ridge = cv2.GaussianBlur(np.where(phase < 0.7, phase / 0.7, (1 - phase) / 0.3), (0, 0), 4)
+    return np.asarray(1.6 * ridge + fractal(rng, 1.2), dtype=np.float64)
+
+
+def with_rocks(rng: np.random.Generator, z: FloatArray, count: int = 14) -> FloatArray:
+    """Return heights with rocks of 0.25 to 0.8 m radius and 0.4 to 1.2 m height."""
+    x = np.linspace(0, EDGE, NODES)
+    for _ in range(count):
+        east, north = rng.uniform(3, EDGE - 3, 2)
+        distance = np.hypot(x - east, x[:, None] - north) / rng.uniform(0.25, 0.8)
+        z = z + rng.uniform(0.4, 1.2) * np.sqrt(np.clip(1 - distance**4, 0, 1))
+    return z
+
+
+TERRAINS: Mapping[str, Callable[[np.random.Generator], FloatArray]] = {
+    "hills": lambda rng: 6 * fractal(rng),
+    "rough hills": lambda rng: 5 * fractal(rng, 0.8),
+    "valley": lambda rng: 7 * across(rng) ** 2 + 1.5 * fractal(rng),
+    "dunes": dunes,
+    "plain": lambda rng: 1.2 * fractal(rng),
+    "hills with rocks": lambda rng: with_rocks(rng, 5 * fractal(rng)),
+    "plain with rocks": lambda rng: with_rocks(rng, 1.2 * fractal(rng)),
+}
+"""Heights in metres, 50 m square."""
+
+
+def table(rows: list[dict[str, Any]]) -> Table:
+    """Return the rows for people."""
+    columns = "source", "mapper", "seed", "odometry", "ate", "status", "f1", "false_occupied"
+    shown = Table(*columns, "occupied_cells", "broken", title="natural terrain, Husky (m)")
+    for row in rows:
+        shown.add_row(*(cell(row.get(column)) for column in (*columns, "occupied_cells", "broken")))
+    return shown
+
+
+def cell(value: Any) -> str:
+    """Return one value for people."""
+    if isinstance(value, list):
+        return ", ".join(value)
+    return "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
+
+
+def summary(rows: list[dict[str, Any]]) -> str:
+    """Return one line a mapper: runs, lost, and how many broke which rule."""
+    lines = []
+    for name in dict.fromkeys(row["mapper"] for row in rows):
+        mine = [row for row in rows if row["mapper"] == name and "broken" in row]
+        lost = sum(row["status"] == "lost" for row in mine)
+        worse, walls = (sum(rule in row["broken"] for row in mine) for rule in ("ATE", "walls"))
+        either = sum(bool(row["broken"]) for row in mine)
+        lines.append(
+            f"{name}: {either} of {len(mine)} runs broke the rule "
+            f"(worse than odometry {worse}, ground drawn as walls {walls}); {lost} lost"
+        )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
