@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +70,7 @@ def height_pictures(folder: Path) -> list[Path]:
 
 
 def rows_of(
-    path: Path, options: BuildOptions, mappers: list[str], seconds: float, seeds: list[int]
+    path: Path, options: BuildOptions, mappers: Sequence[str], seconds: float, seeds: Sequence[int]
 ) -> Iterator[dict[str, Any]]:
     """Yield the rows of one source; one row with the reason where nothing can drive there."""
     for mapper in mappers:
@@ -95,7 +95,7 @@ def broken(row: Mapping[str, Any]) -> list[str]:
     return rules + (["walls"] if share > FALSE_SHARE and share * row["occupied_cells"] >= FALSE_CELLS else [])
 
 
-def generated(folder: Path, seeds: list[int]) -> Iterator[tuple[Path, BuildOptions]]:
+def generated(folder: Path, seeds: Sequence[int]) -> Iterator[tuple[Path, BuildOptions]]:
     """Write one terrain of each kind and seed as a 16-bit picture; yield it with its scale."""
     for name, make in TERRAINS.items():
         for seed in seeds:
