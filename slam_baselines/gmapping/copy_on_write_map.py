@@ -12,11 +12,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from lirs_wct.arrays import ByteArray, FloatArray, Int32Array, IntArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
+from slam_baselines.gmapping.patches import (
+    ABSENT,
+    BITS,
+    MASK,
+    MEAN_MEMORY,
+    MEAN_STEPS,
+    PATCH,
+    Patches,
+    list_free,
+    own_patch,
+    own_record,
+    records_needed,
+    reserved,
+    resized,
+)
 from slam_baselines.mapping.occupancy_map import STEP, TOP_STEP, UNKNOWN, UpdateConfig
 from slam_baselines.scan.leveling import ScanPoints
 
@@ -35,7 +49,7 @@ class PatchMaps:
         self.resolution = resolution
         self.tables: Int32Array = np.empty((particles, 0, 0), np.int32)
         self.corner: IntArray = np.zeros(2, np.int64)
-        self.patches = _resized(None, 256)
+        self.patches = resized(None, 256, 64)
         self._steps = (update or UpdateConfig()).steps
 
     @property
@@ -53,7 +67,7 @@ class PatchMaps:
         self.tables = self.tables[parents]
         owners = np.bincount(self.tables[self.tables != ABSENT].ravel(), minlength=len(self.patches.owners))
         self.patches.owners[:] = owners
-        _list_free(self.patches)
+        list_free(self.patches)
 
     def draw_scan(self, poses: FloatArray, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int) -> None:
         """Draw one scan into every map, each from its own pose.
@@ -72,7 +86,8 @@ class PatchMaps:
         needed = int(min((span / PATCH + 2) ** 2, (len(ends) + 1) * (span / PATCH + 3)))
         done = 0
         while done < len(poses):
-            self._reserve(needed)
+            records = records_needed(self.tables[done], self.patches, len(scan.hits))
+            self.patches = reserved(self.patches, needed, records)
             limits = EntryLimits(int(span) + 4, needed)
             done = enter_scans(
                 self.stack, poses, scan, min_slopes, wall_slope, np.array(self._steps), limits, done
@@ -98,7 +113,9 @@ class PatchMaps:
         table, p = self.tables[particle], self.patches
         rows, cols = table.shape
         lattice = table.ravel()
-        known = (p.log_odds != UNKNOWN) & ~((p.log_odds > 0) & (p.min_slope < wall_slope))
+        known = p.log_odds != UNKNOWN
+        hit = np.flatnonzero(p.record != ABSENT)
+        known[hit] &= ~((p.log_odds[hit] > 0) & (p.min_slope[p.record[hit]] < wall_slope))
         values = np.where(known, p.log_odds * np.float32(STEP), np.float32(np.nan)).astype(np.float32)
         values = np.where((lattice == ABSENT)[:, None], np.float32(np.nan), values[lattice])
         grid = values.reshape(rows, cols, PATCH, PATCH).swapaxes(1, 2).reshape(rows * PATCH, cols * PATCH)
@@ -123,73 +140,6 @@ class PatchMaps:
         r, c = self.corner - first if rows else (0, 0)
         new[:, r : r + rows, c : c + cols] = self.tables
         self.tables, self.corner = new, first.astype(np.int64)
-
-    def _reserve(self, needed: int) -> None:
-        """Have so many patches free."""
-        free = int(self.patches.free[0])
-        if free < needed:
-            size = len(self.patches.owners)
-            self.patches = _resized(self.patches, max(size + needed - free, size + size // 4))
-
-
-def _resized(old: Patches | None, size: int) -> Patches:
-    """Return `size` patches of which the first are the old ones."""
-    shape = size, PATCH * PATCH
-    new = Patches(
-        np.empty(shape, np.int8),
-        np.empty(shape, np.uint8),
-        np.empty((*shape, 2), np.uint16),
-        np.empty(shape, np.uint8),
-        np.empty(shape, np.int16),
-        np.zeros(size, np.int32),
-        np.empty(size + 1, np.int32),
-    )
-    if old is not None:
-        for source, target in zip(old[:-1], new[:-1], strict=True):
-            target[: len(source)] = source  # type: ignore[arg-type, index]
-    _list_free(new)
-    return new
-
-
-def _list_free(patches: Patches) -> None:
-    """Note which patches nobody owns, the lowest to be taken first."""
-    unowned = np.flatnonzero(patches.owners == 0)[::-1]
-    patches.free[0] = len(unowned)
-    patches.free[1 : 1 + len(unowned)] = unowned
-
-
-BITS = 4
-PATCH = 1 << BITS
-"""Cells along the edge of a patch."""
-MASK = PATCH - 1
-ABSENT = -1
-"""Marks, in a table, a patch that nothing was drawn into."""
-MEAN_STEPS = 65536
-"""Steps of a cell's edge in which the mean of the hits in it is kept."""
-MEAN_MEMORY = 32
-"""The mean follows the last so many hits."""
-
-
-class Patches(NamedTuple):
-    """All patches of all maps, one row each, cells in row order; as the kernels need them.
-
-    Attributes:
-        log_odds: (p, 256) int8, steps of STEP, UNKNOWN where no beam came.
-        hits: (p, 256) uint8, how many beams ended there, up to MEAN_MEMORY.
-        mean: (p, 256, 2) uint16, where they ended on average, MEAN_STEPS east and north of the cell's corner.
-        min_slope: (p, 256) uint8, largest minimum slope of what was hit there, SLOPE_STEP.
-        top: (p, 256) int16, largest height at which it was hit, TOP_STEP.
-        owners: (p,) int32, tables that point at the patch; 0 = free.
-        free: (1 + p,) int32, how many patches are free, and then which.
-    """
-
-    log_odds: NDArray[np.int8]
-    hits: ByteArray
-    mean: NDArray[np.uint16]
-    min_slope: ByteArray
-    top: NDArray[np.int16]
-    owners: Int32Array
-    free: Int32Array
 
 
 class MapView(NamedTuple):
@@ -234,30 +184,6 @@ class Scratch(NamedTuple):
 
 
 @njit(cache=True)
-def _own(table: Any, patches: Any, row: int, col: int) -> Any:
-    """Put a patch of its own, new or copied, at a place of a table; return which."""
-    p = table[row, col]
-    patches.free[0] -= 1
-    q = patches.free[1 + patches.free[0]]
-    if p == ABSENT:
-        patches.log_odds[q] = UNKNOWN
-        patches.hits[q] = 0
-        patches.min_slope[q] = 0
-    else:
-        patches.owners[p] -= 1
-        patches.log_odds[q] = patches.log_odds[p]
-        patches.hits[q] = patches.hits[p]
-        patches.min_slope[q] = patches.min_slope[p]
-        # Most patches are free space: what was never hit has neither mean nor top.
-        if patches.hits[q].any():
-            patches.mean[q] = patches.mean[p]
-            patches.top[q] = patches.top[p]
-    patches.owners[q] = 1
-    table[row, col] = q
-    return q
-
-
-@njit(cache=True)
 def enter_scans(
     maps: Any, poses: Any, scan: Any, min_slopes: Any, wall_slope: int, steps: Any, limits: Any, first: int
 ) -> int:
@@ -266,7 +192,8 @@ def enter_scans(
     res, side = maps.resolution, limits.side
     touched = np.empty((side, side), np.uint8)
     for k in range(first, len(poses)):
-        if maps.patches.free[0] < limits.patches:
+        records = records_needed(maps.tables[k], maps.patches, len(hits))
+        if maps.patches.free[0] < limits.patches or maps.patches.free_records[0] < records:
             return k
         touched[:] = 0
         x, y = poses[k, 0] / res, poses[k, 1] / res
@@ -296,19 +223,20 @@ def _hit(view: Any, scratch: Any, end: Any, min_slope: int, steps: Any) -> None:
     r, c = (row >> BITS) - corner[0], (col >> BITS) - corner[1]
     p = table[r, c]
     if p == ABSENT or patches.owners[p] != 1:
-        p = _own(table, patches, r, c)
+        p = own_patch(table, patches, r, c)
     cell = ((row & MASK) << BITS) | (col & MASK)
-    first = patches.hits[p, cell] == 0
-    n = min(patches.hits[p, cell] + 1, MEAN_MEMORY)
-    patches.hits[p, cell] = n
+    q = own_record(patches, p)
+    first = patches.hits[q, cell] == 0
+    n = min(patches.hits[q, cell] + 1, MEAN_MEMORY)
+    patches.hits[q, cell] = n
     for axis, part in ((0, u - col), (1, v - row)):
-        before = patches.mean[p, cell, axis]
-        patches.mean[p, cell, axis] = np.uint16(
+        before = patches.mean[q, cell, axis]
+        patches.mean[q, cell, axis] = np.uint16(
             before + (min(part * MEAN_STEPS, MEAN_STEPS - 1.0) - before) / n
         )
-    patches.min_slope[p, cell] = max(patches.min_slope[p, cell], min_slope)
+    patches.min_slope[q, cell] = max(patches.min_slope[q, cell], min_slope)
     top = np.int16(z / TOP_STEP)
-    patches.top[p, cell] = top if first else max(patches.top[p, cell], top)
+    patches.top[q, cell] = top if first else max(patches.top[q, cell], top)
     if touched[row - window[0], col - window[1]] == 0:
         touched[row - window[0], col - window[1]] = 1
         before = patches.log_odds[p, cell]
@@ -325,6 +253,7 @@ def _pass(view: Any, scratch: Any, start: Any, end: Any, to_end: bool, steps: An
     touched, window = scratch
     u, v, z = end
     log_odds, min_slopes, tops, owners = patches.log_odds, patches.min_slope, patches.top, patches.owners
+    records = patches.record
     top, left, row0, col0 = corner[0], corner[1], window[0], window[1]
     x0, y0, z0, miss, most = start[0], start[1], start[2], steps[0], steps[2]
     n = int(max(abs(u - start[0]), abs(v - start[1]))) + 1
@@ -340,12 +269,14 @@ def _pass(view: Any, scratch: Any, start: Any, end: Any, to_end: bool, steps: An
         r, c = (row >> BITS) - top, (col >> BITS) - left
         p = table[r, c]
         if p == ABSENT or owners[p] != 1:
-            p = _own(table, patches, r, c)
+            p = own_patch(table, patches, r, c)
         cell = ((row & MASK) << BITS) | (col & MASK)
         before = log_odds[p, cell]
-        above = (z0 + i * dz) / TOP_STEP > tops[p, cell] + 10
-        if before > 0 and 0 < wall_slope <= min_slopes[p, cell] and above:
-            continue
+        if before > 0 and wall_slope > 0:
+            q = records[p]
+            above = (z0 + i * dz) / TOP_STEP > tops[q, cell] + 10
+            if above and wall_slope <= min_slopes[q, cell]:
+                continue
         log_odds[p, cell] = max(-most, (0 if before == UNKNOWN else before) + miss)
 
 
@@ -358,4 +289,6 @@ def look_up(view: Any, points: Any, out: Any) -> None:
         row, col = int(np.floor(points[i, 1] / res)), int(np.floor(points[i, 0] / res))
         r, c = (row >> BITS) - corner[0], (col >> BITS) - corner[1]
         if 0 <= r < rows and 0 <= c < cols and table[r, c] != ABSENT:
-            out[i] = patches.min_slope[table[r, c], ((row & MASK) << BITS) | (col & MASK)]
+            record = patches.record[table[r, c]]
+            if record != ABSENT:
+                out[i] = patches.min_slope[record, ((row & MASK) << BITS) | (col & MASK)]

@@ -13,7 +13,7 @@ from numba import njit
 
 from lirs_wct.arrays import FloatArray
 from slam_baselines.common.linalg import solve3
-from slam_baselines.gmapping.copy_on_write_map import ABSENT, BITS, MASK, MEAN_STEPS
+from slam_baselines.gmapping.patches import ABSENT, BITS, MASK, MEAN_STEPS
 from slam_baselines.mapping.occupancy_map import UNKNOWN
 
 NOTHING = 0.5
@@ -49,6 +49,7 @@ def _attraction(
     top: int,
     left: int,
     log_odds: Any,
+    records: Any,
     mean: Any,
     min_slopes: Any,
     wall_slope: int,
@@ -67,9 +68,10 @@ def _attraction(
     for row in range(row0 - reach, row0 + reach + 1):
         for col in range(col0 - reach, col0 + reach + 1):
             p, cell = _cell(table, top, left, row, col)
-            if p != ABSENT and log_odds[p, cell] > 0 and min_slopes[p, cell] >= wall_slope:
-                du = col + mean[p, cell, 0] / MEAN_STEPS - u
-                dv = row + mean[p, cell, 1] / MEAN_STEPS - v
+            # A cell that is occupied was hit, so there is a record.
+            if p != ABSENT and log_odds[p, cell] > 0 and min_slopes[records[p], cell] >= wall_slope:
+                du = col + mean[records[p], cell, 0] / MEAN_STEPS - u
+                dv = row + mean[records[p], cell, 1] / MEAN_STEPS - v
                 a = np.exp(narrow * (du * du + dv * dv))
                 w += a
                 su += a * du
@@ -102,7 +104,8 @@ def log_likelihood(view: Any, beams: Any, pose: Any, reach: int, lsigma: float, 
     """
     points, weights, res, wall_slope = beams.points, beams.weights, view.resolution, view.wall_slope
     table, top, left = view.table, view.corner[0], view.corner[1]
-    log_odds, mean, min_slopes = view.patches.log_odds, view.patches.mean, view.patches.min_slope
+    log_odds, records = view.patches.log_odds, view.patches.record
+    mean, min_slopes = view.patches.mean, view.patches.min_slope
     c, s = np.cos(pose[2]) / res, np.sin(pose[2]) / res
     x, y = pose[0] / res, pose[1] / res
     narrow, sharp = -0.5 / width**2, res * res / lsigma
@@ -112,7 +115,7 @@ def log_likelihood(view: Any, beams: Any, pose: Any, reach: int, lsigma: float, 
             continue
         u, v = x + c * points[i, 0] - s * points[i, 1], y + s * points[i, 0] + c * points[i, 1]
         w, du, dv, auu, auv, avv = _attraction(
-            table, top, left, log_odds, mean, min_slopes, wall_slope, u, v, reach, narrow
+            table, top, left, log_odds, records, mean, min_slopes, wall_slope, u, v, reach, narrow
         )
         if w > 0:
             d2 = auu * du * du + 2 * auv * du * dv + avv * dv * dv
@@ -145,7 +148,8 @@ def linearize(view: Any, beams: Any, stride: int, pose: Any, reach: int, width: 
     """
     points, weights, res, wall_slope = beams.points, beams.weights, view.resolution, view.wall_slope
     table, top, left = view.table, view.corner[0], view.corner[1]
-    log_odds, mean, min_slopes = view.patches.log_odds, view.patches.mean, view.patches.min_slope
+    log_odds, records = view.patches.log_odds, view.patches.record
+    mean, min_slopes = view.patches.mean, view.patches.min_slope
     c, s = np.cos(pose[2]) / res, np.sin(pose[2]) / res
     x, y = pose[0] / res, pose[1] / res
     H[:] = 0
@@ -156,7 +160,7 @@ def linearize(view: Any, beams: Any, stride: int, pose: Any, reach: int, width: 
             continue
         pu, pv = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
         w, du, dv, auu, auv, avv = _attraction(
-            table, top, left, log_odds, mean, min_slopes, wall_slope, x + pu, y + pv, reach, narrow
+            table, top, left, log_odds, records, mean, min_slopes, wall_slope, x + pu, y + pv, reach, narrow
         )
         if w < 1e-6:
             continue

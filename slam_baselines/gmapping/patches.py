@@ -1,0 +1,150 @@
+"""The patches of maps: 16 x 16 cells each, what was hit in them kept apart.
+
+Most patches are free space, which needs a byte a cell. Where beams ended, eight more: these are kept for
+patches with a hit alone, so that a laser that sees far over open ground costs little.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lirs_wct.arrays import ByteArray, Int32Array
+from slam_baselines.mapping.occupancy_map import UNKNOWN
+
+BITS = 4
+PATCH = 1 << BITS
+"""Cells along the edge of a patch."""
+MASK = PATCH - 1
+ABSENT = -1
+"""Marks, in a table, a patch that nothing was drawn into; in `record`, a patch without hits."""
+MEAN_STEPS = 65536
+"""Steps of a cell's edge in which the mean of the hits in it is kept."""
+MEAN_MEMORY = 32
+"""The mean follows the last so many hits."""
+
+
+class Patches(NamedTuple):
+    """All patches of all maps, one row each, cells in row order; as the kernels need them.
+
+    Attributes:
+        log_odds: (p, 256) int8, steps of STEP, UNKNOWN where no beam came.
+        record: (p,) int32, the record of its hits; ABSENT where none of its cells was hit.
+        owners: (p,) int32, tables that point at the patch; 0 = free.
+        free: (1 + p,) int32, how many patches are free, and then which.
+        hits: (r, 256) uint8, how many beams ended there, up to MEAN_MEMORY.
+        mean: (r, 256, 2) uint16, where they ended on average, MEAN_STEPS east and north of the cell's corner.
+        min_slope: (r, 256) uint8, largest minimum slope of what was hit there, SLOPE_STEP.
+        top: (r, 256) int16, largest height at which it was hit, TOP_STEP.
+        free_records: (1 + r,) int32, how many records are free, and then which.
+    """
+
+    log_odds: NDArray[np.int8]
+    record: Int32Array
+    owners: Int32Array
+    free: Int32Array
+    hits: ByteArray
+    mean: NDArray[np.uint16]
+    min_slope: ByteArray
+    top: NDArray[np.int16]
+    free_records: Int32Array
+
+
+def resized(old: Patches | None, patches: int, records: int) -> Patches:
+    """Return so many patches and records of which the first are the old ones."""
+    cells = PATCH * PATCH
+    new = Patches(
+        np.empty((patches, cells), np.int8),
+        np.full(patches, ABSENT, np.int32),
+        np.zeros(patches, np.int32),
+        np.empty(patches + 1, np.int32),
+        np.empty((records, cells), np.uint8),
+        np.empty((records, cells, 2), np.uint16),
+        np.empty((records, cells), np.uint8),
+        np.empty((records, cells), np.int16),
+        np.empty(records + 1, np.int32),
+    )
+    if old is not None:
+        for name in ("log_odds", "record", "owners", "hits", "mean", "min_slope", "top"):
+            source = getattr(old, name)
+            getattr(new, name)[: len(source)] = source
+    list_free(new)
+    return new
+
+
+def reserved(patches: Patches, needed: int, records: int) -> Patches:
+    """Return patches of which so many, and so many records, are free; the same where they are."""
+    more = [
+        0 if int(free[0]) >= wanted else max(wanted - int(free[0]), (len(free) - 1) // 4)
+        for free, wanted in ((patches.free, needed), (patches.free_records, records))
+    ]
+    if more == [0, 0]:
+        return patches
+    return resized(patches, len(patches.owners) + more[0], len(patches.hits) + more[1])
+
+
+def list_free(patches: Patches) -> None:
+    """Note which patches nobody owns and which records no patch has, the lowest to be taken first."""
+    owned = patches.owners > 0
+    patches.record[~owned] = ABSENT
+    recorded = np.zeros(len(patches.hits), np.bool_)
+    recorded[patches.record[patches.record != ABSENT]] = True
+    for free, taken in ((patches.free, owned), (patches.free_records, recorded)):
+        left = np.flatnonzero(~taken)[::-1]
+        free[0] = len(left)
+        free[1 : 1 + len(left)] = left
+
+
+@njit(cache=True)
+def records_needed(table: Any, patches: Any, hits: int) -> int:
+    """Return how many records one scan into a map may take: copies of shared ones, and one for each hit."""
+    shared = 0
+    for p in table.ravel():
+        if p != ABSENT and patches.record[p] != ABSENT and patches.owners[p] > 1:
+            shared += 1
+    return shared + hits
+
+
+@njit(cache=True)
+def own_patch(table: Any, patches: Any, row: int, col: int) -> Any:
+    """Put a patch of its own, new or copied, at a place of a table; return which."""
+    p = table[row, col]
+    patches.free[0] -= 1
+    q = patches.free[1 + patches.free[0]]
+    patches.record[q] = ABSENT
+    if p == ABSENT:
+        patches.log_odds[q] = UNKNOWN
+    else:
+        patches.owners[p] -= 1
+        patches.log_odds[q] = patches.log_odds[p]
+        source = patches.record[p]
+        if source != ABSENT:
+            target = _free_record(patches)
+            patches.record[q] = target
+            patches.hits[target] = patches.hits[source]
+            patches.mean[target] = patches.mean[source]
+            patches.min_slope[target] = patches.min_slope[source]
+            patches.top[target] = patches.top[source]
+    patches.owners[q] = 1
+    table[row, col] = q
+    return q
+
+
+@njit(cache=True)
+def own_record(patches: Any, p: int) -> Any:
+    """Return the record of a patch's hits, a new one where it has none."""
+    if patches.record[p] == ABSENT:
+        r = _free_record(patches)
+        patches.hits[r] = 0
+        patches.min_slope[r] = 0
+        patches.record[p] = r
+    return patches.record[p]
+
+
+@njit(cache=True)
+def _free_record(patches: Any) -> Any:
+    patches.free_records[0] -= 1
+    return patches.free_records[1 + patches.free_records[0]]
