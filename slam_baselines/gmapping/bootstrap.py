@@ -6,13 +6,10 @@ without it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
-
-import numpy as np
 
 from lirs_wct.arrays import ByteArray
 from lirs_wct.geometry.pose import Pose2, wrap_angle
@@ -24,14 +21,11 @@ from slam_baselines.mapping.bootstrap import register_backwards
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.motion.dead_reckoning import PoseEstimate
+from slam_baselines.motion.gyro_bias import GyroBias, GyroBiasConfig
 from slam_baselines.motion.increment import unbiased
 
 ROUNDS = 2
 """Rounds of each refinement: one sees only the part of the bias that the prior did not pull along."""
-BIAS = math.radians(0.05)
-"""Standard deviation of a gyro's bias before anything is known, rad/s."""
-HEADING = math.radians(0.3)
-"""Standard deviation of the heading at which a scan is registered, radians."""
 
 
 class GyroIncrement(NamedTuple):
@@ -53,11 +47,11 @@ class BiasedRegistration:
     """Registers keyframes in a map of one particle.
 
     Attributes:
-        bias: of the gyro, rad/s.
+        bias: of the gyro.
     """
 
-    def __init__(self, proposer: Proposer, ground_filter: GroundFilter) -> None:
-        self.bias = 0.0
+    def __init__(self, proposer: Proposer, ground_filter: GroundFilter, gyro: GyroBiasConfig) -> None:
+        self.bias = GyroBias.unknown(gyro)
         self._proposer = proposer
         self._ground_filter = ground_filter
 
@@ -70,7 +64,7 @@ class BiasedRegistration:
             reckoned = self.reckoned(keyframes)
             register = partial(self._register, PatchMaps(1, maps.resolution))
             poses = [estimate.pose for estimate in register_backwards(reckoned, register)]
-            self.learn(reckoned, poses)
+            self.learn(keyframes, poses)
         found = [replace(k, pose=pose) for k, pose in zip(keyframes, poses, strict=True)]
         return [replace(k, min_slopes=self._draw(maps, k, k.pose)) for k in found]
 
@@ -79,17 +73,16 @@ class BiasedRegistration:
         path = [Pose2()]
         for keyframe in keyframes[1:]:
             motion = keyframe.motion
-            path.append(path[-1] @ unbiased(motion.reckoned.pose, self.bias, motion.seconds))
+            path.append(path[-1] @ unbiased(motion.reckoned.pose, self.bias.value, motion.seconds))
         return [replace(k, pose=pose) for k, pose in zip(keyframes, path, strict=True)]
 
-    def learn(self, reckoned: Sequence[GmappingKeyframe], poses: Sequence[Pose2]) -> None:
-        """Correct the bias by the trend of what registered headings differ from the reckoned ones."""
-        t = np.cumsum([0.0, *(keyframe.motion.seconds for keyframe in reckoned[1:])])
-        off = np.array([wrap_angle(p.yaw - k.pose.yaw) for p, k in zip(poses, reckoned, strict=True)])
-        t, off = t - t.mean(), off - off.mean()
-        # Maximum a posteriori; the trend is of the bias that is left.
-        pull = self.bias / BIAS**2
-        self.bias -= float((t @ off / HEADING**2 + pull) / (t @ t / HEADING**2 + 1 / BIAS**2))
+    def learn(self, keyframes: Sequence[GmappingKeyframe], poses: Sequence[Pose2]) -> None:
+        """Estimate the bias anew from what registered headings and the gyro as it is disagree about."""
+        self.bias = GyroBias.unknown(self.bias.config)
+        for before, now, keyframe in zip(poses, poses[1:], keyframes[1:], strict=False):
+            motion = keyframe.motion
+            turned = wrap_angle(now.yaw - before.yaw - motion.reckoned.pose.yaw)
+            self.bias = self.bias.learned(turned, motion.seconds)
 
     def _register(
         self, maps: PatchMaps, now: GmappingKeyframe, later: GmappingKeyframe | None, last: PoseEstimate

@@ -11,6 +11,7 @@ from slam_baselines.mapping.bootstrap import BootstrapConfig
 from slam_baselines.mapping.ground_filter import GroundFilterConfig
 from slam_baselines.matching.tracking_monitor import TrackingConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
+from slam_baselines.motion.gyro_bias import GyroBiasConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +37,9 @@ class GmappingConfig(ProposalConfig):
             enter the maps.
         bootstrap: when the first metres on uneven ground are refined.
         ground_filter: separates hits on ground from hits on walls.
+        mahalanobis_gate: a scan that is matched farther from dead reckoning than so many standard deviations
+            does not correct it. On slopes wheels slide by up to four.
+        gyro_bias: what the IMU's data sheet says of its gyro, and how its bias is learned.
 
     Raises:
         ConfigError: a value that is not legal.
@@ -56,10 +60,24 @@ class GmappingConfig(ProposalConfig):
     tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(lost_score=0.3, lost_after=3))
     bootstrap: BootstrapConfig = field(default_factory=lambda: BootstrapConfig(first=2.0))
     ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
+    mahalanobis_gate: float = 8.0
+    gyro_bias: GyroBiasConfig = field(default_factory=GyroBiasConfig)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_above(self, 0, "particles", "srr", "srt", "str", "stt", "ogain", "delta", "maxUrange")
+        require_above(
+            self,
+            0,
+            "particles",
+            "srr",
+            "srt",
+            "str",
+            "stt",
+            "ogain",
+            "delta",
+            "maxUrange",
+            "mahalanobis_gate",
+        )
         require_at_least(self, 0, "linearUpdate", "angularUpdate")
         require_within(self, "[0, 1]", "resampleThreshold")
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.common.stopwatch import Stopwatch
@@ -24,6 +24,7 @@ from slam_baselines.mapping.bootstrap import Bootstrap
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.matching.tracking_monitor import TrackingMonitor
+from slam_baselines.motion.gyro_bias import GyroBias
 from slam_baselines.motion.increment import MotionIncrement
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
 
@@ -43,7 +44,8 @@ class GmappingMapper:
         self._increment = MotionIncrement(c.motion)
         self._tracking = TrackingMonitor(c.tracking)
         self._bootstrap: Bootstrap[GmappingKeyframe] = Bootstrap(c.bootstrap)
-        self._registration = BiasedRegistration(self._filter.proposer, self._ground_filter)
+        self._registration = BiasedRegistration(self._filter.proposer, self._ground_filter, c.gyro_bias)
+        self._bias = GyroBias.unknown(c.gyro_bias)
         self._received = self._lost_scans = 0
         self._stopwatch = Stopwatch()
 
@@ -128,7 +130,7 @@ class GmappingMapper:
         found = self._filter.match_best(
             self._beams(scan), self._increment, self._ground_filter.match_wall_slope
         )
-        if found is not None:
+        if found is not None and self._increment.distance_from(found) <= self.config.mahalanobis_gate:
             self._increment.pose = found
 
     def _process(self, scan: LeveledScan) -> None:
@@ -137,6 +139,7 @@ class GmappingMapper:
         if particles.tree.generations:
             wall_slope = self._ground_filter.match_wall_slope
             self._tracking.observe(*particles.sample_poses(self._beams(scan), motion, wall_slope))
+            self._learn_bias(motion)
         particles.add_generation(motion.pose)
         come = GyroIncrement(motion.reckoned, motion.seconds)
         motion.begin()
@@ -144,6 +147,13 @@ class GmappingMapper:
         if self._tracking.fits or (scan.leveled and not self._bootstrap.over):
             self._enter(scan, come)
         particles.resample()
+
+    def _learn_bias(self, motion: MotionIncrement) -> None:
+        """Learn the gyro's bias on, once the start is refined: before, too few walls are known."""
+        if self._bootstrap.refinements and self._tracking.fits and motion.seconds > 0:
+            turned = self._filter.turned - motion.reckoned.pose.yaw
+            self._bias = self._bias.learned(wrap_angle(turned), motion.seconds)
+            motion.bias = self._bias.value
 
     def _beams(self, scan: LeveledScan) -> Beams:
         """Return the scan's hits, weighted by whether they are known for walls."""
@@ -163,5 +173,6 @@ class GmappingMapper:
         if bootstrap.add(keyframe, ground.distance_traveled) and ground.match_wall_slope > 0:
             maps = PatchMaps(1, self.config.delta)
             bootstrap.replace(self._registration.refined(bootstrap.keyframes, maps))
-            self._increment.bias = self._registration.bias
+            self._bias = self._registration.bias
+            self._increment.bias = self._bias.value
             self._filter.restart([k.pose for k in bootstrap.keyframes], maps)

@@ -31,6 +31,7 @@ class ParticleFilter:
         tree: their paths.
         proposer: of new poses.
         best: index of the particle with the largest total weight.
+        turned: by the best particle from the last processed scan but one to the last, radians.
         resamplings: number of resamplings.
     """
 
@@ -42,6 +43,7 @@ class ParticleFilter:
         self.maps = PatchMaps(n, config.delta)
         self.tree = TrajectoryTree()
         self.best = self.resamplings = 0
+        self.turned = 0.0
         self._poses = np.zeros((n, 3))
         self._parents = np.arange(n)
         self._log_weights, self._totals = np.zeros(n), np.zeros(n)
@@ -72,10 +74,11 @@ class ParticleFilter:
         odometry = propagated(self._poses, increment.pose, increment.reckoned.covariance)
         proposal = self.proposer.propose(self.maps, beams, wall_slope, odometry, self.best, self._rng)
         gain = 1 / (c.ogain * c.particles)
-        self._poses = proposal.poses
+        before, self._poses = self._poses, proposal.poses
         self._log_weights += gain * proposal.log_eta
         self._totals += gain * proposal.log_eta
         self.best = int(np.argmax(self._totals))
+        self.turned = float(self._poses[self.best, 2] - before[self.best, 2])
         return float(proposal.hit_ratio[self.best]), float(proposal.known_ratio[self.best])
 
     def add_generation(self, step: Pose2) -> None:

@@ -14,6 +14,8 @@ from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, Po
 GYRO = 5e-4
 """Random walk of a gyro's yaw once its bias is taken out: standard deviation after one second, radians."""
 
+POSITION, HEADING = 0.05, math.radians(0.5)
+"""Standard deviations of a registered scan's pose, metres and radians."""
 STILL = 1e-9
 """Metres and radians up to which a step is none."""
 
@@ -61,6 +63,16 @@ class MotionIncrement:
         self.distance += math.hypot(delta.x, delta.y)
         self.turn += abs(delta.yaw)
         return delta
+
+    def distance_from(self, pose: Pose2) -> float:
+        """Return the Mahalanobis distance of `T_begin_now` from dead reckoning, less the gyro's bias.
+
+        The poses at which the step begins and ends are those of registered scans, with their own errors.
+        """
+        off = unbiased(self.reckoned.pose, self.bias, self.seconds).inverse() @ pose
+        d = np.array((off.x, off.y, off.yaw))
+        covariance = self.reckoned.covariance + np.diag((POSITION**2, POSITION**2, HEADING**2))
+        return math.sqrt(float(d @ np.linalg.solve(covariance, d)))
 
     def _compare(self, turn: float, rate: float, seconds: float) -> None:
         """Believe the heading as a gyro deserves, less what gyro and odometry disagree about since `begin`.

@@ -14,6 +14,7 @@ from slam_baselines.gmapping.proposal import ProposalConfig, Proposer
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.motion.dead_reckoning import PoseEstimate
+from slam_baselines.motion.gyro_bias import GyroBiasConfig
 from slam_baselines.motion.increment import unbiased
 from slam_baselines.scan.leveling import LeveledScan
 
@@ -30,15 +31,16 @@ def test_the_bias_is_learnt_from_where_the_walls_put_the_scans(bias: float) -> N
         motion = GyroIncrement(PoseEstimate(step, np.eye(3)), seconds)
         return Keyframe(scan, Pose2(), 0.0, np.empty(0, np.uint8), motion)
 
-    registration, truth = BiasedRegistration(Proposer(ProposalConfig()), GroundFilter()), [Pose2()]
+    gyro = GyroBiasConfig(prior=2 * BIAS, walk=math.radians(0.01))
+    registration, truth = BiasedRegistration(Proposer(ProposalConfig()), GroundFilter(), gyro), [Pose2()]
     keyframes = [keyframe(Pose2(), 0.0)]
     for _ in range(30):
         step = Pose2(1.0, 0, float(rng.normal(0, 0.3)))
         truth.append(truth[-1] @ step)
         keyframes.append(keyframe(unbiased(step, -bias, 1.2), 1.2))
     noisy = [Pose2(p.x, p.y, p.yaw + float(rng.normal(0, math.radians(0.2)))) for p in truth]
-    registration.learn(registration.reckoned(keyframes), noisy)
-    assert registration.bias == pytest.approx(bias, abs=math.radians(0.008))
+    registration.learn(keyframes, noisy)
+    assert registration.bias.value == pytest.approx(bias, abs=math.radians(0.008))
 
 
 def test_the_map_of_a_hilly_world_is_not_turned() -> None:

@@ -13,6 +13,7 @@ from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.gmapping.mapper import GmappingConfig, GmappingMapper
 from slam_baselines.gmapping.trajectory_tree import TrajectoryTree
 from slam_baselines.mapper import Mapper, make_mapper
 
@@ -157,6 +158,18 @@ def test_between_processed_scans_the_error_is_spread() -> None:
     tree.add_generation(np.array([[1.0, 0.4, 0.0]]), np.zeros(1, np.int64), Pose2(1, 0, 0))
     tree.add_scan(4.0, Pose2())
     np.testing.assert_allclose(tree.trajectory(0).xy[:, 1], (0, 0.1, 0.2, 0.3, 0.4), atol=1e-12)
+
+
+def test_a_match_far_from_dead_reckoning_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a slope with few walls one scan was matched 1.6 m away, and the map went on from there."""
+    rng, mapper = np.random.default_rng(3), GmappingMapper(GmappingConfig(particles=3, seed=1))
+    poses = [Pose2(0.05 * k) for k in range(40)]
+    for k, pose in enumerate(poses[:30]):
+        mapper.update(scan_at(pose, 0.1 * k, rng), pose, None)
+    monkeypatch.setattr(mapper._filter, "match_best", lambda *_: Pose2(-1.6))
+    for k, pose in enumerate(poses[30:], 30):
+        found = mapper.update(scan_at(pose, 0.1 * k, rng), pose, None)
+        assert found.distance(pose) < 0.1
 
 
 @pytest.mark.shared

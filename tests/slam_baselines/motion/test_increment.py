@@ -64,3 +64,13 @@ def test_unbiased_undoes_a_constant_turn() -> None:
     for _ in range(1000):
         bent = bent @ Pose2(0.001, 0, 0.05 * 0.002)
     np.testing.assert_allclose(unbiased(bent, 0.05, 2.0).as_array(), (1, 0, 0), atol=1e-3)
+
+
+def test_the_distance_from_dead_reckoning_is_in_standard_deviations() -> None:
+    """After 4 m at 5 cm a metre 10 cm of odometry and 5 cm of registration: 11 cm is one."""
+    step = MotionIncrement(MotionConfig(translation_per_meter=0.05))
+    for k in range(5):
+        step.add_odometry(Pose2(float(k)), None, float(k))
+    assert step.distance_from(Pose2(4.0)) == pytest.approx(0.0, abs=1e-9)
+    assert step.distance_from(Pose2(4.0, 0.112)) == pytest.approx(1.0, rel=0.05)
+    assert step.distance_from(Pose2(2.4)) > 10
