@@ -452,3 +452,13 @@ def test_heights_of_a_few_millimetres_are_scaled_like_any_other(tmp_path: Path) 
     own = tiff(tmp_path / "b.tif", (RAMP / 4096).astype(np.float32), scale=(1.0, 1.0, 0.0))
     np.testing.assert_allclose(read(own).z, RAMP / 4096, rtol=1e-5)
     np.testing.assert_allclose(read(own, height=2.0).z, RAMP / 11 * 2, rtol=1e-5)
+
+
+def test_smoothed_heights_start_at_zero_too(tmp_path: Path) -> None:
+    """A smoothed pit is less deep: its bottom is the lowest point all the same."""
+    heights = np.full((21, 25), 40, np.float32)
+    heights[10, 12] = 0.0
+    path = tiff(tmp_path / "a.tif", heights, scale=(1.0, 1.0, 0.0))
+    z = read(path, smoothing=1).z
+    assert z.min() == z[10, 12] == 0.0
+    assert 0 < z.max() < 40
