@@ -7,14 +7,16 @@ hand, so that the rarely used parts (wider search, loop closure) are compiled to
 from __future__ import annotations
 
 import math
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
+from lirs_wct.errors import unknown_name
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
-from slam_baselines.mapper import make_mapper
+from slam_baselines.mapper import MAPPERS, make_mapper
 
 BEAMS, FOV, RANGE = 541, math.radians(270), 20.0
 CORNERS = np.array(
@@ -29,6 +31,8 @@ RADIUS, STEP = 2.2, 0.12
 def warm_up(name: str, **config: Any) -> None:
     """Run a mapper through the warm-up, on a floor and on uneven ground, and forget what it mapped.
 
+    A method's module may name in `WARM_UP` the configuration with which the warm-up reaches all kernels.
+
     Args:
         name: one of MAPPERS.
         **config: fields of the method's configuration, to make the warm-up shorter.
@@ -36,6 +40,9 @@ def warm_up(name: str, **config: Any) -> None:
     Raises:
         ConfigError: no mapper has that name, or its configuration no such field.
     """
+    if name not in MAPPERS:
+        raise unknown_name("mapper", name, MAPPERS)
+    config = {**getattr(import_module(MAPPERS[name].module), "WARM_UP", {}), **config}
     for uneven in (False, True):
         mapper = make_mapper(name, **config)
         start = _on_circle(0.0)

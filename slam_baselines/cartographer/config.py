@@ -19,6 +19,7 @@ from slam_baselines.matching.registration import RegistrationConfig
 from slam_baselines.matching.tracking_monitor import TrackingConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
 from slam_baselines.motion.motion_filter import MotionFilterConfig
+from slam_baselines.scan.interpolation import InterpolationConfig
 
 SUBMAP_REGISTRATION = RegistrationConfig(
     match=MatchConfig(exact=True),
@@ -55,7 +56,7 @@ class SubmapConfig:
     """
 
     num_range_data: int = 60
-    max_distance: float = 15.0
+    max_distance: float = 20.0
     resolution: float = 0.05
     levels: int = 3
     search_level: int = 1
@@ -76,6 +77,9 @@ class LocalConfig:
     Attributes:
         submaps: their size and resolution.
         motion_filter: motion after which a scan enters them.
+        sparse_distance: distance traveled between two such scans from which on the hits of the later one are
+            interpolated, metres.
+        interpolation: of hits along surfaces.
         motion: errors of the odometry.
         registration: of a scan in the matching submap.
         ground_filter: separates hits on ground from hits on walls.
@@ -85,11 +89,14 @@ class LocalConfig:
         tracking: mean occupancy at the ends of the beams below which a scan enters no submap.
 
     Raises:
-        ConfigError: the tracking's lost_score above the registration's search_threshold.
+        ConfigError: the tracking's lost_score above the registration's search_threshold, or a
+            sparse_distance that is not above 0.
     """
 
     submaps: SubmapConfig = field(default_factory=SubmapConfig)
     motion_filter: MotionFilterConfig = field(default_factory=MotionFilterConfig)
+    sparse_distance: float = 0.4
+    interpolation: InterpolationConfig = field(default_factory=InterpolationConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
     registration: RegistrationConfig = SUBMAP_REGISTRATION
     ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
@@ -100,6 +107,7 @@ class LocalConfig:
     def __post_init__(self) -> None:
         legal = f"(0, {self.registration.search_threshold}]"
         require_within(self.tracking, legal, "lost_score", of="the tracking")
+        require_above(self, 0, "sparse_distance", of="local SLAM")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,6 +116,7 @@ class CandidateConfig:
 
     Attributes:
         sampling_ratio: share of the nodes that are searched for in the submaps around them.
+        sampling_distance: distance traveled in which at least one node is searched for, metres.
         max_constraint_distance: largest distance of a node from a submap's nodes, metres.
         found_per_pair: loops after which no more are searched for between two submaps.
         tries_per_pair: searches after which no more are made between two submaps.
@@ -118,6 +127,7 @@ class CandidateConfig:
     """
 
     sampling_ratio: float = 0.2
+    sampling_distance: float = 2.0
     max_constraint_distance: float = 12.0
     found_per_pair: int = 8
     tries_per_pair: int = 8
@@ -280,6 +290,10 @@ class GlobalConfig:
         searches_per_update: most loop searches in one update.
         matcher_translation_error: standard deviation of a node's position in its submap, metres.
         matcher_rotation_error: standard deviation of a node's yaw in its submap, radians.
+        drift_translation: standard deviation of the error that local SLAM makes from one node to the next a
+            metre on, metres. It grows with that distance to the power of 3/2: the farther apart, the less do
+            two scans see of the same.
+        drift_rotation: the same of yaw, radians.
 
     Raises:
         ConfigError: a value that is not above 0.
@@ -294,6 +308,8 @@ class GlobalConfig:
     searches_per_update: int = 1
     matcher_translation_error: float = 0.03
     matcher_rotation_error: float = 0.01
+    drift_translation: float = 0.03
+    drift_rotation: float = 0.004
 
     def __post_init__(self) -> None:
         require_above(self, 0, *_numbers(self), of="the graph")

@@ -7,6 +7,8 @@ searches and at most one step of an optimization; its result is applied when it 
 
 from __future__ import annotations
 
+from copy import copy, deepcopy
+
 import numpy as np
 
 from lirs_wct.geometry.pose import Pose2
@@ -69,11 +71,15 @@ class GlobalSlam:
         self._optimized_at = (0, 0)
         self._loops_at_start = self._rows_optimized = 0
         self._sampled = 0.0
+        self._drift: list[float] = []
         self._finished: list[int] = []
+        self._ended: tuple[tuple[int, int, int, bool], list[Pose2], Pose2] | None = None
         self._since_submap = NOWHERE
         self._constrained_at: dict[int, list[float]] = {}
         t, r = config.matcher_translation_error, config.matcher_rotation_error
         self._matcher_covariance = np.diag((t**2, t**2, r**2))
+        t, r = config.drift_translation, config.drift_rotation
+        self._drift_covariance = np.diag((t**2, t**2, r**2))
 
     def add_node(self, node: Node) -> None:
         """Add a node with its constraints to the submaps that it entered, and its candidates for loops."""
@@ -82,8 +88,11 @@ class GlobalSlam:
         self.poses.append(self.T_map_local @ node.pose)
         while len(self.submap_poses) < len(submaps):
             self.submap_poses.append(self.T_map_local @ submaps[len(self.submap_poses)].pose)
-        information = inverted(self._matcher_covariance + node.covariance)
+        step = node.distance_traveled - self.nodes[index - 1].distance_traveled if index > 0 else 0.0
+        self._drift.append((self._drift[-1] if index > 0 else 0.0) + step**3)
         for i in node.submaps:
+            drift = self._drift_covariance * (self._drift[index] - self._drift[submaps[i].nodes[0]])
+            information = inverted(self._matcher_covariance + drift + node.covariance)
             z = (submaps[i].pose.inverse() @ node.pose).as_array()
             in_submap = in_axes_of(submaps[i].pose, information)
             self._to_nodes.append(PoseConstraint(i, index, z, in_submap, robust=False))
@@ -115,19 +124,50 @@ class GlobalSlam:
             if solution.converged:
                 self._running = None
                 self._apply_solution(solution)
+                if self.trimmer.trimming_due():
+                    self._trim_submaps()
 
     def optimized_poses(self) -> tuple[list[Pose2], Pose2]:
-        """Return the nodes' poses and `T_map_local` after optimizing to the end; changes nothing."""
-        if self._optimized_at[1] == len(self.loops) and self._running is None:
-            return self.poses, self.T_map_local
-        solution = optimize(*self._start_optimization())
-        poses = [Pose2(*p) for p in solution.nodes.tolist()]
-        return poses, poses[-1] @ self.nodes[-1].pose.inverse()
+        """Return the nodes' poses and `T_map_local` as if the drive ended here; changes nothing.
+
+        That is after all searches that wait, and after optimizing to the end.
+        """
+        state = len(self.nodes), self.builder.counts.searched, self.optimizations, self._running is None
+        if self._ended is None or self._ended[0] != state:
+            end = self._copy()
+            end._finish()
+            self._ended = state, end.poses, end.T_map_local
+        return self._ended[1], self._ended[2]
+
+    def _copy(self) -> GlobalSlam:
+        """Return a graph over the same nodes and submaps that is searched and optimized on its own."""
+        same = copy(self)
+        same.nodes, same.loops, same.events = self.nodes.copy(), self.loops.copy(), self.events.copy()
+        same._to_nodes, same._finished = self._to_nodes.copy(), self._finished.copy()
+        same._constrained_at = {submap: at.copy() for submap, at in self._constrained_at.items()}
+        same.builder, same.candidates = deepcopy(self.builder), deepcopy(self.candidates)
+        same._verification = deepcopy(self._verification)
+        return same
+
+    def _finish(self) -> None:
+        """Do all searches that wait, optimize whenever a share of them has found loops, and once more."""
+        while True:
+            for _ in range(self.config.optimize_every_n_nodes):
+                candidate = self.candidates.next_candidate()
+                if candidate is None:
+                    break
+                self._search_loop(*candidate)
+            if self._optimized_at[1] < len(self.loops) or self._running is not None:
+                self._running, self._loops_at_start = None, len(self.loops)
+                self._apply_solution(optimize(*self._start_optimization()))
+                self._rows_optimized = len(self._to_nodes)
+            if candidate is None:
+                break
 
     def _add_candidates(self, index: int, node: Node) -> None:
         """Queue pairs of nodes and finished submaps that may see the same place."""
         submaps = self._local.submaps.all
-        self._sampled += self.config.candidates.sampling_ratio
+        self._sampled += self._samples(index)
         if self._sampled >= 1:
             self._sampled -= 1
             for i in self._finished:
@@ -137,10 +177,20 @@ class GlobalSlam:
             self._finished.append(first)
             self.trimmer.add_finished_submap(first, submaps[first])
             own = set(submaps[first].nodes)
-            stride = max(1, round(1 / self.config.candidates.sampling_ratio))
-            for j in range(0, index, stride):
+            samples = 1.0 - self._samples(0)
+            for j in range(index):
+                samples += self._samples(j)
+                if samples < 1:
+                    continue
+                samples -= 1
                 if j not in own and not self.nodes[j].trimmed:
                     self._add_candidate_if_near(j, first, new_node=False)
+
+    def _samples(self, node: int) -> float:
+        """Return the number of nodes, up to 1, that are to be searched for because a node was added."""
+        c, before = self.config.candidates, self.nodes[max(0, node - 1)]
+        step = self.nodes[node].distance_traveled - before.distance_traveled
+        return max(c.sampling_ratio, min(1.0, step / c.sampling_distance))
 
     def _add_candidate_if_near(self, node: int, submap: int, *, new_node: bool) -> None:
         pose, near = self.poses[node], self.config.candidates.max_constraint_distance
@@ -229,5 +279,3 @@ class GlobalSlam:
         submaps = [Pose2(*p) for p in solution.submaps.tolist()]
         newer = self._local.submaps.all[len(submaps) :]
         self.submap_poses = submaps + [self.T_map_local @ submap.pose for submap in newer]
-        if self.trimmer.trimming_due():
-            self._trim_submaps()

@@ -24,6 +24,7 @@ from slam_baselines.matching.registration import Registration
 from slam_baselines.matching.tracking_monitor import TrackingMonitor
 from slam_baselines.motion.dead_reckoning import DeadReckoning, PoseEstimate
 from slam_baselines.motion.motion_filter import MotionFilter
+from slam_baselines.scan.interpolation import interpolate_hits
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler, ScanPoints
 
 
@@ -55,7 +56,7 @@ class LocalSlam:
         self._since_node = DeadReckoning(config.motion)
         self._increment = NOWHERE
         self._tracking = TrackingMonitor(config.tracking)
-        self._distance_traveled = 0.0
+        self._distance_traveled = self._drawn_at = 0.0
         self._filter = MotionFilter(config.motion_filter)
 
     @property
@@ -130,9 +131,12 @@ class LocalSlam:
         """Draw the scan into the submaps."""
         pose, height, ground_filter = self.estimate.pose, self.ground_filter.height, self.ground_filter
         placed, min_slopes = ground_filter.insert(scan, pose)
-        entered = self.submaps.insert_range_data(
-            self.nodes, pose, placed, min_slopes, ground_filter.match_wall_slope
-        )
+        drawn = placed, min_slopes
+        if self._distance_traveled - self._drawn_at >= self.config.sparse_distance:
+            spacing = self.config.submaps.resolution
+            drawn = interpolate_hits(placed, min_slopes, spacing, self.config.interpolation)
+        self._drawn_at = self._distance_traveled
+        entered = self.submaps.insert_range_data(self.nodes, pose, *drawn, ground_filter.match_wall_slope)
         step, self._increment = self._increment, NOWHERE
         self.nodes += 1
         self._filter.note(scan, pose)

@@ -10,7 +10,13 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.cartographer.config import CartographerConfig
+from slam_baselines.cartographer.config import (
+    CartographerConfig,
+    ConstraintConfig,
+    GlobalConfig,
+    LocalConfig,
+    SubmapConfig,
+)
 from slam_baselines.cartographer.global_slam import GlobalSlam
 from slam_baselines.cartographer.local_slam import LocalSlam
 from slam_baselines.cartographer.localization import CartographerLocalizer, KnownMap
@@ -21,6 +27,12 @@ from slam_baselines.common.stopwatch import Stopwatch
 from slam_baselines.mapper import Mapper, MapperStats, required_odometry
 from slam_baselines.mapping.bootstrap import Bootstrap
 from slam_baselines.mapping.keyframe_trajectory import KeyframeTrajectory
+
+WARM_UP = {
+    "local": LocalConfig(submaps=SubmapConfig(num_range_data=20), sparse_distance=0.1),
+    "graph": GlobalConfig(constraints=ConstraintConfig(linear_start=1.0), optimize_every_n_nodes=5),
+}
+"""Configuration with which a short drive reaches every kernel: small submaps, searched in a wide window."""
 
 
 def make_cartographer(config: CartographerConfig) -> Mapper:

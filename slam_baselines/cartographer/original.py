@@ -55,12 +55,17 @@ LOCAL = LocalConfig(
         rotation_weight=40.0,
     ),
     tracking=TrackingConfig(lost_score=NEVER),
+    sparse_distance=math.inf,
 )
 """trajectory_builder_2d.lua: submaps, motion_filter, ceres_scan_matcher; no real-time correlative matcher."""
 
 GRAPH = GlobalConfig(
     candidates=CandidateConfig(
-        sampling_ratio=0.3, max_constraint_distance=15.0, found_per_pair=ALWAYS, tries_per_pair=ALWAYS
+        sampling_ratio=0.3,
+        sampling_distance=math.inf,
+        max_constraint_distance=15.0,
+        found_per_pair=ALWAYS,
+        tries_per_pair=ALWAYS,
     ),
     constraints=ConstraintConfig(
         min_score=0.55,
@@ -77,6 +82,8 @@ GRAPH = GlobalConfig(
     ),
     verification=LoopVerificationConfig(max_translation=math.inf, max_rotation=math.inf),
     trimming=TrimmingConfig(min_added_submaps_count=ALWAYS),
+    drift_translation=NEVER,
+    drift_rotation=NEVER,
     optimize_every_n_nodes=90,
 )
 """pose_graph.lua: constraint_builder, optimize_every_n_nodes."""

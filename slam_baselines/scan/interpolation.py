@@ -1,0 +1,99 @@
+"""Hits interpolated along surfaces: where beams are farther apart than cells, a wall is still a wall.
+
+A single scan draws a far wall as dots. Where scans are dense, the next ones fill the gaps; where the robot
+travels a metre between two scans, the dots would be all there is to match to, and they pull the next scan's
+dots onto themselves.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from lirs_wct.arrays import ByteArray
+from lirs_wct.field_validators import require_above, require_within
+from slam_baselines.scan.leveling import ScanPoints
+
+
+@dataclass(frozen=True, kw_only=True)
+class InterpolationConfig:
+    """Which neighboring hits belong to one surface.
+
+    Attributes:
+        max_gap: largest distance between them, metres.
+        max_obliqueness: largest ratio of that distance to what the two beams are apart there.
+        max_bend: largest angle between their line and that through the hit before or after, radians.
+
+    Raises:
+        ConfigError: a value that is not above 0, or a ratio below 1.
+    """
+
+    max_gap: float = 1.0
+    max_obliqueness: float = 3.0
+    max_bend: float = 0.35
+
+    def __post_init__(self) -> None:
+        require_above(self, 0, "max_gap", "max_bend", of="the interpolation")
+        require_within(self, "[1, inf)", "max_obliqueness", of="the interpolation")
+
+
+def interpolate_hits(
+    scan: ScanPoints, min_slopes: ByteArray, spacing: float, config: InterpolationConfig
+) -> tuple[ScanPoints, ByteArray]:
+    """Return the scan with hits at most `spacing` apart along each surface, and their minimum slopes.
+
+    Args:
+        scan: in any frame; its hits in the order of the beams.
+        min_slopes: (n,) of each hit; a hit between two others has the smaller of theirs.
+        spacing: metres.
+        config: which hits belong to one surface.
+    """
+    c, count = config, np.zeros(len(scan.hits), np.int64)
+    limits = c.max_gap, c.max_obliqueness, math.cos(c.max_bend)
+    _count_between(scan.origin, scan.hits, spacing, limits, count)
+    if not count.any():
+        return scan, min_slopes
+    hits, slopes = np.empty((len(count) + count.sum(), 3)), np.empty(len(count) + count.sum(), np.uint8)
+    _fill(scan.hits, min_slopes, count, hits, slopes)
+    return ScanPoints(scan.origin, hits, scan.free), slopes
+
+
+@njit(cache=True)
+def _count_between(origin: Any, hits: Any, spacing: float, limits: Any, count: Any) -> None:
+    """Fill `count` (n,) with the number of hits to insert after each."""
+    max_gap, max_obliqueness, straight = limits
+    n = len(hits)
+    for i in range(n - 1):
+        dx, dy = hits[i + 1, 0] - hits[i, 0], hits[i + 1, 1] - hits[i, 1]
+        gap = np.hypot(dx, dy)
+        if gap <= spacing or gap > max_gap:
+            continue
+        ax, ay = hits[i, 0] - origin[0], hits[i, 1] - origin[1]
+        bx, by = hits[i + 1, 0] - origin[0], hits[i + 1, 1] - origin[1]
+        apart = abs(ax * by - ay * bx) / max(np.hypot(ax, ay), np.hypot(bx, by), 1e-6)
+        if gap > max_obliqueness * apart:
+            continue
+        for j, k in ((i - 1, i), (i + 1, i + 2)):
+            if j < 0 or k >= n:
+                continue
+            ex, ey = hits[k, 0] - hits[j, 0], hits[k, 1] - hits[j, 1]
+            length = np.hypot(ex, ey)
+            if 0 < length <= 2 * max_gap and dx * ex + dy * ey >= straight * gap * length:
+                count[i] = int(gap / spacing)
+
+
+@njit(cache=True)
+def _fill(hits: Any, slopes: Any, count: Any, out: Any, out_slopes: Any) -> None:
+    """Copy hits (n, 3) and slopes (n,), and insert `count` (n,) evenly spaced ones after each."""
+    m = 0
+    for i in range(len(hits)):
+        out[m], out_slopes[m] = hits[i], slopes[i]
+        m += 1
+        for k in range(count[i]):
+            out[m] = hits[i] + (k + 1) / (count[i] + 1) * (hits[i + 1] - hits[i])
+            out_slopes[m] = min(slopes[i], slopes[i + 1])
+            m += 1

@@ -1,0 +1,56 @@
+"""After the warm-up no update compiles: every kernel has met the types that it will meet."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+DRIVE = """
+import sys
+import numpy as np
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.scan import Imu
+from slam_baselines.mapper import make_mapper
+from slam_baselines.warm_up import warm_up
+from tests.slam_baselines.cartographer.corridor import corridor_scan, ring
+from tests.slam_baselines.synthetic import loop, room_scan
+
+def kernels():
+    return {
+        f"{module}.{name}": set(kernel.signatures)
+        for module, held in list(sys.modules.items()) if module.startswith("slam_baselines")
+        for name, kernel in vars(held).items() if hasattr(kernel, "py_func")
+    }
+
+name = sys.argv[1]
+warm_up(name)
+before, rng = kernels(), np.random.default_rng(0)
+sparse, dense = (corridor_scan, ring(0.5, 0.8), 0.0), (corridor_scan, ring(1.3), 0.0)
+for see, poses, tilt in (sparse, dense, (room_scan, loop(150), 0.05)):
+    mapper = make_mapper(name)
+    for i, pose in enumerate(poses):
+        slipped = poses[0].inverse() @ pose @ Pose2(0.6 if i > 60 else 0.0, 0.3 if i > 60 else 0.0, 0.002 * i)
+        imu = Imu(roll=tilt * np.sin(i / 9), pitch=tilt, stamp=0.2 * i) if tilt else None
+        mapper.update(see(pose, 0.2 * i, rng), slipped, imu)
+after = kernels()
+print(len(after))
+print(*(key for key in after if after[key] != before.get(key)))
+"""
+
+
+@pytest.mark.parametrize("name", ["hector", "cartographer"])
+def test_no_update_compiles_after_the_warm_up(name: str) -> None:
+    root = Path(__file__).parents[2]
+    path = os.pathsep.join((str(root), str(root / "envs"), os.environ.get("PYTHONPATH", "")))
+    done = subprocess.run(
+        [sys.executable, "-c", DRIVE, name], cwd=root, capture_output=True, text=True, timeout=600,
+        env=os.environ | {"PYTHONPATH": path},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    count, compiled = done.stdout.splitlines()[:2]
+    assert int(count) > 10
+    assert compiled == ""
