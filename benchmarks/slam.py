@@ -6,8 +6,8 @@ Intel Research Lab: relative-relation metric of Kuemmerle et al. 2009, once over
 those of which both stamps are those of scans (to 1 ms); the floor of these relations is about .015 m. MIT
 CSAIL, Orebro and Edmonton (a scan a metre): absolute error against reference poses, after rigid alignment.
 One thread, CPU time, compilation apart; every row in a process of its own, MB is what it grows by while
-driving. `--quick` drives a fifth of each log with one seed. The originals' figures were measured on 2 cores of
-an AMD EPYC and are noisy by 30-50 %.
+driving. `--quick` drives a fifth of each log with one seed. The originals' figures were measured on 2 cores
+of an AMD EPYC and are noisy by 30-50 %.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ print(*(key for key in after if after[key] != before.get(key)))
 """
 
 
-@pytest.mark.parametrize("name", ["hector", "cartographer"])
+@pytest.mark.parametrize("name", ["hector", "gmapping", "cartographer"])
 def test_no_update_compiles_after_the_warm_up(name: str) -> None:
     root = Path(__file__).parents[2]
     path = os.pathsep.join((str(root), str(root / "envs"), os.environ.get("PYTHONPATH", "")))
