@@ -18,7 +18,6 @@ WITH_RESULTS = (
     "imu.csv.gz",
     "rtf.csv",
     "commands.csv",
-    "commands.csv",
 )
 """Of a run that drove."""
 WITHOUT = ("record.json", "error.txt")

@@ -236,7 +236,9 @@ def test_a_mapper_of_your_own(room: Path, tmp_path: Path, monkeypatch: pytest.Mo
     assert mapped.record.name.startswith("room-Still-s1-")
     with pytest.raises(MapperError, match=r"must return a Pose2, got NoneType"):
         map_log(room / "room.clf", mapper="wct_bad_log_mapper:Still")
-    with pytest.raises(ConfigError, match=r"resolution can be given for hector, .*, cartographer only"):
+    with pytest.raises(
+        ConfigError, match=r"resolution can be given for hector, .*, cartographer_original only"
+    ):
         map_log(room / "room.clf", mapper="wct_own_log_mapper:Still", resolution=0.1)
     needy = OWN.replace("lost = False", "lost, requires_odometry = False, True").replace("ANSWER", "Pose2()")
     (tmp_path / "wct_needy_log_mapper.py").write_text(needy)
