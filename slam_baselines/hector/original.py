@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
+from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above, require_at_least, require_within
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, wrap_angle
@@ -32,6 +33,8 @@ class HectorOriginalConfig:
 
     Attributes:
         map_resolution: edge of a cell of the finest level, metres.
+        map_size: cells along an edge of the finest level, with the start in its middle. Beams that leave the
+            map are not drawn and not matched; outside, the estimate follows the odometry.
         map_multi_res_levels: number of levels, each twice as coarse as the one before.
         map_update_distance_thresh: distance to the last map update after which the next is due, metres.
         map_update_angle_thresh: the same for the heading, radians.
@@ -41,10 +44,12 @@ class HectorOriginalConfig:
         laser_max_dist: farther hits are not used, metres.
 
     Raises:
-        ConfigError: a length that is not above 0, or a probability on the wrong side of 0.5.
+        ConfigError: a length that is not above 0, a map size that cannot be halved for each level, or a
+            probability on the wrong side of 0.5.
     """
 
     map_resolution: float = 0.05
+    map_size: int = 2048
     map_multi_res_levels: int = 3
     map_update_distance_thresh: float = 0.4
     map_update_angle_thresh: float = 0.9
@@ -56,6 +61,11 @@ class HectorOriginalConfig:
     def __post_init__(self) -> None:
         require_above(self, 0, "map_resolution", "laser_max_dist", unit="m")
         require_at_least(self, 1, "map_multi_res_levels")
+        multiple = 2**self.map_multi_res_levels
+        if self.map_size < multiple or self.map_size % multiple:
+            raise ConfigError(
+                f"map_size must be a multiple of {multiple} (2^map_multi_res_levels), got {self.map_size}"
+            )
         require_at_least(self, 0, "map_update_distance_thresh", "map_update_angle_thresh", "laser_min_dist")
         require_within(self, "(0, 0.5)", "update_factor_free")
         require_within(self, "(0.5, 1)", "update_factor_occupied")
@@ -76,7 +86,7 @@ class HectorOriginalMapper:
         self.config = c = config or HectorOriginalConfig()
         odds = [math.log(p / (1 - p)) for p in (c.update_factor_free, c.update_factor_occupied)]
         self._levels = [
-            OriginalMap(c.map_resolution * 2**level, odds[0], odds[1])
+            OriginalMap(c.map_resolution * 2**level, c.map_size >> level, odds[0], odds[1])
             for level in range(c.map_multi_res_levels)
         ]
         self._pose = Pose2()

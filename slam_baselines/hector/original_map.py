@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.common.linalg import solve3
 from slam_baselines.mapping.bresenham import line_cells
-from slam_baselines.mapping.growing_grid import GrowingGrid
 
 MOST = 50.0
 """Log-odds from which on a cell is raised no more."""
@@ -22,36 +21,42 @@ LARGEST_TURN = 0.2
 
 
 class OriginalMap:
-    """A growing map of log-odds, 0 where no beam came; a scan changes each cell once.
+    """A square map of log-odds, 0 where no beam came; a scan changes each cell once.
 
-    As in the original, cell (0, 0) has its center in the origin.
+    As in the original, the size is fixed, the start is the center of cell (size / 2, size / 2), and a beam is
+    drawn only where both its ends are inside.
     """
 
-    def __init__(self, resolution: float, miss: float, hit: float) -> None:
-        """Start empty; `miss` and `hit` are the log-odds that a beam adds."""
-        layers = {"log_odds": (np.float32, 0.0), "probability": (np.float32, 0.5), "drawn": (np.int32, 0)}
-        self._grid = GrowingGrid(resolution, layers)
+    def __init__(self, resolution: float, size: int, miss: float, hit: float) -> None:
+        """Start empty.
+
+        Args:
+            resolution: edge of a cell, metres.
+            size: cells along an edge of the map, even.
+            miss: log-odds that a beam adds where it passes.
+            hit: log-odds that a beam adds where it ends.
+        """
+        self._resolution, self._middle = resolution, size // 2
         self._odds = miss, hit
+        self._log_odds = np.zeros((size, size), np.float32)
+        self._probability = np.full((size, size), 0.5, np.float32)
+        self._drawn = np.zeros((size, size), np.int32)
         self._scans = 0
 
     @property
     def nbytes(self) -> int:
         """Memory of its layers."""
-        return self._grid.nbytes
+        return self._log_odds.nbytes + self._probability.nbytes + self._drawn.nbytes
 
     def match(self, ends: FloatArray, pose: FloatArray, steps: int) -> FloatArray:
-        """Return the (3,) pose after Gauss-Newton steps (Eqs. 7-13).
+        """Return the (3,) pose after Gauss-Newton steps (Eqs. 7-13); `pose` where no end is inside.
 
         Args:
             ends: (n, 2) ends of beams in the base frame, metres.
             pose: (3,) x, y, yaw to start from.
             steps: of Gauss-Newton.
         """
-        g = self._grid
-        if 0 in g.shape:
-            return pose
-        corner = np.array((g.col0, g.row0, g.resolution))
-        matched: FloatArray = _match(g.layers["probability"], corner, ends, pose, steps)
+        matched: FloatArray = _match(self._probability, self._middle, self._resolution, ends, pose, steps)
         return matched
 
     def draw(self, pose: Pose2, laser: FloatArray, ends: FloatArray) -> None:
@@ -62,34 +67,33 @@ class OriginalMap:
             laser: (2,) in the base frame, metres.
             ends: (n, 2) of beams in the base frame, metres.
         """
-        origin, points = pose.apply(laser[None])[0], pose.apply(ends)
-        low, high = (f(np.vstack((origin[None], points)), axis=0) for f in (np.min, np.max))
-        g = self._grid
-        g.ensure(low[0], low[1], high[0], high[1])
-        places = np.vstack((origin[None], points)) / g.resolution
-        cells = np.floor(places + 0.5).astype(np.int64) - (g.col0, g.row0)
         self._scans += 2
-        layers = g.layers["log_odds"], g.layers["probability"], g.layers["drawn"]
-        _draw(layers, cells, self._scans, self._odds)
+        points = np.vstack((pose.apply(laser[None]), pose.apply(ends)))
+        size = len(self._drawn)
+        # Clipped, so that no number is too large for a cell's; -1 and `size` are outside.
+        cells = np.clip(points / self._resolution + self._middle + 0.5, -1, size).astype(np.int64)
+        inside: BoolArray = np.all((cells >= 0) & (cells < size), axis=1)
+        if inside[0]:
+            layers = self._log_odds, self._probability, self._drawn
+            _draw(layers, cells[inside], self._scans, self._odds)
 
     def occupancy_grid(self) -> OccupancyGrid:
         """Return what is known."""
-        g = self._grid
-        log_odds, known = g.layers["log_odds"], g.layers["drawn"] > 0
+        known, resolution = self._drawn > 0, self._resolution
         if not known.any():
-            return OccupancyGrid(np.full((1, 1), np.nan, np.float32), g.resolution)
+            return OccupancyGrid(np.full((1, 1), np.nan, np.float32), resolution)
         rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
         box = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
-        values = np.where(known[box], log_odds[box], np.float32(np.nan)).astype(np.float32)
-        corner = Pose2((g.col0 + cols[0] - 0.5) * g.resolution, (g.row0 + rows[0] - 0.5) * g.resolution)
-        return OccupancyGrid(values, g.resolution, corner)
+        values = np.where(known[box], self._log_odds[box], np.float32(np.nan)).astype(np.float32)
+        west, south = cols[0] - self._middle - 0.5, rows[0] - self._middle - 0.5
+        return OccupancyGrid(values, resolution, Pose2(west * resolution, south * resolution))
 
 
 @njit(cache=True)
-def _match(probability: Any, corner: Any, ends: Any, pose: Any, steps: int) -> Any:
+def _match(probability: Any, middle: int, resolution: float, ends: Any, pose: Any, steps: int) -> Any:
     """Gauss-Newton in cells: the probability at the ends of the beams shall become 1 (Eq. 7)."""
-    scale = 1 / corner[2]
-    x, y, yaw = pose[0] * scale - corner[0], pose[1] * scale - corner[1], pose[2]
+    scale = 1 / resolution
+    x, y, yaw = pose[0] * scale + middle, pose[1] * scale + middle, pose[2]
     for _ in range(steps):
         s, c = math.sin(yaw), math.cos(yaw)
         H, g = np.zeros((3, 3)), np.zeros(3)
@@ -105,9 +109,11 @@ def _match(probability: Any, corner: Any, ends: Any, pose: Any, steps: int) -> A
         if H[0, 0] == 0 or H[1, 1] == 0:
             break
         step = solve3(H, g)
+        if not np.isfinite(step).all():
+            break
         x, y = x + step[0], y + step[1]
         yaw += min(max(step[2], -LARGEST_TURN), LARGEST_TURN)
-    return np.array(((x + corner[0]) / scale, (y + corner[1]) / scale, yaw))
+    return np.array(((x - middle) / scale, (y - middle) / scale, yaw))
 
 
 @njit(cache=True)
@@ -118,7 +124,7 @@ def _interpolated(probability: Any, x: float, y: float) -> Any:
     difference itself, where the paper has the other axis.
     """
     rows, cols = probability.shape
-    if not (0 <= x < cols - 1 and 0 <= y < rows - 1):
+    if not (0 <= x <= cols - 2 and 0 <= y <= rows - 2):
         return 0.0, 0.0, 0.0
     col, row = int(x), int(y)
     fx, fy = x - col, y - row

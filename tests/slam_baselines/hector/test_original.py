@@ -92,15 +92,46 @@ def test_interpolation_is_exact_at_the_cells_centres() -> None:
 
 def test_a_hit_wins_over_a_beam_that_passes() -> None:
     """Two beams of one scan: the longer passes the cell that the shorter hits, which stays a hit."""
-    level = OriginalMap(0.1, miss=-0.4, hit=2.2)
+    level = OriginalMap(0.1, 64, miss=-0.4, hit=2.2)
     level.draw(Pose2(), np.zeros(2), np.array(((1.0, 0.0), (2.0, 0.0))))
     grid = level.occupancy_grid()
     row = grid.log_odds[np.flatnonzero((grid.log_odds > 0).any(axis=1))[0]]
     np.testing.assert_allclose(row[[0, 5, 10, 15, 20]], (-0.4, -0.4, 2.2, -0.4, 2.2), atol=1e-6)
 
 
+def test_beams_that_leave_the_map_are_not_drawn() -> None:
+    """The map is 1.6 m long, from -0.85 to 0.75 m: one of the two beams ends inside."""
+    level = OriginalMap(0.1, 16, miss=-0.4, hit=2.2)
+    level.draw(Pose2(), np.zeros(2), np.array(((0.7, 0.0), (0.0, 0.8))))
+    grid = level.occupancy_grid()
+    assert (grid.log_odds.shape, grid.origin.x, grid.origin.y) == ((1, 8), -0.05, -0.05)
+    assert grid.log_odds[0, -1] > 0
+    level.draw(Pose2(1e300, -1e300), np.zeros(2), np.array(((0.7, 0.0),)))
+    np.testing.assert_array_equal(level.occupancy_grid().log_odds, grid.log_odds)
+
+
+def test_outside_its_map_it_follows_the_odometry() -> None:
+    """Nothing is drawn and nothing allocated, however far the estimate is."""
+    mapper = HectorOriginalMapper(HectorOriginalConfig(map_size=256))
+    rng = np.random.default_rng(0)
+    mapper.update(room_scan(Pose2(), 0.0, rng), Pose2(), None)
+    drawn, memory = mapper.map().occupied.sum(), mapper.stats.memory
+    assert drawn > 0
+    for k, x in enumerate((1e2, 1e6, 1e15), start=1):
+        assert mapper.update(room_scan(Pose2(), float(k), rng), Pose2(x), None) == Pose2(x)
+    assert (mapper.map().occupied.sum(), mapper.stats.memory) == (drawn, memory)
+    assert memory == 256**2 * (1 + 1 / 4 + 1 / 16) * 12
+
+
 @pytest.mark.parametrize(
-    "bad", [{"map_resolution": 0.0}, {"update_factor_free": 0.6}, {"update_factor_occupied": 1.0}]
+    "bad",
+    [
+        {"map_resolution": 0.0},
+        {"map_size": 2050},
+        {"map_size": 0},
+        {"update_factor_free": 0.6},
+        {"update_factor_occupied": 1.0},
+    ],
 )
 def test_illegal_config(bad: dict[str, float]) -> None:
     with pytest.raises(ConfigError):
