@@ -72,25 +72,32 @@ def scans_of(
 ) -> list[LaserScan]:
     """Return the scans of messages that all have one number of beams.
 
+    Their `range_max` is what the laser reads where nothing came back (81.83 m of a SICK), the largest range
+    that it knows; without such a reading it is the largest range that the message or the user says.
+
     Raises:
         ConfigError: nobody says how wide the laser sees.
     """
     n = len(messages[0].ranges)
     ranges = np.stack([m.ranges for m in messages])
-    limit = facts.range_max or no_return(ranges)
+    found = no_return(ranges)
+    limit = facts.range_max or found
     if facts.range_max is None and limit < NO_RETURN:
         codes = int(((ranges >= limit) & (ranges < NO_RETURN)).sum())
         repaired[f"readings of {limit:.2f} m or more, a code for no return"] = codes
     mount = _mount(name, messages, parameters, repaired)
     field = None if facts.fov is None else _config(n, facts.fov)
+    decoded = _decoded(ranges)
+    code = _usual_reading(decoded[decoded >= max(found, limit)])
     scans = []
-    for message, meant in zip(messages, _decoded(ranges), strict=True):
+    for message, meant in zip(messages, decoded, strict=True):
         config = field or message.config or _usual_config(name, n, parameters)
         logged = NO_RETURN if message.config is None else message.config.most
         # A code that is the largest range to the centimetre is that range, and hits up to it are hits.
         most = logged if logged - limit <= 0.01 else limit
         r = np.where(meant >= most, np.float32(np.inf), meant)
-        scans.append(LaserScan(r, config.start, config.step, RANGE_MIN, most, message.stamp, mount))
+        farthest = most if code is None else code
+        scans.append(LaserScan(r, config.start, config.step, RANGE_MIN, farthest, message.stamp, mount))
     return scans
 
 
@@ -120,6 +127,14 @@ def no_return(ranges: Float32Array) -> float:
         limit = (top - 0.5) / 100
         counts[top] = 0
     return limit
+
+
+def _usual_reading(ranges: Float32Array) -> float | None:
+    """Return the commonest of some readings to the millimetre, metres; None where there is no finite one."""
+    readings, counts = np.unique(
+        np.round(ranges[np.isfinite(ranges)].astype(np.float64), 3), return_counts=True
+    )
+    return float(readings[np.argmax(counts)]) if len(readings) else None
 
 
 def _decoded(ranges: Float32Array) -> Float32Array:

@@ -106,6 +106,17 @@ def test_a_beam_without_return_is_a_hit_at_the_largest_range_below_max_urange() 
     assert left.map().free.sum() > 190
 
 
+def test_a_code_of_a_real_laser_is_no_hit_beyond_max_urange(tmp_path: Path) -> None:
+    """A SICK reads 81.83 m where nothing came back: the original uses no reading beyond 80 m."""
+    beams = " ".join(["2.00"] * 100 + ["81.83"] * 80)
+    (tmp_path / "x.clf").write_text(f"FLASER 180 {beams} 0 0 0 0 0 0 1.0 nohost 1.0\n")
+    mapper = GmappingOriginalMapper()
+    mapper.update(read_carmen(tmp_path / "x.clf").scans[0], Pose2(), None)
+    hits = mapper.map().occupied_points()
+    assert len(hits) > 50
+    assert np.hypot(*hits.T).max() < 2.1
+
+
 def test_the_climb_finds_a_corner_again() -> None:
     wall = np.linspace(0.0, 2.0, 60)
     ends = np.vstack((np.column_stack((wall, wall * 0 + 2.0)), np.column_stack((wall * 0 + 2.0, wall))))

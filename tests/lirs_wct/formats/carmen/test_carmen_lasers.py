@@ -292,7 +292,8 @@ def test_what_a_range_means(tmp_path: Path, value: str, meaning: float) -> None:
     line = f"FLASER 180 {beams} 1 0 0 1 0 0 5.0 host 0"
     scan = read_carmen(write_log(tmp_path / "x.clf", [line])).scans[0]
     np.testing.assert_array_equal(scan.ranges[:2], np.float32([meaning, 2.0]))
-    assert (scan.range_min, scan.range_max) == (0.02, 50.0)
+    code = float(value) if meaning == math.inf else 50.0
+    assert (scan.range_min, scan.range_max) == (0.02, code)
 
 
 @pytest.mark.parametrize(
@@ -445,7 +446,28 @@ def test_readings_of_a_code_are_counted(tmp_path: Path) -> None:
     ]
     log = read_carmen(write_log(tmp_path / "x.clf", lines))
     assert log.repaired == {f"readings of {7.995:.2f} m or more, a code for no return": 180}
-    assert log.scans[0].range_max == pytest.approx(7.995)
+    assert log.scans[0].range_max == 8.0
+
+
+@pytest.mark.parametrize(
+    ("said", "facts", "codes", "range_max"),
+    [
+        ("50.0", None, "81.83 81.83 51.2", 81.83),  # a SICK's, beyond what the header says
+        ("80.0", None, "81.83 50.0 49.0", 50.0),
+        ("20.0", None, "20.0 20.0 81.83", 81.83),
+        ("20.0", None, "20.0 20.0 81.91", 20.0),  # invalid is no code for no return
+        ("20.0", 9.0, "81.83 12.0 10.0", 81.83),
+        ("20.0", 9.0, "12.0 10.0 10.0", 9.0),  # hits that the user does not want
+        ("20.0", None, "1e39 1e39 nan", 20.0),
+    ],
+)
+def test_the_largest_range_is_the_reading_where_nothing_came_back(
+    tmp_path: Path, said: str, facts: float | None, codes: str, range_max: float
+) -> None:
+    line = robotlaser(1.0, sweep=f"-1.570796 3.141593 0.017453 {said}").replace("2.0 2.0 2.0", codes, 1)
+    scan = read_carmen(write_log(tmp_path / "x.clf", [line]), LaserFacts(range_max=facts)).scans[0]
+    assert scan.range_max == range_max
+    np.testing.assert_array_equal(scan.ranges[3:], 2.0)
 
 
 @pytest.mark.parametrize(("x", "known"), [(3.0, True), (3.25, False)])

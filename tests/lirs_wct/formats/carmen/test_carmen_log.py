@@ -98,13 +98,22 @@ def test_missing_log(tmp_path: Path) -> None:
 
 @pytest.mark.shared
 @pytest.mark.parametrize(
-    ("name", "scans", "beams"), [("intel/intel.clf.gz", 5426, 180), ("csail/mit-csail.clf.gz", 1988, 361)]
+    ("name", "scans", "beams", "range_max"),
+    [
+        ("intel/intel.clf.gz", 5426, 180, 81.83),
+        ("csail/mit-csail.clf.gz", 1988, 361, 50.0),
+        ("orebro/orebro.clf.gz", 237, 181, 32.76),
+        ("edmonton/edmonton.clf.gz", 340, 180, 51.15),
+    ],
 )
-def test_real_logs(shared_data: Path, name: str, scans: int, beams: int) -> None:
+def test_real_logs(shared_data: Path, name: str, scans: int, beams: int, range_max: float) -> None:
+    """The largest range is what each laser reads where nothing came back; CSAIL's reads codes of invalid."""
     log = read_carmen(shared_data / "logs" / name)
     assert (len(log.scans), log.skipped) == (scans, {})
     assert {len(s.ranges) for s in log.scans} == {beams}
-    assert max(float(s.ranges[s.hits].max()) for s in log.scans) < 50
+    assert {s.range_max for s in log.scans} == {range_max}
+    assert max(float(s.ranges[s.hits].max()) for s in log.scans) < min(range_max, 50)
+    assert any(np.isposinf(s.ranges).any() for s in log.scans) == (range_max != 50)
 
 
 def raw(stamp: float, n: int = 180) -> str:
