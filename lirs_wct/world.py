@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from lirs_wct.arrays import BoolArray
 from lirs_wct.errors import ConfigError, LogSourceError
@@ -53,6 +53,10 @@ class World:
     spawn_poses: tuple[Pose2, ...] = ()
     scale: str = "as given"
     export_options: ExportOptions = field(default_factory=ExportOptions)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> World:
+        """Return the world itself: it is a value, and copies of a simulation share it."""
+        return self
 
     @property
     def kind(self) -> Literal["terrain", "map", "mesh"]:

@@ -98,6 +98,7 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
             }
         )
         self._renderer: mujoco.Renderer | None = None
+        self._last: Observation | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -115,7 +116,13 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
         return _arrays(observation), self._info()
 
     def step(self, action: Float32Array) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
-        """Drive for one lidar period."""
+        """Drive for one lidar period.
+
+        Raises:
+            SimulationError: `reset` was never called.
+        """
+        if self._last is None:
+            raise SimulationError("an environment must be reset before its first step")
         robot = self.simulation.robot
         ahead, turn = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0).tolist()
         command = Twist(ahead * robot.max_speed, turn * robot.max_turn_rate)
@@ -148,6 +155,10 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A renderer belongs to the environment that made it.
+        return self.__dict__ | {"_renderer": None}
 
     def _reason(self) -> str:
         if self.simulation.tipped:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -83,9 +84,22 @@ class RobotModel:
         self._left_angles, self._right_angles = (
             [int(self.model.joint(name).qposadr[0]) for name in side] for side in wheel_sides
         )
-        # Views into the data, made once: making one costs as much as reading it.
+        self._make_views()
+
+    def _make_views(self) -> None:
+        """Make views into the data once: making one costs as much as reading it."""
         self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
         self._force = self.data.sensor("accelerometer").data
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The data holds the model, and a copied view would be an array that nobody writes any more.
+        left_out = ("model", "_qpos", "_qvel", "_ctrl", "_force")
+        return {name: value for name, value in self.__dict__.items() if name not in left_out}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.model = self.data.model
+        self._make_views()
 
     @property
     def gravity(self) -> float:

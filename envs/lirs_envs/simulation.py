@@ -66,7 +66,7 @@ class Simulation:
             contact_geometry=config.contact_geometry,
             mujoco_rays=config.rays == "mujoco",
         )
-        self.caster = make_caster(world, config.rays, bool(config.props), self.body.model, self.body.data)
+        self.caster = make_caster(world, config.rays, bool(config.props), self.body.data)
         self._seed = seed
         self._begin()
 

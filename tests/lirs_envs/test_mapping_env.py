@@ -68,6 +68,11 @@ def test_scan_is_finite_where_nothing_is_in_range(plane: World) -> None:
     assert (scan == np.float32(20.0)).all()
 
 
+def test_step_before_reset(plane: World) -> None:
+    with pytest.raises(SimulationError, match="must be reset before its first step"):
+        MappingEnv(plane).step(np.zeros(2, np.float32))
+
+
 def test_terminates_off_the_world(plane: World) -> None:
     env = MappingEnv(plane)
     env.reset(seed=0, options={"start": Pose2(9.3, 0.0, 0.0)})

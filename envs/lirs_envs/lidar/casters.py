@@ -37,14 +37,15 @@ def resolve_rays(name: str) -> Rays:
 class GeomCaster:
     """MuJoCo's rays on groups of its geoms, in the present state."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, groups: tuple[int, ...]) -> None:
-        self._model, self._data, self._groups = model, data, groups
+    def __init__(self, data: mujoco.MjData, groups: tuple[int, ...]) -> None:
+        self._data, self._groups = data, groups
 
     def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
         """Return (n,) ranges (see `lirs_envs.lidar.ray_casting.Caster`)."""
         # Poses of geoms are those before the last step; bringing them up to date does not change stepping.
-        mujoco.mj_kinematics(self._model, self._data)
-        return mujoco_ranges(self._model, self._data, origins, directions, max_range, groups=self._groups)
+        model = self._data.model
+        mujoco.mj_kinematics(model, self._data)
+        return mujoco_ranges(model, self._data, origins, directions, max_range, groups=self._groups)
 
 
 class NearestCaster:
@@ -60,7 +61,7 @@ class NearestCaster:
         return nearest
 
 
-def make_caster(world: World, rays: Rays, props: bool, model: mujoco.MjModel, data: mujoco.MjData) -> Caster:
+def make_caster(world: World, rays: Rays, props: bool, data: mujoco.MjData) -> Caster:
     """Return the caster of a world and, where `props`, of what else stands there; never of the robot itself.
 
     Raises:
@@ -69,6 +70,6 @@ def make_caster(world: World, rays: Rays, props: bool, model: mujoco.MjModel, da
     groups = (PROP_GROUP,) if props else ()
     if rays == "mujoco":
         ground = RAY_GROUP if world.overhangs else TERRAIN_GROUP
-        return GeomCaster(model, data, (*groups, ground))
+        return GeomCaster(data, (*groups, ground))
     caster = MeshCaster(world.mesh) if world.overhangs else RayCaster(world.surface, world.walls)
-    return NearestCaster(caster, GeomCaster(model, data, groups)) if groups else caster
+    return NearestCaster(caster, GeomCaster(data, groups)) if groups else caster

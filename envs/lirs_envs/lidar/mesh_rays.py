@@ -29,6 +29,12 @@ class MeshCaster:
     """
 
     def __init__(self, mesh: TriangleMesh) -> None:
+        self._middle = mesh.bounds.mean(axis=0)
+        self._vertices = np.ascontiguousarray(mesh.vertices - self._middle)
+        self._faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
+        self._build_scene()
+
+    def _build_scene(self) -> None:
         try:
             scenes: Any = import_module("embreex.rtcore_scene")
             meshes: Any = import_module("embreex.mesh_construction")
@@ -37,12 +43,21 @@ class MeshCaster:
                 "the lidar on a mesh with overhangs needs the package embreex: pip install 'lirs-wct[mesh]', "
                 "or take rays 'mujoco'"
             ) from None
-        self._middle = mesh.bounds.mean(axis=0)
-        self._vertices = np.ascontiguousarray(mesh.vertices - self._middle)
-        self._faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
         # Robust: no ray slips between two triangles.
         self._scene: Any = scenes.EmbreeScene(robust=True)
         self._geometry: Any = meshes.TriangleMesh(self._scene, self._vertices.astype(np.float32), self._faces)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> MeshCaster:
+        """Return the caster itself: it is a value, and copies of a simulation share it."""
+        return self
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Embree's scene lives in this process only.
+        return {k: v for k, v in self.__dict__.items() if k not in ("_scene", "_geometry")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._build_scene()
 
     def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
         """Return (n,) ranges (see `lirs_envs.lidar.ray_casting.Caster`)."""

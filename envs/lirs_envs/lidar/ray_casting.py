@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from typing import Protocol
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -52,6 +52,10 @@ class RayCaster:
     def __init__(self, surface: HeightField, walls: WallGrid | None = None) -> None:
         self.terrain: TerrainMipmap = build_terrain_mipmap(surface)
         self.walls: WallCells = build_wall_cells(walls)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> RayCaster:
+        """Return the caster itself: it is a value, and copies of a simulation share it."""
+        return self
 
     def cast(self, origin: ArrayLike, directions: ArrayLike, max_range: float = math.inf) -> FloatArray:
         """Return (n,) ranges in metres along unit directions; inf where nothing is within `max_range`.
