@@ -11,7 +11,7 @@ no reference for it here.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
@@ -87,6 +87,11 @@ GRAPH = GlobalConfig(
     optimize_every_n_nodes=90,
 )
 """pose_graph.lua: constraint_builder, optimize_every_n_nodes."""
+WARM_UP = {
+    "local": replace(LOCAL, submaps=replace(LOCAL.submaps, num_range_data=20)),
+    "graph": replace(GRAPH, optimize_every_n_nodes=5),
+}
+"""Configuration with which a short drive reaches every kernel: small submaps, often optimized."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from slam_baselines.mapper import MAPPERS
+
 DRIVE = """
 import sys
 import numpy as np
@@ -37,12 +39,12 @@ for see, poses, tilt in (sparse, dense, (room_scan, loop(150), 0.05)):
         imu = Imu(roll=tilt * np.sin(i / 9), pitch=tilt, stamp=0.2 * i) if tilt else None
         mapper.update(see(pose, 0.2 * i, rng), slipped, imu)
 after = kernels()
-print(len(after))
+print(sum(map(bool, after.values())))
 print(*(key for key in after if after[key] != before.get(key)))
 """
 
 
-@pytest.mark.parametrize("name", ["hector", "gmapping", "cartographer"])
+@pytest.mark.parametrize("name", MAPPERS)
 def test_no_update_compiles_after_the_warm_up(name: str) -> None:
     root = Path(__file__).parents[2]
     path = os.pathsep.join((str(root), str(root / "envs"), os.environ.get("PYTHONPATH", "")))
@@ -52,5 +54,5 @@ def test_no_update_compiles_after_the_warm_up(name: str) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     count, compiled = done.stdout.splitlines()[:2]
-    assert int(count) > 10
+    assert int(count) > 1
     assert compiled == ""

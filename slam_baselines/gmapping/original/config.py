@@ -30,8 +30,9 @@ class GmappingOriginalConfig:
         lsigma: of the likelihood, square metres.
         ogain: likelihoods are taken to the power 1 / (ogain * particles).
         delta: edge of a map's cell, metres.
-        maxUrange: farther readings are not used, metres. A beam without return reads the lidar's largest
-            range, as in a CARMEN log: below maxUrange it counts as a hit there.
+        maxrange: farther readings are not used, metres. A beam without return reads the lidar's largest
+            range, as in a CARMEN log.
+        maxUrange: farther readings are no hits, metres: free up to there.
         occ_thresh: share of hits among the beams through a cell above which it is occupied.
 
     Raises:
@@ -55,13 +56,13 @@ class GmappingOriginalConfig:
     lsigma: float = 0.075
     ogain: float = 3.0
     delta: float = 0.05
+    maxrange: float = 80.0
     maxUrange: float = 80.0  # noqa: N815
     occ_thresh: float = 0.25
 
     def __post_init__(self) -> None:
-        require_above(
-            self, 0, "particles", "sigma", "lstep", "astep", "lsigma", "ogain", "delta", "maxUrange"
-        )
+        require_above(self, 0, "particles", "sigma", "lstep", "astep", "lsigma", "ogain", "delta")
+        require_above(self, 0, "maxrange", "maxUrange", unit="m")
         require_at_least(self, 0, "linearUpdate", "angularUpdate", "srr", "srt", "str", "stt", "kernelSize")
         require_at_least(self, 1, "iterations")
         require_within(self, "[0, 1]", "resampleThreshold")

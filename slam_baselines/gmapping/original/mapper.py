@@ -31,6 +31,8 @@ HEADING = 8
 """Decimals of a heading in a CARMEN log, radians."""
 BEAM = 6
 """Decimals of a beam's angle, degrees: the original's table of beams is in whole or half degrees."""
+WARM_UP = {"resampleThreshold": 1.0}
+"""Configuration with which a short drive reaches every kernel: particles are drawn anew at every scan."""
 
 
 class GmappingOriginalMapper:
@@ -116,7 +118,7 @@ class GmappingOriginalMapper:
 
     def _process(self, scan: LaserScan, now: Pose2) -> None:
         increment = self._processed_at.inverse() @ now if self._kept else Pose2()
-        self._kept.append(kept := _usable(scan, self.config.maxUrange))
+        self._kept.append(kept := _usable(scan, self.config.maxrange, self.config.maxUrange))
         self._particles.process_scan(kept.ends[kept.hits], increment)
         self._best, self._processed_at = self._particles.pose, now
         self._distance = self._turn = 0.0
@@ -126,12 +128,12 @@ def _logged_pose(pose: Pose2) -> Pose2:
     return Pose2(round(pose.x, MICROMETRE), round(pose.y, MICROMETRE), round(pose.yaw, HEADING))
 
 
-def _usable(scan: LaserScan, max_urange: float) -> ProcessedScan:
+def _usable(scan: LaserScan, maxrange: float, max_urange: float) -> ProcessedScan:
     """Return the beams that say something, as a CARMEN log would hold them."""
     most = round(scan.range_max, MILLIMETRE)
     ranges = np.round(scan.ranges.astype(np.float64), MILLIMETRE)
     ranges[scan.ranges == np.inf] = most
-    known = np.isfinite(ranges) & (ranges > 0)
+    known = np.isfinite(ranges) & (ranges > 0) & (ranges <= maxrange)
     r = ranges[known]
     angles = np.radians(np.round(np.degrees(scan.angles[known]), BEAM))
     mount = _logged_pose(scan.T_base_laser.to_pose2())
