@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,16 +23,15 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS
 from lirs_validation import validate
 from lirs_validation.cli.arguments import read_seeds
-from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import WctError
 from lirs_wct.sources.options import BuildOptions
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "height"
 MAPPERS = ("hector", "gmapping", "cartographer")
 SUFFIXES = (".png", ".tif", ".pgm", ".jpeg")
-NODES, EDGE = 257, 50.0
 RATIO, SLACK = 1.1, 0.05
 FALSE_SHARE, FALSE_CELLS = 0.2, 50
 
@@ -97,58 +96,12 @@ def broken(row: Mapping[str, Any]) -> list[str]:
 
 def generated(folder: Path, seeds: Sequence[int]) -> Iterator[tuple[Path, BuildOptions]]:
     """Write one terrain of each kind and seed as a 16-bit picture; yield it with its scale."""
-    for name, make in TERRAINS.items():
+    for name, make in NATURAL_TERRAINS.items():
         for seed in seeds:
             z = make(np.random.default_rng(seed))
             z, path = z - z.min(), folder / f"{name} {seed}.png"
             cv2.imwrite(str(path), np.round(z / z.max() * 65535).astype(np.uint16))
             yield path, BuildOptions(size=EDGE, height=float(z.max()))
-
-
-def fractal(rng: np.random.Generator, hurst: float = 1.0) -> FloatArray:
-    """Return (n, n) heights 0 to 1 of spectral synthesis (Saupe 1988): amplitudes fall with k^-(H + 1)."""
-    f = np.fft.fftfreq(NODES)
-    k = np.hypot(f[:, None], f)
-    k[0, 0] = np.inf
-    z = np.fft.ifft2(k ** -(hurst + 1) * np.exp(2j * np.pi * rng.random(k.shape))).real
-    heights: FloatArray = (z - z.min()) / np.ptp(z)
-    return heights
-
-
-def across(rng: np.random.Generator) -> FloatArray:
-    """Return (n, n) distance from a line through the middle in some direction, -1.4 to 1.4."""
-    u, angle = np.linspace(-1, 1, NODES), rng.uniform(0, np.pi)
-    distance: FloatArray = u * np.cos(angle) + u[:, None] * np.sin(angle)
-    return distance
-
-
-def dunes(rng: np.random.Generator) -> FloatArray:
-    """Return heights of dunes: long windward sides, short slip faces."""
-    phase = (2.5 * across(rng) + 2 * fractal(rng, 1.2)) % 1
-    ridge = cv2.GaussianBlur(np.where(phase < 0.7, phase / 0.7, (1 - phase) / 0.3), (0, 0), 4)
-    return np.asarray(1.6 * ridge + fractal(rng, 1.2), dtype=np.float64)
-
-
-def with_rocks(rng: np.random.Generator, z: FloatArray, count: int = 14) -> FloatArray:
-    """Return heights with rocks of 0.25 to 0.8 m radius and 0.4 to 1.2 m height."""
-    x = np.linspace(0, EDGE, NODES)
-    for _ in range(count):
-        east, north = rng.uniform(3, EDGE - 3, 2)
-        distance = np.hypot(x - east, x[:, None] - north) / rng.uniform(0.25, 0.8)
-        z = z + rng.uniform(0.4, 1.2) * np.sqrt(np.clip(1 - distance**4, 0, 1))
-    return z
-
-
-TERRAINS: Mapping[str, Callable[[np.random.Generator], FloatArray]] = {
-    "hills": lambda rng: 6 * fractal(rng),
-    "rough hills": lambda rng: 5 * fractal(rng, 0.8),
-    "valley": lambda rng: 7 * across(rng) ** 2 + 1.5 * fractal(rng),
-    "dunes": dunes,
-    "plain": lambda rng: 1.2 * fractal(rng),
-    "hills with rocks": lambda rng: with_rocks(rng, 5 * fractal(rng)),
-    "plain with rocks": lambda rng: with_rocks(rng, 1.2 * fractal(rng)),
-}
-"""Heights in metres, 50 m square."""
 
 
 def table(rows: list[dict[str, Any]]) -> Table:

@@ -14,8 +14,10 @@ from lirs_envs.props import STATIC_ROBOT, Prop, StaticRobot, add_props
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import FloatArray, Vector3
 from lirs_wct.contact.contact_geometry import ContactGeometry
-from lirs_wct.contact.contact_grid import ContactGrid, contact_grid
-from lirs_wct.export.mjcf import world_spec
+from lirs_wct.contact.contact_grid import ContactGrid, contact_grid, surface_itself
+from lirs_wct.errors import ConfigError
+from lirs_wct.export.mjcf import world_spec, write_heights
+from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.world import World
 
@@ -48,6 +50,8 @@ class RobotModel:
         props: what else stands there.
         contact_geometry: what is touched (see `lirs_wct.contact.contact_geometry.CONTACT_GEOMETRIES`).
         mujoco_rays: whether MuJoCo's own rays are to meet the surface, where something else is touched.
+        height_range: lowest and highest height that `replace_surface` may write, metres; the ground that is
+            touched is then the surface itself. None = the ground stays.
     """
 
     def __init__(
@@ -59,8 +63,12 @@ class RobotModel:
         props: Sequence[Prop | StaticRobot] = (),
         contact_geometry: ContactGeometry = "hfield",
         mujoco_rays: bool = False,
+        height_range: tuple[float, float] | None = None,
     ) -> None:
-        self.contact: ContactGrid = contact_grid(world.surface)
+        if height_range is not None and world.kind != "terrain":
+            raise ConfigError(f"{world.name}: a height_range is for terrains, this world is a {world.kind}")
+        self._height_range = height_range
+        self.contact: ContactGrid = (contact_grid if height_range is None else surface_itself)(world.surface)
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
         steps = math.ceil(period / spec.option.timestep - 1e-9)
         spec.option.timestep = self.timestep = period / steps
@@ -73,7 +81,9 @@ class RobotModel:
             robot=spec,
             contact_geometry=contact_geometry,
             ray_surface=mujoco_rays,
+            height_range=height_range,
         ).compile()
+        self.replace_surface(world.surface)
         self.data = mujoco.MjData(self.model)
         self.wheel_geoms = _wheel_geoms(self.model, robot)
         self.own_geoms = _own_geoms(self.model) if props else None
@@ -100,6 +110,15 @@ class RobotModel:
         self.__dict__.update(state)
         self.model = self.data.model
         self._make_views()
+
+    def replace_surface(self, surface: HeightField) -> None:
+        """Write other heights into the ground that is touched, where the model has a height range.
+
+        Raises:
+            ConfigError: they do not fit (see `lirs_wct.export.mjcf.write_heights`).
+        """
+        if self._height_range is not None:
+            write_heights(self.model, surface, self._height_range)
 
     @property
     def gravity(self) -> float:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,11 +18,13 @@ from lirs_envs.robots.controller import make_controller
 from lirs_envs.sensing.sensors import Observation, Sensors
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.timing import PhysicsReplay, Timing
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.contact.contact_grid import ContactGrid
-from lirs_wct.errors import SimulationError
+from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.field_validators import require_seed
+from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.ground import Terrain
 from lirs_wct.world import World
 
 MAX_SETTLING_DISTANCE = 0.1
@@ -37,7 +41,8 @@ class Simulation:
         preset: specification of the lidar.
         period: time between two scans, seconds; one `advance`.
         body: MuJoCo's model of robot and world.
-        caster: what the lidar sees of the world and of the props; for sensors of your own.
+        caster: what the lidar sees of the world and of the props; for sensors of your own. Another terrain
+            has another.
         timing: wall-clock seconds since the reset.
 
     Args:
@@ -65,10 +70,14 @@ class Simulation:
             props=config.props,
             contact_geometry=config.contact_geometry,
             mujoco_rays=config.rays == "mujoco",
+            height_range=config.height_range,
         )
-        self.caster = make_caster(world, config.rays, bool(config.props), self.body.data)
+        self._make_caster()
         self._seed = seed
         self._begin()
+
+    def _make_caster(self) -> None:
+        self.caster = make_caster(self.world, self.config.rays, bool(self.config.props), self.body.data)
 
     def _begin(self) -> None:
         """Begin records, noise and odometry anew, where the robot stands."""
@@ -101,6 +110,28 @@ class Simulation:
         self._begin()
         self._initial_state = self.body.state()
         return self._sensors.observe(0.0, self.period)
+
+    def replace_terrain(self, heights: Float32Array, spawn_poses: Sequence[Pose2] = ()) -> None:
+        """Put other ground into the world; `reset` comes next.
+
+        What wheels touch, what the lidar sees and where the robot can be set down change together; a
+        simulation of the same ground made anew behaves the same, bit for bit.
+
+        Args:
+            heights: (rows, cols) float32 metres, row 0 = north; as many nodes as the world has.
+            spawn_poses: start poses on the new ground.
+
+        Raises:
+            ConfigError: the config has no height range, or the heights do not fit it or the world.
+        """
+        if self.config.height_range is None:
+            raise ConfigError("a terrain can be replaced where the simulation's config has a height_range")
+        former = self.world.surface
+        surface = HeightField(heights.copy(), former.cell, former.origin)
+        self.body.replace_surface(surface)
+        self.world = replace(self.world, ground=Terrain(surface), spawn_poses=tuple(spawn_poses))
+        self._make_caster()
+        self._initial_state = None
 
     def advance(self, command: Twist | Waypoint) -> Observation:
         """Drive for one lidar period; return what the sensors then read.

@@ -13,7 +13,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.field_validators import require_type
+from lirs_wct.field_validators import is_finite, require_type
 from lirs_wct.geometry.pose import Pose2
 
 
@@ -31,6 +31,8 @@ class SimulationConfig:
             `prisms` or `convex`.
         props: bodies and static robots that stand in the world; touched, and seen by the lidar.
         start: pose where a reset sets the robot down; None = the world's first start pose.
+        height_range: lowest and highest height that `Simulation.replace_terrain` may write, metres; wheels
+            then touch the surface itself, node by node. None = the ground stays.
 
     Raises:
         ConfigError: a value is of the wrong type, or no lidar, rays or contact geometry has the name.
@@ -43,6 +45,7 @@ class SimulationConfig:
     contact_geometry: ContactGeometry = "hfield"
     props: Sequence[Prop | StaticRobot] = ()
     start: Pose2 | None = None
+    height_range: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         require_type(self, Robot, "robot")
@@ -56,7 +59,20 @@ class SimulationConfig:
                 raise ConfigError(f"props must be Prop or StaticRobot, got {prop!r}")
         if self.start is not None:
             check_start(self.start)
+        self._check_height_range()
         make_lidar_preset(self.preset_name)
+
+    def _check_height_range(self) -> None:
+        if self.height_range is None:
+            return
+        if len(self.height_range) != 2 or not all(is_finite(z) for z in self.height_range):
+            raise ConfigError(f"height_range must be two finite heights in metres, got {self.height_range!r}")
+        if not self.height_range[0] < self.height_range[1]:
+            raise ConfigError(f"height_range must be lowest, highest, got {self.height_range!r}")
+        if self.contact_geometry != "hfield":
+            raise ConfigError(
+                f"a terrain can be replaced with contact geometry hfield alone, got {self.contact_geometry}"
+            )
 
     @property
     def preset_name(self) -> str:

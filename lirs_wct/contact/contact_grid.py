@@ -90,7 +90,12 @@ def contact_grid(surface: HeightField, budget: ContactBudget | None = None) -> C
         found = _measured(z, steep, stride, budget)
         if found is not None:
             return _figures(surface, stride, budget, *found)
-    return _figures(surface, 1, budget, 0.0, 0.0)
+    return surface_itself(surface)
+
+
+def surface_itself(surface: HeightField) -> ContactGrid:
+    """Return the contact grid that is the surface, node by node."""
+    return _figures(surface, 1, ContactBudget(), 0.0, 0.0)
 
 
 def steep_nodes(z: Float32Array, cell: tuple[float, float], steep: float) -> BoolArray:

@@ -16,6 +16,7 @@ from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.contact.contact_geometry import ContactGeometry, check_contact_geometry
 from lirs_wct.contact.contact_grid import ContactGrid
 from lirs_wct.contact.contact_parts import contact_parts
+from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.rectangles import merged_rectangles
 from lirs_wct.geometry.walls import WallGrid
@@ -41,6 +42,7 @@ def world_spec(
     contact_geometry: ContactGeometry = "hfield",
     ray_surface: bool = False,
     heights: bool = True,
+    height_range: tuple[float, float] | None = None,
 ) -> mujoco.MjSpec:
     """Return the world as a specification to compile.
 
@@ -52,6 +54,8 @@ def world_spec(
         contact_geometry: what is touched (see `CONTACT_GEOMETRIES`).
         ray_surface: whether to add the surface itself for MuJoCo's own rays, where something else is touched.
         heights: whether the height field holds its heights; without, they are to come from a file.
+        height_range: lowest and highest height that the height field has room for, metres; `write_heights`
+            fills it in the compiled model. Default: those of the ground.
 
     Raises:
         ConfigError: the terrain does not fit the world.
@@ -63,7 +67,7 @@ def world_spec(
     if contact_geometry in ("prisms", "convex"):
         _add_parts(spec, world, contact_geometry, group)
     elif world.walls is None or world.walls.hole is None:
-        _add_ground(spec, surface, group, heights=heights)
+        _add_ground(spec, surface, group, heights=heights, height_range=height_range)
     else:
         _add_boxes(spec, world.walls, world.walls.floor, (-BASE, 0.0), group, GROUND_COLOUR)
     if world.walls is not None:
@@ -98,10 +102,12 @@ def _add_ground(
     group: int,
     name: str = "ground",
     heights: bool = True,
+    height_range: tuple[float, float] | None = None,
     **options: int,
 ) -> None:
     west, south, east, north = surface.bounds
-    low, relief = float(surface.z.min()), surface.relief
+    low, high = height_range or (float(surface.z.min()), float(surface.z.max()))
+    relief = high - low
     half = ((east - west) / 2, (north - south) / 2)
     common = {
         "name": name,
@@ -119,6 +125,30 @@ def _add_ground(
         data = dict(zip(("nrow", "ncol"), surface.shape, strict=True), userdata=surface.south_up.ravel())
     spec.add_hfield(name=name, size=(*half, relief, BASE), **data)
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, **common)
+
+
+def write_heights(model: mujoco.MjModel, surface: HeightField, height_range: tuple[float, float]) -> None:
+    """Write heights into a compiled model's ground, whose height range and nodes stay.
+
+    The box around the ground, which collisions are first tested with, is compiled from the range.
+
+    Raises:
+        ConfigError: the surface has other nodes than the ground, or reaches out of the range.
+    """
+    field, (low, high) = model.hfield("ground"), height_range
+    shape = int(field.nrow[0]), int(field.ncol[0])
+    if surface.shape != shape:
+        raise ConfigError(f"heights must be {shape} nodes, those of the ground, got {surface.shape}")
+    lowest, highest = float(surface.z.min()), float(surface.z.max())
+    if not low <= lowest <= highest <= high:
+        raise ConfigError(
+            f"heights must be within {low:g} to {high:g} m, the height range, "
+            f"got {lowest:.3f} to {highest:.3f}"
+        )
+    begin = int(model.hfield_adr[field.id])
+    heights = model.hfield_data[begin : begin + surface.z.size].reshape(shape)
+    np.subtract(surface.z[::-1], np.float32(low), out=heights)
+    heights /= np.float32(high - low)
 
 
 def _add_boxes(

@@ -1,0 +1,83 @@
+"""Natural ground from a seed: fractal hills, a valley, dunes, a plain; with and without rocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import cv2
+import numpy as np
+
+from lirs_wct.arrays import FloatArray
+
+NODES = 257
+"""Nodes along each side of a generated terrain."""
+EDGE = 50.0
+"""Side of a natural terrain, metres."""
+
+
+def fractal(rng: np.random.Generator, hurst: float = 1.0) -> FloatArray:
+    """Return (n, n) heights 0 to 1 of spectral synthesis (Saupe 1988): amplitudes fall with k^-(H + 1)."""
+    f = np.fft.fftfreq(NODES)
+    k = np.hypot(f[:, None], f)
+    k[0, 0] = np.inf
+    z = np.fft.ifft2(k ** -(hurst + 1) * np.exp(2j * np.pi * rng.random(k.shape))).real
+    heights: FloatArray = (z - z.min()) / np.ptp(z)
+    return heights
+
+
+def across(rng: np.random.Generator) -> FloatArray:
+    """Return (n, n) distance from a line through the middle in some direction, -1.4 to 1.4."""
+    u, angle = np.linspace(-1, 1, NODES), rng.uniform(0, np.pi)
+    distance: FloatArray = u * np.cos(angle) + u[:, None] * np.sin(angle)
+    return distance
+
+
+def dunes(rng: np.random.Generator) -> FloatArray:
+    """Return heights of dunes: long windward sides, short slip faces."""
+    phase = (2.5 * across(rng) + 2 * fractal(rng, 1.2)) % 1
+    ridge = cv2.GaussianBlur(np.where(phase < 0.7, phase / 0.7, (1 - phase) / 0.3), (0, 0), 4)
+    return np.asarray(1.6 * ridge + fractal(rng, 1.2), dtype=np.float64)
+
+
+def with_rocks(
+    rng: np.random.Generator,
+    z: FloatArray,
+    count: int = 14,
+    *,
+    edge: float = EDGE,
+    border: float = 3.0,
+    radius: tuple[float, float] = (0.25, 0.8),
+    height: tuple[float, float] = (0.4, 1.2),
+) -> FloatArray:
+    """Return heights with rocks on them, as domes with steep sides.
+
+    Args:
+        rng: of places and sizes.
+        z: (n, n) heights, metres.
+        count: of rocks.
+        edge: side of the square, metres.
+        border: width along its sides where no rock has its middle; at least the largest radius, metres.
+        radius: least and largest, metres.
+        height: least and largest, metres.
+    """
+    x, cell = np.linspace(0, edge, len(z)), edge / (len(z) - 1)
+    z = z.copy()
+    for _ in range(count):
+        east, north = rng.uniform(border, edge - border, 2)
+        wide, high = rng.uniform(*radius), rng.uniform(*height)
+        cols, rows = (slice(int((c - wide) / cell), int((c + wide) / cell) + 2) for c in (east, north))
+        distance = np.hypot(x[cols] - east, x[rows, None] - north) / wide
+        z[rows, cols] += high * np.sqrt(np.clip(1 - distance**4, 0, 1))
+    return z
+
+
+NATURAL_TERRAINS: Mapping[str, Callable[[np.random.Generator], FloatArray]] = {
+    "hills": lambda rng: 6 * fractal(rng),
+    "rough hills": lambda rng: 5 * fractal(rng, 0.8),
+    "valley": lambda rng: 7 * across(rng) ** 2 + 1.5 * fractal(rng),
+    "dunes": dunes,
+    "plain": lambda rng: 1.2 * fractal(rng),
+    "hills with rocks": lambda rng: with_rocks(rng, 5 * fractal(rng)),
+    "plain with rocks": lambda rng: with_rocks(rng, 1.2 * fractal(rng)),
+}
+"""Makers of (257, 257) heights in metres, 50 m square, by name."""

@@ -1,0 +1,136 @@
+"""Courses to cross, from a kind of obstacle, a difficulty and a seed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from lirs_envs.generators.maze import maze
+from lirs_envs.generators.natural import fractal
+from lirs_envs.generators.obstacles import OBSTACLES, at_difficulty
+from lirs_envs.generators.route import CELL, HALF, distance_to_route, winding_route
+from lirs_wct.arrays import Float32Array, FloatArray
+from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.field_validators import is_finite
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.ground import Terrain
+from lirs_wct.world import World
+
+KINDS = (*OBSTACLES, "mazes")
+"""Kinds of courses."""
+PAD = 0.9
+"""Radius of the level ground around start and goal, metres."""
+SHOULDER, PAD_SHOULDER = 0.8, 2.0
+"""Width over which gentle and level ground go over into the rest, metres."""
+HEIGHT_RANGE = (-2.8, 3.4)
+"""No course reaches below or above, metres at scale 1: room for every course in one model."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeneratedTerrain:
+    """A square course with a gentle way through its obstacles.
+
+    Attributes:
+        kind: of its obstacles.
+        difficulty: 0 to 1.
+        heights: (257, 257) float32 metres, row 0 = north.
+        cell: spacing of the nodes, metres; the middle is the world's origin.
+        start: pose in the west, facing along the way.
+        goal: pose in the east.
+        route: (n, 2) x, y of the gentle way from start to goal, metres.
+    """
+
+    kind: str
+    difficulty: float
+    heights: Float32Array
+    cell: float
+    start: Pose2
+    goal: Pose2
+    route: FloatArray
+
+    @property
+    def surface(self) -> HeightField:
+        """The heights as a surface."""
+        return HeightField.centered(self.heights, (self.cell, self.cell))
+
+    def world(self) -> World:
+        """Return the course as a world whose one spawn pose is the start."""
+        return World(self.kind, Terrain(self.surface), (self.start,), scale="generated")
+
+
+def generate(
+    kind: str, difficulty: float, rng: np.random.Generator, *, scale: float = 1.0
+) -> GeneratedTerrain:
+    """Make a course; the same random generator gives the same one.
+
+    Args:
+        kind: of its obstacles (see `KINDS`).
+        difficulty: 0 (straight ahead passes all but mazes) to 1; a Husky's own limit lies below 0.5, beyond
+            that it needs the gentle way.
+        rng: of everything.
+        scale: all lengths, relative to those for a Husky, whose course is 25.6 m square.
+
+    Raises:
+        ConfigError: there is no such kind, the difficulty is not 0 to 1, or the scale is not above 0.
+    """
+    if kind not in KINDS:
+        raise unknown_name("kind of terrain", kind, KINDS)
+    if not (is_finite(difficulty) and 0 <= difficulty <= 1):
+        raise ConfigError(f"difficulty of a terrain must be 0 to 1, got {difficulty}")
+    if not (is_finite(scale) and scale > 0):
+        raise ConfigError(f"scale of a terrain must be a finite number above 0, got {scale}")
+    ground = at_difficulty(difficulty, 0.05, 0.15, 0.3) * (fractal(rng) - 0.5)
+    if kind == "mazes":
+        rooms, open_share = at_difficulty(difficulty, 5, 7, 9), at_difficulty(difficulty, 0.6, 0.1, 0.0)
+        walls, route = maze(round(rooms), open_share, rng)
+        z = ground + walls
+    else:
+        z, route = _crossing(kind, difficulty, rng)
+        z += ground
+    heights = (scale * np.clip(z, *HEIGHT_RANGE)).astype(np.float32)
+    start, goal = _ends(scale * route)
+    return GeneratedTerrain(
+        kind=kind,
+        difficulty=float(difficulty),
+        heights=heights,
+        cell=scale * CELL,
+        start=start,
+        goal=goal,
+        route=scale * route,
+    )
+
+
+def _crossing(kind: str, difficulty: float, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Return (n, n) heights of obstacles with a gentle way through them, and the way."""
+    route = winding_route(rng, sway=at_difficulty(difficulty, 2.0, 6.5, 8.0))
+    obstacles, gentle = OBSTACLES[kind](difficulty, rng)
+    half_width = at_difficulty(difficulty, 1.4, 1.1, 0.9)
+    share = _smooth_step((distance_to_route(route) - half_width) / SHOULDER)
+    z = gentle + share * (obstacles - gentle)
+    for x, y in (route[0], route[-1]):
+        z = _with_pad(z, float(x), float(y))
+    return z, route
+
+
+def _with_pad(z: FloatArray, x: float, y: float) -> FloatArray:
+    """Return heights that are level around a point."""
+    nodes = np.linspace(-HALF, HALF, len(z))
+    distance = np.hypot(nodes - x, nodes[::-1, None] - y)
+    level = z[distance <= PAD].mean()
+    levelled: FloatArray = level + _smooth_step((distance - PAD) / PAD_SHOULDER) * (z - level)
+    return levelled
+
+
+def _smooth_step(t: FloatArray | Float32Array) -> FloatArray:
+    t = np.clip(np.asarray(t, dtype=np.float64), 0.0, 1.0)
+    return t * t * (3 - 2 * t)
+
+
+def _ends(route: FloatArray) -> tuple[Pose2, Pose2]:
+    """Return the poses at both ends of a way, facing along it."""
+    (x0, y0), (x1, y1) = route[0].tolist(), route[1].tolist()
+    (x2, y2), (x3, y3) = route[-2].tolist(), route[-1].tolist()
+    return Pose2(x0, y0, math.atan2(y1 - y0, x1 - x0)), Pose2(x3, y3, math.atan2(y3 - y2, x3 - x2))

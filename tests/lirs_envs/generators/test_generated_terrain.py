@@ -1,0 +1,116 @@
+"""Courses look like what they are called, and have a gentle way."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from lirs_envs.generators.natural import NATURAL_TERRAINS, with_rocks
+from lirs_envs.generators.terrain import HEIGHT_RANGE, KINDS, GeneratedTerrain, generate
+from lirs_envs.placement import standing_pose
+from lirs_envs.robots.catalog import make_robot
+from lirs_wct.errors import ConfigError
+
+EVERY = [(kind, difficulty, seed) for kind in KINDS for difficulty in (0.0, 0.5, 1.0) for seed in (1, 2)]
+
+
+def made(kind: str, difficulty: float, seed: int = 1, scale: float = 1.0) -> GeneratedTerrain:
+    return generate(kind, difficulty, np.random.default_rng(seed), scale=scale)
+
+
+@pytest.mark.parametrize(("kind", "difficulty", "seed"), EVERY)
+def test_a_course_has_a_gentle_way_from_start_to_goal(kind: str, difficulty: float, seed: int) -> None:
+    terrain = made(kind, difficulty, seed)
+    assert terrain.heights.shape == (257, 257)
+    assert terrain.heights.dtype == np.float32
+    low, high = HEIGHT_RANGE
+    assert low <= terrain.heights.min() <= terrain.heights.max() <= high
+    assert terrain.start.x < -10 < 10 < terrain.goal.x
+    assert terrain.route[0] == pytest.approx((terrain.start.x, terrain.start.y))
+    assert terrain.route[-1] == pytest.approx((terrain.goal.x, terrain.goal.y))
+    free = terrain.world().traversable(clearance=0.4, max_slope=math.radians(25))
+    cells = free.cells(terrain.route)
+    assert free.free[cells[:, 0], cells[:, 1]].all()
+
+
+@pytest.mark.parametrize("name", ["husky", "turtlebot3_burger", "quadrotor"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_robots_can_stand_at_start_and_goal(kind: str, name: str) -> None:
+    robot = make_robot(name)
+    terrain = made(kind, 1.0, scale=min(1.0, robot.radius / 0.58))
+    for pose in (terrain.start, terrain.goal):
+        standing_pose(terrain.world(), robot, pose)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "mazes"])
+def test_a_harder_course_is_rougher(kind: str) -> None:
+    relief = [made(kind, d).surface.relief for d in (0.0, 0.25, 0.5, 1.0)]
+    assert relief == sorted(relief)
+    assert relief[-1] > 2.5 * relief[0]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_line_from_start_to_goal_is_barred_from_the_middle_difficulty_on(kind: str) -> None:
+    barred = 0
+    for seed in range(10):
+        terrain = made(kind, 0.5, seed)
+        free = terrain.world().traversable(clearance=0.4, max_slope=math.radians(25)).free
+        a, b = (np.array((pose.x, pose.y)) for pose in (terrain.start, terrain.goal))
+        cells = (
+            terrain.world()
+            .traversable(clearance=0.4, max_slope=0.4)
+            .cells(a + np.linspace(0, 1, 300)[:, None] * (b - a))
+        )
+        barred += not free[cells[:, 0], cells[:, 1]].all()
+    assert barred >= 9
+
+
+def test_gaps_are_trenches_and_steps_are_terraces() -> None:
+    gaps, steps = made("gaps", 1.0), made("steps", 1.0)
+    away = gaps.heights[:20]
+    assert np.mean(away < -1.0) > 0.15
+    assert np.mean(np.abs(away) < 0.2) > 0.3
+    # Between two neighbours a tread is level or there is a whole riser.
+    rise = np.abs(np.diff(steps.heights[:20], axis=1))
+    assert np.mean((rise < 0.03) | (np.abs(rise - 0.36) < 0.03)) > 0.99
+    assert (rise > 0.3).any()
+
+
+def test_the_seed_decides() -> None:
+    for kind in KINDS:
+        assert np.array_equal(made(kind, 0.7).heights, made(kind, 0.7).heights)
+        assert not np.array_equal(made(kind, 0.7).heights, made(kind, 0.7, seed=2).heights)
+
+
+def test_a_scale_scales_all_lengths() -> None:
+    one, half = made("craters", 0.6), made("craters", 0.6, scale=0.5)
+    assert half.heights == pytest.approx(0.5 * one.heights, abs=1e-6)
+    assert half.surface.size == pytest.approx(np.multiply(one.surface.size, 0.5))
+    assert half.route == pytest.approx(0.5 * one.route)
+    assert (half.start.x, half.start.yaw) == pytest.approx((one.start.x / 2, one.start.yaw))
+
+
+@pytest.mark.parametrize(
+    ("kind", "difficulty", "scale", "message"),
+    [
+        ("hill", 0.5, 1.0, "unknown kind of terrain 'hill'"),
+        ("waves", 1.5, 1.0, "difficulty of a terrain must be 0 to 1, got 1.5"),
+        ("waves", math.nan, 1.0, "difficulty of a terrain must be 0 to 1, got nan"),
+        ("waves", 0.5, 0.0, "scale of a terrain must be a finite number above 0, got 0"),
+    ],
+)
+def test_bad_arguments_are_named(kind: str, difficulty: float, scale: float, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        made(kind, difficulty, scale=scale)
+
+
+def test_natural_terrains_are_seeded_and_rocks_stand_on_them() -> None:
+    for make in NATURAL_TERRAINS.values():
+        z = make(np.random.default_rng(3))
+        assert z.shape == (257, 257)
+        assert np.array_equal(z, make(np.random.default_rng(3)))
+    rocks = with_rocks(np.random.default_rng(3), np.zeros((257, 257)))
+    assert 0.4 < rocks.max() < 2.4
+    assert 0.001 < np.mean(rocks > 0) < 0.02
