@@ -12,7 +12,7 @@ from lirs_envs.lidar.deskew import moved_frames
 from lirs_envs.lidar.noise import LidarNoise, draw_noise, lidar_noise, measure
 from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.lidar.ray_casting import Caster
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import LaserScan
@@ -77,16 +77,8 @@ class Lidar:
             SimulationError: the pose is not finite.
         """
         preset = self.preset
-        T = T_world_base
-        if not all(map(math.isfinite, (T.x, T.y, T.z, T.qw, T.qx, T.qy, T.qz))):
-            raise SimulationError(f"the lidar's pose must be finite, got {T_world_base}")
-        origin, directions = self._rays(T_world_base, velocity)
-        exact = self.caster.ranges(origin, directions, preset.range_max)
-        normal, uniform = draw_noise(self.noise, preset.beams, self._rng)
-        ranges = np.empty(preset.beams, np.float32)
-        measure(exact, normal, uniform, self._limits, self._noise, ranges)
         return LaserScan(
-            ranges,
+            self.ranges(T_world_base, velocity),
             preset.angle_min,
             preset.angle_increment,
             preset.range_min,
@@ -95,6 +87,18 @@ class Lidar:
             self.T_base_laser,
             self.time_increment,
         )
+
+    def ranges(self, T_world_base: Pose3, velocity: BaseVelocity | None = None) -> Float32Array:
+        """Return (beams,) ranges of a scan (see `scan`)."""
+        preset, T = self.preset, T_world_base
+        if not all(map(math.isfinite, (T.x, T.y, T.z, T.qw, T.qx, T.qy, T.qz))):
+            raise SimulationError(f"the lidar's pose must be finite, got {T_world_base}")
+        origin, directions = self._rays(T_world_base, velocity)
+        exact = self.caster.ranges(origin, directions, preset.range_max)
+        normal, uniform = draw_noise(self.noise, preset.beams, self._rng)
+        ranges = np.empty(preset.beams, np.float32)
+        measure(exact, normal, uniform, self._limits, self._noise, ranges)
+        return ranges
 
     def _rays(self, T_world_base: Pose3, velocity: BaseVelocity | None) -> tuple[FloatArray, FloatArray]:
         """Return origin (3,) or origins (n, 3), and directions (n, 3) of the beams in the world."""
@@ -111,7 +115,7 @@ class Lidar:
         return origins, directions
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _transform_rays(
     quaternion: tuple[float, float, float, float],
     position: tuple[float, float, float],

@@ -109,7 +109,7 @@ def draw_noise(noise: LidarNoise, beams: int, rng: np.random.Generator) -> tuple
     return normal, rng.random((beams, 2)) if noise.draws_uniform else NO_DRAWS
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def measure(
     exact: FloatArray,
     normal: FloatArray,

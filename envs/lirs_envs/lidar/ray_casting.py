@@ -79,7 +79,7 @@ class RayCaster:
         return ranges
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def cast_rays(
     terrain: TerrainMipmap,
     walls: WallCells,

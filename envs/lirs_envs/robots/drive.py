@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from lirs_envs.robots.command import Twist, Waypoint, clip
+import numpy as np
+from numba import njit
+
+from lirs_envs.robots.command import Twist, Waypoint
 from lirs_envs.robots.robot import Robot
+from lirs_wct.arrays import FloatArray
 from lirs_wct.field_validators import require_at_least
 
 
@@ -31,6 +36,37 @@ class DriveConfig:
         require_at_least(self, 0, *names, of="the yaw loop", finite=True)
 
 
+class DriveParameters(NamedTuple):
+    """Limits of a robot and gains of its yaw loop, as the kernel reads them."""
+
+    max_speed: float
+    max_turn_rate: float
+    max_acceleration: float
+    max_turn_acceleration: float
+    proportional: float
+    integral: float
+    integral_limit: float
+    skid_factor: float
+    track: float
+    wheel_radius: float
+
+
+def drive_parameters(robot: Robot, config: DriveConfig) -> DriveParameters:
+    """Return the parameters of a robot with driven wheels."""
+    return DriveParameters(
+        robot.max_speed,
+        robot.max_turn_rate,
+        robot.max_acceleration,
+        robot.max_turn_acceleration,
+        config.proportional,
+        config.integral,
+        config.integral_limit,
+        robot.skid_factor,
+        robot.track,
+        robot.wheel_radius,
+    )
+
+
 class DifferentialDrive:
     """Wheel speeds of a robot with driven wheels on both sides.
 
@@ -42,22 +78,46 @@ class DifferentialDrive:
     def __init__(self, robot: Robot, config: DriveConfig | None = None) -> None:
         self.robot = robot
         self.config = config or DriveConfig()
-        self._v = self._omega = self._integral = 0.0
+        self._parameters = drive_parameters(robot, self.config)
+        self._state = np.zeros(3)
 
     def update(self, command: Twist | Waypoint, yaw_rate: float, dt: float) -> tuple[float, ...]:
         """Return the speeds of left and right wheels, rad/s (see `robots.controller.Controller`)."""
         assert isinstance(command, Twist), "a waypoint is for robots that fly"
-        robot, config = self.robot, self.config
-        v = clip(command.v, robot.max_speed)
-        omega = clip(command.omega, robot.max_turn_rate)
-        self._v += clip(v - self._v, robot.max_acceleration * dt)
-        self._omega += clip(omega - self._omega, robot.max_turn_acceleration * dt)
-        if self._v == 0.0 and self._omega == 0.0:
-            # Standing: the wheels hold, the gyro's bias must not turn the robot.
-            self._integral = 0.0
-            return 0.0, 0.0
-        error = self._omega - yaw_rate
-        self._integral = clip(self._integral + config.integral * error * dt, config.integral_limit)
-        turn = self._omega + config.proportional * error + self._integral
-        side = turn * robot.skid_factor * robot.track / 2
-        return (self._v - side) / robot.wheel_radius, (self._v + side) / robot.wheel_radius
+        speeds: tuple[float, float] = wheel_speeds(
+            self._state, float(command.v), float(command.omega), yaw_rate, dt, self._parameters
+        )
+        return speeds
+
+
+@njit(cache=True, nogil=True)
+def wheel_speeds(
+    state: FloatArray, v: float, omega: float, yaw_rate: float, dt: float, parameters: DriveParameters
+) -> tuple[float, float]:
+    """Return the speeds of left and right wheels, rad/s, and update the state.
+
+    Args:
+        state: (3,) commanded speed and turn rate within the accelerations, integral of the yaw loop.
+        v: commanded speed, m/s.
+        omega: commanded turn rate, rad/s.
+        yaw_rate: measured by the gyro, rad/s.
+        dt: seconds until the next update.
+        parameters: of robot and loop.
+    """
+    p = parameters
+    v, omega = _limited(v, p.max_speed), _limited(omega, p.max_turn_rate)
+    state[0] += _limited(v - state[0], p.max_acceleration * dt)
+    state[1] += _limited(omega - state[1], p.max_turn_acceleration * dt)
+    if state[0] == 0.0 and state[1] == 0.0:
+        # Standing: the wheels hold, the gyro's bias must not turn the robot.
+        state[2] = 0.0
+        return 0.0, 0.0
+    error = state[1] - yaw_rate
+    state[2] = _limited(state[2] + p.integral * error * dt, p.integral_limit)
+    side = (state[1] + p.proportional * error + state[2]) * p.skid_factor * p.track / 2
+    return (state[0] - side) / p.wheel_radius, (state[0] + side) / p.wheel_radius
+
+
+@njit(cache=True, inline="always")
+def _limited(value: float, limit: float) -> float:
+    return max(-limit, min(limit, value))

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
-from lirs_wct.arrays import Vector3
+from lirs_wct.arrays import FloatArray, IntArray, Vector3
 from lirs_wct.field_validators import require_above, require_at_least
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import Imu
@@ -51,26 +53,83 @@ class ImuConfig:
         require_at_least(self, 0, *biases, *sigmas, of="the IMU", finite=True)
 
 
+class ImuParameters(NamedTuple):
+    """Standard deviations of an `ImuConfig` as the kernel reads them; `attitude_time` in seconds."""
+
+    attitude_sigma: float
+    attitude_bias: float
+    attitude_time: float
+    acceleration_sigma: float
+
+
+class ImuSensors:
+    """N inertial units that turn true motion into readings; each has biases and a random stream of its own.
+
+    Attributes:
+        rate_bias: (N, 3) constant errors of the rates, rad/s.
+        rate_errors: (N, RATE_BLOCK, 3) errors of the coming gyro readings, the last row first, rad/s.
+        rates_left: (N,) rows of them that are not used up.
+        bias: (N, 5) slowly varying errors of roll and pitch, radians, constant ones of the acceleration.
+        normals: (N, 7) numbers for the next reading.
+    """
+
+    def __init__(self, config: ImuConfig, count: int) -> None:
+        self.config = config
+        c = config
+        self.parameters = ImuParameters(
+            *map(float, (c.attitude_sigma, c.attitude_bias, c.attitude_time, c.acceleration_sigma))
+        )
+        self._rngs = [np.random.default_rng(0) for _ in range(count)]
+        self.rate_bias = np.zeros((count, 3))
+        self.bias = np.zeros((count, 5))
+        self.rate_errors = np.zeros((count, RATE_BLOCK, 3))
+        self.rates_left = np.zeros(count, np.int64)
+        self.normals = np.zeros((count, 7))
+
+    def begin(self, i: int, rng: np.random.Generator) -> None:
+        """Draw the biases of unit `i` anew, from `rng` as all that follows."""
+        config, self._rngs[i] = self.config, rng
+        bias = rng.standard_normal(8)
+        self.rate_bias[i] = bias[:3] * config.rate_bias
+        self.bias[i, :2], self.bias[i, 2:] = (
+            bias[6:] * config.attitude_bias,
+            bias[3:6] * config.acceleration_bias,
+        )
+        self.rates_left[i] = 0
+
+    def draw_rate_errors(self) -> None:
+        """Draw a block of errors where one is used up; one by one they would cost more than the reading."""
+        for i in np.flatnonzero(self.rates_left == 0).tolist():
+            noise = self._rngs[i].standard_normal((RATE_BLOCK, 3))
+            self.rate_errors[i] = self.rate_bias[i] + self.config.rate_sigma * noise
+            self.rates_left[i] = RATE_BLOCK
+
+    def draw_reading(self, i: int) -> None:
+        """Draw the numbers for the next reading of unit `i`."""
+        self._rngs[i].standard_normal(out=self.normals[i])
+
+
 class ImuSensor:
-    """Turns true motion into readings. Its biases are drawn when it is made."""
+    """One inertial unit. Its biases are drawn when it is made."""
 
     def __init__(self, config: ImuConfig, rng: np.random.Generator) -> None:
         self.config = config
-        self._rng = rng
-        bias = rng.standard_normal(8)
-        self._rate_bias = bias[:3] * config.rate_bias
-        self._acceleration_bias = (bias[3:6] * config.acceleration_bias).tolist()
-        self._roll_bias, self._pitch_bias = (bias[6:] * config.attitude_bias).tolist()
-        self._rate_errors: list[list[float]] = []
+        self._units = ImuSensors(config, 1)
+        self._units.begin(0, rng)
+
+    @property
+    def rate_bias(self) -> FloatArray:
+        """(3,) constant error of the rates, rad/s."""
+        bias: FloatArray = self._units.rate_bias[0]
+        return bias
 
     def rates(self, true_rates: Vector3) -> Vector3:
         """Return the measured rates about x, y, z of the base, rad/s."""
-        if not self._rate_errors:
-            # Drawn in blocks: one small array a reading would cost more than the rest of the reading.
-            noise = self._rng.standard_normal((RATE_BLOCK, 3))
-            self._rate_errors = (self._rate_bias + self.config.rate_sigma * noise).tolist()
-        x, y, z = self._rate_errors.pop()
-        return true_rates[0] + x, true_rates[1] + y, true_rates[2] + z
+        units = self._units
+        if units.rates_left[0] == 0:
+            units.draw_rate_errors()
+        x, y, z = next_rates(units.rate_errors[0], units.rates_left, true_rates)
+        return x, y, z
 
     def read(
         self, T_world_base: Pose3, rates: Vector3, specific_force: Vector3, stamp: float, dt: float
@@ -84,22 +143,42 @@ class ImuSensor:
             stamp: seconds.
             dt: seconds since the last reading.
         """
-        config = self.config
-        keep = math.exp(-dt / config.attitude_time)
-        fresh = math.sqrt(1 - keep * keep) * config.attitude_bias
-        # Plain numbers: seven of them in an array cost more than the reading.
-        n = self._rng.standard_normal(7).tolist()
-        self._roll_bias = keep * self._roll_bias + fresh * n[0]
-        self._pitch_bias = keep * self._pitch_bias + fresh * n[1]
-        white, (x, y, z) = config.acceleration_sigma, self._acceleration_bias
-        return Imu(
-            roll=T_world_base.roll + (self._roll_bias + config.attitude_sigma * n[2]),
-            pitch=T_world_base.pitch + (self._pitch_bias + config.attitude_sigma * n[3]),
-            angular_velocity=rates,
-            linear_acceleration=(
-                specific_force[0] + (x + white * n[4]),
-                specific_force[1] + (y + white * n[5]),
-                specific_force[2] + (z + white * n[6]),
-            ),
-            stamp=stamp,
+        units = self._units
+        units.draw_reading(0)
+        attitude = (T_world_base.roll, T_world_base.pitch)
+        roll, pitch, x, y, z = read_imu(
+            units.bias[0], units.normals[0], attitude, specific_force, dt, units.parameters
         )
+        return Imu(roll, pitch, rates, (x, y, z), stamp)
+
+
+@njit(cache=True, nogil=True)
+def next_rates(errors: FloatArray, left: IntArray, true: Vector3) -> Vector3:
+    """Return the measured rates about x, y, z, rad/s, with the next row of errors; `left` (1,) is counted."""
+    left[0] -= 1
+    row = left[0]
+    return true[0] + errors[row, 0], true[1] + errors[row, 1], true[2] + errors[row, 2]
+
+
+@njit(cache=True, nogil=True)
+def read_imu(
+    bias: FloatArray,
+    normal: FloatArray,
+    attitude: tuple[float, float],
+    force: Vector3,
+    dt: float,
+    parameters: ImuParameters,
+) -> tuple[float, float, float, float, float]:
+    """Return measured roll, pitch and specific force; `bias` (5,) goes on by `dt` seconds."""
+    p = parameters
+    keep = math.exp(-dt / p.attitude_time)
+    fresh = math.sqrt(1 - keep * keep) * p.attitude_bias
+    bias[0] = keep * bias[0] + fresh * normal[0]
+    bias[1] = keep * bias[1] + fresh * normal[1]
+    return (
+        attitude[0] + (bias[0] + p.attitude_sigma * normal[2]),
+        attitude[1] + (bias[1] + p.attitude_sigma * normal[3]),
+        force[0] + (bias[2] + p.acceleration_sigma * normal[4]),
+        force[1] + (bias[3] + p.acceleration_sigma * normal[5]),
+        force[2] + (bias[4] + p.acceleration_sigma * normal[6]),
+    )

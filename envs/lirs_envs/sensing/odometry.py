@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
+from numba import njit
 
 from lirs_envs.robots.robot import Robot
-from lirs_wct.arrays import Vector3
+from lirs_wct.arrays import FloatArray, IntArray, Vector3
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.field_validators import require_above, require_within
-from lirs_wct.geometry.pose import Pose2, Pose3, wrap_angle
+from lirs_wct.geometry.pose import Pose2, Pose3
 
 Method = Literal["gyro", "ekf"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -72,35 +73,96 @@ class OdometryIncrement(NamedTuple):
     @property
     def turn(self) -> float:
         """Change of yaw by the gyro, radians."""
-        return yaw_rate(self.rates, self.roll, self.pitch) * self.dt
+        rate: float = yaw_rate(self.rates, self.roll, self.pitch)
+        return rate * self.dt
 
 
-def yaw_rate(rates: Vector3, roll: float, pitch: float) -> float:
-    """Return the rate of the yaw angle (R = Rz Ry Rx) from rates about the base's axes, rad/s."""
-    _, y, z = rates
-    return (y * math.sin(roll) + z * math.cos(roll)) / max(math.cos(pitch), 0.1)
+class DistanceNoises:
+    """Scale errors of the distances of N robots: first-order Gauss-Markov processes over the distance driven.
+
+    Attributes:
+        scale: (N,) present scale error.
+        normals: (N, BLOCK) coming normal numbers.
+        used: (N,) how many of them are used up.
+        parameters: standard deviation and correlation length, metres.
+    """
+
+    def __init__(self, config: OdometryConfig, count: int) -> None:
+        self.parameters = (float(config.scale_sigma), float(config.scale_length))
+        self._rngs = [np.random.default_rng(0) for _ in range(count)]
+        self.normals = np.zeros((count, BLOCK))
+        self.used = np.zeros(count, np.int64)
+        self.scale = np.zeros(count)
+
+    def begin(self, i: int, rng: np.random.Generator) -> None:
+        """Draw the scale error of robot `i` anew, from `rng` as all that follows."""
+        self._rngs[i], self.used[i] = rng, BLOCK
+        self.draw()
+        self.scale[i], self.used[i] = self.parameters[0] * self.normals[i, 0], 1
+
+    def draw(self) -> None:
+        """Draw a block of numbers where one is used up."""
+        for i in np.flatnonzero(self.used == BLOCK).tolist():
+            self._rngs[i].standard_normal(out=self.normals[i])
+            self.used[i] = 0
 
 
 class DistanceNoise:
-    """Scale error of distances: a first-order Gauss-Markov process over the distance driven."""
+    """The scale error of one robot's distances."""
 
     def __init__(self, config: OdometryConfig, rng: np.random.Generator) -> None:
-        self.config = config
-        self._rng = rng
-        self._normals: list[float] = []
-        self._scale = config.scale_sigma * self._normal()
+        self._noises = DistanceNoises(config, 1)
+        self._noises.begin(0, rng)
 
     def measured(self, distance: float) -> float:
         """Return the measured distance, metres."""
-        keep = math.exp(-abs(distance) / self.config.scale_length)
-        noise = self.config.scale_sigma * math.sqrt(1 - keep * keep) * self._normal()
-        self._scale = keep * self._scale + noise
-        return distance * (1 + self._scale)
+        noises = self._noises
+        if noises.used[0] == BLOCK:
+            noises.draw()
+        metres: float = measured_distance(
+            noises.scale, noises.normals[0], noises.used, distance, noises.parameters
+        )
+        return metres
 
-    def _normal(self) -> float:
-        if not self._normals:
-            self._normals = self._rng.standard_normal(BLOCK)[::-1].tolist()
-        return self._normals.pop()
+
+@njit(cache=True, nogil=True)
+def measured_distance(
+    scale: FloatArray,
+    normals: FloatArray,
+    used: IntArray,
+    distance: float,
+    parameters: tuple[float, float],
+) -> float:
+    """Return a measured distance, metres, with the next normal number; `scale` and `used` are (1,)."""
+    sigma, length = parameters
+    keep = math.exp(-abs(distance) / length)
+    scale[0] = keep * scale[0] + sigma * math.sqrt(1 - keep * keep) * normals[used[0]]
+    used[0] += 1
+    metres: float = distance * (1 + scale[0])
+    return metres
+
+
+@njit(cache=True, nogil=True)
+def yaw_rate(rates: Vector3, roll: float, pitch: float) -> float:
+    """Return the rate of the yaw angle (R = Rz Ry Rx) from rates about the base's axes, rad/s."""
+    rate: float = (rates[1] * math.sin(roll) + rates[2] * math.cos(roll)) / max(math.cos(pitch), 0.1)
+    return rate
+
+
+@njit(cache=True, nogil=True)
+def integrated_pose(pose: Vector3, forward: float, turn: float) -> Vector3:
+    """Return x, y, yaw after a short motion: metres forward while turning by radians, less than a full turn.
+
+    An angle less 2 pi is exact in the range of one full turn, as the remainder is.
+    """
+    x, y, yaw = pose
+    middle = yaw + turn / 2
+    yaw += turn
+    if yaw > math.pi:
+        yaw -= math.tau
+    elif yaw <= -math.pi:
+        yaw += math.tau
+    return x + forward * math.cos(middle), y + forward * math.sin(middle), yaw
 
 
 class Odometry:
@@ -191,7 +253,4 @@ class FlowOdometry(Odometry):
 
 def integrated(pose: Pose2, forward: float, turn: float) -> Pose2:
     """Return a pose after a short motion: metres forward while turning by radians."""
-    middle = pose.yaw + turn / 2
-    return Pose2(
-        pose.x + forward * math.cos(middle), pose.y + forward * math.sin(middle), wrap_angle(pose.yaw + turn)
-    )
+    return Pose2(*integrated_pose((pose.x, pose.y, pose.yaw), forward, turn))

@@ -117,7 +117,7 @@ def test_standing_teaches_the_bias(husky: Robot) -> None:
         for _ in range(TICK):
             odometry.update(0.0, imu.rates((0, 0, 0)), 0.0, 0.0, DT, 0.0)
         odometry.read()
-    true = float(imu._rate_bias[2])
+    true = float(imu.rate_bias[2])
     assert odometry.state[3] == pytest.approx(true, abs=4 * config.rate_sigma / math.sqrt(1250))
     assert math.sqrt(odometry.covariance[3, 3]) < 0.01 * config.rate_bias * 10
 
