@@ -18,6 +18,8 @@ SLACK = math.radians(2)
 """Margin of a start's slope above the robot's `max_slope`: plans measure slopes over a shorter distance."""
 CLEARANCE = 0.01
 """Metres between the robot and the highest ground under it when it is let go."""
+MAX_SETTLING_DISTANCE = 0.1
+"""A robot that moves farther than this while it settles cannot stand there, metres."""
 
 
 def resolve_start(world: World, start: Pose2 | None) -> Pose2:

@@ -27,6 +27,8 @@ CONTROL_PERIOD = 0.008
 """Longest time between two control updates, seconds."""
 SETTLING_TIME = 0.6
 """Time that a robot is given to come to rest after it was set down, seconds."""
+CONTACT_SENSOR = "touch_"
+"""Prefix of the names of contact sensors, one for each geom that is not meant to touch the ground."""
 TIPPED = 0.5
 """Cosine of the tilt from which a robot counts as tipped: 60 deg."""
 
@@ -42,6 +44,9 @@ class RobotModel:
         substeps: steps of each control update of one period.
         wheel_geoms: ids of the geoms that are meant to touch the ground.
         own_geoms: ids of all of the robot's geoms; None where nobody else has any.
+        actuators: ids of the actuators of the wheels on the left and on the right, or of each rotor.
+        left_angles: where `qpos` holds the angles of the driven wheels on the left.
+        right_angles: the same on the right.
 
     Args:
         world: ground and walls.
@@ -52,6 +57,7 @@ class RobotModel:
         mujoco_rays: whether MuJoCo's own rays are to meet the surface, where something else is touched.
         height_range: lowest and highest height that `replace_surface` may write, metres; the ground that is
             touched is then the surface itself. None = the ground stays.
+        contact_sensors: whether to add a contact sensor for each geom that is not meant to touch the ground.
     """
 
     def __init__(
@@ -64,6 +70,7 @@ class RobotModel:
         contact_geometry: ContactGeometry = "hfield",
         mujoco_rays: bool = False,
         height_range: tuple[float, float] | None = None,
+        contact_sensors: bool = False,
     ) -> None:
         if height_range is not None and world.kind != "terrain":
             raise ConfigError(f"{world.name}: a height_range is for terrains, this world is a {world.kind}")
@@ -74,6 +81,8 @@ class RobotModel:
         spec.option.timestep = self.timestep = period / steps
         most = max(1, int(CONTROL_PERIOD / self.timestep + 1e-9))
         self.substeps = tuple(min(most, steps - done) for done in range(0, steps, most))
+        if contact_sensors:
+            _add_contact_sensors(spec, robot)
         add_props(spec, world, props)
         self.model = world_spec(
             world,
@@ -90,8 +99,8 @@ class RobotModel:
         self._flies = robot.flies
         wheel_sides: list[tuple[str, ...]] = [robot.left_wheels, robot.right_wheels]
         sides = [(rotor,) for rotor in robot.rotors] or wheel_sides
-        self._actuators = [[self.model.actuator(name).id for name in side] for side in sides]
-        self._left_angles, self._right_angles = (
+        self.actuators = [[int(self.model.actuator(name).id) for name in side] for side in sides]
+        self.left_angles, self.right_angles = (
             [int(self.model.joint(name).qposadr[0]) for name in side] for side in wheel_sides
         )
         self._make_views()
@@ -127,15 +136,12 @@ class RobotModel:
 
     def pose(self) -> Pose3:
         """Return `T_world_base`."""
-        x, y, z, qw, qx, qy, qz = self._qpos[:7].tolist()
-        norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
-        return Pose3(x, y, z, qw / norm, qx / norm, qy / norm, qz / norm)
+        return base_pose(self._qpos)
 
     @property
     def tipped(self) -> bool:
         """Whether the robot tilts by more than 60 deg or lies on its back."""
-        p = self.pose()
-        return 1 - 2 * (p.qx * p.qx + p.qy * p.qy) < TIPPED
+        return is_tipped(self.pose())
 
     def rates(self) -> Vector3:
         """Return the true rates about x, y, z of the base, rad/s.
@@ -157,15 +163,19 @@ class RobotModel:
 
     def wheel_angles(self) -> tuple[float, float]:
         """Return the mean angles by which left and right wheels have turned, radians."""
-        angle = self._qpos.item
-        left = sum([angle(i) for i in self._left_angles]) / max(len(self._left_angles), 1)
-        right = sum([angle(i) for i in self._right_angles]) / max(len(self._right_angles), 1)
+        return self.mean_angles(self._qpos)
+
+    def mean_angles(self, qpos: FloatArray) -> tuple[float, float]:
+        """Return `wheel_angles` of a state's positions (nq,)."""
+        angle = qpos.item
+        left = sum([angle(i) for i in self.left_angles]) / max(len(self.left_angles), 1)
+        right = sum([angle(i) for i in self.right_angles]) / max(len(self.right_angles), 1)
         return left, right
 
     def step(self, control: tuple[float, ...], steps: int) -> None:
         """Step with the speeds of left and right wheels, rad/s, or the rotors' thrusts, newtons."""
         ctrl = self._ctrl
-        for side, value in zip(self._actuators, control, strict=True):
+        for side, value in zip(self.actuators, control, strict=True):
             for i in side:
                 ctrl[i] = value
         mujoco.mj_step(self.model, self.data, steps)
@@ -179,7 +189,7 @@ class RobotModel:
         self._qpos[:7] = (*T_world_base.position, *T_world_base.quaternion)
         if self._flies:
             weight = float(self.model.body("base_link").subtreemass[0]) * self.gravity
-            self._ctrl[[i for side in self._actuators for i in side]] = weight / len(self._actuators)
+            self._ctrl[[i for side in self.actuators for i in side]] = weight / len(self.actuators)
             mujoco.mj_forward(self.model, self.data)
         else:
             self.step((0.0, 0.0), math.ceil(seconds / self.timestep))
@@ -206,6 +216,32 @@ class RobotModel:
         pose = self.pose()
         mujoco.mj_setState(self.model, self.data, present, FULL_STATE)
         return seconds, pose
+
+
+def base_pose(qpos: FloatArray) -> Pose3:
+    """Return `T_world_base` from a state's positions (nq,)."""
+    x, y, z, qw, qx, qy, qz = qpos[:7].tolist()
+    norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
+    return Pose3(x, y, z, qw / norm, qx / norm, qy / norm, qz / norm)
+
+
+def is_tipped(T_world_base: Pose3) -> bool:
+    """Whether a robot tilts by more than 60 deg or lies on its back."""
+    return 1 - 2 * (T_world_base.qx * T_world_base.qx + T_world_base.qy * T_world_base.qy) < TIPPED
+
+
+def _add_contact_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Add sensors that count contacts; MuJoCo's batches show none otherwise."""
+    wheels = {*robot.left_wheels, *robot.right_wheels}
+    for geom in spec.geoms:
+        if geom.contype and geom.name not in wheels and not geom.name.endswith("caster"):
+            spec.add_sensor(
+                name=CONTACT_SENSOR + geom.name,
+                type=mujoco.mjtSensor.mjSENS_CONTACT,
+                objtype=mujoco.mjtObj.mjOBJ_GEOM,
+                objname=geom.name,
+                intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND), 0, 1],
+            )
 
 
 def _wheel_geoms(model: mujoco.MjModel, robot: Robot) -> frozenset[int]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from lirs_envs.collisions import Collisions, ContactMonitor, check_divergence
 from lirs_envs.lidar.casters import make_caster
-from lirs_envs.placement import check_fit, resolve_start, standing_pose
+from lirs_envs.placement import MAX_SETTLING_DISTANCE, check_fit, resolve_start, standing_pose
 from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.command import Twist, Waypoint, check_command
 from lirs_envs.robots.controller import make_controller
@@ -26,9 +26,6 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.ground import Terrain
 from lirs_wct.world import World
-
-MAX_SETTLING_DISTANCE = 0.1
-"""A robot that moves farther than this while it settles cannot stand there, metres."""
 
 
 class Simulation:

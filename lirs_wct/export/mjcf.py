@@ -106,8 +106,9 @@ def _add_ground(
     **options: int,
 ) -> None:
     west, south, east, north = surface.bounds
-    low, high = height_range or (float(surface.z.min()), float(surface.z.max()))
-    relief = high - low
+    low, relief = float(surface.z.min()), surface.relief
+    if height_range is not None:
+        low, relief = height_range[0], height_range[1] - height_range[0]
     half = ((east - west) / 2, (north - south) / 2)
     common = {
         "name": name,

@@ -16,10 +16,12 @@ class Twist:
     Attributes:
         v: forward speed, m/s.
         omega: turn rate, rad/s, counter-clockwise.
+        climb: of a robot that flies: change of its height above the ground, m/s.
     """
 
     v: float = 0.0
     omega: float = 0.0
+    climb: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

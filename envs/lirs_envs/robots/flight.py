@@ -37,7 +37,9 @@ class FlightConfig:
         heading_gain: wanted yaw rate a radian of error, 1/s.
         max_tilt: largest tilt, radians.
         max_climb_rate: largest vertical speed, m/s.
-        altitude: height above the ground in terrain following, metres.
+        altitude: height above the ground in terrain following, metres; a climb changes it.
+        min_altitude: lowest that a climb makes it, metres.
+        max_altitude: highest that a climb makes it, metres.
         lookahead: time ahead over which the ground counts in terrain following, seconds.
 
     Raises:
@@ -52,6 +54,8 @@ class FlightConfig:
     max_tilt: float = math.radians(45)
     max_climb_rate: float = 5.0
     altitude: float = 1.0
+    min_altitude: float = 0.6
+    max_altitude: float = 10.0
     lookahead: float = 0.8
 
     def __post_init__(self) -> None:
@@ -112,8 +116,8 @@ class Airframe:
 class QuadrotorController:
     """Rotor thrusts from commands.
 
-    A `Twist` flies ahead and turns at the altitude of the config above the highest ground within the
-    lookahead; without any motion it holds its place. A `Waypoint` flies there and stays.
+    A `Twist` flies ahead and turns at an altitude above the highest ground within the lookahead; the config's
+    at first, a climb changes it. Without any motion it holds its place. A `Waypoint` flies there and stays.
     """
 
     def __init__(
@@ -128,6 +132,7 @@ class QuadrotorController:
         self._allocation = np.linalg.pinv(self._airframe.wrench.T)
         self._hold: Waypoint | None = None
         self._v = self._omega = 0.0
+        self._altitude = self.config.altitude
 
     def update(self, command: Twist | Waypoint, yaw_rate: float, dt: float) -> tuple[float, ...]:
         """Return the thrust of each rotor, newtons (see `robots.controller.Controller`)."""
@@ -170,6 +175,10 @@ class QuadrotorController:
         if isinstance(command, Waypoint):
             self._hold, self._v, self._omega = None, 0.0, 0.0
             return self._towards(command, T)
+        if command.climb != 0.0:
+            self._hold = None
+            altitude = self._altitude + clip(command.climb, config.max_climb_rate) * dt
+            self._altitude = min(max(altitude, config.min_altitude), config.max_altitude)
         v = clip(command.v, robot.max_speed)
         self._v += clip(v - self._v, robot.max_acceleration * dt)
         self._omega = clip(command.omega, robot.max_turn_rate)
@@ -196,4 +205,4 @@ class QuadrotorController:
         times = np.linspace(0.0, self.config.lookahead, 9).tolist()
         ground = [float(self._surface.height_at(T.x + velocity[0] * t, T.y + velocity[1] * t)) for t in times]
         known = [z for z in ground if math.isfinite(z)]
-        return max(known, default=T.z - self.config.altitude) + self.config.altitude
+        return max(known, default=T.z - self._altitude) + self._altitude

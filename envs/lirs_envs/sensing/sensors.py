@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -15,8 +16,9 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.ekf import EkfOdometry
 from lirs_envs.sensing.imu import ImuConfig, ImuSensor
 from lirs_envs.sensing.odometry import FlowOdometry, OdometryConfig, WheelOdometry
+from lirs_wct.arrays import Vector3
 from lirs_wct.field_validators import require_type
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 
 LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM = 11, 12, 13
@@ -64,6 +66,19 @@ class SensorNoise:
         require_type(self, bool, "rolling_scan", of="the sensor noise")
 
 
+class MovingBody(Protocol):
+    """True state that odometry measures."""
+
+    def pose(self) -> Pose3:
+        """Return `T_world_base`."""
+
+    def velocity(self) -> Vector3:
+        """Return the velocity along the body's axes, m/s."""
+
+    def wheel_angles(self) -> tuple[float, float]:
+        """Return the mean angles by which left and right wheels have turned, radians."""
+
+
 class Sensors:
     """The sensors of a robot that stands still; odometry begins here."""
 
@@ -85,7 +100,7 @@ class Sensors:
             preset, caster, robot.T_base_laser, lidar, ranges, rolling_scan=noise.rolling_scan
         )
         self._imu = ImuSensor(noise.imu, imu)
-        self._odometry = _make_odometry(robot, noise, odometry)
+        self._odometry = make_odometry(robot, noise, odometry)
         self._wheel_angles = body.wheel_angles()
         self._rates = self._imu.rates(body.rates())
         pose = body.pose()
@@ -100,14 +115,8 @@ class Sensors:
         """Read gyro and wheels, or gyro and optical flow, after `dt` seconds."""
         body = self._body
         self._rates = self._imu.rates(body.rates())
-        if isinstance(self._odometry, FlowOdometry):
-            self._odometry.update(body.pose(), body.velocity(), self._rates, *self._attitude, dt)
-            return
-        left, right = body.wheel_angles()
-        left_turned, right_turned = left - self._wheel_angles[0], right - self._wheel_angles[1]
-        turned, difference = (left_turned + right_turned) / 2, right_turned - left_turned
-        self._odometry.update(turned, self._rates, *self._attitude, dt, difference)
-        self._wheel_angles = left, right
+        readings = (self._rates, *self._attitude)
+        self._wheel_angles = add_motion(self._odometry, body, readings, self._wheel_angles, dt)
 
     def observe(self, stamp: float, dt: float) -> Observation:
         """Read all sensors; `dt` is the time since the last observation, seconds."""
@@ -120,11 +129,35 @@ class Sensors:
         return Observation(scan, self._odometry.read(), imu)
 
 
-def _make_odometry(
-    robot: Robot, noise: SensorNoise, rng: np.random.Generator
-) -> WheelOdometry | FlowOdometry:
+def make_odometry(robot: Robot, noise: SensorNoise, rng: np.random.Generator) -> WheelOdometry | FlowOdometry:
+    """Return the odometry of a robot."""
     if robot.flies:
         return FlowOdometry(noise.odometry, rng)
     if noise.odometry.method == "ekf":
         return EkfOdometry(robot, noise.odometry, rng, noise.imu)
     return WheelOdometry(robot, noise.odometry, rng)
+
+
+def add_motion(
+    odometry: WheelOdometry | FlowOdometry,
+    body: MovingBody,
+    readings: tuple[Vector3, float, float],
+    wheel_angles: tuple[float, float],
+    dt: float,
+) -> tuple[float, float]:
+    """Add the motion since the last update to a robot's odometry; return the angles of its wheels.
+
+    Args:
+        odometry: of the robot.
+        body: its true state.
+        readings: rates, rad/s, roll and pitch, radians, as measured.
+        wheel_angles: at the last update, left and right, radians.
+        dt: seconds since then.
+    """
+    if isinstance(odometry, FlowOdometry):
+        odometry.update(body.pose(), body.velocity(), *readings, dt)
+        return wheel_angles
+    left, right = body.wheel_angles()
+    left_turned, right_turned = left - wheel_angles[0], right - wheel_angles[1]
+    odometry.update((left_turned + right_turned) / 2, *readings, dt, right_turned - left_turned)
+    return left, right

@@ -1,0 +1,170 @@
+"""The physics of N robots through `mujoco.batch`, each alone in a world.
+
+A simulation is a row of MuJoCo's state: results are those of one simulation alone at any number of threads.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from mujoco.batch import SimulationError as BatchError
+
+from lirs_envs.collisions import DIVERGENCE_WARNINGS
+from lirs_envs.robot_model import CONTACT_SENSOR, SETTLING_TIME, RobotModel, base_pose, is_tipped
+from lirs_envs.robots.robot import Robot
+from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, Vector3
+from lirs_wct.geometry.pose import Pose3
+
+
+class Bodies:
+    """N robots in MuJoCo.
+
+    Attributes:
+        body: the compiled model, which also says how its values are found.
+        count: number of robots, N.
+        threads: that step them.
+        qpos: (N, nq) positions, live; the first seven are those of `T_world_base`.
+        qvel: (N, nv) velocities, live.
+        ctrl: (N, nu) controls, to be written.
+        models: the model of each robot; one for all unless `own_models`.
+
+    Args:
+        robot: whose figures.
+        body: its compiled model, with contact sensors.
+        count: number of robots.
+        threads: number of threads.
+        own_models: whether each robot has a model of its own, to be edited and announced by `models_changed`.
+    """
+
+    def __init__(
+        self, robot: Robot, body: RobotModel, count: int, threads: int, *, own_models: bool = False
+    ) -> None:
+        self.robot = robot
+        self.body = body
+        self.count, self.threads = count, threads
+        self.models = [copy.copy(body.model) for _ in range(count)] if own_models else [body.model] * count
+        self._own_models = own_models
+        sensors = [body.model.sensor(i) for i in range(body.model.nsensor)]
+        self._touch = np.array(
+            [int(s.adr[0]) for s in sensors if s.name.startswith(CONTACT_SENSOR)], np.int64
+        )
+        self._force = int(body.model.sensor("accelerometer").adr[0])
+        self._make_batch()
+
+    def _make_batch(self) -> None:
+        model = self.body.model
+        # MuJoCo keeps who sleeps in its data, not in the state.
+        sleeps = bool(model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP)
+        self._batch = Batch(model, self.count, self.threads, persistent=sleeps)
+        if self._own_models:
+            self._batch.set_models(self.models)
+        self.qpos, self.qvel, self.ctrl = (self._batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
+        self._sensordata: FloatArray = self._batch.bind("sensordata")
+
+    def __getstate__(self) -> dict[str, Any]:
+        live = ("_batch", "qpos", "qvel", "ctrl", "_sensordata")
+        kept = {name: value for name, value in self.__dict__.items() if name not in live}
+        return kept | {"_rows": self._batch.state.copy(), "_warnings": self._batch.warning.copy()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        rows, warnings = state.pop("_rows"), state.pop("_warnings")
+        self.__dict__.update(state)
+        self._make_batch()
+        self._batch.state[:], self._batch.warning[:] = rows, warnings
+
+    def models_changed(self) -> None:
+        """Let the physics read the models again after one was edited."""
+        self._batch.set_models(self.models)
+
+    def step(self, ids: Int32Array | None, steps: int) -> dict[int, str]:
+        """Step robots with their controls; return the errors of those that MuJoCo could not step."""
+        try:
+            self._batch.step(ids, nstep=steps)
+        except BatchError as error:
+            return {int(i): self._batch.error(int(i)) for i in error.ids}
+        return {}
+
+    def settle(self, i: int, T_world_base: Pose3) -> None:
+        """Let robot `i` go in a pose with its wheels held, and wait (see `RobotModel.settle`)."""
+        row = np.array((i,), np.int32)
+        self._batch.reset(row, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        self._batch.warning[i] = 0
+        self.qpos[i, :7] = (*T_world_base.position, *T_world_base.quaternion)
+        if self.robot.flies:
+            weight = float(self.models[i].body("base_link").subtreemass[0]) * self.body.gravity
+            self.ctrl[i] = weight / len(self.robot.rotors)
+            self._batch.forward(row)
+        else:
+            self.step(row, math.ceil(SETTLING_TIME / self.body.timestep))
+        self._batch.bind("time")[i] = 0.0
+
+    def touching(self) -> BoolArray:
+        """(N,) whether a geom that is no wheel touches anything, at the beginning of the last step."""
+        found: BoolArray = np.any(self._sensordata[:, self._touch] > 0, axis=1)
+        return found
+
+    def specific_force(self) -> FloatArray:
+        """(N, 3) true readings of the accelerometers along the bases' axes, m/s^2."""
+        return self._sensordata[:, self._force : self._force + 3]
+
+    def divergence(self, i: int) -> str:
+        """Return how robot `i` has diverged; empty = it has not."""
+        for warning, reason in DIVERGENCE_WARNINGS.items():
+            if self._batch.warning[i, warning, 1]:
+                return f"the simulation diverged: {reason}"
+        finite = np.isfinite(self.qpos[i]).all() and np.isfinite(self.qvel[i]).all()
+        return "" if finite else "the simulation diverged: the state is not finite"
+
+    def pose(self, i: int) -> Pose3:
+        """Return `T_world_base` of robot `i`."""
+        return base_pose(self.qpos[i])
+
+    def tipped(self, i: int) -> bool:
+        """Whether robot `i` tilts by more than 60 deg or lies on its back."""
+        return is_tipped(self.pose(i))
+
+    def data(self, i: int) -> mujoco.MjData:
+        """Return MuJoCo's data of robot `i`, with its derived fields: to be rendered."""
+        data = self._batch.get_data(i)
+        mujoco.mj_forward(self.models[i], data)
+        return data
+
+
+class BodyView:
+    """One robot of many as `lirs_envs.robots.flight.FlyingBody` and the sensors see it."""
+
+    def __init__(self, bodies: Bodies, i: int) -> None:
+        self._bodies, self._i = bodies, i
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model."""
+        return self._bodies.models[self._i]
+
+    @property
+    def gravity(self) -> float:
+        """Gravity along -z, m/s^2."""
+        return self._bodies.body.gravity
+
+    def pose(self) -> Pose3:
+        """Return `T_world_base`."""
+        return self._bodies.pose(self._i)
+
+    def rates(self) -> Vector3:
+        """Return the true rates about x, y, z of the base, rad/s."""
+        x, y, z = self._bodies.qvel[self._i, 3:6].tolist()
+        return x, y, z
+
+    def velocity(self) -> Vector3:
+        """Return the true velocity of base_link along x, y, z of the base, m/s."""
+        x, y, z = (self._bodies.qvel[self._i, :3] @ self.pose().rotation).tolist()
+        return x, y, z
+
+    def wheel_angles(self) -> tuple[float, float]:
+        """Return the mean angles by which left and right wheels have turned, radians."""
+        return self._bodies.body.mean_angles(self._bodies.qpos[self._i])

@@ -1,0 +1,102 @@
+"""Wheel odometry of N robots: the kernel of one, row by row."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from lirs_envs.sensing.odometry import (
+    DistanceNoises,
+    OdometryConfig,
+    integrated_pose,
+    measured_distance,
+    yaw_rate,
+)
+from lirs_wct.arrays import FloatArray, IntArray, Vector3
+
+
+class WheelJoints(NamedTuple):
+    """Where `qpos` holds the angles of the driven wheels, and their radius, metres."""
+
+    left: IntArray
+    right: IntArray
+    radius: float
+
+
+class WheelOdometries:
+    """`T_odom_base` of N robots, distance from the wheels and heading from the gyro.
+
+    Attributes:
+        pose: (N, 3) x, y, yaw, metres and radians.
+    """
+
+    def __init__(self, joints: WheelJoints, config: OdometryConfig, count: int) -> None:
+        self._joints = joints
+        self._noises = DistanceNoises(config, count)
+        self._angles = np.zeros((count, 2))
+        self.pose = np.zeros((count, 3))
+
+    def begin(self, i: int, qpos: FloatArray, rng: np.random.Generator) -> None:
+        """Begin the odometry of robot `i` where it stands."""
+        self._noises.begin(i, rng)
+        self._angles[i] = _mean_angle(qpos[i], self._joints.left), _mean_angle(qpos[i], self._joints.right)
+        self.pose[i] = 0.0
+
+    def integrate(
+        self, ids: IntArray, qpos: FloatArray, rates: FloatArray, attitude: FloatArray, dt: float
+    ) -> None:
+        """Add the motion of the last `dt` seconds; `rates` (N, 3) and `attitude` (N, 2) are measured."""
+        noises = self._noises
+        noises.draw()
+        integrate_wheels(
+            ids,
+            (qpos, rates, attitude),
+            self._joints,
+            (noises.scale, noises.normals, noises.used),
+            noises.parameters,
+            dt,
+            self._angles,
+            self.pose,
+        )
+
+    def read(self, ids: IntArray) -> None:
+        """Nothing is left to be done: the pose is up to date."""
+
+
+@njit(cache=True, nogil=True)
+def integrate_wheels(
+    ids: IntArray,
+    motion: tuple[FloatArray, FloatArray, FloatArray],
+    joints: WheelJoints,
+    noise: tuple[FloatArray, FloatArray, IntArray],
+    parameters: tuple[float, float],
+    dt: float,
+    angles: FloatArray,
+    pose: FloatArray,
+) -> None:
+    """Add the motion since the last update to `pose` (N, 3); `angles` (N, 2) of the wheels go on."""
+    qpos, rates, attitude = motion
+    scale, normals, used = noise
+    for n in range(len(ids)):
+        i = ids[n]
+        left, right = _mean_angle(qpos[i], joints.left), _mean_angle(qpos[i], joints.right)
+        turned = ((left - angles[i, 0]) + (right - angles[i, 1])) / 2
+        distance = measured_distance(
+            scale[i : i + 1], normals[i], used[i : i + 1], turned * joints.radius, parameters
+        )
+        roll, pitch = attitude[i, 0], attitude[i, 1]
+        turn = yaw_rate((rates[i, 0], rates[i, 1], rates[i, 2]), roll, pitch) * dt
+        at: Vector3 = (pose[i, 0], pose[i, 1], pose[i, 2])
+        pose[i, 0], pose[i, 1], pose[i, 2] = integrated_pose(at, distance * math.cos(pitch), turn)
+        angles[i, 0], angles[i, 1] = left, right
+
+
+@njit(cache=True, nogil=True)
+def _mean_angle(qpos: FloatArray, joints: IntArray) -> float:
+    total = 0.0
+    for k in range(len(joints)):
+        total += qpos[joints[k]]
+    return total / len(joints)

@@ -1,0 +1,289 @@
+"""N robots with their sensors, each alone in a world, stepped together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from lirs_envs.batch.bodies import Bodies
+from lirs_envs.batch.control import DifferentialDrives, WheelActuators
+from lirs_envs.batch.imu import ImuReadings
+from lirs_envs.batch.odometry import WheelJoints, WheelOdometries
+from lirs_envs.batch.per_robot import FlightControllers, Odometries
+from lirs_envs.lidar.casters import make_caster
+from lirs_envs.lidar.lidar import BaseVelocity, Lidar
+from lirs_envs.lidar.noise import LidarNoise, lidar_noise
+from lirs_envs.lidar.ray_casting import Caster, RayCaster
+from lirs_envs.placement import MAX_SETTLING_DISTANCE, standing_pose
+from lirs_envs.robot_model import RobotModel
+from lirs_envs.sensing.sensors import IMU_STREAM, LIDAR_STREAM, ODOMETRY_STREAM, Observation
+from lirs_envs.simulation_config import SimulationConfig
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.export.mjcf import write_heights
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.world import World
+
+
+class BatchSimulation:
+    """N robots of one kind, each alone in a world; row i of every array is robot i's.
+
+    What happens to a robot does not depend on the others, on their number or on the threads.
+
+    Attributes:
+        worlds: of each robot.
+        config: robot and sensors.
+        period: time of one `advance`, seconds.
+        bodies: physics.
+        casters: what each robot's lidar sees.
+        ranges: (N, beams) float32 of the last scans (see `LaserScan`).
+        odometry: (N, 3) `T_odom_base`: x, y, yaw, metres and radians.
+        attitude: (N, 2) measured roll and pitch, radians.
+        touched: (N,) whether the robot's body (not a wheel) touched anything in the last `advance`.
+        errors: of each robot, why its simulation cannot go on; empty = it can.
+
+    Args:
+        world: of all robots, until `replace_terrain`.
+        config: robot, sensors, contact geometry.
+        count: number of robots, N.
+        period: seconds.
+        threads: number of threads.
+        own_models: whether each robot has a MuJoCo model of its own (see `Bodies`).
+        height_range: of the terrains that may replace the world's, metres; None = the world stays.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        config: SimulationConfig,
+        *,
+        count: int,
+        period: float,
+        threads: int = 1,
+        own_models: bool = False,
+        height_range: tuple[float, float] | None = None,
+    ) -> None:
+        if config.rays == "mujoco":
+            raise ConfigError("many robots at once take the builtin rays, got rays 'mujoco'")
+        self.config, self.period, self.threads = config, period, threads
+        self.worlds = [world] * count
+        body = RobotModel(
+            world,
+            config.robot,
+            period,
+            contact_geometry=config.contact_geometry,
+            height_range=height_range,
+            contact_sensors=True,
+        )
+        self._height_range = height_range
+        self.bodies = Bodies(
+            config.robot, body, count, threads, own_models=own_models or height_range is not None
+        )
+        self.casters: list[Caster] = [make_caster(world, "builtin", False, body.data)] * count
+        self._make_sensors(count)
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+
+    def _make_sensors(self, count: int) -> None:
+        config, body = self.config, self.bodies.body
+        robot, noise = config.robot, config.noise
+        self._surfaces = [world.surface for world in self.worlds]
+        self._imu = ImuReadings(noise.imu, count)
+        self._control: DifferentialDrives | FlightControllers
+        self._odometry: WheelOdometries | Odometries
+        if robot.flies:
+            self._control = FlightControllers(self.bodies, self._surfaces)
+        else:
+            self._control = DifferentialDrives(robot, WheelActuators(*map(_indices, body.actuators)), count)
+        if robot.flies or noise.odometry.method == "ekf":
+            self._odometry = Odometries(self.bodies, noise)
+        else:
+            joints = WheelJoints(_indices(body.left_angles), _indices(body.right_angles), robot.wheel_radius)
+            self._odometry = WheelOdometries(joints, noise.odometry, count)
+        self.lidar_noise: list[LidarNoise] = [
+            noise.lidar if isinstance(noise.lidar, LidarNoise) else lidar_noise(config.preset, noise.lidar)
+        ] * count
+        self._lidars: list[Lidar | None] = [None] * count
+        self._stamps = np.zeros(count)
+        self._ticks = np.zeros(count, np.int64)
+        self.ranges: Float32Array = np.zeros((count, config.preset.beams), np.float32)
+        self.touched: BoolArray = np.zeros(count, np.bool_)
+        self.errors = [""] * count
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_pool": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+
+    @property
+    def odometry(self) -> FloatArray:
+        """(N, 3) `T_odom_base`: x, y, yaw, metres and radians."""
+        return self._odometry.pose
+
+    @property
+    def attitude(self) -> FloatArray:
+        """(N, 2) measured roll and pitch, radians."""
+        return self._imu.attitude
+
+    def replace_terrain(self, i: int, world: World) -> None:
+        """Set robot `i` into another world, whose heights its ground takes; a reset comes next.
+
+        Raises:
+            ConfigError: the batch was made without a height range, or the heights do not fit it.
+        """
+        if self._height_range is None:
+            raise ConfigError(f"the world {self.worlds[i].name!r} cannot be replaced: it has no height range")
+        write_heights(self.bodies.models[i], world.surface, self._height_range)
+        self.bodies.models_changed()
+        self.worlds[i], self._surfaces[i] = world, world.surface
+        self.casters[i] = RayCaster(world.surface)
+
+    def reset(self, i: int, start: Pose2, seed: int) -> None:
+        """Set robot `i` at rest on the ground; its time, odometry and noise begin anew.
+
+        Raises:
+            SimulationError: it cannot stand there.
+        """
+        bodies, robot = self.bodies, self.config.robot
+        self.errors[i] = "a robot must be reset before it is advanced"
+        bodies.settle(i, standing_pose(self.worlds[i], robot, start))
+        there, divergence = bodies.pose(i), bodies.divergence(i)
+        if divergence:
+            raise SimulationError(divergence)
+        if math.hypot(there.x - start.x, there.y - start.y) > MAX_SETTLING_DISTANCE or bodies.tipped(i):
+            raise SimulationError(
+                f"{robot.name} does not stay at ({start.x:.2f}, {start.y:.2f}): "
+                f"it slid or tipped to ({there.x:.2f}, {there.y:.2f})"
+            )
+        self._begin(i, seed)
+
+    def _begin(self, i: int, seed: int) -> None:
+        config, bodies, row = self.config, self.bodies, np.array((i,))
+        lidar, odometry, imu = (
+            np.random.default_rng((seed, stream)) for stream in (LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM)
+        )
+        self._lidars[i] = Lidar(
+            config.preset,
+            self.casters[i],
+            config.robot.T_base_laser,
+            lidar,
+            self.lidar_noise[i],
+            rolling_scan=config.noise.rolling_scan,
+        )
+        self._imu.begin(i, bodies.qpos, bodies.qvel, imu)
+        self._odometry.begin(i, bodies.qpos, odometry)
+        self._control.begin(i)
+        self._imu.read(row, bodies.qpos, bodies.specific_force(), self.period)
+        self._ticks[i], self._stamps[i] = 0, 0.0
+        self.errors[i], self.touched[i] = "", False
+        self._scan(i)
+
+    def advance(
+        self, ids: IntArray, commands: FloatArray, after_scan: Callable[[int], None] | None = None
+    ) -> None:
+        """Drive robots for one period; those that diverge have their `errors` set and keep their readings.
+
+        Args:
+            ids: rows of the robots, sorted.
+            commands: (N, 3) speeds ahead, m/s, turn rates, rad/s, climbs, m/s; beyond the robot's limits they
+                are clipped.
+            after_scan: called for each robot that has a new scan, perhaps from several threads at a time.
+        """
+        bodies, imu = self.bodies, self._imu
+        touched, odometry = np.zeros(bodies.count, np.bool_), self.odometry.copy()
+        some = ids.astype(np.int32) if len(ids) < bodies.count else None
+        failed: dict[int, str] = {}
+        for steps in bodies.body.substeps:
+            dt = steps * bodies.body.timestep
+            self._control.update(ids, commands, imu.rates, dt, bodies.ctrl)
+            failed |= bodies.step(some, steps)
+            touched |= bodies.touching()
+            imu.read_rates(ids, bodies.qvel)
+            self._odometry.integrate(ids, bodies.qpos, imu.rates, imu.attitude, dt)
+        for i in ids.tolist():
+            self.errors[i] = failed.get(i, "") or bodies.divergence(i)
+            if self.errors[i]:
+                self.odometry[i] = odometry[i]
+        going = np.array([i for i in ids.tolist() if not self.errors[i]], np.int64)
+        imu.read(going, bodies.qpos, bodies.specific_force(), self.period)
+        self._odometry.read(going)
+        self.touched[ids] = touched[ids]
+        self._ticks[going] += 1
+        self._scan_all([i for i in going.tolist() if self._scan_is_due(i)], after_scan)
+
+    def _scan_is_due(self, i: int) -> bool:
+        """Whether the lidar, at its own rate, has begun another scan in the last period."""
+        scans = self.period * self.config.preset.rate
+        return int(self._ticks[i] * scans + 1e-9) > int((self._ticks[i] - 1) * scans + 1e-9)
+
+    def _scan_all(self, due: list[int], after_scan: Callable[[int], None] | None) -> None:
+        def work(part: list[int]) -> None:
+            for i in part:
+                self._scan(i)
+                if after_scan is not None:
+                    after_scan(i)
+
+        if self._pool is None or len(due) < 2:
+            work(due)
+            return
+        share = -(-len(due) // self.threads)
+        list(self._pool.map(work, [due[k : k + share] for k in range(0, len(due), share)]))
+
+    def _scan(self, i: int) -> None:
+        lidar, velocity = self._lidars[i], None
+        assert lidar is not None, "reset comes first"
+        T = self.bodies.pose(i)
+        if lidar.time_increment:
+            linear = (self.bodies.qvel[i, :3] @ T.rotation).tolist()
+            velocity = BaseVelocity(tuple(linear), tuple(self.bodies.qvel[i, 3:6].tolist()))
+        self.ranges[i] = lidar.ranges(T, velocity)
+        self._stamps[i] = self.time(i)
+
+    def time(self, i: int) -> float:
+        """Return the seconds since robot `i` was reset."""
+        return float(self._ticks[i] * self.period)
+
+    def surface(self, i: int) -> HeightField:
+        """Return the ground of robot `i`."""
+        return self._surfaces[i]
+
+    def pose(self, i: int) -> Pose3:
+        """Return `T_world_base` of robot `i`."""
+        return self.bodies.pose(i)
+
+    def off_world(self, i: int) -> bool:
+        """Whether base_link of robot `i` is beyond its world's border."""
+        x, y = self.bodies.qpos[i, :2].tolist()
+        west, south, east, north = self._surfaces[i].bounds
+        return not (west <= x <= east and south <= y <= north)
+
+    def reading(self, i: int) -> Observation:
+        """Return what the sensors of robot `i` read last, as a mapper takes it."""
+        preset, lidar = self.config.preset, self._lidars[i]
+        assert lidar is not None, "reset comes first"
+        scan = LaserScan(
+            self.ranges[i].copy(),
+            preset.angle_min,
+            preset.angle_increment,
+            preset.range_min,
+            preset.range_max,
+            float(self._stamps[i]),
+            lidar.T_base_laser,
+            lidar.time_increment,
+        )
+        roll, pitch = self.attitude[i].tolist()
+        rates, force = tuple(self._imu.rates[i].tolist()), tuple(self._imu.force[i].tolist())
+        return Observation(
+            scan, Pose2(*self.odometry[i].tolist()), Imu(roll, pitch, rates, force, self.time(i))
+        )
+
+
+def _indices(values: list[int]) -> IntArray:
+    return np.array(values, np.int64)

@@ -1,0 +1,167 @@
+"""Many robots at once: each does bit for bit what a simulation of its own does."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from lirs_envs.batch.simulation import BatchSimulation
+from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
+from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.command import Twist
+from lirs_envs.sensing.odometry import OdometryConfig
+from lirs_envs.sensing.sensors import Observation, SensorNoise
+from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
+from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.world import World
+
+START = Pose2(0.5, -0.5, 0.3)
+
+
+def config_of(robot: str, method: str, rolling: bool) -> SimulationConfig:
+    odometry = OdometryConfig(method="ekf" if method == "ekf" else "gyro")
+    noise = SensorNoise(odometry=odometry, lidar="datasheet", rolling_scan=rolling)
+    return SimulationConfig(robot=make_robot(robot), noise=noise)
+
+
+def same(one: Observation, two: Observation) -> bool:
+    ranges = np.array_equal(one.scan.ranges, two.scan.ranges, equal_nan=True)
+    return ranges and (one.odometry, one.imu, one.scan.stamp) == (two.odometry, two.imu, two.scan.stamp)
+
+
+def commands(robot: str, steps: int, count: int, seed: int = 1) -> np.ndarray:
+    figures = make_robot(robot)
+    scale = (min(figures.max_speed, 2.0), min(figures.max_turn_rate, 2.0), 0.0)
+    return np.random.default_rng(seed).uniform(-1, 1, (steps, count, 3)) * scale
+
+
+@pytest.mark.parametrize(
+    ("robot", "method", "rolling"),
+    [
+        ("husky", "gyro", False),
+        ("jackal", "ekf", True),
+        ("turtlebot2", "gyro", False),
+        ("quadrotor", "gyro", True),
+    ],
+)
+@pytest.mark.parametrize("place", ["rough", "walled"])
+def test_each_is_a_simulation_of_its_own(
+    robot: str, method: str, rolling: bool, place: str, rough: World, walled: World
+) -> None:
+    if (robot, place) == ("turtlebot2", "rough"):
+        pytest.skip("too steep for it")
+    world, config = (rough if place == "rough" else walled), config_of(robot, method, rolling)
+    alone = Simulation(world, config, seed=7)
+    many = BatchSimulation(world, config, count=3, period=alone.period, threads=2)
+    for i in range(3):
+        many.reset(i, START, seed=7 if i == 1 else i)
+    assert same(alone.reset(START), many.reading(1))
+    for row in commands(robot, 25, 3):
+        many.advance(np.arange(3), row)
+        assert same(alone.advance(Twist(*row[1].tolist())), many.reading(1))
+    assert alone.T_world_base == many.pose(1)
+
+
+def test_threads_and_neighbors_change_nothing(rough: World) -> None:
+    config, told = config_of("husky", "gyro", False), commands("husky", 20, 4)
+    results = []
+    for threads, order in ((1, [0, 1, 2, 3]), (3, [3, 1, 0, 2])):
+        many = BatchSimulation(rough, config, count=4, period=0.1, threads=threads)
+        for i in order:
+            many.reset(i, START, seed=i)
+        for k, row in enumerate(told):
+            if threads == 1:
+                many.advance(np.arange(4), row)
+            else:
+                many.advance(np.array((0, 2)), row)
+                many.advance(np.array((1, 3)), row)
+            if k == 9:
+                many.reset(2, START, seed=99)
+        results.append((many.ranges.tobytes(), many.odometry.tobytes(), many.bodies.qpos.tobytes()))
+    assert results[0] == results[1]
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda b: pickle.loads(pickle.dumps(b))])
+@pytest.mark.parametrize("robot", ["husky", "quadrotor"])
+@pytest.mark.parametrize("place", ["rough", "walled"])
+def test_a_copy_goes_on_bit_for_bit(copied, robot: str, place: str, rough: World, walled: World) -> None:  # type: ignore[no-untyped-def]
+    config = config_of(robot, "gyro", False)
+    many = BatchSimulation(rough if place == "rough" else walled, config, count=2, period=0.1, threads=2)
+    for i in range(2):
+        many.reset(i, START, seed=i)
+    ids = np.arange(2)
+    for row in commands(robot, 5, 2):
+        many.advance(ids, row)
+    again = copied(many)
+    for batch in (again, many):
+        for row in commands(robot, 5, 2, seed=3):
+            batch.advance(ids, row)
+    assert again.bodies.qpos.tobytes() == many.bodies.qpos.tobytes()
+    assert all(same(again.reading(i), many.reading(i)) for i in range(2))
+
+
+def test_scans_come_at_the_lidar_s_rate(plane: World) -> None:
+    many = BatchSimulation(plane, config_of("turtlebot3_burger", "gyro", False), count=1, period=0.02)
+    many.reset(0, START, seed=0)
+    stamps = []
+    for _ in range(50):
+        many.advance(np.array((0,)), np.array(((0.2, 0.0, 0.0),)))
+        stamps.append(many.reading(0).scan.stamp)
+    assert sorted(set(stamps)) == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
+
+
+def test_contact_is_felt(walled: World, plane: World) -> None:
+    """Driving into a wall touches it; driving on level ground touches nothing."""
+    for world, touches in ((walled, True), (plane, False)):
+        many = BatchSimulation(world, config_of("husky", "gyro", False), count=1, period=0.1)
+        many.reset(0, Pose2(1.5, 0.0, 0.4), seed=0)
+        touched = False
+        for _ in range(40):
+            many.advance(np.array((0,)), np.array(((1.0, 0.0, 0.0),)))
+            touched |= bool(many.touched[0])
+        assert touched is touches
+
+
+def test_a_robot_that_diverges_stops_alone(plane: World) -> None:
+    many = BatchSimulation(plane, config_of("husky", "gyro", False), count=2, period=0.1)
+    for i in range(2):
+        many.reset(i, START, seed=i)
+    before = many.ranges[0].tobytes()
+    many.bodies.qvel[0, 0] = np.nan
+    many.advance(np.arange(2), np.zeros((2, 3)))
+    assert "diverged" in many.errors[0]
+    assert not many.errors[1]
+    assert many.ranges[0].tobytes() == before
+    assert np.isfinite(many.odometry).all()
+    many.reset(0, START, seed=0)
+    many.advance(np.arange(2), np.zeros((2, 3)))
+    assert many.errors == ["", ""]
+
+
+def test_another_terrain_for_one_robot(husky: object) -> None:
+    courses = [generate("waves", 0.5, np.random.default_rng(s)) for s in range(2)]
+    config = config_of("husky", "gyro", False)
+    many = BatchSimulation(courses[0].world(), config, count=2, period=0.1, height_range=HEIGHT_RANGE)
+    alone = BatchSimulation(courses[1].world(), config, count=1, period=0.1, height_range=HEIGHT_RANGE)
+    many.replace_terrain(1, courses[1].world())
+    many.reset(0, courses[0].start, seed=0)
+    many.reset(1, courses[1].start, seed=1)
+    alone.reset(0, courses[1].start, seed=1)
+    for row in commands("husky", 10, 2):
+        many.advance(np.arange(2), row)
+        alone.advance(np.arange(1), row[1:])
+    assert same(many.reading(1), alone.reading(0))
+    assert not same(many.reading(0), alone.reading(0))
+
+
+def test_what_cannot_be(plane: World) -> None:
+    many = BatchSimulation(plane, config_of("husky", "gyro", False), count=1, period=0.1)
+    with pytest.raises(SimulationError, match=r"it needs 0\.58 m to the border"):
+        many.reset(0, Pose2(9.9, 0.0), seed=0)
+    with pytest.raises(ConfigError, match="cannot be replaced: it has no height range"):
+        many.replace_terrain(0, plane)
