@@ -10,7 +10,6 @@ import pytest
 from lirs_validation import cli
 from slam_baselines.mapper import MAPPERS
 
-
 OFFICE = Path(__file__).parents[3] / "examples/data/office.yaml"
 """Walls on level ground: here the methods hold, and rounding does not lead them elsewhere."""
 
