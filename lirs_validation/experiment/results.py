@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from lirs_validation.drawing.run_overview import overview_figure
 from lirs_validation.driving.replay import COMMANDS
 from lirs_validation.experiment.evaluation import Maps
 from lirs_validation.experiment.loop import DriveLog
+from lirs_validation.record.result_files import file_sizes
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.carmen.writer import write_log
@@ -20,8 +22,8 @@ from lirs_wct.formats.tum import write_tum
 from lirs_wct.world import World
 
 
-def write_results(folder: Path, record: RunRecord, log: DriveLog, maps: Maps, world: World) -> Path:
-    """Write a run's folder, whole or not at all, in place of an older one; return it.
+def write_results(folder: Path, record: RunRecord, log: DriveLog, maps: Maps, world: World) -> RunRecord:
+    """Write a run's folder, whole or not at all, in place of an older one; return the record as written.
 
     Raises:
         OutputError: the folder cannot be written.
@@ -29,7 +31,6 @@ def write_results(folder: Path, record: RunRecord, log: DriveLog, maps: Maps, wo
     truth, estimate, odometry = log.trajectories()
     period = record.rtf["simulated_seconds"] / len(log.walls)
     with atomic_folder(folder) as temporary:
-        record.save(temporary)
         write_map(temporary / "map", maps.built)
         write_map(temporary / "map_true_pose", maps.true_pose)
         for name, trajectory in (("truth", truth), ("estimate", estimate), ("odometry", odometry)):
@@ -42,4 +43,6 @@ def write_results(folder: Path, record: RunRecord, log: DriveLog, maps: Maps, wo
         (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *lines]) + "\n", encoding="utf-8")
         overview = overview_figure(world, record, truth, estimate, maps.true_pose, maps.built, maps.aligned)
         overview.savefig(temporary / "overview.png")
-    return folder
+        record = replace(record, file_sizes=file_sizes(temporary))
+        record.save(temporary)
+    return record

@@ -132,7 +132,9 @@ def run(
     maps = evaluate_maps(scenario.world, log, mapper)
     cost |= {"compile_seconds": compile_seconds()}
     record = evaluate(scenario, simulation, mapper, log, maps, cost)
-    folder = None if out is None else write_results(out / record.name, record, log, maps, scenario.world)
+    folder = None if out is None else out / record.name
+    if folder is not None:
+        record = write_results(folder, record, log, maps, scenario.world)
     return Run(record, log, maps, scenario.world, folder)
 
 

@@ -1,11 +1,14 @@
-"""The files of a run's folder, and which of them are not there."""
+"""The files of a run's folder, and which of them are no longer as they were written."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+RECORD = "record.json"
 WITH_RESULTS = (
-    "record.json",
+    RECORD,
     "overview.png",
     "map.pgm",
     "map.yaml",
@@ -20,18 +23,36 @@ WITH_RESULTS = (
     "commands.csv",
 )
 """Of a run that drove."""
-WITHOUT = ("record.json", "error.txt")
+WITHOUT = (RECORD, "error.txt")
 """Of a run that came to nothing."""
 
 
-def lacking_files(folder: Path, status: str) -> list[str]:
-    """Return the files that a run's folder should hold and does not, or holds empty."""
-    expected = WITHOUT if status in ("error", "timeout") else WITH_RESULTS
-    return [name for name in expected if not _filled(folder / name)]
+def file_sizes(folder: Path) -> dict[str, int]:
+    """Return the bytes of each file in a run's folder by name, without the record, which is to hold them."""
+    return {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.name != RECORD}
 
 
-def _filled(path: Path) -> bool:
+def damaged_files(folder: Path, entry: Mapping[str, Any]) -> list[str]:
+    """Return the files of a run's folder that are missing, empty or not as long as they were written.
+
+    Of a record without sizes, as older versions wrote them, that is every file.
+
+    Args:
+        folder: of the run.
+        entry: its record as nested dicts.
+    """
+    expected = WITHOUT if entry["status"] in ("error", "timeout") else WITH_RESULTS
+    written: Mapping[str, int] = entry.get("file_sizes", {})
+    return [
+        name
+        for name in expected
+        if not (size := _size(folder / name)) or (name != RECORD and size != written.get(name))
+    ]
+
+
+def _size(path: Path) -> int:
+    """Return the bytes of a file; 0 where there is none."""
     try:
-        return path.stat().st_size > 0
+        return path.stat().st_size
     except OSError:
-        return False
+        return 0

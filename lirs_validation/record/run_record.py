@@ -53,6 +53,7 @@ class RunRecord:
         collisions: max_penetration, ...
         mapper: scans received, used, skipped, milliseconds a scan.
         cost: cpu_seconds of the drive, peak_memory of the process (bytes), compile_seconds, scans_dropped.
+        file_sizes: bytes of the other files in the run's folder, by name; empty until they are written.
     """
 
     config: RunConfig
@@ -67,6 +68,7 @@ class RunRecord:
     cost: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=versions)
     machine: dict[str, Any] = field(default_factory=machine)
+    file_sizes: dict[str, int] = field(default_factory=dict)
 
     @property
     def name(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from lirs_validation.driving.choice import check_driver, driver_files
 from lirs_validation.experiment.mapper_loading import mapper_named, source_file
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.record.result_files import lacking_files
+from lirs_validation.record.result_files import damaged_files, file_sizes
 from lirs_validation.record.run_record import RunRecord
 from lirs_validation.record.schema import read_whole_record
 from lirs_validation.record.source_files import same_source
@@ -76,8 +76,8 @@ class SlamExperiment:
             config=self.config, world={"name": self.world}, status=outcome.status, reason=outcome.reason
         )
         with atomic_folder(out / self.name) as folder:
-            record.save(folder)
             (folder / "error.txt").write_text(outcome.trace or outcome.reason, encoding="utf-8")
+            replace(record, file_sizes=file_sizes(folder)).save(folder)
 
     def finished(self, out: Path) -> Outcome | None:
         """Return how the run ended, if this code wrote it, whole, after source and mapper changed last."""
@@ -87,7 +87,7 @@ class SlamExperiment:
         except SourceError:
             return None
         status, reason, limit = record["status"], record["reason"], record["config"]["wall_limit"]
-        if lacking_files(folder, status) or not same_source(self.config, record["world"].get("files", ())):
+        if damaged_files(folder, record) or not same_source(self.config, record["world"].get("files", ())):
             return None
         inputs = [*world_files(self.config), source_file(self.config.mapper), *driver_files(self.config)]
         if is_stale(folder / "record.json", record.get("versions"), inputs):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from lirs_validation.config import RunConfig
+from lirs_validation.record.result_files import WITH_RESULTS, file_sizes
 from lirs_validation.record.run_record import RunRecord, Status
 
 SECONDS = 30
@@ -68,6 +70,16 @@ def entry(*args: Any, **more: Any) -> dict[str, Any]:
     """Return a record as it reads back."""
     read: dict[str, Any] = json.loads(record(*args, **more).to_json())
     return read
+
+
+def saved_whole(root: Path, made: RunRecord) -> Path:
+    """Write a record and the other files of its run, as small as can be; return their folder."""
+    folder = root / made.name
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in WITH_RESULTS[1:]:
+        (folder / name).write_text("something")
+    replace(made, file_sizes=file_sizes(folder)).save(folder)
+    return folder
 
 
 def saved(root: Path, *args: Any, **more: Any) -> Path:

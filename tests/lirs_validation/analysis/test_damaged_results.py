@@ -20,7 +20,7 @@ from lirs_validation.report.contents import report_of
 from lirs_validation.report.tables.results_table import results_table
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.errors import SourceError
-from tests.lirs_validation.records import entry, saved
+from tests.lirs_validation.records import record, saved, saved_whole
 
 ROOT = Path(__file__).resolve().parents[3]
 NONSENSE: tuple[Any, ...] = (None, [], {}, "much", -7, [[1]], {"a": {"b": 1}}, True, "\u0000", 1e308)
@@ -101,13 +101,9 @@ def places(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 
 def test_nonsense_in_a_record_is_named_or_does_not_matter(tmp_path: Path) -> None:
     """Every value of a record is replaced by nonsense, one at a time."""
-    whole = entry()
+    folder = saved_whole(tmp_path, record())
+    whole = json.loads((folder / "record.json").read_text())
     experiment = SlamExperiment(recorded_config(whole))
-    folder = tmp_path / experiment.name
-    folder.mkdir()
-    for name in WITH_RESULTS[1:]:
-        (folder / name).write_text("something")
-    (folder / "record.json").write_text(json.dumps(whole))
     assert experiment.finished(tmp_path) is not None
     for place in places(whole):
         for value in NONSENSE:

@@ -12,11 +12,10 @@ from lirs_validation import cli, read_record
 from lirs_validation.cli import console
 from lirs_validation.cli.sweep_options import read_experiments
 from lirs_validation.config import SourceOptions
-from lirs_validation.record.result_files import WITH_RESULTS
 from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.errors import MapperError
-from tests.lirs_validation.records import record
+from tests.lirs_validation.records import record, saved_whole
 
 Said = tuple[int, str, str]
 
@@ -47,10 +46,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     ) -> Outcome:
         if experiment.config.seed == 3:
             raise MapperError("update() must return a finite pose")
-        written = replace(record(experiment.world), config=experiment.config)
-        written.save(out / experiment.name)
-        for name in set(WITH_RESULTS) - {"record.json"}:
-            (out / experiment.name / name).write_text("whole")
+        saved_whole(out, replace(record(experiment.world), config=experiment.config))
         return Outcome(experiment=experiment.name, status="ok", written=True)
 
     monkeypatch.setattr(SlamExperiment, "perform", perform)

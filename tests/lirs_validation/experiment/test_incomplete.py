@@ -9,7 +9,7 @@ import pytest
 
 from lirs_validation import cli, map_log, validate
 from lirs_validation.analysis.result_folders import read_run
-from lirs_validation.record.result_files import lacking_files
+from lirs_validation.record.result_files import damaged_files
 from lirs_validation.report.pictures import Painter
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.hector.mapper import HectorMapper
@@ -47,7 +47,7 @@ def test_a_run_whose_trajectory_leaves_out_scans_is_incomplete(
     assert f"a pose for {100 * coverage:.1f} % of the scans, at least 95 % are required" in record["reason"]
     assert record["trajectory"]["scan_coverage"] == pytest.approx(coverage)
     assert ("ate_rmse" in record["trajectory"]) == ate
-    assert lacking_files(run.folder, record["status"]) == []
+    assert damaged_files(run.folder, record) == []
     picture = Painter(1).paint(read_run(run.folder))
     assert picture.url or "estimate.tum" in picture.note
 

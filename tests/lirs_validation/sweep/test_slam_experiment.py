@@ -15,6 +15,7 @@ import pytest
 from lirs_validation.config import RunConfig
 from lirs_validation.record.result_files import WITH_RESULTS
 from lirs_validation.record.run_record import Status, read_record
+from lirs_validation.record.schema import read_whole_record
 from lirs_validation.record.source_files import source_files
 from lirs_validation.sweep.engines.processes import Processes
 from lirs_validation.sweep.engines.serial import Serial
@@ -23,10 +24,10 @@ from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct import BuildOptions
 from lirs_wct.errors import WctError
-from tests.lirs_validation.records import record
+from tests.lirs_validation.records import record, saved_whole
 
-TIMES = {"rtf", "cost", "mapper", "versions"}
-"""Groups of a record that hold wall times; a developer's code may change while engines run."""
+TIMES = {"rtf", "cost", "mapper", "versions", "file_sizes"}
+"""Groups of a record that hold wall times or depend on them; a developer's code may change while engines run."""
 
 
 def saved(experiment: SlamExperiment, out: Path, status: Status = "ok") -> Path:
@@ -37,10 +38,7 @@ def saved(experiment: SlamExperiment, out: Path, status: Status = "ok") -> Path:
         "name": experiment.world,
         "files": [vars(f) for f in source_files(experiment.config)],
     }
-    replace(like, config=experiment.config, world=world).save(out / experiment.name)
-    for name in WITH_RESULTS[1:]:
-        (out / experiment.name / name).write_text("something")
-    return out / experiment.name / "record.json"
+    return saved_whole(out, replace(like, config=experiment.config, world=world)) / "record.json"
 
 
 def edited(file: Path, **changes: Any) -> None:
@@ -79,14 +77,38 @@ def test_a_run_of_another_schema_version_or_code_is_not_kept(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", WITH_RESULTS)
-@pytest.mark.parametrize("how", ["gone", "empty"])
+@pytest.mark.parametrize("how", ["gone", "empty", "cut off"])
 def test_a_run_whose_folder_is_not_whole_is_run_again(name: str, how: str, tmp_path: Path) -> None:
     experiment = SlamExperiment(RunConfig(source="simple"))
     saved(experiment, tmp_path)
     file = tmp_path / experiment.name / name
-    file.write_text("")
+    content = file.read_text()
+    file.write_text(content[: len(content) // 2] if how == "cut off" else "")
     if how == "gone":
         file.unlink()
+    assert experiment.finished(tmp_path) is None
+
+
+def test_a_run_whose_record_does_not_say_how_long_its_files_are_is_run_again(tmp_path: Path) -> None:
+    """Such records were written before; nobody can tell whether their files are whole."""
+    experiment = SlamExperiment(RunConfig(source="simple"))
+    file = saved(experiment, tmp_path)
+    entry = json.loads(file.read_text())
+    del entry["file_sizes"]["map.pgm"]
+    edited(file, file_sizes=entry["file_sizes"])
+    assert experiment.finished(tmp_path) is None
+    del entry["file_sizes"]
+    file.write_text(json.dumps(entry))
+    assert read_whole_record(file.parent)["status"] == "ok"
+    assert experiment.finished(tmp_path) is None
+
+
+def test_a_failure_whose_trace_is_cut_off_is_run_again(tmp_path: Path) -> None:
+    experiment = SlamExperiment(RunConfig(source="simple"))
+    outcome = Outcome(experiment=experiment.name, status="error", reason="it broke", trace="line 7")
+    experiment.write_failure(tmp_path, outcome)
+    assert experiment.finished(tmp_path) == replace(outcome, trace="", written=True)
+    (tmp_path / experiment.name / "error.txt").write_text("line")
     assert experiment.finished(tmp_path) is None
 
 
