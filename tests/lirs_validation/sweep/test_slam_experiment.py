@@ -27,7 +27,7 @@ from lirs_wct.errors import WctError
 from tests.lirs_validation.records import record, saved_whole
 
 TIMES = {"rtf", "cost", "mapper", "versions", "file_sizes"}
-"""Groups of a record that hold wall times or depend on them; a developer's code may change while engines run."""
+"""Of a record, what holds wall times or depends on them; a developer's code may change while engines run."""
 
 
 def saved(experiment: SlamExperiment, out: Path, status: Status = "ok") -> Path:
