@@ -74,6 +74,14 @@ class StaticRobot:
         _check(self.place)
 
 
+def footprint(prop: Prop | StaticRobot) -> tuple[float, float, float]:
+    """Return x, y and radius of a disc that holds a prop, metres."""
+    if isinstance(prop, StaticRobot):
+        return prop.place.x, prop.place.y, prop.robot.radius
+    radius = math.hypot(*prop.size[:2]) if prop.shape == "box" else prop.size[0]
+    return prop.place.x, prop.place.y, radius
+
+
 def add_props(spec: mujoco.MjSpec, world: World, props: Sequence[Prop | StaticRobot]) -> None:
     """Add props to a specification, on the world's ground.
 

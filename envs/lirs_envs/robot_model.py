@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from lirs_envs.actors.walkers import TOUCHABLE, Walkers, add_walkers
 from lirs_envs.props import STATIC_ROBOT, Prop, StaticRobot, add_props
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import FloatArray, Vector3
@@ -55,6 +56,7 @@ class RobotModel:
         props: what else stands there.
         contact_geometry: what is touched (see `lirs_wct.contact.contact_geometry.CONTACT_GEOMETRIES`).
         mujoco_rays: whether MuJoCo's own rays are to meet the surface, where something else is touched.
+        actors: number of walkers (see `lirs_envs.actors.walkers`).
         height_range: lowest and highest height that `replace_surface` may write, metres; the ground that is
             touched is then the surface itself. None = the ground stays.
         contact_sensors: whether to add a contact sensor for each geom that is not meant to touch the ground.
@@ -69,6 +71,7 @@ class RobotModel:
         props: Sequence[Prop | StaticRobot] = (),
         contact_geometry: ContactGeometry = "hfield",
         mujoco_rays: bool = False,
+        actors: int = 0,
         height_range: tuple[float, float] | None = None,
         contact_sensors: bool = False,
     ) -> None:
@@ -84,6 +87,9 @@ class RobotModel:
         if contact_sensors:
             _add_contact_sensors(spec, robot)
         add_props(spec, world, props)
+        if actors:
+            # MuJoCo's rays are to meet all of them.
+            add_walkers(spec, actors if mujoco_rays else min(actors, TOUCHABLE))
         self.model = world_spec(
             world,
             contact=self.contact,
@@ -109,10 +115,11 @@ class RobotModel:
         """Make views into the data once: making one costs as much as reading it."""
         self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
         self._force = self.data.sensor("accelerometer").data
+        self._walker_centers = self.data.mocap_pos
 
     def __getstate__(self) -> dict[str, Any]:
         # The data holds the model, and a copied view would be an array that nobody writes any more.
-        left_out = ("model", "_qpos", "_qvel", "_ctrl", "_force")
+        left_out = ("model", "_qpos", "_qvel", "_ctrl", "_force", "_walker_centers")
         return {name: value for name, value in self.__dict__.items() if name not in left_out}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -180,12 +187,22 @@ class RobotModel:
                 ctrl[i] = value
         mujoco.mj_step(self.model, self.data, steps)
 
-    def settle(self, T_world_base: Pose3, seconds: float = SETTLING_TIME) -> None:
+    def walk(self, walkers: Walkers, dt: float) -> None:
+        """Let the walkers walk for `dt` seconds, before the robot's next step."""
+        x, y = self._qpos[:2].tolist()
+        walkers.advance(dt, x, y)
+        walkers.nearest(x, y, self._walker_centers)
+
+    def settle(
+        self, T_world_base: Pose3, walkers: Walkers | None = None, seconds: float = SETTLING_TIME
+    ) -> None:
         """Let the robot go in a pose with its wheels held, and wait; the time then is 0.
 
-        A robot that flies begins in the air, with the thrust that carries it.
+        A robot that flies begins in the air, with the thrust that carries it. Walkers stand.
         """
         mujoco.mj_resetData(self.model, self.data)
+        if walkers is not None:
+            walkers.nearest(T_world_base.x, T_world_base.y, self._walker_centers)
         self._qpos[:7] = (*T_world_base.position, *T_world_base.quaternion)
         if self._flies:
             weight = float(self.model.body("base_link").subtreemass[0]) * self.gravity
@@ -201,8 +218,12 @@ class RobotModel:
         mujoco.mj_getState(self.model, self.data, state, FULL_STATE)
         return state
 
-    def replay(self, initial: FloatArray, controls: Sequence[tuple[float, ...]]) -> tuple[float, Pose3]:
+    def replay(
+        self, initial: FloatArray, controls: Sequence[tuple[float, ...]], walkers: Walkers | None = None
+    ) -> tuple[float, Pose3]:
         """Step from a state with given controls, one each control update; put the present state back.
+
+        Walkers walk on from where they are.
 
         Returns:
             Wall-clock seconds, and the last pose.
@@ -211,7 +232,10 @@ class RobotModel:
         mujoco.mj_setState(self.model, self.data, initial, FULL_STATE)
         begun = time.perf_counter()
         for k, control in enumerate(controls):
-            self.step(control, self.substeps[k % len(self.substeps)])
+            steps = self.substeps[k % len(self.substeps)]
+            if walkers is not None:
+                self.walk(walkers, steps * self.timestep)
+            self.step(control, steps)
         seconds = time.perf_counter() - begun
         pose = self.pose()
         mujoco.mj_setState(self.model, self.data, present, FULL_STATE)

@@ -9,16 +9,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from lirs_envs.actors.walkers import WALKER_STREAM, Walkers
 from lirs_envs.collisions import Collisions, ContactMonitor, check_divergence
-from lirs_envs.lidar.casters import make_caster
+from lirs_envs.lidar.casters import WalkerCaster, make_caster
 from lirs_envs.placement import MAX_SETTLING_DISTANCE, check_fit, resolve_start, standing_pose
+from lirs_envs.props import footprint
 from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.command import Twist, Waypoint, check_command
 from lirs_envs.robots.controller import make_controller
 from lirs_envs.sensing.sensors import Observation, Sensors
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.timing import PhysicsReplay, Timing
-from lirs_wct.arrays import Float32Array, FloatArray
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.contact.contact_grid import ContactGrid
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.field_validators import require_seed
@@ -40,6 +42,7 @@ class Simulation:
         body: MuJoCo's model of robot and world.
         caster: what the lidar sees of the world and of the props; for sensors of your own. Another terrain
             has another.
+        walkers: the moving obstacles; None = there are none.
         timing: wall-clock seconds since the reset.
 
     Args:
@@ -67,14 +70,21 @@ class Simulation:
             props=config.props,
             contact_geometry=config.contact_geometry,
             mujoco_rays=config.rays == "mujoco",
+            actors=config.actors,
             height_range=config.height_range,
         )
-        self._make_caster()
+        self._meet_world()
         self._seed = seed
         self._begin()
 
-    def _make_caster(self) -> None:
-        self.caster = make_caster(self.world, self.config.rays, bool(self.config.props), self.body.data)
+    def _meet_world(self) -> None:
+        """Make what depends on the world's ground: walkers, and what the lidar sees."""
+        world, config = self.world, self.config
+        self.walkers: Walkers | None = None
+        if config.actors:
+            props = [footprint(prop) for prop in config.props]
+            self.walkers = Walkers(world, config.actors, self.robot.radius, props)
+        self.caster = make_caster(world, config.rays, bool(config.props), self.body.data, self.walkers)
 
     def _begin(self) -> None:
         """Begin records, noise and odometry anew, where the robot stands."""
@@ -84,6 +94,7 @@ class Simulation:
         self._contacts = ContactMonitor(body.wheel_geoms, body.own_geoms)
         self._controls: list[tuple[float, ...]] = []
         self._initial_state: FloatArray | None = None
+        self._initial_walkers = None if self.walkers is None else self.walkers.state()
         self.timing = Timing()
 
     def reset(self, start: Pose2 | None = None, *, seed: int | None = None) -> Observation:
@@ -99,11 +110,15 @@ class Simulation:
         """
         self._initial_state = None
         start = resolve_start(self.world, self.config.start if start is None else start)
-        require_seed(self._seed if seed is None else seed)
-        self.body.settle(standing_pose(self.world, self.robot, start))
+        seed = self._seed if seed is None else seed
+        require_seed(seed)
+        T_world_base = standing_pose(self.world, self.robot, start)
+        if self.walkers is not None:
+            self.walkers.reset(start, np.random.default_rng((seed, WALKER_STREAM)))
+        self.body.settle(T_world_base, self.walkers)
         check_divergence(self.body.data)
         self._check_settled(start)
-        self._seed = self._seed if seed is None else seed
+        self._seed = seed
         self._begin()
         self._initial_state = self.body.state()
         return self._sensors.observe(0.0, self.period)
@@ -127,7 +142,7 @@ class Simulation:
         surface = HeightField(heights.copy(), former.cell, former.origin)
         self.body.replace_surface(surface)
         self.world = replace(self.world, ground=Terrain(surface), spawn_poses=tuple(spawn_poses))
-        self._make_caster()
+        self._meet_world()
         self._initial_state = None
 
     def advance(self, command: Twist | Waypoint) -> Observation:
@@ -146,6 +161,8 @@ class Simulation:
             control = self._controller.update(command, self._sensors.yaw_rate, dt)
             self._controls.append(control)
             begun = clock()
+            if self.walkers is not None:
+                body.walk(self.walkers, dt)
             body.step(control, steps)
             physics += clock() - begun
             self._contacts.record(body.data, dt)
@@ -181,6 +198,11 @@ class Simulation:
         return not self.world.surface.contains(x, y)
 
     @property
+    def walker_beams(self) -> BoolArray | None:
+        """(beams,) which beams of the last scan met a walker; None = there are no walkers."""
+        return self.caster.met.copy() if isinstance(self.caster, WalkerCaster) else None
+
+    @property
     def contact(self) -> ContactGrid:
         """The grid that wheels touch, and by how much it differs from the surface that the lidar sees."""
         return self.body.contact
@@ -204,7 +226,14 @@ class Simulation:
         """
         if self._initial_state is None or not self._controls:
             raise SimulationError("nothing was driven since the reset: there is nothing to replay")
-        seconds, pose = self.body.replay(self._initial_state, self._controls)
+        walkers = self.walkers
+        if walkers is None or self._initial_walkers is None:
+            seconds, pose = self.body.replay(self._initial_state, self._controls)
+        else:
+            present = walkers.state()
+            walkers.restore(self._initial_walkers)
+            seconds, pose = self.body.replay(self._initial_state, self._controls, walkers)
+            walkers.restore(present)
         return PhysicsReplay(seconds, self.time, pose)
 
     def _check_settled(self, start: Pose2) -> None:

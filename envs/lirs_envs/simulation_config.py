@@ -30,6 +30,8 @@ class SimulationConfig:
         contact_geometry: what MuJoCo touches: `hfield`, `mesh` (the same, and its rays meet the mesh),
             `prisms` or `convex`.
         props: bodies and static robots that stand in the world; touched, and seen by the lidar.
+        actors: number of walkers on seeded paths (see `lirs_envs.actors.walkers`); touched, and seen by the
+            lidar.
         start: pose where a reset sets the robot down; None = the world's first start pose.
         height_range: lowest and highest height that `Simulation.replace_terrain` may write, metres; wheels
             then touch the surface itself, node by node. None = the ground stays.
@@ -44,6 +46,7 @@ class SimulationConfig:
     rays: Rays = "builtin"
     contact_geometry: ContactGeometry = "hfield"
     props: Sequence[Prop | StaticRobot] = ()
+    actors: int = 0
     start: Pose2 | None = None
     height_range: tuple[float, float] | None = None
 
@@ -57,6 +60,8 @@ class SimulationConfig:
         for prop in self.props:
             if not isinstance(prop, Prop | StaticRobot):
                 raise ConfigError(f"props must be Prop or StaticRobot, got {prop!r}")
+        if isinstance(self.actors, bool) or not isinstance(self.actors, int) or self.actors < 0:
+            raise ConfigError(f"actors must be a whole number from 0 up, got {self.actors!r}")
         if self.start is not None:
             check_start(self.start)
         self._check_height_range()

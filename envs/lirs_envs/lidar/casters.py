@@ -7,10 +7,12 @@ from typing import Literal, get_args
 import mujoco
 import numpy as np
 
+from lirs_envs.actors.walker_rays import walker_ranges
+from lirs_envs.actors.walkers import WALKER_GROUP, Walkers
 from lirs_envs.lidar.mesh_rays import MeshCaster
 from lirs_envs.lidar.ray_casting import Caster, RayCaster, mujoco_ranges
 from lirs_envs.props import PROP_GROUP
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import unknown_name
 from lirs_wct.export.mjcf import RAY_GROUP, TERRAIN_GROUP
 from lirs_wct.world import World
@@ -20,6 +22,9 @@ RAYS: tuple[Rays, ...] = get_args(Rays)
 """Whose rays meet the world: the builtin ones, or MuJoCo's (for comparison; 20 to 10,000 times slower)."""
 ALIASES: dict[str, Rays] = {"ours": "builtin"}
 """Other names that users and records hold."""
+
+SAME = 1e-5
+"""Ranges that differ by less are of the same walker, metres: MuJoCo's rays and the builtin ones round."""
 
 
 def resolve_rays(name: str) -> Rays:
@@ -61,13 +66,55 @@ class NearestCaster:
         return nearest
 
 
-def make_caster(world: World, rays: Rays, props: bool, data: mujoco.MjData) -> Caster:
-    """Return the caster of a world and, where `props`, of what else stands there; never of the robot itself.
+class WalkerCaster:
+    """What another caster meets, and walkers.
+
+    Attributes:
+        met: (n,) which rays of the last call met a walker.
+
+    Args:
+        caster: of all else; with MuJoCo's rays of the walkers, too.
+        walkers: that are met.
+        builtin: whether the builtin rays meet the walkers.
+    """
+
+    def __init__(self, caster: Caster, walkers: Walkers, *, builtin: bool) -> None:
+        self._caster, self._walkers, self._builtin = caster, walkers, builtin
+        self.met: BoolArray = np.zeros(0, np.bool_)
+
+    def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
+        """Return (n,) ranges (see `lirs_envs.lidar.ray_casting.Caster`)."""
+        ranges = self._caster.ranges(origins, directions, max_range)
+        to_walkers = walker_ranges(self._walkers.centers, origins, directions, max_range)
+        self.met = np.isfinite(to_walkers) & (to_walkers <= ranges + SAME)
+        return np.minimum(ranges, to_walkers) if self._builtin else ranges
+
+
+def make_caster(
+    world: World, rays: Rays, props: bool, data: mujoco.MjData, walkers: Walkers | None = None
+) -> Caster:
+    """Return the caster of a world and of what else is there but the robot itself.
+
+    Args:
+        world: ground and walls.
+        rays: whose rays.
+        props: whether the data's model has props.
+        data: MuJoCo's, for props and for its own rays.
+        walkers: that are seen.
 
     Raises:
         ConfigError: builtin rays on a mesh with overhangs need embreex, which is not installed.
     """
-    groups = (PROP_GROUP,) if props else ()
+    if walkers is not None:
+        groups = (WALKER_GROUP,) if rays == "mujoco" else ()
+        return WalkerCaster(_still_caster(world, rays, props, data, groups), walkers, builtin=not groups)
+    return _still_caster(world, rays, props, data)
+
+
+def _still_caster(
+    world: World, rays: Rays, props: bool, data: mujoco.MjData, groups: tuple[int, ...] = ()
+) -> Caster:
+    groups = (*groups, PROP_GROUP) if props else groups
     if rays == "mujoco":
         ground = RAY_GROUP if world.overhangs else TERRAIN_GROUP
         return GeomCaster(data, (*groups, ground))

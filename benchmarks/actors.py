@@ -1,0 +1,72 @@
+"""Cost of moving obstacles: processor time of a step with walkers over one without.
+
+    python benchmarks/actors.py [--world medium] [--robot husky] [--actors 50] [--quick] [--json FILE]
+
+A step is one period of the lidar: physics, odometry, scan. Both simulations are driven alike from the same
+pose, by turns in rounds of a simulated second, and the ratio is the median over the rounds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.command import Twist
+from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
+from lirs_wct.world import build_world
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--world", default="medium")
+    parser.add_argument("--robot", default="husky")
+    parser.add_argument("--actors", type=int, default=50)
+    parser.add_argument("--quick", action="store_true", help="10 rounds instead of 60")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    row = measure(options.world, options.robot, options.actors, 10 if options.quick else 60)
+    Console().print(
+        f"{options.actors} walkers on {options.world}: a step takes {row['ratio']:.3f} x the time "
+        f"({row['us_without']:.0f} -> {row['us_with']:.0f} us)"
+    )
+    if options.json:
+        options.json.write_text(json.dumps(row, indent=1) + "\n", encoding="utf-8")
+
+
+def measure(world: str, robot: str, actors: int, rounds: int) -> dict[str, float]:
+    """Return microseconds a step, and ratios."""
+    built = build_world(world)
+    pair = [
+        Simulation(built, SimulationConfig(robot=make_robot(robot), actors=count)) for count in (0, actors)
+    ]
+    rounds_of = np.array([[_seconds(s, k) for s in pair] for k in range(-1, rounds)])[1:]
+    without, with_walkers = 1e6 * np.median(rounds_of, axis=0) * pair[0].period
+    return {
+        "ratio": float(np.median(rounds_of[:, 1] / rounds_of[:, 0])),
+        "us_without": float(without),
+        "us_with": float(with_walkers),
+    }
+
+
+def _seconds(simulation: Simulation, number: int) -> float:
+    """Drive a round of a second; return seconds of processor time."""
+    rng, starts = np.random.default_rng(number + 1), simulation.world.spawn_poses
+    simulation.reset(starts[number % len(starts)], seed=number + 1)
+    command = Twist(rng.uniform(0.3, 0.8), rng.uniform(-1, 1))
+    begun = time.process_time()
+    for _ in range(round(1 / simulation.period)):
+        simulation.advance(command)
+    return time.process_time() - begun
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Moving obstacles: walkers on seeded paths, that the lidar sees and the robot touches."""

@@ -1,0 +1,218 @@
+"""Walkers: upright capsules as large as a person, each to and fro on its path at its own constant speed.
+
+A walker does not walk into the robot: it waits where the next step would bring it closer than `GAP`, and
+turns back when it has waited for `PATIENCE`. A robot can walk into a walker, which is as hard as a wall.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numba import njit
+
+from lirs_envs.actors.paths import WAY_POINTS, Disc, draw_paths, walkable_ground
+from lirs_wct.arrays import Float32Array, FloatArray, IntArray
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.world import World
+
+RADIUS, HEIGHT = 0.25, 1.75
+"""Of a walker, metres."""
+HALF_LENGTH = HEIGHT / 2 - RADIUS
+"""Half the straight part of its capsule, metres."""
+SPEED = (0.5, 1.5)
+"""Slowest and fastest, m/s."""
+GAP = 0.3
+"""Distance between walker and robot at which a walker waits, metres."""
+PATIENCE = 1.0
+"""Seconds after which a waiting walker turns back."""
+START_GAP = 1.0
+"""Distance that paths keep from the robot's start, metres."""
+TOUCHABLE = 8
+"""Walkers that have a body in MuJoCo, the nearest: each of 50 would cost every step 0.4 % of its time."""
+WALKER_STREAM = 14
+"""Random stream of the paths."""
+WALKER_GROUP = 0
+"""Geom group of walkers, which no robot uses."""
+WALKER_BIT = 2
+"""Bit of MuJoCo's contact filter: walkers touch what has it in its affinity, so neither ground nor walls."""
+
+
+WalkerState = tuple[FloatArray, IntArray, FloatArray, FloatArray]
+"""Distance along the path, direction, seconds waited, each (n,), and middles (n, 3)."""
+
+
+class Walkers:
+    """The walkers of a world.
+
+    Attributes:
+        centers: (n, 3) their middles now, metres.
+
+    Args:
+        world: whose free ground they walk on.
+        count: number of walkers.
+        robot_radius: of the robot that they do not walk into, metres.
+        props: x, y and radius of what else stands there.
+
+    Raises:
+        SimulationError: the world has no free ground.
+    """
+
+    def __init__(self, world: World, count: int, robot_radius: float, props: Sequence[Disc] = ()) -> None:
+        self._ground = walkable_ground(world)
+        self._world = world
+        self._robot_radius = robot_radius
+        self._props = [(x, y, radius + RADIUS) for x, y, radius in props]
+        self.centers = np.zeros((count, 3))
+        self._paths, self._ends = np.zeros((count, WAY_POINTS, 2)), np.zeros((count, WAY_POINTS))
+        self._speeds, self._along, self._waited = np.zeros((3, count))
+        self._direction = np.ones(count, np.int64)
+
+    def reset(self, start: Pose2, rng: np.random.Generator) -> None:
+        """Draw new paths that keep off the robot's start, speeds, and where on its path each walker begins.
+
+        Raises:
+            SimulationError: no free ground is left.
+        """
+        count = len(self.centers)
+        keep_out = (*self._props, (start.x, start.y, self._robot_radius + RADIUS + START_GAP))
+        self._paths = draw_paths(self._ground, count, rng, keep_out)
+        legs = np.hypot(*np.moveaxis(np.diff(self._paths, axis=1), 2, 0))
+        self._ends = np.concatenate((np.zeros((count, 1)), np.cumsum(legs, axis=1)), axis=1)
+        self._speeds = rng.uniform(*SPEED, count)
+        self._along = rng.random(count) * self._ends[:, -1]
+        self._direction = rng.choice((-1, 1), count)
+        self._waited = np.zeros(count)
+        self.advance(0.0, math.inf, math.inf)
+
+    def advance(self, dt: float, robot_x: float, robot_y: float) -> None:
+        """Walk for `dt` seconds; the robot stands at x, y."""
+        surface = self._world.surface
+        _walk(
+            (self._paths, self._ends, self._speeds),
+            (self._along, self._direction, self._waited),
+            dt,
+            (robot_x, robot_y, self._robot_radius + RADIUS + GAP),
+            surface.z,
+            (*surface.origin, *surface.cell),
+            self.centers,
+        )
+
+    def nearest(self, x: float, y: float, centers: FloatArray) -> None:
+        """Fill `centers` (m, 3) with the m walkers nearest to a point; all of them in their order."""
+        if len(centers) == len(self.centers):
+            centers[:] = self.centers
+        else:
+            _nearest(self.centers, x, y, centers)
+
+    def state(self) -> WalkerState:
+        """Return where all are on their paths."""
+        return self._along.copy(), self._direction.copy(), self._waited.copy(), self.centers.copy()
+
+    def restore(self, state: WalkerState) -> None:
+        """Put all where they were on the same paths."""
+        parts = (self._along, self._direction, self._waited, self.centers)
+        for part, value in zip(parts, state, strict=True):
+            part[:] = value
+
+
+def add_walkers(spec: mujoco.MjSpec, count: int) -> None:
+    """Add walkers to a robot's specification as mocap bodies, which its geoms touch."""
+    for geom in spec.geoms:
+        if geom.contype:
+            geom.conaffinity |= WALKER_BIT
+    for k in range(count):
+        body = spec.worldbody.add_body(name=f"walker{k}", mocap=True)
+        body.add_geom(
+            name=f"walker{k}",
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            size=(RADIUS, HALF_LENGTH, 0.0),
+            contype=WALKER_BIT,
+            conaffinity=0,
+            priority=0,
+            group=WALKER_GROUP,
+            rgba=(0.2, 0.35, 0.6, 1.0),
+        )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _walk(
+    paths: tuple[FloatArray, FloatArray, FloatArray],
+    state: tuple[FloatArray, IntArray, FloatArray],
+    dt: float,
+    robot: Disc,
+    z: Float32Array,
+    frame: tuple[float, float, float, float],
+    centers: FloatArray,
+) -> None:
+    """Move walkers and fill `centers` (n, 3).
+
+    Args:
+        paths: way points (n, m, 2), distances to them along the path (n, m), speeds (n,).
+        state: distance along the path (n,), direction 1 or -1 (n,), seconds waited (n,); changed.
+        dt: seconds.
+        robot: x, y, and the distance of the middles at which a walker waits.
+        z: heights of the surface, row 0 = north.
+        frame: x, y of its south-west node, cell x, y.
+        centers: the middles; those of the last call where dt is above 0.
+    """
+    points, ends, speeds = paths
+    along, direction, waited = state
+    for k in range(len(speeds)):
+        last = ends[k, -1]
+        to, way = along[k] + direction[k] * speeds[k] * dt, direction[k]
+        if to < 0.0:
+            to, way = -to, 1
+        elif to > last:
+            to, way = 2 * last - to, -1
+        to = min(max(to, 0.0), last)
+        x, y = _point_on_path(points[k], ends[k], to)
+        gap = math.hypot(x - robot[0], y - robot[1])
+        if gap < robot[2] and gap < math.hypot(centers[k, 0] - robot[0], centers[k, 1] - robot[1]):
+            waited[k] += dt
+            if waited[k] >= PATIENCE:
+                direction[k], waited[k] = -direction[k], 0.0
+            continue
+        along[k], direction[k], waited[k] = to, way, 0.0
+        centers[k, 0], centers[k, 1] = x, y
+        centers[k, 2] = _height(z, frame, x, y) + HEIGHT / 2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest(all_centers: FloatArray, x: float, y: float, centers: FloatArray) -> None:
+    """Fill `centers` (m, 3) with the nearest of (n, 3), the nearest first."""
+    squared = (all_centers[:, 0] - x) ** 2 + (all_centers[:, 1] - y) ** 2
+    for k in range(len(centers)):
+        first = np.argmin(squared)
+        centers[k] = all_centers[first]
+        squared[first] = np.inf
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _point_on_path(points: FloatArray, ends: FloatArray, along: float) -> tuple[float, float]:
+    """Return x, y at a distance along a path."""
+    leg = 0
+    while leg < len(ends) - 2 and ends[leg + 1] < along:
+        leg += 1
+    length = ends[leg + 1] - ends[leg]
+    t = (along - ends[leg]) / length if length > 0.0 else 0.0
+    x = points[leg, 0] + t * (points[leg + 1, 0] - points[leg, 0])
+    y = points[leg, 1] + t * (points[leg + 1, 1] - points[leg, 1])
+    return x, y
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _height(z: Float32Array, frame: tuple[float, float, float, float], x: float, y: float) -> float:
+    """Return the height of a surface at a point on it (see `HeightField.height_at`)."""
+    rows, cols = z.shape
+    u, v = (x - frame[0]) / frame[2], (y - frame[1]) / frame[3]
+    i, j = min(max(int(u), 0), cols - 2), min(max(int(v), 0), rows - 2)
+    u, v, south = u - i, v - j, rows - 1 - j
+    sw, ne = z[south, i], z[south - 1, i + 1]
+    if u >= v:
+        se = z[south, i + 1]
+        return float(sw + u * (se - sw) + v * (ne - se))
+    nw = z[south - 1, i]
+    return float(sw + u * (ne - nw) + v * (nw - sw))
