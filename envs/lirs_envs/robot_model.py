@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from lirs_envs.actors.walkers import TOUCHABLE, Walkers, add_walkers
+from lirs_envs.actors.walkers import Walkers, add_walkers
 from lirs_envs.props import STATIC_ROBOT, Prop, StaticRobot, add_props
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import FloatArray, Vector3
@@ -56,7 +56,7 @@ class RobotModel:
         props: what else stands there.
         contact_geometry: what is touched (see `lirs_wct.contact.contact_geometry.CONTACT_GEOMETRIES`).
         mujoco_rays: whether MuJoCo's own rays are to meet the surface, where something else is touched.
-        actors: number of walkers (see `lirs_envs.actors.walkers`).
+        actors: number of walkers that have a body (see `lirs_envs.actors.walkers`).
         height_range: lowest and highest height that `replace_surface` may write, metres; the ground that is
             touched is then the surface itself. None = the ground stays.
         contact_sensors: whether to add a contact sensor for each geom that is not meant to touch the ground.
@@ -88,8 +88,7 @@ class RobotModel:
             _add_contact_sensors(spec, robot)
         add_props(spec, world, props)
         if actors:
-            # MuJoCo's rays are to meet all of them.
-            add_walkers(spec, actors if mujoco_rays else min(actors, TOUCHABLE))
+            add_walkers(spec, actors)
         self.model = world_spec(
             world,
             contact=self.contact,
@@ -191,7 +190,7 @@ class RobotModel:
         """Let the walkers walk for `dt` seconds, before the robot's next step."""
         x, y = self._qpos[:2].tolist()
         walkers.advance(dt, x, y)
-        walkers.nearest(x, y, self._walker_centers)
+        self._walker_centers[:] = walkers.touchable
 
     def settle(
         self, T_world_base: Pose3, walkers: Walkers | None = None, seconds: float = SETTLING_TIME
@@ -202,7 +201,7 @@ class RobotModel:
         """
         mujoco.mj_resetData(self.model, self.data)
         if walkers is not None:
-            walkers.nearest(T_world_base.x, T_world_base.y, self._walker_centers)
+            self._walker_centers[:] = walkers.touchable
         self._qpos[:7] = (*T_world_base.position, *T_world_base.quaternion)
         if self._flies:
             weight = float(self.model.body("base_link").subtreemass[0]) * self.gravity

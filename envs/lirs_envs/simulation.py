@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lirs_envs.actors.walkers import WALKER_STREAM, Walkers
+from lirs_envs.actors.walkers import TOUCHABLE, WALKER_STREAM, Walkers
 from lirs_envs.collisions import Collisions, ContactMonitor, check_divergence
 from lirs_envs.lidar.casters import WalkerCaster, make_caster
 from lirs_envs.placement import MAX_SETTLING_DISTANCE, check_fit, resolve_start, standing_pose
@@ -70,12 +70,18 @@ class Simulation:
             props=config.props,
             contact_geometry=config.contact_geometry,
             mujoco_rays=config.rays == "mujoco",
-            actors=config.actors,
+            actors=self._walker_bodies,
             height_range=config.height_range,
         )
         self._meet_world()
         self._seed = seed
         self._begin()
+
+    @property
+    def _walker_bodies(self) -> int:
+        """How many walkers MuJoCo has a body of: its own rays are to meet all of them."""
+        actors = self.config.actors
+        return actors if self.config.rays == "mujoco" else min(actors, TOUCHABLE)
 
     def _meet_world(self) -> None:
         """Make what depends on the world's ground: walkers, and what the lidar sees."""
@@ -83,7 +89,7 @@ class Simulation:
         self.walkers: Walkers | None = None
         if config.actors:
             props = [footprint(prop) for prop in config.props]
-            self.walkers = Walkers(world, config.actors, self.robot.radius, props)
+            self.walkers = Walkers(world, config.actors, self.robot.radius, props, bodies=self._walker_bodies)
         self.caster = make_caster(world, config.rays, bool(config.props), self.body.data, self.walkers)
 
     def _begin(self) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from lirs_envs.actors.paths import draw_paths, walkable_ground
-from lirs_envs.actors.walker_rays import walker_ranges
+from lirs_envs.actors.walker_rays import meet_walkers
 from lirs_envs.actors.walkers import GAP, HALF_LENGTH, HEIGHT, RADIUS, TOUCHABLE, WALKER_GROUP, Walkers
 from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
 from lirs_envs.lidar.ray_casting import mujoco_ranges
@@ -36,6 +36,14 @@ Array = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 def simulation(world: World, robot: Robot, actors: int = 20, **config: Any) -> Simulation:
     config = {"noise": SensorNoise(lidar="none")} | config
     return Simulation(world, SimulationConfig(robot=robot, actors=actors, **config), seed=3)
+
+
+def walker_ranges(centers: Array, origins: Array, directions: Array, max_range: float) -> Array:
+    nothing = np.full(len(directions), np.inf)
+    nearest, met = np.empty(len(directions)), np.empty(len(directions), np.bool_)
+    meet_walkers(centers, origins.reshape(-1, 3), directions, max_range, nothing, nearest, met)
+    assert np.array_equal(met, np.isfinite(nearest))
+    return nearest
 
 
 def walked(walkers: Walkers, seconds: float, dt: float = 0.02) -> Array:
@@ -114,8 +122,18 @@ def test_rays_meet_capsules_where_mujoco_s_do(rough: World, husky: Robot) -> Non
     both = np.isfinite(ours) & np.isfinite(theirs)
     assert ours[both] == pytest.approx(theirs[both], abs=1e-9)
     assert (walker_ranges(centers, origins, directions, 1.0)[ours > 1.0] == np.inf).all()
-    one = walker_ranges(centers, origins[0], directions, math.inf)
-    assert np.array_equal(one, walker_ranges(centers, np.tile(origins[0], (4000, 1)), directions, math.inf))
+    # All from one origin, ordered as a lidar's or not, level or not: as each ray by itself.
+    turn = np.linspace(-4, 4, 1001)
+    level = np.column_stack((np.cos(turn), np.sin(turn), np.zeros(1001)))
+    for fan in (directions, level, level @ np.linalg.qr(rng.normal(size=(3, 3)))[0]):
+        for origin in (origins[0], origins[1], centers[0], (0.0, 0.0, 1.0)):
+            each = np.tile(origin, (len(fan), 1))
+            one = walker_ranges(centers, np.array(origin), fan, 15.0)
+            assert np.array_equal(one, walker_ranges(centers, each, fan, 15.0))
+            by_mujoco = mujoco_ranges(
+                sim.body.model, sim.body.data, origin, fan, 15.0, groups=(WALKER_GROUP,)
+            )
+            assert np.mean(np.isfinite(one) == np.isfinite(by_mujoco)) > 0.99
 
 
 def test_both_rays_see_the_same_walkers(rough: World, husky: Robot) -> None:
@@ -187,7 +205,7 @@ def test_the_nearest_walkers_have_the_bodies(rough: World, husky: Robot) -> None
     few = simulation(rough, husky, 3)
     few.reset()
     assert few.walkers is not None
-    assert np.array_equal(few.body.data.mocap_pos, few.walkers.centers)
+    assert sorted(few.body.data.mocap_pos.tolist()) == sorted(few.walkers.centers.tolist())
 
 
 def driven(sim: Simulation, ticks: int = 10) -> bytes:

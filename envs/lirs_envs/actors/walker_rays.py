@@ -8,56 +8,95 @@ import numpy as np
 from numba import njit
 
 from lirs_envs.actors.walkers import HALF_LENGTH, RADIUS
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import BoolArray, FloatArray
 
-
-def walker_ranges(
-    centers: FloatArray, origins: FloatArray, directions: FloatArray, max_range: float
-) -> FloatArray:
-    """Return (n,) ranges to the nearest capsule (see `lirs_envs.lidar.ray_casting.Caster`).
-
-    Args:
-        centers: (m, 3) middles of the capsules.
-        origins: (3,) of all rays, or (n, 3).
-        directions: (n, 3) unit vectors.
-        max_range: metres; inf where nothing is nearer.
-    """
-    ranges = np.full(len(directions), np.inf)
-    _cast(centers, origins.reshape(-1, 3), directions, max_range, ranges)
-    return ranges
+BLOCK = 16
+"""Rays that are looked at together: neighbours, which mostly miss a walker together."""
+SAME = 1e-5
+"""Ranges that differ by less are of the same walker, metres: MuJoCo's rays and the builtin ones round."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast(
-    centers: FloatArray, origins: FloatArray, directions: FloatArray, max_range: float, ranges: FloatArray
+def meet_walkers(
+    centers: FloatArray,
+    origins: FloatArray,
+    directions: FloatArray,
+    max_range: float,
+    ranges: FloatArray,
+    nearest: FloatArray,
+    met: BoolArray,
 ) -> None:
-    """Fill `ranges` (n,); origins are (1, 3) or (n, 3)."""
+    """Fill `nearest` with the nearer of `ranges` and of walkers, and `met` with which rays meet a walker.
+
+    Args:
+        centers: (m, 3) middles of the walkers.
+        origins: (1, 3) of all rays, or (n, 3) of each.
+        directions: (n, 3) unit vectors.
+        max_range: metres.
+        ranges: (n,) to all else, perhaps to the walkers as well; inf where nothing is within `max_range`.
+        nearest: (n,).
+        met: (n,).
+    """
+    nearest[:] = np.inf
     if len(origins) == 1:
-        _cast_fan(centers, origins[0], directions, max_range, ranges)
-        return
+        _cast_fan(centers, origins[0], directions, max_range, nearest)
+    else:
+        for k in range(len(directions)):
+            _cast_fan(centers, origins[k], directions[k : k + 1], max_range, nearest[k : k + 1])
     for k in range(len(directions)):
-        _cast_fan(centers, origins[k], directions[k : k + 1], max_range, ranges[k : k + 1])
+        met[k] = nearest[k] < np.inf and nearest[k] <= ranges[k] + SAME
+        nearest[k] = min(nearest[k], ranges[k])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _cast_fan(
-    centers: FloatArray, origin: FloatArray, directions: FloatArray, max_range: float, ranges: FloatArray
+    centers: FloatArray, origin: FloatArray, directions: FloatArray, max_range: float, nearest: FloatArray
 ) -> None:
-    """Shorten `ranges` (n,) of rays from one origin."""
+    """Shorten `nearest` (n,) of rays from one origin."""
+    n = len(directions)
+    blocks = -(-n // BLOCK)
+    cones = np.empty((blocks, 3))
+    for j in range(blocks):
+        _bound_block(directions[j * BLOCK : min((j + 1) * BLOCK, n)], cones[j])
     for m in range(len(centers)):
         x, y, z = origin[0] - centers[m, 0], origin[1] - centers[m, 1], origin[2] - centers[m, 2]
-        outside = x * x + y * y - RADIUS * RADIUS
-        if outside > 0.0 and math.sqrt(x * x + y * y) - RADIUS > max_range:
+        distance = math.sqrt(x * x + y * y)
+        if distance - RADIUS > max_range:
             continue
-        for k in range(len(directions)):
-            dx, dy = directions[k, 0], directions[k, 1]
-            flat, along, beside = dx * dx + dy * dy, x * dx + y * dy, x * dy - y * dx
-            # The ray passes the axis beyond the radius, or runs away from it.
-            if beside * beside > RADIUS * RADIUS * flat or (outside > 0.0 and along >= 0.0):
+        # Half the angle that the walker takes, seen from above.
+        sine = RADIUS / distance if distance > RADIUS else 1.0
+        cosine = math.sqrt(1.0 - sine * sine)
+        for j in range(blocks):
+            towards = -(x * cones[j, 0] + y * cones[j, 1]) / distance if distance > RADIUS else 1.0
+            spread = cones[j, 2]
+            if towards < cosine * spread - sine * math.sqrt(1.0 - spread * spread):
                 continue
-            hit = _capsule_range(x, y, z, dx, dy, directions[k, 2])
-            if hit <= max_range and hit < ranges[k]:
-                ranges[k] = hit
+            for k in range(j * BLOCK, min((j + 1) * BLOCK, n)):
+                hit = _capsule_range(x, y, z, directions[k, 0], directions[k, 1], directions[k, 2])
+                if hit <= max_range and hit < nearest[k]:
+                    nearest[k] = hit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bound_block(directions: FloatArray, cone: FloatArray) -> None:
+    """Fill a cone with the horizontal unit vector in the middle of rays and the least cosine to it.
+
+    Rays that do not keep within a quarter turn of it, upright ones among them, get the whole circle.
+    """
+    cone[0], cone[1], cone[2] = 1.0, 0.0, -1.0
+    x, y = directions[:, 0].sum(), directions[:, 1].sum()
+    length = math.sqrt(x * x + y * y)
+    if length < 1e-9:
+        return
+    x, y, least = x / length, y / length, 1.0
+    for k in range(len(directions)):
+        flat = math.sqrt(directions[k, 0] ** 2 + directions[k, 1] ** 2)
+        if flat < 1e-9:
+            return
+        least = min(least, (directions[k, 0] * x + directions[k, 1] * y) / flat)
+    if least > 0.0:
+        # Rounding leaves no ray outside.
+        cone[0], cone[1], cone[2] = x, y, least - 1e-9
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -49,23 +49,34 @@ class Walkers:
 
     Attributes:
         centers: (n, 3) their middles now, metres.
+        touchable: (m, 3) middles of those that are nearest to the robot.
 
     Args:
         world: whose free ground they walk on.
         count: number of walkers.
         robot_radius: of the robot that they do not walk into, metres.
         props: x, y and radius of what else stands there.
+        bodies: number of walkers that MuJoCo has a body of, m.
 
     Raises:
         SimulationError: the world has no free ground.
     """
 
-    def __init__(self, world: World, count: int, robot_radius: float, props: Sequence[Disc] = ()) -> None:
+    def __init__(
+        self,
+        world: World,
+        count: int,
+        robot_radius: float,
+        props: Sequence[Disc] = (),
+        *,
+        bodies: int = TOUCHABLE,
+    ) -> None:
         self._ground = walkable_ground(world)
-        self._world = world
+        self._z, self._frame = world.surface.z, (*world.surface.origin, *world.surface.cell)
         self._robot_radius = robot_radius
         self._props = [(x, y, radius + RADIUS) for x, y, radius in props]
         self.centers = np.zeros((count, 3))
+        self.touchable = np.zeros((min(bodies, count), 3))
         self._paths, self._ends = np.zeros((count, WAY_POINTS, 2)), np.zeros((count, WAY_POINTS))
         self._speeds, self._along, self._waited = np.zeros((3, count))
         self._direction = np.ones(count, np.int64)
@@ -85,27 +96,20 @@ class Walkers:
         self._along = rng.random(count) * self._ends[:, -1]
         self._direction = rng.choice((-1, 1), count)
         self._waited = np.zeros(count)
-        self.advance(0.0, math.inf, math.inf)
+        self.advance(0.0, start.x, start.y)
 
     def advance(self, dt: float, robot_x: float, robot_y: float) -> None:
         """Walk for `dt` seconds; the robot stands at x, y."""
-        surface = self._world.surface
         _walk(
             (self._paths, self._ends, self._speeds),
             (self._along, self._direction, self._waited),
             dt,
             (robot_x, robot_y, self._robot_radius + RADIUS + GAP),
-            surface.z,
-            (*surface.origin, *surface.cell),
+            self._z,
+            self._frame,
             self.centers,
+            self.touchable,
         )
-
-    def nearest(self, x: float, y: float, centers: FloatArray) -> None:
-        """Fill `centers` (m, 3) with the m walkers nearest to a point; all of them in their order."""
-        if len(centers) == len(self.centers):
-            centers[:] = self.centers
-        else:
-            _nearest(self.centers, x, y, centers)
 
     def state(self) -> WalkerState:
         """Return where all are on their paths."""
@@ -146,8 +150,9 @@ def _walk(
     z: Float32Array,
     frame: tuple[float, float, float, float],
     centers: FloatArray,
+    touchable: FloatArray,
 ) -> None:
-    """Move walkers and fill `centers` (n, 3).
+    """Move walkers and fill `centers` (n, 3) and `touchable` (m, 3).
 
     Args:
         paths: way points (n, m, 2), distances to them along the path (n, m), speeds (n,).
@@ -157,6 +162,7 @@ def _walk(
         z: heights of the surface, row 0 = north.
         frame: x, y of its south-west node, cell x, y.
         centers: the middles; those of the last call where dt is above 0.
+        touchable: those nearest to the robot, the nearest first.
     """
     points, ends, speeds = paths
     along, direction, waited = state
@@ -178,16 +184,11 @@ def _walk(
         along[k], direction[k], waited[k] = to, way, 0.0
         centers[k, 0], centers[k, 1] = x, y
         centers[k, 2] = _height(z, frame, x, y) + HEIGHT / 2
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _nearest(all_centers: FloatArray, x: float, y: float, centers: FloatArray) -> None:
-    """Fill `centers` (m, 3) with the nearest of (n, 3), the nearest first."""
-    squared = (all_centers[:, 0] - x) ** 2 + (all_centers[:, 1] - y) ** 2
-    for k in range(len(centers)):
-        first = np.argmin(squared)
-        centers[k] = all_centers[first]
-        squared[first] = np.inf
+    squared = (centers[:, 0] - robot[0]) ** 2 + (centers[:, 1] - robot[1]) ** 2
+    for k in range(len(touchable)):
+        nearest = np.argmin(squared)
+        touchable[k] = centers[nearest]
+        squared[nearest] = np.inf
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
