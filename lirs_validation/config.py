@@ -22,7 +22,7 @@ ATTITUDES: tuple[Attitude, ...] = get_args(Attitude)
 TOUR = "tour"
 DRIVERS = {TOUR: "", "frontier": "", "waypoints": "FILE", "replay": "RUN"}
 """Who drives, and what each needs: a file of waypoints, the folder of a finished run."""
-LATER = {"attitude": "imu", "driver": TOUR}
+LATER: dict[str, Any] = {"attitude": "imu", "driver": TOUR, "actors": 0}
 """Options that came later: at these values they are in no digest, so that folders keep their names."""
 RECORDED_RAYS = {"builtin": "ours", "mujoco": "mujoco"}
 """Rays as records name them."""
@@ -78,10 +78,11 @@ class RunConfig:
         wall_limit: wall seconds after which the drive is stopped; None = never.
         attitude: what the mapper is told of roll and pitch: `imu`, or `none` (no inertial reading).
         driver: who drives: `tour`, `frontier`, `waypoints:FILE` or `replay:RUN` (docs/sweeps.md).
+        actors: number of walkers in the world.
         build: how the source becomes a world.
 
     Raises:
-        ConfigError: seconds or the wall limit is not above 0, the seed is negative, or there is no such
+        ConfigError: seconds or the wall limit is not above 0, seed or actors is negative, or there is no such
             terrain, rays, attitude or driver.
     """
 
@@ -96,6 +97,7 @@ class RunConfig:
     wall_limit: float | None = None
     attitude: Attitude = "imu"
     driver: str = TOUR
+    actors: int = 0
     build: BuildOptions = field(default_factory=SourceOptions)
 
     def __post_init__(self) -> None:
@@ -107,7 +109,7 @@ class RunConfig:
         require_above(self, 0, "seconds", finite=True)
         if self.wall_limit is not None:
             require_above(self, 0, "wall_limit", unit="s")
-        require_at_least(self, 0, "seed")
+        require_at_least(self, 0, "seed", "actors")
         if self.terrain not in CONTACT_GEOMETRIES:
             raise unknown_name("terrain for MuJoCo", self.terrain, CONTACT_GEOMETRIES)
         if self.attitude not in ATTITUDES:

@@ -11,7 +11,7 @@ from lirs_validation.config import LATER
 from lirs_validation.record.formatting import Entry
 from lirs_wct.errors import ConfigError
 
-FIELDS = ("world", "robot", "mapper", "terrain", "rays", "lidar", "seconds", "attitude", "driver")
+FIELDS = ("world", "robot", "mapper", "terrain", "rays", "lidar", "seconds", "attitude", "driver", "actors")
 
 
 @dataclass(frozen=True, order=True)
@@ -27,6 +27,7 @@ class Group:
     seconds: float
     attitude: str = LATER["attitude"]
     driver: str = LATER["driver"]
+    actors: int = LATER["actors"]
 
     @staticmethod
     def of(entry: Entry) -> Group:
@@ -47,7 +48,7 @@ class Group:
         """Return the group's name: its fields, or some of them, in one line."""
         texts = {**dict(zip(FIELDS, astuple(self), strict=True)), "seconds": f"{self.seconds:g} s"}
         texts |= {"rays": f"rays: {self.rays}", "attitude": f"attitude: {self.attitude}"}
-        texts["driver"] = f"driver: {self.driver}"
+        texts |= {"driver": f"driver: {self.driver}", "actors": f"{self.actors} walkers"}
         return ", ".join(str(texts[field]) for field in FIELDS if field in set(fields))
 
 

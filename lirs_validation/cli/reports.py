@@ -60,7 +60,7 @@ def compare(
         typer.Option(
             metavar="FIELD,...",
             help="Pair runs that differ in these: world, robot, mapper, terrain, rays, lidar, "
-            "seconds, attitude, driver.",
+            "seconds, attitude, driver, actors.",
         ),
     ] = None,
     only_a: Annotated[

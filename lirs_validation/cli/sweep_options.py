@@ -81,6 +81,16 @@ Drivers = Annotated[
         rich_help_panel=AXES,
     ),
 ]
+Actors = Annotated[
+    str | None,
+    typer.Option(
+        "--actors",
+        metavar="N,N,...",
+        show_default="0",
+        help="Walkers on seeded paths, whom the lidar sees and the robot touches.",
+        rich_help_panel=AXES,
+    ),
+]
 Seeds = Annotated[
     str | None,
     typer.Option(metavar="1-5|1,3,7-9", help="Several seeds of every random number.", rich_help_panel=AXES),
@@ -146,8 +156,8 @@ def read_experiments(
     Args:
         sources: worlds; none with a suite.
         suite: its name; None = sources and axes are given.
-        axes: axis -> what was said of it, for `robot`, `mapper`, `lidar`, `terrain`, `rays`, `attitude`
-            and `driver`.
+        axes: axis -> what was said of it, for `robot`, `mapper`, `lidar`, `terrain`, `rays`, `attitude`,
+            `driver` and `actors`.
         seeds: None = the suite's own, or 1.
         seconds: simulated seconds of each run; None = the suite's own, or 120.
         wall_limit: of each drive; None = the suite's own, or none.
@@ -205,6 +215,7 @@ def _axes_experiments(
         ),
         attitudes=tuple(chosen(name, "--attitude", ATTITUDES) for name in _names(given, "attitude", "imu")),
         drivers=(TOUR,) if given.get("driver") is None else read_drivers(str(given["driver"])),
+        actors=(0,) if given.get("actors") is None else read_seeds(str(given["actors"]), "--actors"),
         seeds=seeds or (1,),
         seconds=DEFAULT_SECONDS if seconds is None else seconds,
         wall_limit=wall_limit,

@@ -35,6 +35,7 @@ def validate(
     rays: option.RayKinds = None,
     attitude: option.Attitudes = None,
     driver: option.Drivers = None,
+    actors: option.Actors = None,
     seconds: option.Seconds = None,
     seed: option.Seed = None,
     seeds: option.Seeds = None,
@@ -68,6 +69,7 @@ def validate(
         "rays": rays,
         "attitude": attitude,
         "driver": driver,
+        "actors": actors,
     }
     chosen = option.read_seed_options(seed, seeds)
     experiments = option.read_experiments(sources, suite, axes, chosen, seconds, wall_limit, options)

@@ -99,7 +99,8 @@ def _headline(record: RunRecord) -> str:
     c = record.config
     method = c.mapper + (" without attitude" if c.attitude == "none" else "")
     driver = "" if c.driver == TOUR else f", driver {driver_parts(c.driver)[0]}"
-    text = f"{record.world['name']}: {c.robot} maps with {method}{driver}, seed {c.seed}"
+    actors = f", {c.actors} walkers" if c.actors else ""
+    text = f"{record.world['name']}: {c.robot} maps with {method}{driver}{actors}, seed {c.seed}"
     if worse_than_odometry(asdict(record)):
         text += f" ({WORSE})"
     if record.status == "ok":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -96,13 +96,16 @@ def evaluate_maps(world: World, log: DriveLog, mapper: Mapper) -> Maps:
     """Compare the mapper's map with the one that the true poses give.
 
     It is moved by the true start pose alone; the aligned metrics by the trajectory's alignment as well.
+    Walkers are no part of the world: the beams that met one are left out of the map of the true poses.
     """
     T_world_map = log.truth[0].to_pose2()
     built = mapper.map()
     reference = KnownPoseMapper(resolution=built.resolution)
-    for observation, T_world_base in zip(log.observations, log.truth, strict=True):
+    for k, (observation, T_world_base) in enumerate(zip(log.observations, log.truth, strict=True)):
         T_map_base = T_world_map.inverse() @ T_world_base.to_pose2()
         scan = scan_copy(observation.scan, observation.scan.T_base_laser)
+        if log.walker_beams:
+            scan = replace(scan, ranges=np.where(log.walker_beams[k], np.float32(np.nan), scan.ranges))
         reference.update(scan, T_map_base, imu_copy(observation.imu))
     built, true_pose = built.moved(T_world_map), reference.map().moved(T_world_map)
     truth, estimate, _ = log.trajectories()

@@ -14,6 +14,7 @@ from lirs_envs.simulation import Simulation
 from lirs_validation.driving.driver import Driver
 from lirs_validation.record.run_record import Status
 from lirs_validation.record.verdict import LostRule
+from lirs_wct.arrays import BoolArray
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.trajectory import Trajectory
@@ -27,6 +28,7 @@ class DriveLog:
 
     Attributes:
         observations: what the mapper was fed.
+        walker_beams: which beams of each scan met a walker; empty where there are none.
         truth: `T_world_base`, from the simulator.
         estimates: `T_map_base`, the mapper's online answers.
         final: the mapper's trajectory in the map frame after the drive; None while it lasts.
@@ -39,6 +41,7 @@ class DriveLog:
     """
 
     observations: list[Observation] = field(default_factory=list)
+    walker_beams: list[BoolArray] = field(default_factory=list)
     truth: list[Pose3] = field(default_factory=list)
     estimates: list[Pose2] = field(default_factory=list)
     final: Trajectory | None = None
@@ -146,6 +149,8 @@ def _map(
     estimate = mapper.update(observation.scan, observation.odometry, observation.imu)
     done = time.perf_counter()
     log.observations.append(observation)
+    if simulation.walker_beams is not None:
+        log.walker_beams.append(simulation.walker_beams)
     log.truth.append(simulation.T_world_base)
     log.estimates.append(estimate)
     log.mapper_seconds.append(done - handed)

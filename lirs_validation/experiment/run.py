@@ -54,6 +54,7 @@ def validate(
     wall_limit: float | None = None,
     attitude: Attitude = "imu",
     driver: str = TOUR,
+    actors: int = 0,
     options: BuildOptions | None = None,
     out: str | Path | None = None,
     progress: Progress = no_progress,
@@ -73,6 +74,7 @@ def validate(
         attitude: what the mapper is told of roll and pitch: `imu`, or `none`, which takes the IMU from
             any mapper.
         driver: who drives: `tour`, `frontier`, `waypoints:FILE` or `replay:RUN` (docs/sweeps.md).
+        actors: number of walkers on seeded paths, whom the lidar sees and the robot touches.
         options: how the source becomes a world.
         out: folder that receives the run's folder; None = nothing is written.
         progress: of the run.
@@ -92,6 +94,7 @@ def validate(
         wall_limit=wall_limit,
         attitude=attitude,
         driver=driver,
+        actors=actors,
         build=options or BuildOptions(),
     )
     return run(config, out=None if out is None else Path(out), progress=progress)

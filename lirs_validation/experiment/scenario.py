@@ -43,7 +43,11 @@ class Scenario:
         """Put the robot into the world."""
         c = self.config
         config = SimulationConfig(
-            robot=robot, lidar=c.lidar, contact_geometry=c.terrain, rays=resolve_rays(c.rays)
+            robot=robot,
+            lidar=c.lidar,
+            contact_geometry=c.terrain,
+            rays=resolve_rays(c.rays),
+            actors=c.actors,
         )
         return Simulation(self.world, config, seed=c.seed)
 

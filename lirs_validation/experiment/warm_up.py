@@ -28,7 +28,8 @@ def warm_up(scenario: Scenario, robot: Robot) -> None:
     """
     c = scenario.config
     driven = driver_parts(c.driver)[0]
-    kind = (scenario.world.kind, c.robot, c.lidar, c.terrain, c.rays, c.mapper, c.attitude, driven)
+    where = (scenario.world.kind, c.terrain, c.rays, "walkers" if c.actors else "")
+    kind = (*where, c.robot, c.lidar, c.mapper, c.attitude, driven)
     if kind in _WARM:
         return
     warm_up_mapper(c.mapper)

@@ -144,6 +144,7 @@ def _pictures(runs: Sequence[RunFolder]) -> tuple[list[Picture], str]:
         )
         name += "without attitude, " if c.get("attitude") == "none" else ""
         name += f"driver {c['driver']}, " if c.get("driver", TOUR) != TOUR else ""
+        name += f"{c['actors']} walkers, " if c.get("actors") else ""
         name += f"seed {c['seed']}" + ("" if run.entry["status"] == "ok" else f": {run.entry['status']}")
         name += f": {WORSE}" if worse_than_odometry(run.entry) else ""
         pictures.append(Picture(name, picture.url, f"Paths and maps of {name}", picture.note))

@@ -31,6 +31,7 @@ class Axes:
         representations: representations.
         attitudes: what mappers are told of roll and pitch.
         drivers: who drives.
+        actors: numbers of walkers.
         seeds: of every random number.
         seconds: simulated time to drive.
         wall_limit: wall seconds after which a drive is stopped.
@@ -44,6 +45,7 @@ class Axes:
     representations: tuple[Representation, ...] = (Representation(),)
     attitudes: tuple[Attitude, ...] = ("imu",)
     drivers: tuple[str, ...] = (TOUR,)
+    actors: tuple[int, ...] = (0,)
     seeds: tuple[int, ...] = (1,)
     seconds: float = 120.0
     wall_limit: float | None = None
@@ -61,6 +63,7 @@ class Axes:
             self.robots,
             self.lidars,
             self.drivers,
+            self.actors,
             self.mappers,
             self.attitudes,
             self.seeds,
@@ -79,9 +82,10 @@ class Axes:
                     wall_limit=self.wall_limit,
                     attitude=attitude,
                     driver=driver,
+                    actors=actors,
                     build=self.build,
                 ),
                 tables,
             )
-            for source, representation, robot, lidar, driver, mapper, attitude, seed in crossings
+            for source, representation, robot, lidar, driver, actors, mapper, attitude, seed in crossings
         )

@@ -20,6 +20,7 @@ FACTS = {
     "mapper": "config.mapper",
     "attitude": "config.attitude",
     "driver": "config.driver",
+    "actors": "config.actors",
     "seed": "config.seed",
     "status": "status",
 }

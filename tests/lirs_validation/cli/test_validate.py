@@ -63,6 +63,8 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         (("simple", "--terrain", "hfield,lava"), "--terrain must be hfield, mesh"),
         (("simple", "--rays", "ours,theirs"), "--rays must be builtin or mujoco, got 'ours,theirs'"),
         (("simple", "--attitude", "imu,some"), "--attitude must be imu or none, got 'some'"),
+        (("simple", "--actors", "5,many"), "--actors must be a list such as 1-5 or 1,3,7-9, got '5,many'"),
+        (("--suite", "paper", "--actors", "5"), "leave out --actors"),
         (("simple", "--robot", "husky,,jackal"), "--robot must be a list such as a,b,c"),
         (("simple", "--seeds", "5-1"), "--seeds must be a list such as 1-5 or 1,3,7-9, got '5-1'"),
         (("simple", "--seed", "1", "--seeds", "2"), "give one of --seed, --seeds"),

@@ -44,6 +44,12 @@ def test_drivers_are_an_axis_and_the_usual_one_changes_no_name() -> None:
     assert len({e.config.digest for e in (tour, frontier, replay)}) == 3
 
 
+def test_numbers_of_walkers_are_an_axis() -> None:
+    found = Axes(sources=("simple",), actors=(0, 5, 20), seeds=(1, 2)).experiments()
+    assert [(e.config.actors, e.config.seed) for e in found] == [(n, s) for n in (0, 5, 20) for s in (1, 2)]
+    assert found[0].name == "simple-husky-hector-s1-9ee60b70"
+
+
 def test_the_papers_suite_has_every_cell_of_its_tables_once() -> None:
     experiments = SUITES["paper"].experiments(seeds=(1, 2))
     runs = [experiment for experiment in experiments if isinstance(experiment, SlamExperiment)]
