@@ -31,3 +31,11 @@ register(
     max_episode_steps=3000,
     kwargs={"world": "simple", "robot": "husky"},
 )
+
+for _id, _task in (("Mapping-v1", "mapping"), ("Navigation-v0", "navigation"), ("Traverse-v0", "traverse")):
+    register(
+        id=f"LIRS/{_id}",
+        entry_point="lirs_envs.env:RobotEnv",
+        vector_entry_point="lirs_envs.vector_env:RobotVectorEnv",
+        kwargs={"task": _task},
+    )

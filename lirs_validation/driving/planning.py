@@ -13,11 +13,12 @@ import cv2
 import numpy as np
 
 from lirs_validation.driving.clearance import COMFORTABLE, NARROW, path_weight, room_at, room_in
-from lirs_validation.driving.grid_search import Reach, area_round, cells_ahead, penalize_behind, search
+from lirs_validation.driving.grid_search import area_round, cells_ahead, penalize_behind
 from lirs_validation.driving.path_smoothing import arc_length, smoothed
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.grid_search import Reach, search
 from lirs_wct.geometry.pose import Pose2
 
 

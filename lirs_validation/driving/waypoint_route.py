@@ -9,7 +9,7 @@ import numpy as np
 
 from lirs_validation.driving.clearance import path_weight, room_at, room_in
 from lirs_validation.driving.driver import Frame
-from lirs_validation.driving.grid_search import area_round, nearest, search
+from lirs_validation.driving.grid_search import area_round, nearest
 from lirs_validation.driving.path_driver import DriverConfig, Path
 from lirs_validation.driving.path_smoothing import arc_length, smoothed
 from lirs_validation.driving.pursuit import speed_profile
@@ -18,6 +18,7 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.waypoints import Waypoint
 from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.grid_search import search
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 

@@ -122,6 +122,12 @@ class BatchSimulation:
         self.__dict__.update(state)
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
 
+    def close(self) -> None:
+        """End the threads; whatever comes after runs in one."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
     @property
     def odometry(self) -> FloatArray:
         """(N, 3) `T_odom_base`: x, y, yaw, metres and radians."""

@@ -1,0 +1,115 @@
+"""What an environment can be told: options that are plain JSON, but for a `World`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from lirs_envs.lidar.noise import NoiseLevel
+from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import Robot
+from lirs_envs.sensing.odometry import Method, OdometryConfig
+from lirs_envs.sensing.sensors import SensorNoise
+from lirs_envs.simulation_config import SimulationConfig
+from lirs_wct.contact.contact_geometry import ContactGeometry
+from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.field_validators import is_finite, require_above, require_type, require_within
+from lirs_wct.world import World
+
+RANDOMIZED: dict[str, tuple[float, float] | None] = {
+    "friction": (0.7, 1.3),
+    "mass": (0.9, 1.2),
+    "sensor": (0.5, 2.0),
+    "start": None,
+    "terrain": None,
+}
+"""What an episode may draw, with the factors between which it does."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvConfig:
+    """Options of an environment.
+
+    Attributes:
+        world: a bundled name, any other source's path, or a `World`.
+        robot: name of the robot.
+        terrain: contact geometry (see `SimulationConfig`).
+        lidar: name of a lidar preset; None = the robot's own.
+        noise: of the lidar: `none`, `simulated` or `datasheet`.
+        odometry: `gyro` or `ekf` (see `OdometryConfig`).
+        sweep: whether scans are rolling (see `SensorNoise.rolling_scan`).
+        control_hz: steps a second, 5 to 50; the lidar keeps its own rate, and an observation holds its last
+            scan.
+        observe: groups of observations (see `lirs_envs.episodes.observations.GROUPS`); None = the task's own.
+        randomize: names from `RANDOMIZED`, or a mapping from names to (lowest, highest) factor, None = the
+            default; None = the task's own. `start`: anywhere free, else the world's first spawn pose;
+            `terrain`: a new course in each episode; `sensor`: deviations of the lidar.
+        difficulty: 0 to 1, where the task has one.
+        time_limit: seconds until an episode is truncated; None = the task's own.
+
+    Raises:
+        ConfigError: a value is not legal.
+    """
+
+    world: str | World = "medium"
+    robot: str = "husky"
+    terrain: ContactGeometry = "hfield"
+    lidar: str | None = None
+    noise: NoiseLevel = "simulated"
+    odometry: Method = "gyro"
+    sweep: bool = False
+    control_hz: float = 10.0
+    observe: Sequence[str] | None = None
+    randomize: Sequence[str] | Mapping[str, Sequence[float] | None] | None = None
+    difficulty: float = 0.5
+    time_limit: float | None = None
+    simulation: SimulationConfig = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        require_type(self, World | str, "world", of="the environment")
+        require_within(self, "[5, 50]", "control_hz", of="the environment", unit="Hz")
+        require_within(self, "[0, 1]", "difficulty", of="the environment")
+        if self.time_limit is not None:
+            require_above(self, 0, "time_limit", of="the environment", unit="s", finite=True)
+        noise = SensorNoise(
+            odometry=OdometryConfig(method=self.odometry), lidar=self.noise, rolling_scan=self.sweep
+        )
+        config = SimulationConfig(
+            robot=_paced(make_robot(self.robot)), lidar=self.lidar, noise=noise, contact_geometry=self.terrain
+        )
+        object.__setattr__(self, "simulation", config)
+        _ = self.factors
+
+    @property
+    def factors(self) -> dict[str, tuple[float, float] | None] | None:
+        """What is randomized, with the factors between which it is; None = the task decides."""
+        if self.randomize is None:
+            return None
+        if isinstance(self.randomize, str):
+            raise ConfigError(f"randomize must be a list or a mapping of names, got {self.randomize!r}")
+        given: Mapping[str, Any]
+        given = self.randomize if isinstance(self.randomize, Mapping) else dict.fromkeys(self.randomize)
+        found: dict[str, tuple[float, float] | None] = {}
+        for name, factors in given.items():
+            if name not in RANDOMIZED:
+                raise unknown_name("name to randomize", name, RANDOMIZED)
+            found[name] = RANDOMIZED[name] if factors is None else _range(name, factors)
+        return found
+
+
+def _paced(robot: Robot) -> Robot:
+    """Return a robot that, if it flies, does so at a pace for worlds of some 50 m, whatever it is told."""
+    return replace(robot, max_speed=3.0, max_acceleration=3.0, max_turn_rate=1.5) if robot.flies else robot
+
+
+def _range(name: str, factors: Any) -> tuple[float, float]:
+    if RANDOMIZED[name] is None:
+        raise ConfigError(f"randomize {name!r} takes no factors, got {factors!r}")
+    try:
+        low, high = factors
+    except (TypeError, ValueError):
+        raise ConfigError(f"randomize {name!r} needs (lowest, highest) factor, got {factors!r}") from None
+    if not (is_finite(low) and is_finite(high) and 0 < low <= high):
+        raise ConfigError(f"randomize {name!r} needs 0 < lowest <= highest, finite, got {factors!r}")
+    return float(low), float(high)

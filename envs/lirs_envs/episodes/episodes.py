@@ -1,0 +1,317 @@
+"""Episodes of N robots: what the single environment and the vector of them share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from lirs_envs.batch.simulation import BatchSimulation
+from lirs_envs.episodes.config import EnvConfig
+from lirs_envs.episodes.observations import Observations
+from lirs_envs.episodes.randomization import Factors, Randomization
+from lirs_envs.episodes.world_cache import cached_world
+from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
+from lirs_envs.placement import check_fit
+from lirs_envs.sensing.sensors import Observation
+from lirs_envs.tasks.mapping import MappingTask
+from lirs_envs.tasks.navigation import NavigationTask
+from lirs_envs.tasks.seen_ground import SeenGround
+from lirs_envs.tasks.site import make_site
+from lirs_envs.tasks.task import CONTACT_COST, DRAWS, EFFORT_COST, Stage, Task
+from lirs_envs.tasks.traverse import MIXED, TraverseTask
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.errors import ConfigError, SimulationError, unknown_name
+from lirs_wct.field_validators import is_finite
+from lirs_wct.geometry.pose import Pose3
+from lirs_wct.world import World
+
+TASKS: dict[str, type[Task]] = {
+    "mapping": MappingTask,
+    "navigation": NavigationTask,
+    "traverse": TraverseTask,
+}
+"""Tasks by name."""
+CLIMB_RATE = 1.0
+"""Climb of a robot that flies at full action, m/s."""
+GROUND_REACH, FLYING_REACH = 1.0, 3.0
+"""Height above the ground up to which a beam sees it, metres."""
+
+
+class Episodes:
+    """N episodes of one task; row i of every array is robot i's, and depends on no other.
+
+    Attributes:
+        config: options.
+        simulation: the robots.
+        task: what they are to do.
+        stage: what the task acts on.
+        action_space: of one robot.
+        observations: the chosen groups.
+        terminated: (N,) whether the last step ended the episode by the task's rules, or by an accident.
+        truncated: (N,) whether the time was up.
+
+    Args:
+        task: its name (see `TASKS`).
+        config: options.
+        count: number of robots, N.
+        threads: number of threads.
+        kind: of the course, where the task is to cross one.
+        max_steps: truncates an episode before its time limit does; None = it does not.
+    """
+
+    def __init__(
+        self,
+        task: str,
+        config: EnvConfig,
+        count: int,
+        *,
+        threads: int = 1,
+        kind: str = MIXED,
+        max_steps: int | None = None,
+    ) -> None:
+        if task not in TASKS:
+            raise unknown_name("task", task, TASKS)
+        crossing, robot = task == "traverse", config.simulation.robot
+        scale = 1.0
+        factors = _factors(config, crossing)
+        world = _world(config, crossing, scale)
+        check_fit(world, robot)
+        self.config, self.count = config, count
+        self.simulation = BatchSimulation(
+            world,
+            config.simulation,
+            count=count,
+            period=1 / config.control_hz,
+            threads=threads,
+            own_models=Randomization.needs_own_models(factors),
+            height_range=(scale * HEIGHT_RANGE[0], scale * HEIGHT_RANGE[1]) if crossing else None,
+        )
+        names = TASKS[task].observe if config.observe is None else config.observe
+        sees = task == "mapping" or "seen_map" in names
+        self.stage = Stage(
+            simulation=self.simulation,
+            site=make_site(world, robot),
+            poses=[Pose3()] * count,
+            seen=self._make_seen(count) if sees else None,
+            difficulty=np.full(count, float(config.difficulty)),
+            randomize_start="start" in factors,
+            randomize_terrain="terrain" in factors,
+        )
+        self.task = TraverseTask(self.stage, kind, scale) if crossing else TASKS[task](self.stage)
+        if "goal" in names and not self.task.has_goal:
+            raise ConfigError(f"the {task} task has no goal to observe")
+        self.observations = Observations(names, self.stage, self.task)
+        self._randomization = Randomization(self.simulation, factors)
+        self.action_space = spaces.Box(-1.0, 1.0, (3 if robot.flies else 2,), np.float32)
+        self._scale = np.array((robot.max_speed, robot.max_turn_rate, CLIMB_RATE))
+        limit = TASKS[task].time_limit if config.time_limit is None else config.time_limit
+        self._last_step = min(max(1, round(limit * config.control_hz)), max_steps or 2**62)
+        self._make_rows(count)
+
+    def _make_seen(self, count: int) -> SeenGround:
+        robot, preset = self.config.simulation.robot, self.config.simulation.preset
+        mount = robot.T_base_laser
+        reach = FLYING_REACH if robot.flies else GROUND_REACH
+        return SeenGround(count, preset.directions @ mount.rotation.T, mount.position, reach)
+
+    def _make_rows(self, count: int) -> None:
+        self.terminated: BoolArray = np.zeros(count, np.bool_)
+        self.truncated: BoolArray = np.zeros(count, np.bool_)
+        self._steps, self._redrawn = np.zeros(count, np.int64), np.zeros(count, np.int64)
+        self._ready: BoolArray = np.zeros(count, np.bool_)
+        self._reasons = [""] * count
+
+    def reset(self, i: int, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> None:
+        """Begin an episode of robot `i`.
+
+        Raises:
+            ConfigError: an option is unknown or has a value that is not legal.
+            SimulationError: the start or goal that was asked for cannot be, or none could be drawn.
+        """
+        options = options or {}
+        self._check_options(i, options)
+        self._ready[i] = False
+        self._randomization.draw(i, rng)
+        seed = int(rng.integers(2**31))
+        for draw in range(DRAWS):
+            start = self.task.draw(i, rng, options)
+            if start is None:
+                continue
+            try:
+                self.simulation.reset(i, start, seed)
+            except SimulationError:
+                if "start" in options or not (self.stage.randomize_start or self.stage.randomize_terrain):
+                    raise
+                continue
+            self._begin(i, draw)
+            return
+        raise SimulationError(
+            f"{self.simulation.worlds[i].name}: none of {DRAWS} starts and goals that were drawn can be used"
+        )
+
+    def _begin(self, i: int, redrawn: int) -> None:
+        self.stage.poses[i] = self.simulation.pose(i)
+        self._redrawn[i], self._steps[i], self._reasons[i] = redrawn, 0, ""
+        self.terminated[i] = self.truncated[i] = False
+        if self.stage.seen is not None:
+            self.stage.seen.begin(i, *self.task.ground(i))
+            self._see(i)
+        self.task.begin(i)
+        self._ready[i] = True
+
+    def _check_options(self, i: int, options: Mapping[str, Any]) -> None:
+        for name in options:
+            if name not in self.task.option_names:
+                raise unknown_name("option of reset", name, self.task.option_names)
+        if "difficulty" in options:
+            self.set_difficulty(i, options["difficulty"])
+
+    def set_difficulty(self, i: int, difficulty: float) -> None:
+        """Set the difficulty of the next episodes of robot `i`.
+
+        Raises:
+            ConfigError: it is not 0 to 1.
+        """
+        if not (is_finite(difficulty) and 0 <= difficulty <= 1):
+            raise ConfigError(f"a difficulty must be 0 to 1, got {difficulty!r}")
+        self.stage.difficulty[i] = difficulty
+
+    def step(self, ids: IntArray, actions: Any) -> FloatArray:
+        """Act for one period; return the rewards (n,).
+
+        Args:
+            ids: rows of the robots, sorted.
+            actions: (n, 2 or 3) in [-1, 1], of their largest speed, turn rate, climb; clipped.
+
+        Raises:
+            ConfigError: the actions have a wrong shape, or one is not finite.
+            SimulationError: an episode was not begun, or has ended.
+        """
+        self._check_ready(ids)
+        taken = self._checked(ids, actions)
+        commands = np.zeros((self.count, 3))
+        commands[ids, : taken.shape[1]] = taken * self._scale[: taken.shape[1]]
+        self.simulation.advance(ids, commands, self._see if self.stage.seen else None)
+        errors = self.simulation.errors
+        going = np.array([i for i in ids.tolist() if not errors[i]], np.int64)
+        for i in going.tolist():
+            self.stage.poses[i] = self.simulation.pose(i)
+        rewards = np.zeros(self.count)
+        rewards[going] = self.task.step(going)
+        cost = CONTACT_COST * self.simulation.touched[ids] + EFFORT_COST * (taken**2).mean(axis=1)
+        rewards[ids] -= cost * self.simulation.period
+        self._steps[ids] += 1
+        self._end(ids)
+        return rewards[ids]
+
+    def _end(self, ids: IntArray) -> None:
+        for i in ids.tolist():
+            reason = self._reason(i)
+            self.terminated[i] = bool(reason)
+            self.truncated[i] = not reason and self._steps[i] >= self._last_step
+            self._reasons[i] = "timeout" if self.truncated[i] else reason
+
+    def _reason(self, i: int) -> str:
+        simulation = self.simulation
+        if simulation.errors[i]:
+            return "error"
+        if simulation.bodies.tipped(i):
+            return "tipped over"
+        return "left the world" if simulation.off_world(i) else self.task.end(i)
+
+    def _see(self, i: int) -> None:
+        simulation, seen = self.simulation, self.stage.seen
+        assert seen is not None
+        seen.add(i, simulation.ranges[i], simulation.config.preset.range_max, simulation.pose(i))
+
+    def _check_ready(self, ids: IntArray) -> None:
+        if not self._ready[ids].all():
+            raise SimulationError("an environment must be reset before its first step")
+        over = self.terminated[ids] | self.truncated[ids]
+        if over.any():
+            reason = self._reasons[int(ids[int(np.argmax(over))])]
+            raise SimulationError(f"the episode has ended ({reason}): a reset comes before the next step")
+
+    def _checked(self, ids: IntArray, actions: Any) -> FloatArray:
+        try:
+            taken = np.asarray(actions, dtype=np.float64)
+        except (TypeError, ValueError):
+            taken = np.empty(0)
+        size = self.action_space.shape[0]
+        if taken.shape != (len(ids), size):
+            raise ConfigError(f"an action must be {size} numbers, got shape {np.shape(actions)[1:]}")
+        if not np.isfinite(taken).all():
+            raise ConfigError("an action must be finite")
+        return np.clip(taken, -1.0, 1.0)
+
+    def infos(self) -> dict[str, Any]:
+        """Return (N, ...) arrays of what `info` says."""
+        poses = [(T.x, T.y, T.yaw) for T in self.stage.poses]
+        reasons = np.array(self._reasons, dtype=object)
+        return {
+            "T_world_base": np.array(poses),
+            "time": self._steps * self.simulation.period,
+            "contact": self.simulation.touched.copy(),
+            "timeout": self.truncated.copy(),
+            "reason": reasons,
+            "redrawn": self._redrawn.copy(),
+            **self.task.infos(),
+        }
+
+
+class EpisodeView:
+    """One of N episodes: what an environment shows of it.
+
+    Attributes:
+        difficulty: of the next episode, 0 to 1; to be set.
+    """
+
+    __slots__ = ("_episodes", "_i")
+
+    def __init__(self, episodes: Episodes, i: int) -> None:
+        self._episodes, self._i = episodes, i
+
+    @property
+    def difficulty(self) -> float:
+        """Of the next episode, 0 to 1."""
+        return float(self._episodes.stage.difficulty[self._i])
+
+    @difficulty.setter
+    def difficulty(self, value: float) -> None:
+        self._episodes.set_difficulty(self._i, value)
+
+    @property
+    def T_world_base(self) -> Pose3:  # noqa: N802  a frame pair
+        """True pose of base_link."""
+        return self._episodes.stage.poses[self._i]
+
+    @property
+    def world(self) -> World:
+        """The world of the episode."""
+        return self._episodes.simulation.worlds[self._i]
+
+    @property
+    def goal(self) -> tuple[float, float] | None:
+        """x, y of the goal, metres; None = the task has none."""
+        return self._episodes.task.goal(self._i)
+
+    def reading(self) -> Observation:
+        """Return what the sensors read last, as a mapper takes it."""
+        return self._episodes.simulation.reading(self._i)
+
+
+def _factors(config: EnvConfig, crossing: bool) -> Factors:
+    factors: Factors = {"terrain": None} if crossing else {"start": None}
+    given = factors if config.factors is None else config.factors
+    if "terrain" in given and not crossing:
+        raise ConfigError("randomize 'terrain' is for the task to cross generated terrain")
+    return given
+
+
+def _world(config: EnvConfig, crossing: bool, scale: float) -> World:
+    if crossing:
+        return generate("waves", 0.0, np.random.default_rng(0), scale=scale).world()
+    return config.world if isinstance(config.world, World) else cached_world(str(config.world))

@@ -1,0 +1,167 @@
+"""Groups of observations, of N robots at once: row i is robot i's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numba import njit
+
+from lirs_envs.tasks.task import Stage, Task
+from lirs_wct.arrays import ByteArray, Float32Array, FloatArray, IntArray
+from lirs_wct.errors import ConfigError, unknown_name
+
+MAP_CELLS = 64
+"""Cells along a side of the seen map, of 0.25 m each."""
+HEIGHT_CELLS, HEIGHT_CELL = 32, 0.2
+"""Cells along a side of the height map, and their edge in metres."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """A group of observations.
+
+    Attributes:
+        space: of one robot, from what it acts on.
+        read: values (n, ...) of some robots, in an array of their own.
+    """
+
+    space: Callable[[Stage], spaces.Box]
+    read: Callable[[Stage, Task, IntArray], Any]
+
+
+class Observations:
+    """The groups that a user chose.
+
+    Attributes:
+        space: of one robot.
+
+    Raises:
+        ConfigError: there is no such group, or none is given.
+    """
+
+    def __init__(self, names: Sequence[str], stage: Stage, task: Task) -> None:
+        if isinstance(names, str) or not names:
+            raise ConfigError(f"observe must be a list of groups ({', '.join(GROUPS)}), got {names!r}")
+        for name in names:
+            if name not in GROUPS:
+                raise unknown_name("group of observations", name, GROUPS)
+        self._names, self._stage, self._task = tuple(names), stage, task
+        self.space = spaces.Dict({name: GROUPS[name].space(stage) for name in self._names})
+
+    def read(self, ids: IntArray) -> dict[str, Any]:
+        """Return (n, ...) arrays of the chosen groups; nobody else holds them."""
+        return {name: GROUPS[name].read(self._stage, self._task, ids) for name in self.space.spaces}
+
+
+def _scan_space(stage: Stage) -> spaces.Box:
+    preset = stage.simulation.config.preset
+    return spaces.Box(0.0, np.float32(preset.range_max), (preset.beams,), np.float32)
+
+
+def _scan(stage: Stage, task: Task, ids: IntArray) -> Float32Array:
+    ranges = stage.simulation.ranges[ids]
+    _make_finite(ranges, np.float32(stage.simulation.config.preset.range_max))
+    return ranges
+
+
+@njit(cache=True, nogil=True)
+def _make_finite(ranges: Float32Array, range_max: float) -> None:
+    """Replace what is out of range by `range_max`, what is too near or lost by 0."""
+    for i in range(ranges.shape[0]):
+        for k in range(ranges.shape[1]):
+            if not ranges[i, k] > 0.0:
+                ranges[i, k] = 0.0
+            elif ranges[i, k] > range_max:
+                ranges[i, k] = range_max
+
+
+def _goal(stage: Stage, task: Task, ids: IntArray) -> FloatArray:
+    """Return distance, metres, and bearing from the robot's heading, radians."""
+    polar = np.empty((len(ids), 2))
+    for k, i in enumerate(ids.tolist()):
+        goal, T = task.goal(i), stage.poses[i]
+        assert goal is not None, "only tasks with a goal have it observed"
+        dx, dy = goal[0] - T.x, goal[1] - T.y
+        polar[k] = math.hypot(dx, dy), math.remainder(math.atan2(dy, dx) - T.yaw, math.tau)
+    return polar
+
+
+def _seen_map(stage: Stage, task: Task, ids: IntArray) -> ByteArray:
+    assert stage.seen is not None
+    maps = np.empty((len(ids), 1, MAP_CELLS, MAP_CELLS), np.uint8)
+    for k, i in enumerate(ids.tolist()):
+        T = stage.poses[i]
+        stage.seen.local_map(i, T.x, T.y, T.yaw, maps[k, 0])
+    return maps
+
+
+def _height_map(stage: Stage, task: Task, ids: IntArray) -> Float32Array:
+    maps = np.empty((len(ids), HEIGHT_CELLS, HEIGHT_CELLS), np.float32)
+    for k, i in enumerate(ids.tolist()):
+        T, surface = stage.poses[i], stage.simulation.surface(i)
+        frame = (*surface.origin, *surface.cell)
+        _local_heights(surface.z, frame, (T.x, T.y, T.z, T.yaw), maps[k])
+    return maps
+
+
+@njit(cache=True, nogil=True)
+def _local_heights(
+    z: Float32Array,
+    frame: tuple[float, float, float, float],
+    pose: tuple[float, float, float, float],
+    out: Float32Array,
+) -> None:
+    """Fill (n, n) heights above base_link, metres: row 0 = ahead, column 0 = left; 0 beyond the border."""
+    rows, cols = z.shape
+    n = len(out)
+    cos, sin = math.cos(pose[3]), math.sin(pose[3])
+    for r in range(n):
+        ahead = ((n - 1) / 2 - r) * HEIGHT_CELL
+        for c in range(n):
+            left = ((n - 1) / 2 - c) * HEIGHT_CELL
+            u = (pose[0] + cos * ahead - sin * left - frame[0]) / frame[2]
+            v = (pose[1] + sin * ahead + cos * left - frame[1]) / frame[3]
+            out[r, c] = 0.0
+            if 0 <= u <= cols - 1 and 0 <= v <= rows - 1:
+                i, j = min(int(u), cols - 2), min(int(v), rows - 2)
+                a, b = u - i, v - j
+                sw, se = z[rows - 1 - j, i], z[rows - 1 - j, i + 1]
+                nw, ne = z[rows - 2 - j, i], z[rows - 2 - j, i + 1]
+                if a >= b:
+                    out[r, c] = sw + a * (se - sw) + b * (ne - se) - pose[2]
+                else:
+                    out[r, c] = sw + a * (ne - nw) + b * (nw - sw) - pose[2]
+
+
+GROUPS: dict[str, Group] = {
+    "scan": Group(_scan_space, _scan),
+    "odometry": Group(
+        lambda stage: spaces.Box(-np.inf, np.inf, (3,), np.float64),
+        lambda stage, task, ids: stage.simulation.odometry[ids],
+    ),
+    "attitude": Group(
+        lambda stage: spaces.Box(-np.pi, np.pi, (2,), np.float64),
+        lambda stage, task, ids: stage.simulation.attitude[ids],
+    ),
+    "goal": Group(
+        lambda stage: spaces.Box(np.array((0.0, -np.pi)), np.array((np.inf, np.pi)), dtype=np.float64), _goal
+    ),
+    "seen_map": Group(lambda stage: spaces.Box(0, 255, (1, MAP_CELLS, MAP_CELLS), np.uint8), _seen_map),
+    "height_map": Group(
+        lambda stage: spaces.Box(-np.inf, np.inf, (HEIGHT_CELLS, HEIGHT_CELLS), np.float32), _height_map
+    ),
+}
+"""Groups by name.
+
+scan: (beams,) metres; nothing in range is `range_max`, too near or lost is 0.
+odometry: (3,) x, y, yaw of `T_odom_base`; metres, radians.
+attitude: (2,) measured roll and pitch, radians.
+goal: (2,) straight distance, metres, and bearing, radians, from the true pose.
+seen_map: (1, 64, 64) 255 = seen ground; cells of 0.25 m around the true pose, row 0 = ahead, column 0 = left.
+height_map: (32, 32) heights of the ground above base_link, metres, cells of 0.2 m laid out in the same way.
+"""

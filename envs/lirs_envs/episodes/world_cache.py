@@ -1,0 +1,102 @@
+"""Built worlds, kept in memory and on disk: a second process loads what the first one built."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+import lirs_wct
+from lirs_wct.errors import SourceError
+from lirs_wct.formats.map_server import read_metadata
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import find_source
+from lirs_wct.sources.source_kind import SourceKind
+from lirs_wct.world import World, build_world
+
+FOLDER_VARIABLE = "LIRS_WCT_CACHE"
+"""Environment variable with the folder of built worlds; empty = none is kept on disk."""
+
+
+def cache_folder() -> Path | None:
+    """Return the folder of built worlds; None = none is kept on disk."""
+    given = os.environ.get(FOLDER_VARIABLE)
+    if given is not None:
+        return Path(given).expanduser() if given else None
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "lirs-wct" / "worlds"
+
+
+def cached_world(source: str) -> World:
+    """Build a source's world, or take the one that was built from the same bytes by the same program.
+
+    Raises:
+        SourceError: the source cannot be used.
+        ConfigError: it does not fit its options.
+    """
+    return _in_memory(source, content_key(source))
+
+
+@lru_cache(maxsize=4)
+def _in_memory(source: str, key: str | None) -> World:
+    folder = cache_folder()
+    if key is None or folder is None:
+        return build_world(source)
+    place = folder / key
+    try:
+        return World.load(place)
+    except SourceError:
+        world = build_world(source)
+        _keep(world, place)
+        return world
+
+
+def _keep(world: World, place: Path) -> None:
+    """Save a world whole or not at all; a folder that cannot be written is no reason to stop."""
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=place.parent) as scratch:
+            saved = world.save(Path(scratch) / "world")
+            if place.exists():
+                shutil.rmtree(place)
+            saved.rename(place)
+    except OSError:
+        return
+
+
+def content_key(source: str) -> str | None:
+    """Return a digest of a source's bytes and of the program that builds worlds; None = it is not kept.
+
+    Raises:
+        SourceError: there is no such source.
+    """
+    found = find_source(source, BuildOptions())
+    if found.kind is SourceKind.FOLDER:
+        return None
+    digest = hashlib.sha256(_program_digest())
+    digest.update(source.encode() if found.kind is SourceKind.BUNDLED else found.path.name.encode())
+    for file in _files(found.kind, found.path):
+        if not file.is_file():
+            return None
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:32]
+
+
+def _files(kind: SourceKind, path: Path) -> tuple[Path, ...]:
+    if kind is SourceKind.BUNDLED:
+        return ()
+    return (path, read_metadata(path).image) if kind is SourceKind.MAP else (path,)
+
+
+@lru_cache(maxsize=1)
+def _program_digest() -> bytes:
+    digest = hashlib.sha256(f"{np.__version__} {cv2.__version__}".encode())
+    for file in sorted(Path(lirs_wct.__file__).parent.rglob("*.py")):
+        digest.update(file.read_bytes())
+    return digest.digest()

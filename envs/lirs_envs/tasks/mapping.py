@@ -1,0 +1,74 @@
+"""Mapping: see the ground that can be reached."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+
+from lirs_envs.tasks.site import SEEN_CELL, SeenFrame
+from lirs_envs.tasks.task import Stage, Task
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.geometry.pose import Pose2
+
+COVERED = 0.95
+"""Share of the reachable ground at which a world counts as mapped."""
+
+
+class MappingTask(Task):
+    """Newly seen ground is worth its square metres; the episode ends at 95 % of the reachable ground."""
+
+    observe: ClassVar = ("scan", "odometry", "attitude")
+    time_limit: ClassVar = 120.0
+    option_names: ClassVar = ("start",)
+    has_goal: ClassVar = False
+
+    def __init__(self, stage: Stage) -> None:
+        super().__init__(stage)
+        if stage.seen is None:
+            raise ConfigError("the mapping task needs the seen ground")
+        self._seen = stage.seen
+        self._area = [0] * stage.count
+        self._reachable = np.ones(stage.count, np.int64)
+        self._before = np.zeros(stage.count, np.int64)
+
+    def draw(self, i: int, rng: np.random.Generator, options: Mapping[str, Any]) -> Pose2 | None:
+        """Draw a start (see `Task.draw`)."""
+        start = self.stage.start(rng, options)
+        self._area[i] = self.stage.site.area(start.x, start.y)
+        if not self._area[i]:
+            if "start" in options or not self.stage.randomize_start:
+                raise SimulationError(f"the start ({start.x:.2f}, {start.y:.2f}) is not on free ground")
+            return None
+        return start
+
+    def ground(self, i: int) -> tuple[SeenFrame, BoolArray]:
+        """Return the whole ground; wanted is what can be reached."""
+        site = self.stage.site
+        return site.seen, site.reachable(self._area[i])
+
+    def begin(self, i: int) -> None:
+        """Begin after the first scan, whose ground earns nothing."""
+        self._reachable[i] = max(int(self.ground(i)[1].sum()), 1)
+        self._before[i] = self._seen.cells[i]
+
+    def step(self, ids: IntArray) -> FloatArray:
+        """Return the square metres newly seen."""
+        cells = self._seen.cells[ids]
+        new = np.asarray((cells - self._before[ids]) * SEEN_CELL**2, np.float64)
+        self._before[ids] = cells
+        return new
+
+    def end(self, i: int) -> str:
+        """Return "covered" at 95 %."""
+        return "covered" if self._coverage()[i] >= COVERED else ""
+
+    def infos(self) -> dict[str, Any]:
+        """Return the coverage of the reachable ground, 0 to 1, and the seen area, square metres."""
+        return {"coverage": self._coverage(), "seen_area": self._seen.cells * SEEN_CELL**2}
+
+    def _coverage(self) -> FloatArray:
+        share: FloatArray = self._seen.wanted_cells / self._reachable
+        return share

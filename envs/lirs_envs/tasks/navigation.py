@@ -1,0 +1,142 @@
+"""Navigation: reach a goal on ground that can be driven."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+
+from lirs_envs.tasks.site import Site, distance_at
+from lirs_envs.tasks.task import Stage, Task, point
+from lirs_wct.arrays import FloatArray, IntArray
+from lirs_wct.errors import SimulationError
+from lirs_wct.geometry.pose import Pose2
+
+SUCCESS = 10.0
+"""Reward at the goal."""
+COLLISION = -5.0
+"""Reward at a collision."""
+NEAR, FAR = 3.0, 30.0
+"""Longest way to a goal at difficulty 0 and 1, metres."""
+CANDIDATES = 8
+"""Goals among which the difficulty picks one by the roughness of the straight line to it."""
+
+
+class NavigationTask(Task):
+    """Metres of way gained on the goal are worth as much; reaching it 10, touching anything -5 and the end.
+
+    The way is the shortest over ground that the robot can drive. Difficulty sets how long it is, and how
+    rough and how much blocked the straight line to the goal is.
+    """
+
+    observe: ClassVar = ("scan", "goal", "attitude")
+    time_limit: ClassVar = 90.0
+    option_names: ClassVar = ("start", "goal", "difficulty")
+
+    def __init__(self, stage: Stage) -> None:
+        super().__init__(stage)
+        self._radius = max(0.5, stage.simulation.config.robot.radius)
+        self._goals = np.zeros((stage.count, 2))
+        self._costs: list[FloatArray] = [np.zeros((0, 0))] * stage.count
+        self._ways = np.zeros((stage.count, 2))
+        """Way to the goal at the start, and now."""
+        self._success = np.zeros(stage.count, np.bool_)
+        self._collision = np.zeros(stage.count, np.bool_)
+
+    def draw(self, i: int, rng: np.random.Generator, options: Mapping[str, Any]) -> Pose2 | None:
+        """Draw start and goal (see `Task.draw`)."""
+        site, start = self.stage.site, self.stage.start(rng, options)
+        if "goal" in options:
+            x, y = point(options["goal"], 2, "goal")
+        else:
+            found = _draw_goal(site, start, float(self.stage.difficulty[i]), rng)
+            if found is None:
+                return None
+            x, y = found
+        cost = site.distances(x, y) if site.area(x, y) else np.full(site.areas.shape, np.inf)
+        way = _way(site, cost, start.x, start.y)
+        if not math.isfinite(way):
+            if "goal" in options:
+                raise SimulationError(
+                    f"no way leads from ({start.x:.2f}, {start.y:.2f}) to the goal ({x:.2f}, {y:.2f})"
+                )
+            return None
+        self._goals[i], self._costs[i], self._ways[i] = (x, y), cost, way
+        return start
+
+    def begin(self, i: int) -> None:
+        """Begin with neither success nor collision."""
+        self._success[i] = self._collision[i] = False
+
+    def step(self, ids: IntArray) -> FloatArray:
+        """Return the metres gained, and what success or collision are worth."""
+        stage, rewards = self.stage, np.zeros(len(ids))
+        for k, i in enumerate(ids.tolist()):
+            T = stage.poses[i]
+            way = _way(stage.site, self._costs[i], T.x, T.y)
+            if math.isfinite(way):
+                # Off the ground that can be driven nothing is gained until the robot is back on it.
+                rewards[k] = self._ways[i, 1] - way
+                self._ways[i, 1] = way
+            self._success[i] = self._distance(i) <= self._radius
+            self._collision[i] = bool(stage.simulation.touched[i]) and not self._success[i]
+            rewards[k] += SUCCESS * bool(self._success[i]) + COLLISION * bool(self._collision[i])
+        return rewards
+
+    def end(self, i: int) -> str:
+        """Return "success" or "collision"."""
+        return "success" if self._success[i] else "collision" if self._collision[i] else ""
+
+    def goal(self, i: int) -> tuple[float, float]:
+        """Return x, y of the goal, metres."""
+        x, y = self._goals[i].tolist()
+        return x, y
+
+    def infos(self) -> dict[str, Any]:
+        """Return outcome, goal, straight distance to it and the shortest way from the start, metres."""
+        return {
+            "success": self._success.copy(),
+            "collision": self._collision.copy(),
+            "goal": self._goals.copy(),
+            "distance": np.array([self._distance(i) for i in range(self.stage.count)]),
+            "shortest_path": self._ways[:, 0].copy(),
+        }
+
+    def _distance(self, i: int) -> float:
+        T = self.stage.poses[i]
+        return math.hypot(self._goals[i, 0] - T.x, self._goals[i, 1] - T.y)
+
+
+def _way(site: Site, cost: FloatArray, x: float, y: float) -> float:
+    origin = site.grid.origin
+    way: float = distance_at(cost, (origin.x, origin.y), site.grid.resolution, x, y)
+    return way
+
+
+def _draw_goal(
+    site: Site, start: Pose2, difficulty: float, rng: np.random.Generator
+) -> tuple[float, float] | None:
+    """Return a goal at a distance and behind a roughness that the difficulty picks; None = there is none."""
+    if not site.area(start.x, start.y):
+        return None
+    ways = site.distances(start.x, start.y)
+    longest = min(NEAR + difficulty * (FAR - NEAR), float(ways[np.isfinite(ways)].max()))
+    cells = np.argwhere((ways >= max(0.6 * longest, 1.5)) & (ways <= longest))
+    if len(cells) == 0:
+        return None
+    goals = site.grid.centers(cells[rng.integers(len(cells), size=CANDIDATES)])
+    roughness = [_roughness(site, start, goal) for goal in goals]
+    chosen = np.argsort(roughness, kind="stable")[round(difficulty * (CANDIDATES - 1))]
+    x, y = goals[chosen].tolist()
+    return x, y
+
+
+def _roughness(site: Site, start: Pose2, goal: FloatArray) -> float:
+    """Return the mean over a straight line of 1 where the robot cannot be, else the slope in radians."""
+    share = np.linspace(0.0, 1.0, 64)[:, None]
+    cells = site.grid.cells((1 - share) * np.array((start.x, start.y)) + share * goal)
+    cells = np.clip(cells, 0, np.array(site.areas.shape) - 1)
+    row, col = cells[:, 0], cells[:, 1]
+    return float(np.where(site.areas[row, col] > 0, site.slope[row, col], 1.0).mean())

@@ -1,0 +1,162 @@
+"""The ground of a world as a robot can use it: where it can be, and what it is to see."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numba import njit
+
+from lirs_envs.robots.robot import Robot
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, Int32Array
+from lirs_wct.errors import SimulationError
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.grid_search import search
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.world import World
+
+SEEN_CELL = 0.25
+"""Edge of a cell of the ground that is to be seen, metres."""
+
+
+@dataclass(frozen=True)
+class SeenFrame:
+    """The grid of the ground that is to be seen.
+
+    Attributes:
+        corner: x and y of the outer corner of cell (0, 0), row 0 = south; metres.
+        height: (rows, cols) float32 of the ground in each cell's middle, metres; -inf = no ground there.
+    """
+
+    corner: tuple[float, float]
+    height: Float32Array
+
+
+def seen_frame(world: World) -> SeenFrame:
+    """Return the grid over a world's ground; walls, holes and nodes without ground are left out."""
+    surface: HeightField = world.surface
+    west, south, east, north = surface.bounds
+    rows, cols = math.ceil((north - south) / SEEN_CELL), math.ceil((east - west) / SEEN_CELL)
+    x = np.minimum(west + (np.arange(cols) + 0.5) * SEEN_CELL, east)[None, :]
+    y = np.minimum(south + (np.arange(rows) + 0.5) * SEEN_CELL, north)[:, None]
+    height = surface.height_at(x, y).astype(np.float32)
+    if world.walls is not None:
+        points = np.stack(np.broadcast_arrays(x, y), axis=-1)
+        height[~_floor(world, points)] = -np.inf
+    if world.no_ground is not None:
+        row = np.clip(np.rint((north - y) / surface.cell[1]).astype(int), 0, surface.shape[0] - 1)
+        col = np.clip(np.rint((x - west) / surface.cell[0]).astype(int), 0, surface.shape[1] - 1)
+        height[world.no_ground[row, col]] = -np.inf
+    return SeenFrame((west, south), height)
+
+
+def _floor(world: World, points: FloatArray) -> BoolArray:
+    """Whether points (..., 2) are on the floor of a laser map, and known to be free where the map tells."""
+    walls, truth = world.walls, world.truth
+    assert walls is not None
+    free, resolution, origin = walls.floor, walls.resolution, walls.origin
+    if truth is not None:
+        free, resolution, origin = truth.free, truth.resolution, truth.origin
+    cells = np.floor(origin.inverse().apply(points)[..., ::-1] / resolution).astype(int)
+    inside = np.all((cells >= 0) & (cells < free.shape), axis=-1)
+    held = np.where(inside[..., None], cells, 0)
+    floor: BoolArray = inside & free[held[..., 0], held[..., 1]]
+    return floor
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where a robot can be in a world.
+
+    Attributes:
+        world: the world.
+        grid: its free cells are where the robot's middle may be.
+        areas: (rows, cols) number of the connected area of each free cell, from 1; 0 = not free.
+        largest: number of the largest area.
+        seen: the ground that is to be seen.
+        slope: (rows, cols) of the ground in each cell of `grid`, radians.
+    """
+
+    world: World
+    grid: OccupancyGrid
+    areas: Int32Array
+    largest: int
+    seen: SeenFrame
+    slope: Float32Array
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Site:
+        """Return the site itself: it is a value."""
+        return self
+
+    def area(self, x: float, y: float) -> int:
+        """Return the number of the area around a point; 0 = the robot cannot be there."""
+        row, col = self.grid.cells((x, y)).tolist()
+        inside = 0 <= row < self.areas.shape[0] and 0 <= col < self.areas.shape[1]
+        return int(self.areas[row, col]) if inside else 0
+
+    def draw_start(self, rng: np.random.Generator) -> Pose2:
+        """Return a pose anywhere in the largest area, facing anywhere."""
+        cells = np.flatnonzero(self.areas == self.largest)
+        row, col = divmod(int(cells[rng.integers(len(cells))]), self.areas.shape[1])
+        dx, dy, turn = rng.random(3).tolist()
+        x, y = self.grid.origin.apply(
+            ((col + dx) * self.grid.resolution, (row + dy) * self.grid.resolution)
+        ).tolist()
+        return Pose2(x, y, math.pi * (2 * turn - 1))
+
+    def distances(self, x: float, y: float) -> FloatArray:
+        """Return (rows, cols) metres of the shortest way from each cell of `grid` to a point; inf = none."""
+        cell = self.grid.cells((x, y))
+        return search(np.where(self.areas > 0, 1.0, np.inf), cell[None], self.grid.resolution).cost
+
+    def reachable(self, area: int) -> BoolArray:
+        """Return (rows, cols) cells of `seen` where the robot's middle can be, in an area of a number."""
+        rows, cols = self.seen.height.shape
+        x = self.seen.corner[0] + (np.arange(cols) + 0.5) * SEEN_CELL
+        y = self.seen.corner[1] + (np.arange(rows) + 0.5) * SEEN_CELL
+        cells = self.grid.cells(np.stack(np.meshgrid(x, y), axis=-1))
+        held = np.clip(cells, 0, np.array(self.areas.shape) - 1)
+        there: BoolArray = (self.areas[held[..., 0], held[..., 1]] == area) & np.isfinite(self.seen.height)
+        return there
+
+
+def make_site(world: World, robot: Robot) -> Site:
+    """Look at a world with a robot's radius and slopes.
+
+    Raises:
+        SimulationError: there is no place where the robot can be.
+    """
+    resolution = 0.2 if robot.radius >= 0.25 else 0.1
+    grid = world.traversable(clearance=robot.radius, max_slope=robot.max_slope, resolution=resolution)
+    count, areas, stats, _ = cv2.connectedComponentsWithStats(grid.free.astype(np.uint8), connectivity=4)
+    if count < 2:
+        raise SimulationError(f"world {world.name!r} has no free place where {robot.name} could start")
+    largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    surface = world.surface
+    steps = np.arange(areas.shape[1]) + 0.5, np.arange(areas.shape[0]) + 0.5
+    west, south = surface.origin
+    x = np.minimum(west + steps[0] * resolution, surface.bounds[2])[None, :]
+    y = np.minimum(south + steps[1] * resolution, surface.bounds[3])[:, None]
+    dy, dx = np.gradient(surface.height_at(x, y), resolution)
+    slope = np.arctan(np.hypot(dx, dy)).astype(np.float32)
+    return Site(world, grid, areas.astype(np.int32), largest, seen_frame(world), slope)
+
+
+@njit(cache=True, nogil=True)
+def distance_at(
+    cost: FloatArray, corner: tuple[float, float], resolution: float, x: float, y: float
+) -> float:
+    """Return metres of the way from a point, by the nearest of the cells around it; inf = there is none."""
+    rows, cols = cost.shape
+    c, r = math.floor((x - corner[0]) / resolution), math.floor((y - corner[1]) / resolution)
+    best = np.inf
+    for j in range(max(r - 1, 0), min(r + 2, rows)):
+        for i in range(max(c - 1, 0), min(c + 2, cols)):
+            dx = corner[0] + (i + 0.5) * resolution - x
+            dy = corner[1] + (j + 0.5) * resolution - y
+            best = min(best, cost[j, i] + math.sqrt(dx * dx + dy * dy))
+    return best

@@ -1,0 +1,129 @@
+"""What all tasks have: where an episode begins, what a step is worth, when it ends."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from lirs_envs.batch.simulation import BatchSimulation
+from lirs_envs.tasks.seen_ground import SeenGround
+from lirs_envs.tasks.site import SeenFrame, Site
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.pose import Pose2, Pose3
+
+DRAWS = 100
+"""Starts or goals that are drawn before a world counts as one that has none."""
+CONTACT_COST = 5.0
+"""Reward lost in a second in which the body touches something."""
+EFFORT_COST = 0.1
+"""Reward lost in a second of full action."""
+
+
+@dataclass
+class Stage:
+    """What tasks act on: N robots, their sites, what they have seen; row i is robot i's.
+
+    Attributes:
+        simulation: the robots.
+        site: of the world that all begin in.
+        poses: last valid `T_world_base` of each.
+        seen: the ground that they have seen; None = nobody asks for it.
+        difficulty: of each robot's next episode, 0 to 1.
+        randomize_start: whether starts are drawn.
+        randomize_terrain: whether terrains are drawn.
+    """
+
+    simulation: BatchSimulation
+    site: Site
+    poses: list[Pose3]
+    seen: SeenGround | None
+    difficulty: FloatArray
+    randomize_start: bool
+    randomize_terrain: bool
+
+    @property
+    def count(self) -> int:
+        """Number of robots, N."""
+        return len(self.poses)
+
+    def start(self, rng: np.random.Generator, options: Mapping[str, Any]) -> Pose2:
+        """Return the start that the options ask for, or one drawn, or the world's first."""
+        given = options.get("start")
+        if given is not None:
+            return given if isinstance(given, Pose2) else Pose2(*point(given, 3, "start"))
+        spawn_poses = self.site.world.spawn_poses
+        return self.site.draw_start(rng) if self.randomize_start or not spawn_poses else spawn_poses[0]
+
+
+class Task(ABC):
+    """A task for each of N robots; row i of every array is robot i's.
+
+    Attributes:
+        observe: groups of observations where the user names none.
+        time_limit: seconds, where the user gives none.
+        option_names: of `reset(options=...)`.
+        has_goal: whether there is a goal to observe.
+        stage: what it acts on.
+    """
+
+    observe: ClassVar[tuple[str, ...]]
+    time_limit: ClassVar[float]
+    option_names: ClassVar[tuple[str, ...]]
+    has_goal: ClassVar[bool] = True
+
+    def __init__(self, stage: Stage) -> None:
+        self.stage = stage
+
+    @abstractmethod
+    def draw(self, i: int, rng: np.random.Generator, options: Mapping[str, Any]) -> Pose2 | None:
+        """Draw the episode of robot `i` (start, goal, terrain); return the start; None = draw again.
+
+        Raises:
+            ConfigError: an option has a value that is not legal.
+            SimulationError: what the options ask for cannot be reached.
+        """
+
+    def ground(self, i: int) -> tuple[SeenFrame, BoolArray]:
+        """Return the ground that robot `i` may see, and which of its cells are wanted."""
+        frame = self.stage.site.seen
+        return frame, np.isfinite(frame.height)
+
+    @abstractmethod
+    def begin(self, i: int) -> None:
+        """Begin the episode that was drawn: robot `i` stands at its start."""
+
+    @abstractmethod
+    def step(self, ids: IntArray) -> FloatArray:
+        """Return the rewards (n,) of a step that robots `ids` made, less those of contact and effort."""
+
+    @abstractmethod
+    def end(self, i: int) -> str:
+        """Return why the episode of robot `i` ends by the task's own rules; empty = it goes on."""
+
+    @abstractmethod
+    def infos(self) -> dict[str, Any]:
+        """Return (N, ...) arrays of what `info` says of the task."""
+
+    def goal(self, i: int) -> tuple[float, float] | None:
+        """Return x, y of the goal of robot `i`, metres; None = it has none."""
+        return None
+
+
+def point(value: Any, size: int, name: str) -> tuple[float, ...]:
+    """Return numbers as a tuple.
+
+    Raises:
+        ConfigError: they are not `size` finite numbers.
+    """
+    try:
+        numbers = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if numbers.shape != (size,) or not np.isfinite(numbers).all():
+        raise ConfigError(f"options[{name!r}] must be {size} finite numbers, got {value!r}")
+    return tuple(numbers.tolist())

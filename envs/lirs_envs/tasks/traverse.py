@@ -1,0 +1,104 @@
+"""Traverse: cross rough ground, a new course in each episode."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+
+from lirs_envs.generators.terrain import KINDS, GeneratedTerrain, generate
+from lirs_envs.tasks.site import SeenFrame, seen_frame
+from lirs_envs.tasks.task import Stage, Task
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.errors import unknown_name
+from lirs_wct.geometry.pose import Pose2
+
+SUCCESS = 10.0
+"""Reward at the goal."""
+MIXED = "mixed"
+"""Kind of course that is any of the kinds, drawn anew for each episode."""
+
+
+class TraverseTask(Task):
+    """Metres gained on the goal, as the crow flies, are worth as much; reaching it 10."""
+
+    observe: ClassVar = ("scan", "goal", "attitude", "height_map")
+    time_limit: ClassVar = 90.0
+    option_names: ClassVar = ("difficulty", "kind")
+
+    def __init__(self, stage: Stage, kind: str, scale: float) -> None:
+        super().__init__(stage)
+        self._kind, self._scale = check_kind(kind), scale
+        self._courses: list[GeneratedTerrain | None] = [None] * stage.count
+        self._kinds = [""] * stage.count
+        self._distances = np.zeros((stage.count, 2))
+        """To the goal at the start, and now."""
+        self._success = np.zeros(stage.count, np.bool_)
+        self._radius = max(0.5, stage.simulation.config.robot.radius)
+
+    def draw(self, i: int, rng: np.random.Generator, options: Mapping[str, Any]) -> Pose2 | None:
+        """Draw a course (see `Task.draw`)."""
+        kind = check_kind(options.get("kind", self._kind))
+        if kind == MIXED:
+            kind = KINDS[int(rng.integers(len(KINDS)))]
+        drawn = rng if self.stage.randomize_terrain else np.random.default_rng(0)
+        course = generate(kind, float(self.stage.difficulty[i]), drawn, scale=self._scale)
+        self._courses[i], self._kinds[i] = course, kind
+        self.stage.simulation.replace_terrain(i, course.world())
+        return course.start
+
+    def ground(self, i: int) -> tuple[SeenFrame, BoolArray]:
+        """Return the whole course."""
+        frame = seen_frame(self.stage.simulation.worlds[i])
+        return frame, np.isfinite(frame.height)
+
+    def begin(self, i: int) -> None:
+        """Begin at the start."""
+        self._distances[i], self._success[i] = self._distance(i), False
+
+    def step(self, ids: IntArray) -> FloatArray:
+        """Return the metres gained, and what success is worth."""
+        rewards = np.zeros(len(ids))
+        for k, i in enumerate(ids.tolist()):
+            distance = self._distance(i)
+            self._success[i] = distance <= self._radius
+            rewards[k] = self._distances[i, 1] - distance + SUCCESS * bool(self._success[i])
+            self._distances[i, 1] = distance
+        return rewards
+
+    def end(self, i: int) -> str:
+        """Return "success"."""
+        return "success" if self._success[i] else ""
+
+    def goal(self, i: int) -> tuple[float, float]:
+        """Return x, y of the goal, metres."""
+        course = self._courses[i]
+        assert course is not None, "draw comes first"
+        return course.goal.x, course.goal.y
+
+    def infos(self) -> dict[str, Any]:
+        """Return success, kind and difficulty of the course, distance to the goal and metres gained on it."""
+        return {
+            "success": self._success.copy(),
+            "kind": np.array(self._kinds, dtype=object),
+            "difficulty": np.array([c.difficulty if c else 0.0 for c in self._courses]),
+            "distance": self._distances[:, 1].copy(),
+            "progress": self._distances[:, 0] - self._distances[:, 1],
+        }
+
+    def _distance(self, i: int) -> float:
+        (x, y), T = self.goal(i), self.stage.poses[i]
+        return math.hypot(x - T.x, y - T.y)
+
+
+def check_kind(kind: Any) -> str:
+    """Return a kind of course.
+
+    Raises:
+        ConfigError: there is none of this name.
+    """
+    if not isinstance(kind, str) or kind not in (*KINDS, MIXED):
+        raise unknown_name("kind of terrain", kind, (*KINDS, MIXED))
+    return kind

@@ -1,0 +1,227 @@
+"""N environments as one: `gym.make_vec(id, num_envs=N, vectorization_mode="vector_entry_point")`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from lirs_envs.env import RENDER_MODES, Observed, check_render_mode, make_config, make_renderer, picture_of
+from lirs_envs.episodes.episodes import Episodes, EpisodeView
+from lirs_envs.tasks.traverse import MIXED
+from lirs_wct.arrays import BoolArray, ByteArray, FloatArray, IntArray
+from lirs_wct.errors import ConfigError
+
+Stepped = tuple[Observed, FloatArray, BoolArray, BoolArray, dict[str, Any]]
+
+
+class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
+    """N robots, each in an environment of its own: N times `RobotEnv` to the bit, at any number of threads.
+
+    A reset with seed s seeds environment i with s + i, as Gymnasium's vectors do. `call`, `get_attr` and
+    `set_attr` reach the attributes of each `EpisodeView`, such as `difficulty`.
+
+    Args:
+        num_envs: N.
+        task: `mapping`, `navigation` or `traverse`.
+        kind: of the course, where the task is to cross one.
+        autoreset_mode: `NextStep`, `SameStep` or `Disabled` (see Gymnasium's `AutoresetMode`).
+        threads: number of threads; None = all processors of this process.
+        max_episode_steps: truncates an episode before its time limit does; None = it does not.
+        render_mode: `rgb_array` or None.
+        **options: fields of `EnvConfig`.
+    """
+
+    metadata = {  # noqa: RUF012  Gymnasium's contract
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 10,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int,
+        task: str,
+        *,
+        kind: str = MIXED,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+        max_episode_steps: int | None = None,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        if num_envs < 1:
+            raise ConfigError(f"num_envs must be at least 1, got {num_envs}")
+        check_render_mode(render_mode)
+        self.num_envs, self.render_mode = num_envs, render_mode
+        threads = len(os.sched_getaffinity(0)) if threads is None else threads
+        self.episodes = Episodes(
+            task,
+            make_config(options),
+            num_envs,
+            threads=min(threads, num_envs),
+            kind=kind,
+            max_steps=max_episode_steps,
+        )
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        fps = round(self.episodes.config.control_hz)
+        self.metadata = self.metadata | {"render_fps": fps, "autoreset_mode": self.autoreset_mode}
+        self.single_action_space = self.episodes.action_space
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.single_observation_space = self.episodes.observations.space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.views = tuple(EpisodeView(self.episodes, i) for i in range(num_envs))
+        self._rngs: list[np.random.Generator | None] = [None] * num_envs
+        self._all = np.arange(num_envs)
+        self._over: BoolArray = np.zeros(num_envs, np.bool_)
+        self._renderers: dict[int, mujoco.Renderer] = {}
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Observed, dict[str, Any]]:
+        """Begin episodes: of all, or of those in `options["reset_mask"]`.
+
+        Raises:
+            ConfigError: the number of seeds is not N, the mask is no mask, or an option is not legal.
+            SimulationError: see `Episodes.reset`.
+        """
+        given = dict(options or {})
+        ids = self._all if "reset_mask" not in given else self._masked(given.pop("reset_mask"))
+        for i, one in zip(self._all.tolist(), self._seeds(seed), strict=True):
+            if one is not None and i in ids:
+                self._rngs[i], _ = seeding.np_random(one)
+        self._reset(ids, given)
+        return self._observed(), self._infos(ids)
+
+    def step(self, actions: Any) -> Stepped:
+        """Act for one period in all environments; what becomes of those that end is the autoreset mode's.
+
+        Raises:
+            ConfigError: the actions have a wrong shape, or one is not finite.
+            SimulationError: an environment was not reset, or with autoreset disabled has ended.
+        """
+        episodes = self.episodes
+        actions = self._checked(actions)
+        rewards = np.zeros(self.num_envs)
+        waiting = self._over if self.autoreset_mode is AutoresetMode.NEXT_STEP else np.zeros_like(self._over)
+        ids = np.flatnonzero(~waiting)
+        if waiting.any():
+            self._reset(np.flatnonzero(waiting), {})
+        if len(ids):
+            rewards[ids] = episodes.step(ids, actions[ids])
+        ended = episodes.terminated.copy(), episodes.truncated.copy()
+        self._over = ended[0] | ended[1]
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._over.any():
+            return self._reset_at_once(rewards, ended)
+        return self._observed(), rewards, *ended, self._infos(self._all)
+
+    def _reset_at_once(self, rewards: FloatArray, ended: tuple[BoolArray, BoolArray]) -> Stepped:
+        over = self._over.copy()
+        ids = np.flatnonzero(over)
+        final_info, last = self._infos(ids), self.episodes.observations.read(ids)
+        final = np.full(self.num_envs, None, dtype=object)
+        for k, i in enumerate(ids.tolist()):
+            final[i] = {name: values[k].copy() for name, values in last.items()}
+        self._reset(ids, {})
+        infos = {"final_obs": final, "_final_obs": over, "final_info": final_info, "_final_info": over.copy()}
+        return self._observed(), rewards, *ended, infos | self._infos(self._all)
+
+    def _reset(self, ids: IntArray, options: dict[str, Any]) -> None:
+        for i in ids.tolist():
+            rng = self._rngs[i]
+            if rng is None:
+                rng, _ = seeding.np_random()
+                self._rngs[i] = rng
+            self.episodes.reset(i, rng, options)
+        self._over[ids] = False
+
+    def render(self) -> tuple[ByteArray, ...] | None:
+        """Return a picture (480, 640, 3) of each environment; needs OpenGL (EGL without a screen)."""
+        if self.render_mode is None:
+            return None
+        bodies, pictures = self.episodes.simulation.bodies, []
+        for i in range(self.num_envs):
+            model = bodies.models[i]
+            if id(model) not in self._renderers:
+                self._renderers[id(model)] = make_renderer(model)
+            pictures.append(picture_of(self._renderers[id(model)], bodies.data(i)))
+        return tuple(pictures)
+
+    def close_extras(self, **_: Any) -> None:
+        """Free the renderers and threads."""
+        for renderer in self._renderers.values():
+            renderer.close()
+        self._renderers.clear()
+        self.episodes.simulation.close()
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Call a method of each environment's view, or return its attribute."""
+        found = [getattr(view, name) for view in self.views]
+        return tuple(value(*args, **kwargs) if callable(value) else value for value in found)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Return an attribute of each environment's view."""
+        return self.call(name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute of each environment's view: to one value, or to each of a list or tuple.
+
+        Raises:
+            ConfigError: the number of values is not N.
+            AttributeError: there is no such attribute.
+        """
+        each = values if isinstance(values, list | tuple) else [values] * self.num_envs
+        if len(each) != self.num_envs:
+            raise ConfigError(f"set_attr needs {self.num_envs} values of {name!r}, got {len(each)}")
+        for view, value in zip(self.views, each, strict=True):
+            setattr(view, name, value)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_renderers": {}}
+
+    def _observed(self) -> Observed:
+        return self.episodes.observations.read(self._all)
+
+    def _infos(self, ids: IntArray) -> dict[str, Any]:
+        """Return the infos of some environments, with a mask of them beside each."""
+        mask = np.zeros(self.num_envs, np.bool_)
+        mask[ids] = True
+        infos: dict[str, Any] = {}
+        for name, values in self.episodes.infos().items():
+            if len(ids) < self.num_envs:
+                values[~mask] = None if values.dtype == object else 0
+            infos[name], infos[f"_{name}"] = values, mask.copy()
+        errors = self.episodes.simulation.errors
+        for i in [i for i in ids.tolist() if errors[i]]:
+            infos = self._add_info(infos, {"error": errors[i]}, i)
+        return infos
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, int | np.integer):
+            return [int(seed) + i for i in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ConfigError(f"{self.num_envs} environments need as many seeds, got {len(seed)}")
+        return list(seed)
+
+    def _masked(self, mask: Any) -> IntArray:
+        legal = isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == (self.num_envs,)
+        if not legal or not mask.any():
+            raise ConfigError(f"reset_mask must be a bool array ({self.num_envs},) with a True, got {mask!r}")
+        return np.flatnonzero(mask)
+
+    def _checked(self, actions: Any) -> FloatArray:
+        shape = (self.num_envs, *(self.single_action_space.shape or ()))
+        if np.shape(actions) != shape:
+            raise ConfigError(f"actions must have shape {shape}, got {np.shape(actions)}")
+        return np.asarray(actions, dtype=np.float64)

@@ -1,0 +1,285 @@
+"""Every environment keeps Gymnasium's contract, with every robot, and says clearly what it cannot do."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import (
+    FlattenObservation,
+    FrameStackObservation,
+    NormalizeObservation,
+    RecordEpisodeStatistics,
+)
+
+import lirs_envs  # noqa: F401  registers
+from lirs_envs.env import RobotEnv
+from lirs_envs.robots.catalog import ROBOTS
+from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.world import World
+
+IDS = ("LIRS/Mapping-v1", "LIRS/Navigation-v0", "LIRS/Traverse-v0")
+ALL_GROUPS = ["scan", "odometry", "attitude", "seen_map", "height_map"]
+
+
+def episode(env: gym.Env[Any, Any], seed: int, steps: int = 30) -> bytes:
+    """What an episode of random actions says, as bytes."""
+    observation, info = env.reset(seed=seed)
+    rng, told = np.random.default_rng(seed), []
+    for _ in range(steps):
+        told += [v.tobytes() for v in observation.values()]
+        told += [repr(sorted((k, repr(v)) for k, v in info.items())).encode()]
+        observation, reward, terminated, truncated, info = env.step(
+            rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
+        )
+        told.append(repr(reward).encode())
+        if terminated or truncated:
+            observation, info = env.reset()
+    return b"".join(told)
+
+
+@pytest.mark.filterwarnings("ignore:.*observation space (minimum|maximum) value is")
+@pytest.mark.filterwarnings("ignore:.*Not able to test alternative render modes")
+@pytest.mark.parametrize("robot", sorted(ROBOTS))
+@pytest.mark.parametrize("name", IDS)
+def test_check_env(name: str, robot: str) -> None:
+    check_env(gym.make(name, robot=robot, world="simple").unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_spec_survives_pickle_and_json(name: str) -> None:
+    options = {"observe": ["scan", "seen_map"], "randomize": {"friction": [0.5, 1.0]}, "control_hz": 20}
+    env = gym.make(name, **options)
+    assert env.spec is not None
+    assert pickle.loads(pickle.dumps(env.spec)) == env.spec
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.observation_space == env.observation_space
+    assert json.loads(env.spec.to_json())["kwargs"]["control_hz"] == 20
+    assert episode(again, 1, 5) == episode(env, 1, 5)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_a_second_process_says_the_same(name: str) -> None:
+    program = (
+        "import hashlib, gymnasium as gym, lirs_envs\n"
+        "from tests.lirs_envs.test_env import episode, ALL_GROUPS\n"
+        f"print(hashlib.sha256(episode(gym.make({name!r}, observe=ALL_GROUPS), 3)).hexdigest())"
+    )
+    digests = [
+        subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+        for _ in range(2)
+    ]
+    assert digests[0] == digests[1] != ""
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("name", IDS)
+def test_a_copy_in_mid_episode_goes_on_bit_for_bit(name: str, copied: Callable[[Any], Any]) -> None:
+    env = gym.make(name, observe=ALL_GROUPS, randomize=None).unwrapped
+    episode(env, 1, 7)
+    again = copied(env)
+    for _ in range(5):
+        one, two = (e.step(np.array((0.8, -0.4), np.float32)) for e in (again, env))
+        assert [v.tobytes() for v in one[0].values()] == [v.tobytes() for v in two[0].values()]
+        assert repr(one[1:]) == repr(two[1:])
+    assert again.reset()[0]["scan"].tobytes() == env.reset()[0]["scan"].tobytes()
+
+
+def test_observations_are_nobody_else_s() -> None:
+    env = gym.make("LIRS/Mapping-v1", observe=ALL_GROUPS)
+    first, _ = env.reset(seed=0)
+    kept = {name: value.copy() for name, value in first.items()}
+    env.step(env.action_space.sample())
+    for name, value in first.items():
+        assert (value == kept[name]).all()
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_wrappers(name: str) -> None:
+    env: Any = RecordEpisodeStatistics(
+        gym.make(name, time_limit=1.0, observe=["scan", "attitude", "odometry"])
+    )
+    env = NormalizeObservation(FrameStackObservation(FlattenObservation(env), 3))
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation.astype(np.float32).astype(observation.dtype))
+    total = 0.0
+    for _ in range(10):
+        observation, reward, terminated, truncated, info = env.step(np.array((1.0, 0.0), np.float32))
+        total += reward
+        if terminated or truncated:
+            break
+    assert np.isfinite(observation).all()
+    assert info["episode"]["r"] == pytest.approx(total)
+
+
+def test_step_before_reset_and_after_the_end(plane: World) -> None:
+    env = RobotEnv("mapping", world=plane, time_limit=0.2)
+    action = np.zeros(2, np.float32)
+    with pytest.raises(SimulationError, match="must be reset before its first step"):
+        env.step(action)
+    env.reset(seed=0)
+    env.step(action)
+    *_, terminated, truncated, info = env.step(action)
+    assert (terminated, truncated, info["reason"], info["timeout"]) == (False, True, "timeout", True)
+    with pytest.raises(SimulationError, match=r"the episode has ended \(timeout\): a reset comes"):
+        env.step(action)
+    env.reset()
+    env.step(action)
+
+
+@pytest.mark.parametrize("action", [np.zeros(3), 0.5, np.zeros((1, 2)), np.array((np.nan, 0.0)), "ahead"])
+def test_wrong_actions(plane: World, action: Any) -> None:
+    env = RobotEnv("mapping", world=plane)
+    env.reset(seed=0)
+    with pytest.raises(ConfigError, match=r"an action must be (2 numbers, got shape|finite)"):
+        env.step(action)
+    env.step(np.zeros(2))
+
+
+@pytest.mark.parametrize(
+    ("task", "options", "words"),
+    [
+        ("mapping", {"strat": 1}, "unknown option of reset 'strat'; legal: start"),
+        ("mapping", {"start": [0, 0]}, r"options\['start'\] must be 3 finite numbers"),
+        ("navigation", {"goal": [0, float("nan")]}, r"options\['goal'\] must be 2 finite numbers"),
+        ("navigation", {"difficulty": 1.5}, "a difficulty must be 0 to 1, got 1.5"),
+        ("traverse", {"kind": "lava"}, "unknown kind of terrain 'lava'; legal: craters"),
+    ],
+)
+def test_options_of_reset(plane: World, task: str, options: dict[str, Any], words: str) -> None:
+    env = RobotEnv(task, world=plane)
+    with pytest.raises(ConfigError, match=words):
+        env.reset(options=options)
+    env.reset(seed=1)
+
+
+def test_goals_and_starts_that_cannot_be(rough: World) -> None:
+    env = RobotEnv("navigation", world=rough)
+    with pytest.raises(SimulationError, match=r"no way leads from .* to the goal \(9\.00, 40\.00\)"):
+        env.reset(seed=0, options={"goal": [9, 40]})
+    with pytest.raises(SimulationError, match=r"husky cannot start at|no way leads"):
+        env.reset(seed=0, options={"start": [14.2, 0, 0], "goal": [0, 0]})
+    with pytest.raises(SimulationError, match=r"the start \(14\.90, 0\.00\) is not on free ground"):
+        RobotEnv("mapping", world=rough).reset(options={"start": Pose2(14.9, 0.0)})
+
+
+def test_a_world_without_a_free_place(make_world: Callable[..., World]) -> None:
+    spikes = make_world(lambda x, y: 3.0 * (np.sin(8 * x) * np.sin(8 * y)))
+    with pytest.raises(SimulationError, match="no free place where husky could start"):
+        RobotEnv("mapping", world=spikes)
+
+
+def test_an_episode_that_diverges_ends_with_a_valid_observation(plane: World) -> None:
+    env = RobotEnv("navigation", world=plane, observe=[*ALL_GROUPS, "goal"])
+    env.reset(seed=0)
+    env.step(np.zeros(2, np.float32))
+    env.episodes.simulation.bodies.qvel[0, 0] = np.inf
+    observation, reward, terminated, truncated, info = env.step(np.zeros(2, np.float32))
+    assert env.observation_space.contains(observation)
+    assert np.isfinite(reward)
+    assert (terminated, truncated) == (True, False)
+    assert info["error"].startswith("the simulation diverged")
+    env.reset()
+    assert "error" not in env.step(np.zeros(2, np.float32))[-1]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"robot": "nobody"}, "unknown robot 'nobody'"),
+        ({"observe": ["smell"]}, "unknown group of observations 'smell'; legal: attitude"),
+        ({"observe": "scan"}, "observe must be a list"),
+        ({"observe": []}, "observe must be a list"),
+        ({"control_hz": 2}, r"control_hz of the environment must be within \[5, 50\] Hz, got 2"),
+        ({"randomize": ["weather"]}, "unknown name to randomize 'weather'"),
+        ({"randomize": {"mass": [2, 1]}}, "needs 0 < lowest <= highest"),
+        ({"randomize": {"start": [1, 2]}}, "takes no factors"),
+        ({"randomize": ["terrain"]}, "is for the task to cross generated terrain"),
+        ({"time_limit": 0}, "time_limit of the environment must be a finite number above 0 s"),
+        ({"colour": 1}, "unknown option of the environment: .*colour"),
+        ({"render_mode": "ascii"}, "unknown render mode 'ascii'"),
+        ({"task": "swim"}, "unknown task 'swim'; legal: mapping, navigation, traverse"),
+    ],
+)
+def test_bad_options(plane: World, options: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        RobotEnv(**({"task": "mapping", "world": plane} | options))
+
+
+def test_a_goal_is_observed_only_where_there_is_one(plane: World) -> None:
+    with pytest.raises(ConfigError, match="the mapping task has no goal to observe"):
+        RobotEnv("mapping", world=plane, observe=["goal"])
+
+
+def test_control_rate_is_apart_from_the_lidar_s(plane: World) -> None:
+    for hz, fresh in ((50, 25), (25, 25), (5, 5)):
+        env = RobotEnv("mapping", world=plane, control_hz=hz)
+        env.reset(seed=0)
+        stamps = set()
+        for _ in range(hz):
+            env.step(np.array((0.3, 0.0), np.float32))
+            stamps.add(env.view.reading().scan.stamp)
+        assert len(stamps) in (fresh, fresh + 1)  # with the scan of the reset
+        assert env.episodes.infos()["time"][0] == pytest.approx(1.0)
+
+
+def test_randomization_changes_what_it_names(rough: World) -> None:
+    def model_of(randomize: Any, seed: int) -> tuple[float, float, float]:
+        env = RobotEnv("mapping", world=rough, randomize=randomize)
+        env.reset(seed=seed)
+        simulation = env.episodes.simulation
+        model = simulation.bodies.models[0]
+        base = model.body("base_link")
+        friction = float(model.geom("front_left_wheel").friction[0])
+        return friction, float(base.subtreemass[0]), simulation.lidar_noise[0].sigma
+
+    nominal = model_of(["start"], 0)
+    assert model_of(["start"], 1) == nominal
+    for k, name in enumerate(("friction", "mass", "sensor")):
+        drawn = {model_of({"start": None, name: [0.5, 0.9]}, seed) for seed in range(4)}
+        assert len({d[k] for d in drawn}) == 4
+        for values in drawn:
+            for j in range(3):
+                share = values[j] / nominal[j]
+                assert 0.5 <= share <= 0.9 if j == k else share == pytest.approx(1.0)
+
+
+def test_starts_are_anywhere_free_or_the_first_spawn_pose(rough: World) -> None:
+    env = RobotEnv("mapping", world=rough)
+    starts = np.array([env.reset(seed=s)[1]["T_world_base"] for s in range(12)])
+    assert np.ptp(starts[:, 0]) > 10
+    assert np.ptp(starts[:, 2]) > 3
+    fixed = RobotEnv("mapping", world="simple", randomize=[])
+    first = fixed.view.world.spawn_poses[0]
+    for seed in (1, 2):
+        x, y, _ = fixed.reset(seed=seed)[1]["T_world_base"]
+        assert abs(x - first.x) < 0.1 > abs(y - first.y)
+
+
+def test_random_flight_holds_out() -> None:
+    """A quadrotor flies for 200 steps of random actions, and climbs when told to."""
+    env = gym.make("LIRS/Mapping-v1", robot="quadrotor")
+    for seed in range(3):
+        env.reset(seed=seed)
+        env.action_space.seed(seed)
+        for _ in range(200):
+            *_, terminated, truncated, info = env.step(env.action_space.sample())
+            assert not terminated, (seed, info)
+            assert not truncated
+    env.reset(seed=0)
+    view = env.unwrapped.view
+    before = view.T_world_base.z
+    for _ in range(20):
+        env.step(np.array((0.0, 0.0, 1.0), np.float32))
+    assert view.T_world_base.z > before + 1.0

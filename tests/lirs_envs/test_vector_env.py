@@ -1,0 +1,171 @@
+"""N environments as one: the same to the bit as N single ones, at any number of threads."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+import lirs_envs  # noqa: F401  registers
+from lirs_envs.vector_env import RobotVectorEnv
+from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.geometry.pose import Pose3
+from lirs_wct.world import World
+
+IDS = ("LIRS/Mapping-v1", "LIRS/Navigation-v0", "LIRS/Traverse-v0")
+N = 3
+
+
+def assert_same(a: Any, b: Any, where: str = "") -> None:
+    """Check that two results are equal in keys, types and every byte."""
+    if isinstance(a, dict):
+        assert a.keys() == b.keys(), (where, a.keys() ^ b.keys())
+        for key in a:
+            assert_same(a[key], b[key], f"{where}/{key}")
+    elif isinstance(a, np.ndarray) and a.dtype == object:
+        for one, two in zip(a, b, strict=True):
+            assert_same(one, two, where)
+    else:
+        a, b = np.asarray(a), np.asarray(b)
+        assert a.dtype == b.dtype, (where, a.dtype, b.dtype)
+        assert np.array_equal(a, b), (where, a, b)
+
+
+def options_of(name: str) -> dict[str, Any]:
+    drawn = "terrain" if "Traverse" in name else "start"
+    goal = [] if "Mapping" in name else ["goal"]
+    return {
+        "observe": ["scan", "odometry", "attitude", "seen_map", "height_map", *goal],
+        "randomize": ["friction", "mass", "sensor", drawn],
+        "time_limit": 1.0,
+    }
+
+
+def actions(steps: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1, 1, (steps, N, 2)).astype(np.float32)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+@pytest.mark.parametrize("name", IDS)
+def test_equal_to_single_environments(name: str, mode: str, threads: int) -> None:
+    options = options_of(name)
+    one = gym.make_vec(
+        name,
+        num_envs=N,
+        vectorization_mode="vector_entry_point",
+        autoreset_mode=mode,
+        threads=threads,
+        **options,
+    )
+    many = SyncVectorEnv([lambda: gym.make(name, **options) for _ in range(N)], autoreset_mode=mode)
+    assert one.metadata["autoreset_mode"] == AutoresetMode(mode)
+    assert one.observation_space == many.observation_space
+    for a, b in zip(one.reset(seed=4), many.reset(seed=4), strict=True):
+        assert_same(a, b)
+    for row in actions(25):
+        for a, b in zip(one.step(row), many.step(row), strict=True):
+            assert_same(a, b)
+    one.close()
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_disabled_autoreset_resets_those_in_the_mask(name: str) -> None:
+    options = options_of(name)
+    one = RobotVectorEnv(N, **gym.spec(name).kwargs, autoreset_mode="Disabled", threads=2, **options)
+    many = SyncVectorEnv([lambda: gym.make(name, **options) for _ in range(N)], autoreset_mode="Disabled")
+    one.reset(seed=0)
+    many.reset(seed=0)
+    for row in actions(10):
+        stepped = one.step(row)
+        assert_same(stepped[0], many.step(row)[0])
+    assert stepped[3].all()
+    with pytest.raises(SimulationError, match=r"the episode has ended \(timeout\)"):
+        one.step(row)
+    mask = np.array((True, False, True))
+    for a, b in zip(
+        one.reset(seed=[7, None, 9], options={"reset_mask": mask}),
+        many.reset(seed=[7, None, 9], options={"reset_mask": mask.copy()}),
+        strict=True,
+    ):
+        assert_same(a, b)
+
+
+def test_rows_do_not_depend_on_their_number() -> None:
+    told = actions(15)
+    alone = RobotVectorEnv(1, "mapping", threads=1)
+    three = RobotVectorEnv(N, "mapping", threads=2)
+    first, _ = alone.reset(seed=2)
+    assert_same(first["scan"][0], three.reset(seed=0)[0]["scan"][2])
+    for row in told:
+        assert_same(alone.step(row[2:])[0]["scan"][0], three.step(row)[0]["scan"][2])
+
+
+def test_a_copy_goes_on_bit_for_bit() -> None:
+    env = RobotVectorEnv(N, "traverse", threads=2)
+    env.reset(seed=0)
+    env.step(actions(1)[0])
+    again = copy.deepcopy(env)
+    for row in actions(5, seed=1):
+        for a, b in zip(again.step(row), env.step(row), strict=True):
+            assert_same(a, b)
+
+
+def test_call_get_attr_set_attr() -> None:
+    env = RobotVectorEnv(N, "traverse", kind="steps", difficulty=0.2, threads=1)
+    env.reset(seed=0)
+    assert env.get_attr("difficulty") == (0.2,) * N
+    env.set_attr("difficulty", [0.0, 0.5, 1.0])
+    _, infos = env.reset()
+    assert infos["difficulty"].tolist() == [0.0, 0.5, 1.0]
+    assert infos["kind"].tolist() == ["steps"] * N
+    env.set_attr("difficulty", 0.3)
+    assert env.get_attr("difficulty") == (0.3,) * N
+    readings = env.call("reading")
+    assert len({repr(r.imu) for r in readings}) == N
+    assert all(isinstance(T, Pose3) for T in env.get_attr("T_world_base"))
+    with pytest.raises(AttributeError):
+        env.set_attr("colour", 1)
+    with pytest.raises(ConfigError, match="set_attr needs 3 values"):
+        env.set_attr("difficulty", [0.1])
+
+
+def test_one_that_diverges_is_reset_alone(plane: World) -> None:
+    env = RobotVectorEnv(N, "mapping", world=plane, threads=2)
+    env.reset(seed=0)
+    env.episodes.simulation.bodies.qvel[1, 0] = np.nan
+    observation, _, terminated, _, infos = env.step(np.zeros((N, 2)))
+    assert terminated.tolist() == [False, True, False]
+    assert infos["_error"].tolist() == [False, True, False]
+    assert infos["error"][1].startswith("the simulation diverged")
+    assert env.observation_space.contains(observation)
+    *_, terminated, _, infos = env.step(np.zeros((N, 2)))
+    assert not terminated.any()
+    assert "error" not in infos
+
+
+def test_what_cannot_be(plane: World) -> None:
+    with pytest.raises(ConfigError, match="num_envs must be at least 1"):
+        RobotVectorEnv(0, "mapping", world=plane)
+    env = RobotVectorEnv(2, "mapping", world=plane, threads=1)
+    with pytest.raises(SimulationError, match="must be reset before"):
+        env.step(np.zeros((2, 2)))
+    with pytest.raises(ConfigError, match="2 environments need as many seeds, got 3"):
+        env.reset(seed=[1, 2, 3])
+    with pytest.raises(ConfigError, match="reset_mask must be a bool array"):
+        env.reset(options={"reset_mask": np.zeros(2, np.bool_)})
+    env.reset(seed=0)
+    with pytest.raises(ConfigError, match=r"actions must have shape \(2, 2\), got \(2,\)"):
+        env.step(np.zeros(2))
+
+
+def test_max_episode_steps_truncates(plane: World) -> None:
+    env = gym.make_vec("LIRS/Mapping-v1", num_envs=2, world=plane, max_episode_steps=3)
+    assert isinstance(env, RobotVectorEnv)
+    env.reset(seed=0)
+    truncated = [env.step(np.zeros((2, 2)))[3].tolist() for _ in range(4)]
+    assert truncated == [[False, False], [False, False], [True, True], [False, False]]
