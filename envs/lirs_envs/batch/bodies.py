@@ -15,10 +15,12 @@ from mujoco.batch import Batch
 from mujoco.batch import SimulationError as BatchError
 
 from lirs_envs.collisions import DIVERGENCE_WARNINGS
-from lirs_envs.robot_model import CONTACT_SENSOR, SETTLING_TIME, RobotModel, base_pose, is_tipped
+from lirs_envs.robot_model import CONTACT_SENSOR, SETTLING_TIME, RobotModel, base_pose
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, Vector3
 from lirs_wct.geometry.pose import Pose3
+
+WARNINGS = [int(warning) for warning in DIVERGENCE_WARNINGS]
 
 
 class Bodies:
@@ -112,21 +114,25 @@ class Bodies:
         """(N, 3) true readings of the accelerometers along the bases' axes, m/s^2."""
         return self._sensordata[:, self._force : self._force + 3]
 
+    def diverged(self) -> BoolArray:
+        """(N,) whether each robot has diverged."""
+        warned = np.any(self._batch.warning[:, WARNINGS, 1] > 0, axis=1)
+        finite = np.isfinite(self.qpos).all(axis=1) & np.isfinite(self.qvel).all(axis=1)
+        found: BoolArray = warned | ~finite
+        return found
+
     def divergence(self, i: int) -> str:
         """Return how robot `i` has diverged; empty = it has not."""
+        if not self.diverged()[i]:
+            return ""
         for warning, reason in DIVERGENCE_WARNINGS.items():
             if self._batch.warning[i, warning, 1]:
                 return f"the simulation diverged: {reason}"
-        finite = np.isfinite(self.qpos[i]).all() and np.isfinite(self.qvel[i]).all()
-        return "" if finite else "the simulation diverged: the state is not finite"
+        return "the simulation diverged: the state is not finite"
 
     def pose(self, i: int) -> Pose3:
         """Return `T_world_base` of robot `i`."""
         return base_pose(self.qpos[i])
-
-    def tipped(self, i: int) -> bool:
-        """Whether robot `i` tilts by more than 60 deg or lies on its back."""
-        return is_tipped(self.pose(i))
 
     def data(self, i: int) -> mujoco.MjData:
         """Return MuJoCo's data of robot `i`, with its derived fields: to be rendered."""

@@ -19,7 +19,7 @@ from lirs_envs.lidar.lidar import BaseVelocity, Lidar
 from lirs_envs.lidar.noise import LidarNoise, lidar_noise
 from lirs_envs.lidar.ray_casting import Caster, RayCaster
 from lirs_envs.placement import MAX_SETTLING_DISTANCE, standing_pose
-from lirs_envs.robot_model import RobotModel
+from lirs_envs.robot_model import RobotModel, is_tipped
 from lirs_envs.sensing.sensors import IMU_STREAM, LIDAR_STREAM, ODOMETRY_STREAM, Observation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
@@ -46,6 +46,7 @@ class BatchSimulation:
         odometry: (N, 3) `T_odom_base`: x, y, yaw, metres and radians.
         attitude: (N, 2) measured roll and pitch, radians.
         touched: (N,) whether the robot's body (not a wheel) touched anything in the last `advance`.
+        poses: last valid `T_world_base` of each robot.
         errors: of each robot, why its simulation cannot go on; empty = it can.
 
     Args:
@@ -114,6 +115,7 @@ class BatchSimulation:
         self.ranges: Float32Array = np.zeros((count, config.preset.beams), np.float32)
         self.touched: BoolArray = np.zeros(count, np.bool_)
         self.errors = [""] * count
+        self.poses = [Pose3()] * count
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_pool": None}
@@ -160,10 +162,11 @@ class BatchSimulation:
         bodies, robot = self.bodies, self.config.robot
         self.errors[i] = "a robot must be reset before it is advanced"
         bodies.settle(i, standing_pose(self.worlds[i], robot, start))
-        there, divergence = bodies.pose(i), bodies.divergence(i)
+        divergence = bodies.divergence(i)
         if divergence:
             raise SimulationError(divergence)
-        if math.hypot(there.x - start.x, there.y - start.y) > MAX_SETTLING_DISTANCE or bodies.tipped(i):
+        there = self.poses[i] = bodies.pose(i)
+        if math.hypot(there.x - start.x, there.y - start.y) > MAX_SETTLING_DISTANCE or is_tipped(there):
             raise SimulationError(
                 f"{robot.name} does not stay at ({start.x:.2f}, {start.y:.2f}): "
                 f"it slid or tipped to ({there.x:.2f}, {there.y:.2f})"
@@ -213,11 +216,12 @@ class BatchSimulation:
             touched |= bodies.touching()
             imu.read_rates(ids, bodies.qvel)
             self._odometry.integrate(ids, bodies.qpos, imu.rates, imu.attitude, dt)
-        for i in ids.tolist():
+        for i in {*failed, *ids[bodies.diverged()[ids]].tolist()}:
             self.errors[i] = failed.get(i, "") or bodies.divergence(i)
-            if self.errors[i]:
-                self.odometry[i] = odometry[i]
+            self.odometry[i] = odometry[i]
         going = np.array([i for i in ids.tolist() if not self.errors[i]], np.int64)
+        for i in going.tolist():
+            self.poses[i] = bodies.pose(i)
         imu.read(going, bodies.qpos, bodies.specific_force(), self.period)
         self._odometry.read(going)
         self.touched[ids] = touched[ids]
@@ -245,7 +249,7 @@ class BatchSimulation:
     def _scan(self, i: int) -> None:
         lidar, velocity = self._lidars[i], None
         assert lidar is not None, "reset comes first"
-        T = self.bodies.pose(i)
+        T = self.poses[i]
         if lidar.time_increment:
             linear = (self.bodies.qvel[i, :3] @ T.rotation).tolist()
             velocity = BaseVelocity(tuple(linear), tuple(self.bodies.qvel[i, 3:6].tolist()))
@@ -260,15 +264,10 @@ class BatchSimulation:
         """Return the ground of robot `i`."""
         return self._surfaces[i]
 
-    def pose(self, i: int) -> Pose3:
-        """Return `T_world_base` of robot `i`."""
-        return self.bodies.pose(i)
-
     def off_world(self, i: int) -> bool:
         """Whether base_link of robot `i` is beyond its world's border."""
-        x, y = self.bodies.qpos[i, :2].tolist()
-        west, south, east, north = self._surfaces[i].bounds
-        return not (west <= x <= east and south <= y <= north)
+        T, (west, south, east, north) = self.poses[i], self._surfaces[i].bounds
+        return not (west <= T.x <= east and south <= T.y <= north)
 
     def reading(self, i: int) -> Observation:
         """Return what the sensors of robot `i` read last, as a mapper takes it."""

@@ -15,6 +15,7 @@ from lirs_envs.episodes.randomization import Factors, Randomization
 from lirs_envs.episodes.world_cache import cached_world
 from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
 from lirs_envs.placement import check_fit
+from lirs_envs.robot_model import is_tipped
 from lirs_envs.sensing.sensors import Observation
 from lirs_envs.tasks.mapping import MappingTask
 from lirs_envs.tasks.navigation import NavigationTask
@@ -94,7 +95,6 @@ class Episodes:
         self.stage = Stage(
             simulation=self.simulation,
             site=make_site(world, robot),
-            poses=[Pose3()] * count,
             seen=self._make_seen(count) if sees else None,
             difficulty=np.full(count, float(config.difficulty)),
             randomize_start="start" in factors,
@@ -153,7 +153,6 @@ class Episodes:
         )
 
     def _begin(self, i: int, redrawn: int) -> None:
-        self.stage.poses[i] = self.simulation.pose(i)
         self._redrawn[i], self._steps[i], self._reasons[i] = redrawn, 0, ""
         self.terminated[i] = self.truncated[i] = False
         if self.stage.seen is not None:
@@ -197,8 +196,6 @@ class Episodes:
         self.simulation.advance(ids, commands, self._see if self.stage.seen else None)
         errors = self.simulation.errors
         going = np.array([i for i in ids.tolist() if not errors[i]], np.int64)
-        for i in going.tolist():
-            self.stage.poses[i] = self.simulation.pose(i)
         rewards = np.zeros(self.count)
         rewards[going] = self.task.step(going)
         cost = CONTACT_COST * self.simulation.touched[ids] + EFFORT_COST * (taken**2).mean(axis=1)
@@ -218,14 +215,14 @@ class Episodes:
         simulation = self.simulation
         if simulation.errors[i]:
             return "error"
-        if simulation.bodies.tipped(i):
+        if is_tipped(simulation.poses[i]):
             return "tipped over"
         return "left the world" if simulation.off_world(i) else self.task.end(i)
 
     def _see(self, i: int) -> None:
         simulation, seen = self.simulation, self.stage.seen
         assert seen is not None
-        seen.add(i, simulation.ranges[i], simulation.config.preset.range_max, simulation.pose(i))
+        seen.add(i, simulation.ranges[i], simulation.config.preset.range_max, simulation.poses[i])
 
     def _check_ready(self, ids: IntArray) -> None:
         if not self._ready[ids].all():

@@ -106,17 +106,17 @@ class Lidar:
         quaternion, position = (T.qw, T.qx, T.qy, T.qz), (T.x, T.y, T.z)
         if self.time_increment == 0.0 or velocity is None:
             origin, directions = np.empty((1, 3)), np.empty_like(self._beams)
-            _transform_rays(quaternion, position, self._mount[None], self._beams, origin, directions)
+            transform_rays(quaternion, position, self._mount[None], self._beams, origin, directions)
             return origin[0], directions
         times = self.time_increment * np.arange(self.preset.beams)
         R, p = moved_frames(times, velocity.linear, velocity.angular)
         origins, directions = p + R @ self._mount, np.einsum("nij,nj->ni", R, self._beams)
-        _transform_rays(quaternion, position, origins, directions, origins, directions)
+        transform_rays(quaternion, position, origins, directions, origins, directions)
         return origins, directions
 
 
 @njit(cache=True, nogil=True)
-def _transform_rays(
+def transform_rays(
     quaternion: tuple[float, float, float, float],
     position: tuple[float, float, float],
     starts: FloatArray,

@@ -7,12 +7,17 @@ import math
 import numpy as np
 from numba import njit
 
+from lirs_envs.lidar.clipping import FAR, inverse
+from lirs_envs.lidar.lidar import transform_rays
 from lirs_envs.tasks.site import SEEN_CELL, SeenFrame
 from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray
 from lirs_wct.geometry.pose import Pose3
 
 DONE = np.float32(-np.inf)
 """Height below which no beam passes: there is nothing to be seen, or it was seen."""
+LEVEL = 3
+BLOCK = 2**LEVEL
+"""Cells along the side of a block."""
 
 
 class SeenGround:
@@ -30,8 +35,9 @@ class SeenGround:
     """
 
     def __init__(self, count: int, beams: FloatArray, mount: FloatArray, reach: float) -> None:
-        self._beams, self._mount, self._reach = beams, mount, reach
+        self._beams, self._mount, self._reach = beams, mount[None], reach
         self._ceilings: list[Float32Array] = [np.zeros((0, 0), np.float32)] * count
+        self._highest = list(self._ceilings)
         self._ground: list[BoolArray] = [np.zeros((0, 0), np.bool_)] * count
         self._wanted: list[BoolArray] = [np.zeros((0, 0), np.bool_)] * count
         self._corners = [(0.0, 0.0)] * count
@@ -41,23 +47,25 @@ class SeenGround:
     def begin(self, i: int, frame: SeenFrame, wanted: BoolArray) -> None:
         """Begin anew for robot `i`, which has seen nothing; `wanted` (rows, cols) cells are counted apart."""
         self._ceilings[i] = frame.height + np.float32(self._reach)
+        self._highest[i] = _highest_of_blocks(self._ceilings[i])
         self._ground[i] = np.isfinite(frame.height)
         self._wanted[i], self._corners[i] = wanted, frame.corner
         self.cells[i] = self.wanted_cells[i] = 0
 
     def add(self, i: int, ranges: Float32Array, range_max: float, T_world_base: Pose3) -> None:
         """Mark what the beams of robot `i` saw; one without return sees its whole range."""
-        T = T_world_base
+        T, (x, y) = T_world_base, self._corners[i]
+        origin, directions = np.empty((1, 3)), np.empty_like(self._beams)
+        transform_rays(
+            (T.qw, T.qx, T.qy, T.qz), (T.x, T.y, T.z), self._mount, self._beams, origin, directions
+        )
+        start = (
+            float(origin[0, 0] - x) / SEEN_CELL,
+            float(origin[0, 1] - y) / SEEN_CELL,
+            float(origin[0, 2]),
+        )
         cells, wanted = mark_seen(
-            self._ceilings[i],
-            self._wanted[i],
-            self._corners[i],
-            (T.qw, T.qx, T.qy, T.qz),
-            (T.x, T.y, T.z),
-            self._mount,
-            self._beams,
-            ranges,
-            range_max,
+            self._ceilings[i], self._highest[i], self._wanted[i], start, directions, ranges, range_max
         )
         self.cells[i] += cells
         self.wanted_cells[i] += wanted
@@ -75,57 +83,106 @@ class SeenGround:
 @njit(cache=True, nogil=True, error_model="numpy")
 def mark_seen(
     ceiling: Float32Array,
+    highest: Float32Array,
     wanted: BoolArray,
-    corner: tuple[float, float],
-    quaternion: tuple[float, float, float, float],
-    position: tuple[float, float, float],
-    mount: FloatArray,
-    beams: FloatArray,
+    start: tuple[float, float, float],
+    directions: FloatArray,
     ranges: Float32Array,
     range_max: float,
 ) -> tuple[int, int]:
     """Set the ceiling of each cell that a beam passes below it to -inf; return how many, and wanted ones.
 
     Cells are those that a beam crosses in the plane (Amanatides and Woo, "A fast voxel traversal algorithm
-    for ray tracing", 1987); its height is that in the middle of the crossing.
+    for ray tracing", 1987); its height is that in the middle of the crossing. A beam leaps over blocks of
+    cells above whose highest ceiling it stays.
+
+    Args:
+        ceiling: (rows, cols) height up to which a beam sees the cell's ground, metres.
+        highest: (rows / BLOCK, cols / BLOCK) highest ceiling in each block of cells.
+        wanted: (rows, cols) cells that are counted apart.
+        start: of all beams: u and v in cells from the grid's corner, z in metres.
+        directions: (n, 3) of the beams in the world, unit vectors.
+        ranges: (n,) metres (see `LaserScan`).
+        range_max: metres.
     """
-    rows, cols = ceiling.shape
-    w, x, y, z = quaternion
-    a, b, c = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    d, e, f = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    g, h, k = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-    m0, m1, m2 = mount[0], mount[1], mount[2]
-    u0 = (position[0] + (a * m0 + b * m1 + c * m2) - corner[0]) / SEEN_CELL
-    v0 = (position[1] + (d * m0 + e * m1 + f * m2) - corner[1]) / SEEN_CELL
-    z0 = position[2] + (g * m0 + h * m1 + k * m2)
+    u0, v0, z0 = start
     new, new_wanted = 0, 0
-    for n in range(len(beams)):
+    for n in range(len(directions)):
         if not ranges[n] > 0.0:  # too near, or lost
             continue
         t_end = min(np.float64(ranges[n]), range_max)
-        p, q, s = beams[n, 0], beams[n, 1], beams[n, 2]
-        du, dv = (a * p + b * q + c * s) / SEEN_CELL, (d * p + e * q + f * s) / SEEN_CELL
-        dz = g * p + h * q + k * s
-        i, j = math.floor(u0), math.floor(v0)
-        step_u, step_v = 1 if du > 0 else -1, 1 if dv > 0 else -1
-        per_u, per_v = 1 / abs(du) if du != 0 else np.inf, 1 / abs(dv) if dv != 0 else np.inf
-        tu = ((i + 1 - u0) if du > 0 else (u0 - i)) * per_u if du != 0 else np.inf
-        tv = ((j + 1 - v0) if dv > 0 else (v0 - j)) * per_v if dv != 0 else np.inf
-        t = 0.0
-        while t < t_end and 0 <= i < cols and 0 <= j < rows:
-            t_out = min(tu, tv, t_end)
+        slope = (directions[n, 0] / SEEN_CELL, directions[n, 1] / SEEN_CELL, directions[n, 2])
+        cells, cells_wanted = _mark_beam(ceiling, highest, wanted, (u0, v0, z0), slope, t_end)
+        new += cells
+        new_wanted += cells_wanted
+    return new, new_wanted
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _mark_beam(
+    ceiling: Float32Array,
+    highest: Float32Array,
+    wanted: BoolArray,
+    start: tuple[float, float, float],
+    slope: tuple[float, float, float],
+    t_end: float,
+) -> tuple[int, int]:
+    rows, cols = ceiling.shape
+    (u0, v0, z0), (du, dv, dz) = start, slope
+    per_u, per_v = inverse(du), inverse(dv)
+    far_u, far_v = 0.0 if per_u != 0.0 else FAR, 0.0 if per_v != 0.0 else FAR
+    east, north = 1 if du > 0.0 else 0, 1 if dv > 0.0 else 0
+    i, j, t = math.floor(u0), math.floor(v0), 0.0
+    new, new_wanted = 0, 0
+    while t < t_end and 0 <= i < cols and 0 <= j < rows:
+        c, r = i >> LEVEL, j >> LEVEL
+        block_u = (BLOCK * (c + east) - u0) * per_u + far_u
+        block_v = (BLOCK * (r + north) - v0) * per_v + far_v
+        leave = max(t, min(block_u, block_v, t_end))
+        if z0 + (leave if dz < 0.0 else t) * dz > highest[r, c]:
+            t = leave
+            if block_u <= block_v:
+                i = BLOCK * (c + east) + east - 1
+                j = min(max(math.floor(v0 + t * dv), BLOCK * r), BLOCK * r + BLOCK - 1)
+            else:
+                j = BLOCK * (r + north) + north - 1
+                i = min(max(math.floor(u0 + t * du), BLOCK * c), BLOCK * c + BLOCK - 1)
+            continue
+        before = new
+        while t < t_end and i >> LEVEL == c and j >> LEVEL == r and i < cols and j < rows:
+            tu, tv = (i + east - u0) * per_u + far_u, (j + north - v0) * per_v + far_v
+            t_out = max(t, min(tu, tv, t_end))
             if z0 + 0.5 * (t + t_out) * dz <= ceiling[j, i]:
                 ceiling[j, i] = DONE
                 new += 1
                 new_wanted += wanted[j, i]
             t = t_out
-            if tu < tv:
-                i += step_u
-                tu += per_u
+            if tu <= tv:
+                i += 2 * east - 1
             else:
-                j += step_v
-                tv += per_v
+                j += 2 * north - 1
+        if new > before:
+            highest[r, c] = _highest(ceiling, r, c)
     return new, new_wanted
+
+
+@njit(cache=True, nogil=True)
+def _highest(ceiling: Float32Array, r: int, c: int) -> np.float32:
+    top: np.float32 = DONE
+    for j in range(BLOCK * r, min(BLOCK * (r + 1), ceiling.shape[0])):
+        for i in range(BLOCK * c, min(BLOCK * (c + 1), ceiling.shape[1])):
+            top = max(top, ceiling[j, i])
+    return top
+
+
+@njit(cache=True)
+def _highest_of_blocks(ceiling: Float32Array) -> Float32Array:
+    rows, cols = -(-ceiling.shape[0] // BLOCK), -(-ceiling.shape[1] // BLOCK)
+    highest = np.empty((rows, cols), np.float32)
+    for r in range(rows):
+        for c in range(cols):
+            highest[r, c] = _highest(ceiling, r, c)
+    return highest
 
 
 @njit(cache=True, nogil=True)

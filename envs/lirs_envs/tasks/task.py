@@ -31,7 +31,6 @@ class Stage:
     Attributes:
         simulation: the robots.
         site: of the world that all begin in.
-        poses: last valid `T_world_base` of each.
         seen: the ground that they have seen; None = nobody asks for it.
         difficulty: of each robot's next episode, 0 to 1.
         randomize_start: whether starts are drawn.
@@ -40,11 +39,15 @@ class Stage:
 
     simulation: BatchSimulation
     site: Site
-    poses: list[Pose3]
     seen: SeenGround | None
     difficulty: FloatArray
     randomize_start: bool
     randomize_terrain: bool
+
+    @property
+    def poses(self) -> list[Pose3]:
+        """Last valid `T_world_base` of each robot."""
+        return self.simulation.poses
 
     @property
     def count(self) -> int:
