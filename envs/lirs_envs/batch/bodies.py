@@ -33,6 +33,7 @@ class Bodies:
         qpos: (N, nq) positions, live; the first seven are those of `T_world_base`.
         qvel: (N, nv) velocities, live.
         ctrl: (N, nu) controls, to be written.
+        mocap_pos: (N, m, 3) middles of the walkers that can be touched, to be written.
         models: the model of each robot; one for all unless `own_models`.
 
     Args:
@@ -66,10 +67,11 @@ class Bodies:
         if self._own_models:
             self._batch.set_models(self.models)
         self.qpos, self.qvel, self.ctrl = (self._batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
+        self.mocap_pos: FloatArray = self._batch.bind("mocap_pos")
         self._sensordata: FloatArray = self._batch.bind("sensordata")
 
     def __getstate__(self) -> dict[str, Any]:
-        live = ("_batch", "qpos", "qvel", "ctrl", "_sensordata")
+        live = ("_batch", "qpos", "qvel", "ctrl", "mocap_pos", "_sensordata")
         kept = {name: value for name, value in self.__dict__.items() if name not in live}
         return kept | {"_rows": self._batch.state.copy(), "_warnings": self._batch.warning.copy()}
 
@@ -91,11 +93,19 @@ class Bodies:
             return {int(i): self._batch.error(int(i)) for i in error.ids}
         return {}
 
-    def settle(self, i: int, T_world_base: Pose3) -> None:
-        """Let robot `i` go in a pose with its wheels held, and wait (see `RobotModel.settle`)."""
+    def settle(self, i: int, T_world_base: Pose3, walkers: FloatArray | None = None) -> None:
+        """Let robot `i` go in a pose with its wheels held, and wait (see `RobotModel.settle`).
+
+        Args:
+            i: row of the robot.
+            T_world_base: its pose.
+            walkers: (m, 3) middles of those that it could touch, metres.
+        """
         row = np.array((i,), np.int32)
         self._batch.reset(row, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         self._batch.warning[i] = 0
+        if walkers is not None:
+            self.mocap_pos[i] = walkers
         self.qpos[i, :7] = (*T_world_base.position, *T_world_base.quaternion)
         if self.robot.flies:
             weight = float(self.models[i].body("base_link").subtreemass[0]) * self.body.gravity

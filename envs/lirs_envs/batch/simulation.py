@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from lirs_envs.actors.walkers import TOUCHABLE, WALKER_STREAM, Walkers
 from lirs_envs.batch.bodies import Bodies
 from lirs_envs.batch.control import DifferentialDrives, WheelActuators
 from lirs_envs.batch.imu import ImuReadings
 from lirs_envs.batch.odometry import WheelJoints, WheelOdometries
 from lirs_envs.batch.per_robot import FlightControllers, Odometries
-from lirs_envs.lidar.casters import make_caster
+from lirs_envs.lidar.casters import WalkerCaster, make_caster
 from lirs_envs.lidar.lidar import BaseVelocity, Lidar
 from lirs_envs.lidar.noise import LidarNoise, lidar_noise
 from lirs_envs.lidar.ray_casting import Caster, RayCaster
@@ -79,6 +80,7 @@ class BatchSimulation:
             config.robot,
             period,
             contact_geometry=config.contact_geometry,
+            actors=min(config.actors, TOUCHABLE),
             height_range=height_range,
             contact_sensors=True,
         )
@@ -87,6 +89,10 @@ class BatchSimulation:
             config.robot, body, count, threads, own_models=own_models or height_range is not None
         )
         self.casters: list[Caster] = [make_caster(world, "builtin", False, body.data)] * count
+        self._walkers: list[Walkers] = []
+        if config.actors:
+            self._walkers = [self._make_walkers(world) for _ in range(count)]
+            self.casters = [WalkerCaster(self.casters[0], w, builtin=True) for w in self._walkers]
         self._make_sensors(count)
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
@@ -116,6 +122,10 @@ class BatchSimulation:
         self.touched: BoolArray = np.zeros(count, np.bool_)
         self.errors = [""] * count
         self.poses = [Pose3()] * count
+
+    def _make_walkers(self, world: World) -> Walkers:
+        config = self.config
+        return Walkers(world, config.actors, config.robot.radius, bodies=min(config.actors, TOUCHABLE))
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_pool": None}
@@ -152,6 +162,9 @@ class BatchSimulation:
         self.bodies.models_changed()
         self.worlds[i], self._surfaces[i] = world, world.surface
         self.casters[i] = RayCaster(world.surface)
+        if self._walkers:
+            self._walkers[i] = self._make_walkers(world)
+            self.casters[i] = WalkerCaster(self.casters[i], self._walkers[i], builtin=True)
 
     def reset(self, i: int, start: Pose2, seed: int) -> None:
         """Set robot `i` at rest on the ground; its time, odometry and noise begin anew.
@@ -161,7 +174,11 @@ class BatchSimulation:
         """
         bodies, robot = self.bodies, self.config.robot
         self.errors[i] = "a robot must be reset before it is advanced"
-        bodies.settle(i, standing_pose(self.worlds[i], robot, start))
+        T_world_base, touchable = standing_pose(self.worlds[i], robot, start), None
+        if self._walkers:
+            self._walkers[i].reset(start, np.random.default_rng((seed, WALKER_STREAM)))
+            touchable = self._walkers[i].touchable
+        bodies.settle(i, T_world_base, touchable)
         divergence = bodies.divergence(i)
         if divergence:
             raise SimulationError(divergence)
@@ -212,6 +229,7 @@ class BatchSimulation:
         for steps in bodies.body.substeps:
             dt = steps * bodies.body.timestep
             self._control.update(ids, commands, imu.rates, dt, bodies.ctrl)
+            self._walk(ids, dt)
             failed |= bodies.step(some, steps)
             touched |= bodies.touching()
             imu.read_rates(ids, bodies.qvel)
@@ -227,6 +245,13 @@ class BatchSimulation:
         self.touched[ids] = touched[ids]
         self._ticks[going] += 1
         self._scan_all([i for i in going.tolist() if self._scan_is_due(i)], after_scan)
+
+    def _walk(self, ids: IntArray, dt: float) -> None:
+        """Let the walkers walk, before the robots' next step."""
+        for i in ids.tolist() if self._walkers else ():
+            x, y = self.bodies.qpos[i, :2].tolist()
+            self._walkers[i].advance(dt, x, y)
+            self.bodies.mocap_pos[i] = self._walkers[i].touchable
 
     def _scan_is_due(self, i: int) -> bool:
         """Whether the lidar, at its own rate, has begun another scan in the last period."""

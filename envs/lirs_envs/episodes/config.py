@@ -45,6 +45,7 @@ class EnvConfig:
         randomize: names from `RANDOMIZED`, or a mapping from names to (lowest, highest) factor, None = the
             default; None = the task's own. `start`: anywhere free, else the world's first spawn pose;
             `terrain`: a new course in each episode; `sensor`: deviations of the lidar.
+        actors: number of walkers (see `lirs_envs.actors.walkers`).
         difficulty: 0 to 1, where the task has one.
         time_limit: seconds until an episode is truncated; None = the task's own.
 
@@ -62,6 +63,7 @@ class EnvConfig:
     control_hz: float = 10.0
     observe: Sequence[str] | None = None
     randomize: Sequence[str] | Mapping[str, Sequence[float] | None] | None = None
+    actors: int = 0
     difficulty: float = 0.5
     time_limit: float | None = None
     simulation: SimulationConfig = field(init=False, repr=False)
@@ -76,7 +78,11 @@ class EnvConfig:
             odometry=OdometryConfig(method=self.odometry), lidar=self.noise, rolling_scan=self.sweep
         )
         config = SimulationConfig(
-            robot=_paced(make_robot(self.robot)), lidar=self.lidar, noise=noise, contact_geometry=self.terrain
+            robot=_paced(make_robot(self.robot)),
+            lidar=self.lidar,
+            noise=noise,
+            contact_geometry=self.terrain,
+            actors=self.actors,
         )
         object.__setattr__(self, "simulation", config)
         _ = self.factors

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,6 +66,23 @@ def test_each_is_a_simulation_of_its_own(
         many.advance(np.arange(3), row)
         assert same(alone.advance(Twist(*row[1].tolist())), many.reading(1))
     assert alone.T_world_base == many.poses[1]
+
+
+@pytest.mark.parametrize("place", ["rough", "walled"])
+def test_walkers_are_those_of_a_simulation_of_its_own(place: str, rough: World, walled: World) -> None:
+    world = rough if place == "rough" else walled
+    config = replace(config_of("husky", "gyro", False), actors=12)
+    alone = Simulation(world, config, seed=7)
+    many = BatchSimulation(world, config, count=3, period=alone.period, threads=2)
+    for i in range(3):
+        many.reset(i, START, seed=7 if i == 1 else i)
+    assert same(alone.reset(START), many.reading(1))
+    for k, row in enumerate(commands("husky", 30, 3)):
+        if k == 10:
+            many = copy.deepcopy(many)
+        many.advance(np.arange(3), row)
+        assert same(alone.advance(Twist(*row[1].tolist())), many.reading(1))
+    assert not same(many.reading(0), many.reading(1))
 
 
 def test_threads_and_neighbors_change_nothing(rough: World) -> None:

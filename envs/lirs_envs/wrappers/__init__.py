@@ -1,0 +1,1 @@
+"""Wrappers of the environments: what a mapper makes of the scans, and a difficulty that follows success."""

@@ -1,0 +1,107 @@
+"""What a mapper makes of the scans, as an observation: learning on what SLAM sees."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from lirs_envs.sensing.sensors import Observation
+from lirs_wct.arrays import ByteArray
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.scan import Imu, LaserScan
+
+UNKNOWN, FREE, OCCUPIED = 0, 127, 255
+"""Values of the map's cells."""
+
+
+class Mapper(Protocol):
+    """Any mapper (see `slam_baselines.mapper.Mapper`)."""
+
+    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        """Return `T_map_base` with a scan added."""
+
+    def map(self) -> OccupancyGrid:
+        """Return the map so far."""
+
+
+class MapObservation(gym.Wrapper[Any, Any, Any, Any]):
+    """Adds `map_pose`, (3,) x, y, yaw of `T_map_base`, and `local_map` to a dict of observations.
+
+    `local_map`: (1, cells, cells) uint8, 0 = unknown, 127 = free, 255 = occupied; the mapper's own pose in
+    the middle, row 0 = ahead, column 0 = left. The mapper sees each scan once, when the lidar has a new one.
+
+    Args:
+        env: whose `view.reading()` gives scan, odometry and attitude, and whose observations are a dict.
+        make_mapper: returns a new mapper for each episode, such as `lambda: make_mapper("hector")`.
+        cells: along a side of the local map.
+        cell: edge of its cells, metres.
+
+    Raises:
+        ConfigError: the observations are no dict, or a size is not above 0.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        make_mapper: Callable[[], Mapper],
+        *,
+        cells: int = 64,
+        cell: float = 0.25,
+    ) -> None:
+        super().__init__(env)
+        if not isinstance(env.observation_space, spaces.Dict):
+            raise ConfigError("a map is added to observations that are a dict: wrap before flattening")
+        if cells < 1 or not 0 < cell < math.inf:
+            raise ConfigError(f"a local map needs cells of a size above 0, got {cells} of {cell} m")
+        self.observation_space = spaces.Dict(
+            {
+                **env.observation_space.spaces,
+                "map_pose": spaces.Box(-np.inf, np.inf, (3,), np.float64),
+                "local_map": spaces.Box(0, 255, (1, cells, cells), np.uint8),
+            }
+        )
+        self._make_mapper, self._cells, self._cell = make_mapper, cells, cell
+        self._pose, self._stamp = Pose2(), -math.inf
+        self.mapper: Mapper | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode with a new mapper."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self.mapper, self._stamp = self._make_mapper(), -math.inf
+        return self._with_map(observation), info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step, and let the mapper see a new scan."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return self._with_map(observation), float(reward), terminated, truncated, info
+
+    def _with_map(self, observation: dict[str, Any]) -> dict[str, Any]:
+        assert self.mapper is not None, "reset comes first"
+        reading: Observation = self.env.get_wrapper_attr("view").reading()
+        if reading.scan.stamp > self._stamp:
+            self._pose = self.mapper.update(reading.scan, reading.odometry, reading.imu)
+            self._stamp = reading.scan.stamp
+        local = local_map(self.mapper.map(), self._pose, self._cells, self._cell)
+        return observation | {"map_pose": self._pose.as_array(), "local_map": local}
+
+
+def local_map(grid: OccupancyGrid, T_map_base: Pose2, cells: int, cell: float) -> ByteArray:
+    """Return (1, cells, cells) of a map around a pose: row 0 = ahead, column 0 = left."""
+    offset = ((cells - 1) / 2 - np.arange(cells)) * cell
+    ahead, left = np.meshgrid(offset, offset, indexing="ij")
+    at = grid.cells(T_map_base.apply(np.stack((ahead, left), axis=-1)))
+    inside = np.all((at >= 0) & (at < np.array(grid.shape)), axis=-1)
+    held = np.where(inside[..., None], at, 0)
+    log_odds = np.where(inside, grid.log_odds[held[..., 0], held[..., 1]], np.nan)
+    probability = 1 / (1 + np.exp(-log_odds))
+    values = np.where(probability > 0.65, OCCUPIED, np.where(probability < 0.25, FREE, UNKNOWN))
+    return values.astype(np.uint8)[None]

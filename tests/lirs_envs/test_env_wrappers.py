@@ -1,0 +1,108 @@
+"""Wrappers: a difficulty that follows success, and what a mapper makes of the scans."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from lirs_envs.env import RobotEnv
+from lirs_envs.wrappers.curriculum import Curriculum
+from lirs_envs.wrappers.map_observation import FREE, OCCUPIED, UNKNOWN, MapObservation, local_map
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.world import World
+
+
+class Scripted(gym.Env[Any, Any]):
+    """Episodes of one step whose outcome is scripted."""
+
+    observation_space = gym.spaces.Discrete(1)
+    action_space = gym.spaces.Discrete(2)
+    difficulty = 0.0
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[int, dict[str, Any]]:
+        return 0, {}
+
+    def step(self, action: Any) -> tuple[int, float, bool, bool, dict[str, Any]]:
+        return 0, 0.0, True, False, {"success": bool(action)}
+
+
+def test_curriculum_follows_success() -> None:
+    inner = Scripted()
+    env = Curriculum(inner, difficulty=0.4, step=0.2, episodes=4, raise_at=0.75, lower_at=0.25)
+    told = []
+    for outcome in [1, 1, 1, 0] + [1] * 16 + [0] * 12 + [1, 0, 1, 0]:
+        told.append(env.reset()[1]["difficulty"])
+        assert inner.difficulty == told[-1]
+        env.step(outcome)
+    assert told[::4] == pytest.approx([0.4, 0.6, 0.8, 1.0, 1.0, 1.0, 0.8, 0.6, 0.4])
+    assert env.difficulty == pytest.approx(0.4)
+
+
+def test_curriculum_on_an_environment() -> None:
+    env = Curriculum(RobotEnv("traverse", kind="steps"), difficulty=0.3)
+    _, info = env.reset(seed=0)
+    assert info["difficulty"] == pytest.approx(0.3)
+    with pytest.raises(ConfigError, match="needs an environment with a difficulty"):
+        Curriculum(gym.make("CartPole-v1"))
+    with pytest.raises(ConfigError, match="0 <= lower_at < raise_at <= 1"):
+        Curriculum(Scripted(), raise_at=0.2)
+
+
+class Corner:
+    """A mapper that knows its pose by odometry, and one wall: north of y = 1, free south of it."""
+
+    def __init__(self) -> None:
+        self.stamps: list[float] = []
+
+    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        assert odometry is not None
+        assert imu is not None
+        self.stamps.append(scan.stamp)
+        return odometry
+
+    def map(self) -> OccupancyGrid:
+        p = np.full((40, 40), 0.02)
+        p[24:] = 0.98
+        p[:, :4] = np.nan
+        return OccupancyGrid.from_probability(p, 0.25, Pose2(-5.0, -5.0))
+
+
+def test_local_map_around_a_pose() -> None:
+    grid = Corner().map()
+    north = local_map(grid, Pose2(0.0, 0.0, np.pi / 2), 8, 0.25)[0]
+    # Row 0 is 0.875 m ahead, and the wall begins 1 m ahead.
+    assert (north == FREE).all()
+    north = local_map(grid, Pose2(0.0, 0.5, np.pi / 2), 8, 0.25)[0]
+    assert (north[:2] == OCCUPIED).all()
+    assert (north[2:] == FREE).all()
+    east = local_map(grid, Pose2(0.0, 0.5, 0.0), 8, 0.25)[0]
+    assert (east[:, :2] == OCCUPIED).all()
+    assert (east[:, 2:] == FREE).all()
+    west = local_map(grid, Pose2(-4.0, -4.0, np.pi), 16, 0.25)[0]
+    assert (west[:8] == UNKNOWN).all()
+
+
+def test_map_observation(plane: World) -> None:
+    env = MapObservation(RobotEnv("mapping", world=plane, control_hz=50), Corner, cells=16)
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    first = env.mapper
+    for _ in range(10):
+        observation, *_ = env.step(np.array((0.5, 0.2), np.float32))
+        assert env.observation_space.contains(observation)
+        assert observation["map_pose"] == pytest.approx(
+            env.unwrapped.view.reading().odometry.as_array(), abs=0.03
+        )
+    assert isinstance(first, Corner)
+    # The lidar's 25 Hz, not the 50 of the steps.
+    assert first.stamps == pytest.approx([0.0, 0.04, 0.08, 0.12, 0.16, 0.2])
+    env.reset()
+    assert env.mapper is not first
+    with pytest.raises(ConfigError, match="wrap before flattening"):
+        MapObservation(gym.wrappers.FlattenObservation(RobotEnv("mapping", world=plane)), Corner)
