@@ -52,6 +52,12 @@ class ExplorationMap:
         mask: BoolArray = near & (self.room > 0)
         return mask
 
+    def distance_to(self, cell: IntArray) -> FloatArray:
+        """Return (rows, cols) metres from each cell to one cell (2,), as the crow flies."""
+        rows, cols = np.ogrid[: self.known.shape[0], : self.known.shape[1]]
+        distance: FloatArray = np.hypot(rows - cell[0], cols - cell[1]) * self.grid.resolution
+        return distance
+
     def last_visits(self, stood: FloatArray, distance: float) -> IntArray:
         """Return (rows, cols) the index of the last of places (n, 2) within a distance; -1 = none."""
         visits = np.full(self.known.shape, -1, np.int32)

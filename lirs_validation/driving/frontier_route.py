@@ -115,7 +115,8 @@ class FrontierRoute:
     def _to_frontier(self, chart: ExplorationMap, pose: Pose2, first: IntArray) -> IntArray | None:
         """Return the cells (n, 2) to the best frontier; None where none can be reached."""
         goals = chart.goals(self._unseen(chart, pose), self._footprint + REACH)
-        goals[first[0], first[1]] = False
+        # A path shorter than a step ends as it begins: the robot would stand, and plan anew at every scan.
+        goals &= chart.distance_to(first) > 2 * self._config.step
         if not goals.any():
             return None
         local = pose.yaw - chart.grid.origin.yaw
@@ -133,7 +134,8 @@ class FrontierRoute:
         places = np.floor(chart.grid.centers(cells) / PLACE).astype(np.int64) @ (1, 1 << 32)
         distance = distance_in_sight(chart, pose, cells)
         looks = np.where(distance <= FAR, np.minimum(1.0, (NEAR / np.maximum(distance, NEAR)) ** 2), 0.0)
-        for place, look in dict(zip(places.tolist(), looks.tolist(), strict=True)).items():
+        looked = looks > 0
+        for place, look in dict(zip(places[looked].tolist(), looks[looked].tolist(), strict=True)).items():
             self._looks[place] = self._looks.get(place, 0.0) + look
         spent = [place for place, looked in self._looks.items() if looked >= LOOKS]
         frontier[tuple(cells[np.isin(places, spent)].T)] = False

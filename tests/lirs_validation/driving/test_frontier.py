@@ -96,6 +96,20 @@ def test_it_maps_both_rooms_and_stays_clear_of_walls() -> None:
     assert not driver.stuck
 
 
+def test_beside_a_frontier_behind_it_the_robot_does_not_creep() -> None:
+    """A path of a cell ended as it began: the next was planned at the next scan, and the next."""
+    p = np.full((60, 90), 0.1)
+    p[[0, -1]] = p[:, -1] = 0.9
+    p[:, :10] = np.nan
+    config = DriverConfig()
+    route = FrontierRoute(lambda: OccupancyGrid.from_probability(p, 0.1), FOOTPRINT, CLEARANCE, config)
+    route.path(Pose2(4.0, 3.0), 0.0, None)
+    for k, x in enumerate((1.3, 1.4, 1.5, 1.6), start=1):
+        path = route.path(Pose2(x, 3.0), float(k), 0.0)
+        assert path is not None
+        assert np.linalg.norm(np.diff(path.points, axis=0), axis=1).sum() > config.step
+
+
 def test_its_drive_is_the_same_in_whatever_frame_the_mapper_has() -> None:
     """It knows nothing but the mapper's pose and map: both shifted alike, nothing changes."""
     _, plain, _ = explored(Pose2(), 10.0)
