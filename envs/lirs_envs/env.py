@@ -5,19 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 import gymnasium as gym
-import mujoco
 import numpy as np
 
 from lirs_envs.episodes.config import EnvConfig
 from lirs_envs.episodes.episodes import Episodes, EpisodeView
+from lirs_envs.rendering.snapshot import Snapshot
+from lirs_envs.rendering.views import RENDER_MODES, Views, check_render_mode
 from lirs_envs.tasks.traverse import MIXED
 from lirs_wct.arrays import ByteArray, Float32Array
-from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.pose import Pose2
 
 Observed = dict[str, Any]
-RENDER_MODES = ("rgb_array",)
-PICTURE = (480, 640)
-"""Height and width of a rendered picture, pixels."""
 ROW = np.zeros(1, np.int64)
 
 
@@ -40,7 +39,7 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
     Args:
         task: `mapping`, `navigation` or `traverse`.
         kind: of the course, where the task is to cross one.
-        render_mode: `rgb_array` or None.
+        render_mode: `human`, `rgb_array`, `depth_array`, `map` (see `lirs_envs.rendering.views`) or None.
         **options: fields of `EnvConfig`.
     """
 
@@ -56,7 +55,8 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
         self.action_space = self.episodes.action_space
         self.observation_space = self.episodes.observations.space
         self.view = EpisodeView(self.episodes, 0)
-        self._renderer: mujoco.Renderer | None = None
+        self._views = Views()
+        self._path: list[Pose2] = []
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -64,6 +64,7 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
         """Begin an episode (see `Episodes.reset`)."""
         super().reset(seed=seed)
         self.episodes.reset(0, self.np_random, options)
+        self._path.clear()
         return self._observed(), self._info()
 
     def step(self, action: Float32Array) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
@@ -82,24 +83,20 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
     def difficulty(self, value: float) -> None:
         self.view.difficulty = value
 
-    def render(self) -> ByteArray | None:
-        """Return a picture (480, 640, 3) from the chase camera; needs OpenGL (EGL without a screen)."""
+    def render(self) -> ByteArray | Float32Array | None:
+        """Return what the render mode shows (see `lirs_envs.rendering.views.Views.render`).
+
+        The path on a map is through the places where `render` was called.
+        """
         if self.render_mode is None:
             return None
-        bodies = self.episodes.simulation.bodies
-        if self._renderer is None:
-            self._renderer = make_renderer(bodies.models[0])
-        return picture_of(self._renderer, bodies.data(0))
+        snapshot, scan = snapshot_of(self.episodes, 0), self.view.reading().scan
+        self._path.append(snapshot.T_world_base.to_pose2())
+        return self._views.render(self.render_mode, snapshot, path=self._path, scan=scan)
 
     def close(self) -> None:
-        """Free the renderer."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        # A renderer belongs to the environment that made it.
-        return self.__dict__ | {"_renderer": None}
+        """Free what OpenGL holds, and close the window."""
+        self._views.close()
 
     def _observed(self) -> Observed:
         return {name: values[0] for name, values in self.episodes.observations.read(ROW).items()}
@@ -123,36 +120,13 @@ def make_config(options: dict[str, Any]) -> EnvConfig:
         raise ConfigError(f"unknown option of the environment: {error}") from None
 
 
-def check_render_mode(render_mode: str | None) -> None:
-    """Check a render mode.
-
-    Raises:
-        ConfigError: there is no such mode.
-    """
-    if render_mode not in (None, *RENDER_MODES):
-        raise ConfigError(f"unknown render mode {render_mode!r}; legal: {', '.join(RENDER_MODES)}, None")
-
-
-def make_renderer(model: mujoco.MjModel) -> mujoco.Renderer:
-    """Return a renderer.
-
-    Raises:
-        SimulationError: there is no OpenGL.
-    """
-    try:
-        return mujoco.Renderer(model, *PICTURE)
-    except Exception as error:
-        # MuJoCo and PyOpenGL raise whatever the platform gives them.
-        raise SimulationError(
-            "render_mode 'rgb_array' needs OpenGL: a screen, or libegl1 libegl-mesa0 libgl1-mesa-dri "
-            f"libopengl0 and lirs_envs imported before mujoco (or MUJOCO_GL=egl): {error}"
-        ) from error
-
-
-def picture_of(renderer: mujoco.Renderer, data: mujoco.MjData) -> ByteArray:
-    """Return a picture (480, 640, 3) from the chase camera."""
-    view = mujoco.MjvOption()
-    view.geomgroup[:] = (1, 1, 1, 1, 0, 1)
-    renderer.update_scene(data, camera="chase", scene_option=view)
-    picture: ByteArray = renderer.render()
-    return picture
+def snapshot_of(episodes: Episodes, i: int) -> Snapshot:
+    """Return what is drawn of episode `i`."""
+    simulation, goal = episodes.simulation, episodes.task.goal(i)
+    return Snapshot(
+        world=simulation.worlds[i],
+        config=simulation.config,
+        qpos=simulation.bodies.qpos[i].copy(),
+        walkers=simulation.walkers(i),
+        goal=None if goal is None else Pose2(*goal),
+    )

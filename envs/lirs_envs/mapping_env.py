@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import mujoco
 import numpy as np
 from gymnasium import spaces
 
 from lirs_envs.coverage import CoverageGrid
 from lirs_envs.lidar.casters import resolve_rays
 from lirs_envs.lidar.noise import NoiseLevel
+from lirs_envs.rendering.snapshot import Snapshot
+from lirs_envs.rendering.views import RENDER_MODES, Views, check_render_mode
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.odometry import Method, OdometryConfig
@@ -22,12 +23,10 @@ from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.arrays import ByteArray, Float32Array
 from lirs_wct.contact.contact_geometry import ContactGeometry
-from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.errors import SimulationError
 from lirs_wct.world import World, build_world
 
 Observed = dict[str, Any]
-PICTURE = (480, 640)
-"""Height and width of a rendered picture, pixels."""
 
 
 class MappingEnv(gym.Env[Observed, Float32Array]):
@@ -55,12 +54,12 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
         noise: of the lidar: `none`, `simulated` or `datasheet`.
         sweep: whether scans are rolling (see `SensorNoise.rolling_scan`).
         rays: whose rays meet the world: `builtin` (also `ours`) or `mujoco` (see `SimulationConfig`).
-        render_mode: `rgb_array` or None.
+        render_mode: `human`, `rgb_array`, `depth_array`, `map` (see `lirs_envs.rendering.views`) or None.
 
     A reset sets the robot on one of the world's start poses, drawn at random.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012  Gymnasium's contract
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 25}  # noqa: RUF012  Gymnasium's contract
 
     def __init__(
         self,
@@ -75,8 +74,7 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
         rays: str = "builtin",
         render_mode: str | None = None,
     ) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ConfigError(f"unknown render mode {render_mode!r}; legal: rgb_array, None")
+        check_render_mode(render_mode)
         self.render_mode = render_mode
         place = world if isinstance(world, World) else _built(str(world), _stamp(str(world)))
         config = SimulationConfig(
@@ -97,7 +95,7 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
                 "attitude": spaces.Box(-np.pi, np.pi, (2,), np.float64),
             }
         )
-        self._renderer: mujoco.Renderer | None = None
+        self._views = Views()
         self._last: Observation | None = None
 
     def reset(
@@ -136,29 +134,16 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
         self._last = observation
         return _arrays(observation), reward, bool(reason), False, self._info(reason)
 
-    def render(self) -> ByteArray | None:
-        """Return a picture (480, 640, 3) from the chase camera; needs OpenGL (EGL without a screen)."""
+    def render(self) -> ByteArray | Float32Array | None:
+        """Return what the render mode shows (see `lirs_envs.rendering.views.Views.render`)."""
         if self.render_mode is None:
             return None
-        body = self.simulation.body
-        if self._renderer is None:
-            self._renderer = _renderer(body.model)
-        view = mujoco.MjvOption()
-        view.geomgroup[:] = (1, 1, 1, 1, 0, 1)
-        mujoco.mj_forward(body.model, body.data)
-        self._renderer.update_scene(body.data, camera="chase", scene_option=view)
-        picture: ByteArray = self._renderer.render()
-        return picture
+        scan = None if self._last is None else self._last.scan
+        return self._views.render(self.render_mode, Snapshot.of(self.simulation), scan=scan)
 
     def close(self) -> None:
-        """Free the renderer."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        # A renderer belongs to the environment that made it.
-        return self.__dict__ | {"_renderer": None}
+        """Free what OpenGL holds, and close the window."""
+        self._views.close()
 
     def _reason(self) -> str:
         if self.simulation.tipped:
@@ -168,17 +153,6 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
     def _info(self, reason: str = "") -> dict[str, Any]:
         T = self.simulation.T_world_base.to_pose2()
         return {"T_world_base": T.as_array(), "seen_area": self._coverage.area, "reason": reason}
-
-
-def _renderer(model: mujoco.MjModel) -> mujoco.Renderer:
-    try:
-        return mujoco.Renderer(model, *PICTURE)
-    except Exception as error:
-        # MuJoCo and PyOpenGL raise whatever the platform gives them.
-        raise SimulationError(
-            "render_mode 'rgb_array' needs OpenGL: a screen, or libegl1 libegl-mesa0 libgl1-mesa-dri "
-            f"libopengl0 and lirs_envs imported before mujoco (or MUJOCO_GL=egl): {error}"
-        ) from error
 
 
 def _arrays(observation: Observation) -> Observed:

@@ -6,17 +6,18 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
-import mujoco
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from lirs_envs.env import RENDER_MODES, Observed, check_render_mode, make_config, make_renderer, picture_of
+from lirs_envs.env import Observed, make_config, snapshot_of
 from lirs_envs.episodes.episodes import Episodes, EpisodeView
+from lirs_envs.rendering.views import RENDER_MODES, Views, check_render_mode
 from lirs_envs.tasks.traverse import MIXED
-from lirs_wct.arrays import BoolArray, ByteArray, FloatArray, IntArray
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.pose import Pose2
 
 Stepped = tuple[Observed, FloatArray, BoolArray, BoolArray, dict[str, Any]]
 
@@ -34,12 +35,12 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         autoreset_mode: `NextStep`, `SameStep` or `Disabled` (see Gymnasium's `AutoresetMode`).
         threads: number of threads; None = all processors of this process.
         max_episode_steps: truncates an episode before its time limit does; None = it does not.
-        render_mode: `rgb_array` or None.
+        render_mode: `rgb_array`, `depth_array`, `map` (see `lirs_envs.rendering.views`) or None.
         **options: fields of `EnvConfig`.
     """
 
     metadata = {  # noqa: RUF012  Gymnasium's contract
-        "render_modes": list(RENDER_MODES),
+        "render_modes": [mode for mode in RENDER_MODES if mode != "human"],
         "render_fps": 10,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
@@ -58,7 +59,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
     ) -> None:
         if num_envs < 1:
             raise ConfigError(f"num_envs must be at least 1, got {num_envs}")
-        check_render_mode(render_mode)
+        check_render_mode(render_mode, self.metadata["render_modes"])
         self.num_envs, self.render_mode = num_envs, render_mode
         threads = len(os.sched_getaffinity(0)) if threads is None else threads
         self.episodes = Episodes(
@@ -80,7 +81,8 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
         self._all = np.arange(num_envs)
         self._over: BoolArray = np.zeros(num_envs, np.bool_)
-        self._renderers: dict[int, mujoco.Renderer] = {}
+        self._pictures = [Views() for _ in range(num_envs)]
+        self._paths: list[list[Pose2]] = [[] for _ in range(num_envs)]
 
     def reset(
         self,
@@ -142,25 +144,27 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
                 rng, _ = seeding.np_random()
                 self._rngs[i] = rng
             self.episodes.reset(i, rng, options)
+            self._paths[i].clear()
         self._over[ids] = False
 
-    def render(self) -> tuple[ByteArray, ...] | None:
-        """Return a picture (480, 640, 3) of each environment; needs OpenGL (EGL without a screen)."""
+    def render(self) -> tuple[Any, ...] | None:
+        """Return what the render mode shows of each environment (see `RobotEnv.render`)."""
         if self.render_mode is None:
             return None
-        bodies, pictures = self.episodes.simulation.bodies, []
-        for i in range(self.num_envs):
-            model = bodies.models[i]
-            if id(model) not in self._renderers:
-                self._renderers[id(model)] = make_renderer(model)
-            pictures.append(picture_of(self._renderers[id(model)], bodies.data(i)))
-        return tuple(pictures)
+        worlds, shown = self.episodes.simulation.worlds, []
+        alike = all(world is worlds[0] for world in worlds)
+        for i, view in enumerate(self.views):
+            snapshot, path = snapshot_of(self.episodes, i), self._paths[i]
+            path.append(snapshot.T_world_base.to_pose2())
+            # One scene for all that are in one world.
+            views = self._pictures[0 if alike else i]
+            shown.append(views.render(self.render_mode, snapshot, path=path, scan=view.reading().scan))
+        return tuple(shown)
 
     def close_extras(self, **_: Any) -> None:
-        """Free the renderers and threads."""
-        for renderer in self._renderers.values():
-            renderer.close()
-        self._renderers.clear()
+        """Free what OpenGL holds, and the threads."""
+        for views in self._pictures:
+            views.close()
         self.episodes.simulation.close()
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
@@ -184,9 +188,6 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
             raise ConfigError(f"set_attr needs {self.num_envs} values of {name!r}, got {len(each)}")
         for view, value in zip(self.views, each, strict=True):
             setattr(view, name, value)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_renderers": {}}
 
     def _observed(self) -> Observed:
         return self.episodes.observations.read(self._all)

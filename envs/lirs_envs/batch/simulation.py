@@ -285,6 +285,10 @@ class BatchSimulation:
         """Return the seconds since robot `i` was reset."""
         return float(self._ticks[i] * self.period)
 
+    def walkers(self, i: int) -> FloatArray:
+        """Return (n, 3) middles of the walkers around robot `i`, metres."""
+        return self._walkers[i].centers.copy() if self._walkers else np.zeros((0, 3))
+
     def surface(self, i: int) -> HeightField:
         """Return the ground of robot `i`."""
         return self._surfaces[i]

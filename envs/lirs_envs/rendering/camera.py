@@ -1,0 +1,103 @@
+"""Pictures and depths of a camera, through OpenGL."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from lirs_envs.rendering.scene import Scene, scene_options
+from lirs_envs.rendering.snapshot import Snapshot
+from lirs_wct.arrays import ByteArray, Float32Array
+from lirs_wct.errors import SimulationError
+
+SHAPE = (480, 640)
+"""Height and width of a picture, pixels."""
+CHASE = "chase"
+"""The camera behind a robot, which every robot has."""
+GOAL_HEIGHT, GOAL_RADIUS, GOAL_COLOR = 2.0, 0.06, (0.85, 0.1, 0.2, 1.0)
+
+
+class Camera:
+    """A camera on the scenes of a simulation; the scene is made anew where another world is shown.
+
+    Args:
+        shape: height and width of a picture, pixels.
+        name: of the camera in the robot's MJCF file.
+    """
+
+    def __init__(self, shape: tuple[int, int] = SHAPE, name: str = CHASE) -> None:
+        self._shape, self._name = shape, name
+        self._options = scene_options()
+        self._scene: Scene | None = None
+        self._renderer: mujoco.Renderer | None = None
+
+    def rgb(self, snapshot: Snapshot) -> ByteArray:
+        """Return a picture (height, width, 3).
+
+        Raises:
+            SimulationError: there is no OpenGL.
+        """
+        renderer = self._see(snapshot)
+        if snapshot.goal is not None:
+            _mark_goal(renderer.scene, snapshot)
+        picture: ByteArray = renderer.render()
+        return picture
+
+    def depth(self, snapshot: Snapshot) -> Float32Array:
+        """Return (height, width) float32 distances from the camera's plane, metres; the sky is far away.
+
+        Raises:
+            SimulationError: there is no OpenGL.
+        """
+        renderer = self._see(snapshot)
+        renderer.enable_depth_rendering()
+        try:
+            depth: Float32Array = renderer.render()
+        finally:
+            renderer.disable_depth_rendering()
+        return depth
+
+    def close(self) -> None:
+        """Free what OpenGL holds; a picture after that makes it anew."""
+        if self._renderer is not None:
+            self._renderer.close()
+        self._renderer = self._scene = None
+
+    def _see(self, snapshot: Snapshot) -> mujoco.Renderer:
+        if self._scene is None or self._scene.world is not snapshot.world:
+            self.close()
+            self._scene = Scene(snapshot.world, snapshot.config)
+        self._scene.place(snapshot)
+        if self._renderer is None:
+            self._renderer = _make_renderer(self._scene.model, self._shape)
+        self._renderer.update_scene(self._scene.data, camera=self._name, scene_option=self._options)
+        self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
+        return self._renderer
+
+
+def _make_renderer(model: mujoco.MjModel, shape: tuple[int, int]) -> mujoco.Renderer:
+    try:
+        return mujoco.Renderer(model, *shape)
+    except Exception as error:
+        # MuJoCo and PyOpenGL raise whatever the platform gives them.
+        raise SimulationError(
+            "a picture needs OpenGL: a screen, or libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0 and "
+            f"lirs_envs imported before mujoco (or MUJOCO_GL=egl); render mode map needs none: {error}"
+        ) from error
+
+
+def _mark_goal(scene: mujoco.MjvScene, snapshot: Snapshot) -> None:
+    """Add a pole at the goal."""
+    goal = snapshot.goal
+    if goal is None or scene.ngeom >= scene.maxgeom:
+        return
+    ground = float(snapshot.world.surface.height_at(goal.x, goal.y))
+    mujoco.mjv_initGeom(
+        scene.geoms[scene.ngeom],
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        size=np.array((GOAL_RADIUS, GOAL_HEIGHT / 2, 0.0)),
+        pos=np.array((goal.x, goal.y, ground + GOAL_HEIGHT / 2)),
+        mat=np.eye(3).ravel(),
+        rgba=np.array(GOAL_COLOR, np.float32),
+    )
+    scene.ngeom += 1

@@ -1,0 +1,106 @@
+"""The map from above: ground, walls, robot, path, scan and goal; without OpenGL."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_envs.actors.walkers import RADIUS
+from lirs_envs.rendering.snapshot import Snapshot
+from lirs_wct.arrays import ByteArray, FloatArray, Int32Array
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.meshing.ground_texture import ground_texture
+from lirs_wct.world import World
+
+PIXELS = 640
+"""Longer side of a picture."""
+ROBOT, OUTLINE = (30, 30, 35), (255, 255, 255)
+PATH, SCAN, GOAL, WALKER = (20, 80, 200), (200, 40, 40), (215, 25, 60), (60, 90, 150)
+"""Colors: red, green, blue."""
+LEAST_RADIUS = 5
+"""A robot is drawn at least this large, pixels."""
+FRACTION = 4
+"""Binary digits of a pixel that OpenCV draws with."""
+
+
+class MapView:
+    """Pictures of a world from above, row 0 = north; the ground is drawn once a world."""
+
+    def __init__(self, pixels: int = PIXELS) -> None:
+        self._pixels = pixels
+        self._world: World | None = None
+
+    def picture(
+        self, snapshot: Snapshot, *, path: Sequence[Pose2] = (), scan: LaserScan | None = None
+    ) -> ByteArray:
+        """Return a picture (rows, cols, 3) of the whole world.
+
+        Args:
+            snapshot: that is shown.
+            path: driven until now.
+            scan: taken at the snapshot; its hits are shown.
+        """
+        if self._world is not snapshot.world:
+            self._world, self._ground = snapshot.world, self._draw_ground(snapshot.world)
+        picture = self._ground.copy()
+        if len(path) > 1:
+            points = self._pixel(np.array([(pose.x, pose.y) for pose in path]))
+            cv2.polylines(picture, [points], False, PATH, 2, cv2.LINE_AA, FRACTION)
+        for x, y in self._pixel(snapshot.walkers[:, :2]).tolist():
+            radius = round(2**FRACTION * max(RADIUS * self._per_metre, 2.5))
+            cv2.circle(picture, (x, y), radius, WALKER, cv2.FILLED, cv2.LINE_AA, FRACTION)
+        if scan is not None:
+            self._draw_scan(picture, snapshot, scan)
+        if snapshot.goal is not None:
+            self._draw_goal(picture, snapshot.goal)
+        self._draw_robot(picture, snapshot)
+        return picture
+
+    def _draw_ground(self, world: World) -> ByteArray:
+        """Return the ground's picture, and note its scale."""
+        width, depth = world.surface.size
+        self._per_metre = self._pixels / max(width, depth)
+        west, _, _, north = world.surface.bounds
+        self._corner = np.array((west, north))
+        square = ground_texture(world.surface, world.walls)[..., ::-1]
+        rows, cols = (max(1, round(side * self._per_metre)) for side in (depth, width))
+        # The texture's square begins in the south-west.
+        share = len(square) / max(width, depth)
+        filled = square[len(square) - max(1, round(depth * share)) :, : max(1, round(width * share))]
+        return np.ascontiguousarray(cv2.resize(filled, (cols, rows), interpolation=cv2.INTER_AREA), np.uint8)
+
+    def _pixel(self, points: FloatArray) -> Int32Array:
+        """Return (n, 2) column and row of points (n, 2) in the world, in fractions of a pixel."""
+        pixels = (points - self._corner) * (self._per_metre, -self._per_metre)
+        fractions: Int32Array = np.round(np.clip(pixels, -1e4, 1e4) * 2**FRACTION).astype(np.int32)
+        return fractions
+
+    def _draw_scan(self, picture: ByteArray, snapshot: Snapshot, scan: LaserScan) -> None:
+        hits = np.isfinite(scan.ranges)
+        ranges, angles = scan.ranges[hits].astype(np.float64), scan.angles[hits]
+        in_laser = np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles), np.zeros(len(ranges))))
+        T = snapshot.T_world_base @ scan.T_base_laser
+        points = in_laser @ T.rotation.T + np.array(T.position)
+        for x, y in self._pixel(points[:, :2]).tolist():
+            cv2.circle(picture, (x, y), 2**FRACTION, SCAN, cv2.FILLED, cv2.LINE_AA, FRACTION)
+
+    def _draw_goal(self, picture: ByteArray, goal: Pose2) -> None:
+        x, y = self._pixel(np.array(((goal.x, goal.y),)))[0].tolist()
+        for radius, width in ((9, 2), (3, cv2.FILLED)):
+            cv2.circle(picture, (x, y), radius << FRACTION, GOAL, width, cv2.LINE_AA, FRACTION)
+
+    def _draw_robot(self, picture: ByteArray, snapshot: Snapshot) -> None:
+        """Draw an arrowhead as long as the robot."""
+        here = snapshot.T_world_base.to_pose2()
+        radius = max(snapshot.config.robot.radius, LEAST_RADIUS / self._per_metre)
+        turns = np.array((0.0, 2.5, math.pi, -2.5)) + here.yaw
+        reach = radius * np.array((1.3, 1.1, 0.4, 1.1))
+        corners = np.column_stack((here.x + reach * np.cos(turns), here.y + reach * np.sin(turns)))
+        outline: NDArray[np.int32] = self._pixel(corners)
+        cv2.fillPoly(picture, [outline], ROBOT, cv2.LINE_AA, FRACTION)
+        cv2.polylines(picture, [outline], True, OUTLINE, 1, cv2.LINE_AA, FRACTION)
