@@ -108,9 +108,10 @@ def _add_ground(spec: mujoco.MjSpec, world: World) -> None:
     spec.add_texture(name="ground", type=mujoco.mjtTexture.mjTEXTURE_2D, file=file)
     material = spec.add_material(name="ground", specular=0.0, shininess=0.0)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ground"
-    west, south, _, _ = world.surface.bounds
+    (west, south, _, _), span = world.surface.bounds, max(world.surface.size)
     for k, tile in enumerate(split_tiles(_with_creases(_ground_mesh(world)), aim=MUJOCO_FACES // 2)):
-        uv = (tile.vertices[:, :2] - (west, south)) / max(world.surface.size)
+        # v runs from the picture's first row, which is in the north.
+        uv = (tile.vertices[:, :2] - (west, south + span)) / (span, -span)
         spec.add_mesh(
             name=f"ground{k}",
             uservert=tile.vertices.ravel(),

@@ -35,7 +35,7 @@ def simulation(world: World, robot: Robot, **config: Any) -> Simulation:
     return sim
 
 
-def drawn(make: Callable[[], Array], in_ci: bool) -> Array:
+def drawn(make: Callable[[], Any], in_ci: bool) -> Any:
     try:
         return make()
     except SimulationError as error:
@@ -103,6 +103,34 @@ def test_the_drawn_ground_is_the_true_one_within_its_error(rough: World, husky: 
         missed += abs(100.0 - far - z) > MAX_ERROR + 0.005
     # Where the robot stands.
     assert missed <= 3
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("source", ["terrain", "office"])
+def test_the_ground_wears_its_texture_where_it_belongs(source: str, in_ci: bool) -> None:
+    """From straight above, the picture is the map."""
+    terrain = generate("gaps", 0.9, np.random.default_rng(4)).world()
+    world = terrain if source == "terrain" else build_world("examples/data/office.yaml")
+    sim = simulation(world, make_robot("turtlebot2"))
+    scene = Scene(world, sim.config)
+    scene.place(Snapshot.of(sim))
+    west, south, east, north = world.surface.bounds
+    above = mujoco.MjvCamera()
+    above.lookat[:] = (west + east) / 2, (south + north) / 2, 0.0
+    above.azimuth, above.elevation, above.distance = 90.0, -90.0, 400.0
+    side = max(east - west, north - south)
+    scene.model.vis.global_.fovy = 2 * math.degrees(math.atan(side / 2 / above.distance))
+    renderer = drawn(lambda: mujoco.Renderer(scene.model, 200, 200), in_ci)
+    renderer.update_scene(scene.data, camera=above)
+    picture = renderer.render()
+    renderer.close()
+    expected = MapView(200).picture(Snapshot.of(sim))
+    margin = (200 - expected.shape[0]) // 2
+    part = picture[margin : margin + expected.shape[0]]
+    turned = [part, part[::-1], part[:, ::-1], part[::-1, ::-1]]
+    alike = [np.corrcoef(one.ravel(), expected.ravel())[0, 1] for one in turned]
+    assert alike[0] > 0.6
+    assert alike[0] > max(alike[1:]) + 0.05
 
 
 @pytest.mark.render
