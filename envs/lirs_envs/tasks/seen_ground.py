@@ -132,37 +132,39 @@ def _mark_beam(
     per_u, per_v = inverse(du), inverse(dv)
     far_u, far_v = 0.0 if per_u != 0.0 else FAR, 0.0 if per_v != 0.0 else FAR
     east, north = 1 if du > 0.0 else 0, 1 if dv > 0.0 else 0
+    step_u, step_v = 2 * east - 1, 2 * north - 1
     i, j, t = math.floor(u0), math.floor(v0), 0.0
     new, new_wanted = 0, 0
     while t < t_end and 0 <= i < cols and 0 <= j < rows:
         c, r = i >> LEVEL, j >> LEVEL
         block_u = (BLOCK * (c + east) - u0) * per_u + far_u
         block_v = (BLOCK * (r + north) - v0) * per_v + far_v
-        leave = max(t, min(block_u, block_v, t_end))
-        if z0 + (leave if dz < 0.0 else t) * dz > highest[r, c]:
-            t = leave
-            if block_u <= block_v:
-                i = BLOCK * (c + east) + east - 1
-                j = min(max(math.floor(v0 + t * dv), BLOCK * r), BLOCK * r + BLOCK - 1)
-            else:
-                j = BLOCK * (r + north) + north - 1
-                i = min(max(math.floor(u0 + t * du), BLOCK * c), BLOCK * c + BLOCK - 1)
-            continue
-        before = new
-        while t < t_end and i >> LEVEL == c and j >> LEVEL == r and i < cols and j < rows:
-            tu, tv = (i + east - u0) * per_u + far_u, (j + north - v0) * per_v + far_v
-            t_out = max(t, min(tu, tv, t_end))
-            if z0 + 0.5 * (t + t_out) * dz <= ceiling[j, i]:
-                ceiling[j, i] = DONE
-                new += 1
-                new_wanted += wanted[j, i]
-            t = t_out
-            if tu <= tv:
-                i += 2 * east - 1
-            else:
-                j += 2 * north - 1
-        if new > before:
-            highest[r, c] = _highest(ceiling, r, c)
+        leave = min(block_u, block_v, t_end)
+        if z0 + (leave if dz < 0.0 else t) * dz <= highest[np.uint64(r), np.uint64(c)]:
+            top, stale = highest[np.uint64(r), np.uint64(c)], False
+            z, half = z0 + 0.5 * t * dz, 0.5 * dz
+            while t < leave and i < cols and j < rows:
+                tu, tv = (i + east - u0) * per_u + far_u, (j + north - v0) * per_v + far_v
+                t_out = min(tu, tv, leave)
+                row, col = np.uint64(j), np.uint64(i)
+                if z + half * t_out <= ceiling[row, col]:
+                    stale = stale or ceiling[row, col] == top
+                    ceiling[row, col] = DONE
+                    new += 1
+                    new_wanted += wanted[row, col]
+                # Without a branch: which side a beam leaves a cell by cannot be foretold.
+                i += step_u if tu <= tv else 0
+                j += 0 if tu <= tv else step_v
+                t = t_out
+                z = z0 + half * t
+            if stale:
+                highest[r, c] = _highest(ceiling, r, c)
+        t = max(t, leave)
+        across = block_u <= block_v
+        at_u = min(max(math.floor(u0 + t * du), BLOCK * c), BLOCK * c + BLOCK - 1)
+        at_v = min(max(math.floor(v0 + t * dv), BLOCK * r), BLOCK * r + BLOCK - 1)
+        i = BLOCK * (c + east) + east - 1 if across else at_u
+        j = at_v if across else BLOCK * (r + north) + north - 1
     return new, new_wanted
 
 

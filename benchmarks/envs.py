@@ -1,0 +1,226 @@
+"""Time of an environment step: what it costs beyond physics and rays, on two threads, and beside its peers.
+
+    python benchmarks/envs.py [--quick] [--json FILE]
+
+16 Huskys map `medium`, 25 steps a second, each with a scan, by random actions that are held for ten steps.
+Times are of the processor, all threads of this process together, but where it says wall: other programs
+lengthen those less. Rounds of all that is compared follow each other, and medians of the rounds are told.
+
+The floor is what MuJoCo and the rays need: the recorded controls through `mujoco.batch` alone, and the rays
+of every scan from the recorded poses, both in the same batches. AsyncVectorEnv is measured by the wall, and
+so is what it is compared with.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import json
+import os
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
+from mujoco.batch import Batch
+from rich.console import Console
+from rich.table import Table
+
+import lirs_envs  # noqa: F401  registers
+from lirs_envs.tasks.seen_ground import SeenGround
+from lirs_envs.tasks.site import seen_frame
+from lirs_envs.vector_env import RobotVectorEnv
+
+N, HELD = 16, 10
+TASK: dict[str, Any] = {"world": "medium", "robot": "husky", "control_hz": 25, "time_limit": 1e6}
+OLD = {"world": "medium", "robot": "husky"}
+LIMITS = {
+    "cpu_over_physics_and_rays": ("processor time of a step / (physics + rays)", "<=", 1.25),
+    "thread_speedup": ("wall time of one thread / of two", ">=", 1.7),
+    "marking_over_rays": ("marking the seen ground / rays", "<=", 0.6),
+    "sync_over_vector": ("SyncVectorEnv / vector, processor time", ">=", 1.0),
+    "async_over_vector": ("AsyncVectorEnv / vector on as many threads, wall time", ">=", 1.0),
+}
+"""What is asked: in words, at most or at least, and how much."""
+Step = Callable[[int], Any]
+
+
+def timed(step: Step, steps: int, clock: Callable[[], float]) -> float:
+    """Return microseconds an environment step."""
+    begin = clock()
+    for k in range(steps):
+        step(k)
+    return (clock() - begin) / steps / N * 1e6
+
+
+def medians(
+    steps_of: dict[str, tuple[Step, Callable[[], float]]], rounds: int, steps: int
+) -> dict[str, float]:
+    """Return the median over interleaved rounds of each; a first round, which compiles, does not count."""
+    times: dict[str, list[float]] = {name: [] for name in steps_of}
+    for turn in range(rounds + 1):
+        for name, (step, clock) in steps_of.items():
+            told = timed(step, steps, clock)
+            if turn:
+                times[name].append(told)
+    return {name: float(np.median(values)) for name, values in times.items()}
+
+
+def actions(steps: int) -> np.ndarray:
+    """Return (steps, N, 2) random actions that are held."""
+    drawn = np.random.default_rng(0).uniform(-1, 1, (-(-steps // HELD), N, 2)).astype(np.float32)
+    return np.repeat(drawn, HELD, axis=0)[:steps]
+
+
+def vector(threads: int) -> RobotVectorEnv:
+    """Return the vector environment, begun."""
+    env = RobotVectorEnv(N, "mapping", threads=threads, **TASK)
+    env.reset(seed=0)
+    return env
+
+
+class Recording:
+    """States, controls and poses of a stretch of steps, to be replayed."""
+
+    def __init__(self, steps: int, told: np.ndarray) -> None:
+        env = vector(1)
+        self.simulation = env.episodes.simulation
+        bodies = self.simulation.bodies
+        self.beams = self.simulation._lidars
+        self.substeps = bodies.body.substeps
+        self.state = bodies._batch.state.copy()
+        self.batch = Batch(bodies.body.model, N, 1)
+        self.batch.bind("sensordata")
+        self.controls: list[np.ndarray] = []
+        self.poses: list[list[Any]] = []
+        self.ranges: list[np.ndarray] = []
+        step = bodies.step
+
+        def recorded(ids: Any, count: int) -> dict[int, str]:
+            self.controls.append(bodies.ctrl.copy())
+            return step(ids, count)
+
+        bodies.step = recorded  # type: ignore[method-assign]
+        for k in range(steps):
+            env.step(told[k])
+            self.poses.append(list(self.simulation.poses))
+            self.ranges.append(self.simulation.ranges.copy())
+        robot, preset = self.simulation.config.robot, self.simulation.config.preset
+        mount = robot.T_base_laser
+        self.range_max = preset.range_max
+        self.begun = SeenGround(N, preset.directions @ mount.rotation.T, mount.position, 1.0)
+        frame = seen_frame(self.simulation.worlds[0])
+        for i in range(N):
+            self.begun.begin(i, frame, np.isfinite(frame.height))
+            self.begun.add(i, self.ranges[0][i], self.range_max, self.poses[0][i])
+        self.rays = [
+            [lidar._rays(T, None) for lidar, T in zip(self.beams, poses, strict=True) if lidar is not None]
+            for poses in self.poses
+        ]
+
+    def physics(self, k: int) -> None:
+        """Replay the controls of a step."""
+        if k == 0:
+            self.batch.state[:] = self.state
+        for u, steps in enumerate(self.substeps):
+            self.batch.ctrl[:] = self.controls[k * len(self.substeps) + u]
+            self.batch.step(nstep=steps)
+
+    def cast(self, k: int) -> None:
+        """Cast the rays of a step."""
+        for caster, (origin, directions) in zip(self.simulation.casters, self.rays[k], strict=True):
+            caster.ranges(origin, directions, self.range_max)
+
+    def mark(self, k: int) -> None:
+        """Mark the ground that the scans of a step saw, where the reset's scan has marked its own."""
+        if k == 0:
+            self.seen = copy.deepcopy(self.begun)
+        for i in range(N):
+            self.seen.add(i, self.ranges[k][i], self.range_max, self.poses[k][i])
+
+
+def main() -> None:
+    """Measure, and say what is kept."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="fewer steps and rounds")
+    parser.add_argument("--json", type=Path, help="write the figures to this file")
+    given = parser.parse_args()
+    rounds, steps = (3, 20) if given.quick else (9, 100)
+    warnings.simplefilter("ignore")
+    told = actions(steps)
+    found = measure(rounds, steps, told)
+    show(found)
+    if given.json:
+        given.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+def measure(rounds: int, steps: int, told: np.ndarray) -> dict[str, float]:
+    """Return all figures."""
+    recording = Recording(steps, told)
+    one, two, several = vector(1), vector(2), vector(len(os.sched_getaffinity(0)))
+    sync = SyncVectorEnv([lambda: gym.make("LIRS/Mapping-v1", **TASK) for _ in range(N)])
+    old = SyncVectorEnv([lambda: gym.make("LIRS/Mapping-v0", **OLD) for _ in range(N)])
+    sync.reset(seed=0)
+    old.reset(seed=0)
+    cpu, wall = time.process_time, time.perf_counter
+    times = medians(
+        {
+            "vector": (lambda k: one.step(told[k]), cpu),
+            "physics": (recording.physics, cpu),
+            "rays": (recording.cast, cpu),
+            "marking": (recording.mark, cpu),
+            "sync": (lambda k: sync.step(told[k]), cpu),
+            "old_sync": (lambda k: old.step(told[k]), cpu),
+            "wall_1": (lambda k: one.step(told[k]), wall),
+            "wall_2": (lambda k: two.step(told[k]), wall),
+        },
+        rounds,
+        steps,
+    )
+    peers = AsyncVectorEnv([lambda: gym.make("LIRS/Mapping-v1", **TASK) for _ in range(N)])
+    peers.reset(seed=0)
+    times |= medians(
+        {
+            "wall_async": (lambda k: peers.step(told[k]), wall),
+            "wall_all": (lambda k: several.step(told[k]), wall),
+        },
+        rounds,
+        steps,
+    )
+    peers.close()
+    return {f"{name}_us": value for name, value in times.items()} | ratios(times)
+
+
+def ratios(times: dict[str, float]) -> dict[str, float]:
+    """Return what is asked for, and how much faster than the old single step."""
+    return {
+        "cpu_over_physics_and_rays": times["vector"] / (times["physics"] + times["rays"]),
+        "thread_speedup": times["wall_1"] / times["wall_2"],
+        "marking_over_rays": times["marking"] / times["rays"],
+        "sync_over_vector": times["sync"] / times["vector"],
+        "async_over_vector": times["wall_async"] / times["wall_all"],
+        "old_sync_over_vector": times["old_sync"] / times["vector"],
+    }
+
+
+def show(found: dict[str, float]) -> None:
+    """Print the figures, and which limits they keep."""
+    table = Table("16 Huskys on medium", "figure", "asked", "kept")
+    for name, value in found.items():
+        words, sign, limit = LIMITS.get(name, (name, "", 0.0))
+        kept = "" if not sign else "yes" if (value <= limit if sign == "<=" else value >= limit) else "NO"
+        table.add_row(
+            words,
+            f"{value:.2f}" if value < 100 else f"{value:.0f}",
+            f"{sign} {limit:g}" if sign else "",
+            kept,
+        )
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()
