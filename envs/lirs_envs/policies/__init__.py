@@ -1,0 +1,1 @@
+"""Policies that need no learning: what a learnt one is compared with."""

@@ -1,0 +1,106 @@
+"""Go to the goal around what the scan shows: a reactive baseline without a map.
+
+Of a fan of headings the robot takes one near the goal's bearing along which a disc as large as the robot can
+go far, as in the vector field histogram (Borenstein and Koren 1991) with that way in place of a histogram.
+Where it makes no progress for a while it backs off.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from lirs_envs.policies.policy import PolicyContext
+from lirs_wct.arrays import Float32Array, FloatArray
+
+MARGIN = 0.15
+"""Metres that are kept beside the robot."""
+HORIZON = 4.0
+"""Farther obstacles count for nothing, metres."""
+HEADINGS = np.radians(np.arange(-132, 133, 4))
+"""Headings that are looked at, from the robot's own."""
+DETOUR, CHANGE = 1.6, 0.35
+"""Radians off the goal that a horizon of free way is worth, and cost of a radian off the last heading."""
+CAUTION = 1.0
+"""Seconds of way that the robot keeps free ahead of it."""
+PATIENCE, BACK_OFF = 6.0, 1.5
+"""Seconds without progress after which the robot backs off, and for how long."""
+PROGRESS = 0.3
+"""Metres nearer to the goal that count as progress."""
+
+
+class GoToGoal:
+    """Speed and turn rate from scan and goal; of a robot that flies the height stays."""
+
+    def __init__(self, context: PolicyContext) -> None:
+        robot, lidar = context.robot, context.lidar
+        self._size, self._period = context.action_size, context.period
+        self._radius = robot.radius + MARGIN
+        self._speed, self._turn = robot.max_speed, robot.max_turn_rate
+        angles = lidar.angle_min + lidar.angle_increment * np.arange(lidar.beams)
+        self._beams = np.column_stack((np.cos(angles), np.sin(angles)))
+        self._range_max = lidar.range_max
+        self._mount = np.array(robot.T_base_laser.position[:2])
+        self._rng = np.random.default_rng(context.seed)
+        self._begin()
+
+    def _begin(self) -> None:
+        self._heading, self._nearest, self._waited, self._backing = 0.0, math.inf, 0.0, 0.0
+        self._side = 1.0
+
+    def reset(self, info: Mapping[str, Any]) -> None:
+        """Begin an episode."""
+        self._begin()
+
+    def act(self, observation: Mapping[str, Any]) -> Float32Array:
+        """Return the action.
+
+        Args:
+            observation: with the groups `scan` and `goal`.
+        """
+        distance, bearing = (float(value) for value in observation["goal"])
+        free = self._free_ways(np.asarray(observation["scan"], dtype=np.float64), distance)
+        if self._must_back_off(distance):
+            return self._action(-0.4 * self._speed, self._side * 0.5 * self._turn)
+        off_goal = np.abs(np.remainder(HEADINGS - bearing + math.pi, 2 * math.pi) - math.pi)
+        cost = off_goal + CHANGE * np.abs(HEADINGS - self._heading)
+        reach = min(HORIZON, max(distance, self._radius))
+        cost -= DETOUR * np.minimum(free, reach) / reach
+        best = int(np.argmin(cost))
+        self._heading = heading = float(HEADINGS[best])
+        ahead = float(np.interp(0.0, HEADINGS, free))
+        speed = min(self._speed, ahead / CAUTION, distance) * max(0.0, math.cos(heading)) ** 2
+        return self._action(speed, 1.5 * heading)
+
+    def _free_ways(self, scan: FloatArray, distance: float) -> FloatArray:
+        """Return metres that the robot's disc can go along each heading, at most the horizon."""
+        hit = (scan > 0.0) & (scan < min(self._range_max, HORIZON + self._radius, distance + self._radius))
+        points = scan[hit, None] * self._beams[hit] + self._mount
+        ahead = points @ np.array((np.cos(HEADINGS), np.sin(HEADINGS)))
+        beside = points @ np.array((-np.sin(HEADINGS), np.cos(HEADINGS)))
+        inside = self._radius**2 - beside**2
+        way = np.where((inside > 0) & (ahead > 0), ahead - np.sqrt(np.maximum(inside, 0)), HORIZON)
+        least: FloatArray = np.clip(way.min(axis=0, initial=HORIZON), 0.0, HORIZON)
+        return least
+
+    def _must_back_off(self, distance: float) -> bool:
+        """Note the progress; whether the robot is backing off."""
+        if self._backing > 0:
+            self._backing -= self._period
+            return True
+        if distance < self._nearest - PROGRESS:
+            self._nearest, self._waited = distance, 0.0
+        self._waited += self._period
+        if self._waited > PATIENCE:
+            self._waited, self._backing, self._nearest = 0.0, BACK_OFF, distance
+            self._side = float(self._rng.choice((-1.0, 1.0)))
+        return False
+
+    def _action(self, speed: float, turn_rate: float) -> Float32Array:
+        action = np.zeros(self._size, np.float32)
+        action[0] = np.clip(speed / self._speed, -1, 1)
+        action[1] = np.clip(turn_rate / self._turn, -1, 1)
+        return action
