@@ -1,4 +1,4 @@
-"""LIRS/Mapping-v0: drive so that the lidar observes as much of the world as possible."""
+"""LIRS/Mapping-v0, deprecated: its reward counts sky, and driving straight on earns the most."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Observed = dict[str, Any]
 
 
 class MappingEnv(gym.Env[Observed, Float32Array]):
-    """One robot that maps one world; a step is one period of its lidar.
+    """One robot that maps one world; a step is one period of its lidar. Deprecated: take `LIRS/Mapping-v1`.
 
     Observation:
         scan: (beams,) float32 metres. The space is a finite box: nothing in range (+inf in the LaserScan) is

@@ -1,0 +1,155 @@
+"""Tasks: rewards that add up to what they stand for, ends that are told, goals that can be reached."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from lirs_envs.env import RobotEnv
+from lirs_envs.tasks.site import SEEN_CELL
+from lirs_envs.tasks.task import CONTACT_COST, EFFORT_COST
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.world import World
+
+AHEAD = np.array((1.0, 0.0), np.float32)
+
+
+def test_mapping_reward_is_the_ground_newly_seen(rough: World) -> None:
+    env = RobotEnv("mapping", world=rough)
+    _, first = env.reset(seed=1)
+    total = 0.0
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        action = rng.uniform(-1, 1, 2)
+        _, reward, *_, info = env.step(action)
+        cost = (CONTACT_COST * info["contact"] + EFFORT_COST * (action**2).mean()) * 0.1
+        assert reward + cost >= -1e-9
+        total += reward + cost
+    assert total > 5
+    assert info["seen_area"] == pytest.approx(first["seen_area"] + total)
+    seen = env.episodes.stage.seen
+    assert seen is not None
+    assert info["seen_area"] == pytest.approx(seen.seen(0).sum() * SEEN_CELL**2)
+    assert 0 < info["coverage"] < 1
+
+
+def test_mapping_ends_when_the_reachable_ground_is_seen(walled: World) -> None:
+    env = RobotEnv("mapping", world=walled)
+    env.reset(seed=3)
+    seen = env.episodes.stage.seen
+    assert seen is not None
+    wanted = env.episodes.task.ground(0)[1]
+    seen.wanted_cells[0] = int(0.94 * wanted.sum())
+    *_, terminated, _, info = env.step(np.zeros(2))
+    assert not terminated
+    seen.wanted_cells[0] = math.ceil(0.95 * wanted.sum())
+    *_, terminated, _, info = env.step(np.zeros(2))
+    assert (terminated, info["reason"]) == (True, "covered")
+
+
+def test_navigation_reward_is_the_way_gained(rough: World) -> None:
+    env = RobotEnv("navigation", world=rough, observe=["goal", "scan"])
+    checked = 0
+    for seed in range(4):
+        observation, info = env.reset(seed=seed)
+        T = env.view.T_world_base
+        dx, dy = info["goal"] - (T.x, T.y)
+        distance, bearing = observation["goal"].tolist()
+        assert distance == pytest.approx(math.hypot(dx, dy))
+        assert info["distance"] == pytest.approx(distance)
+        assert math.cos(bearing) == pytest.approx(math.cos(math.atan2(dy, dx) - T.yaw))
+        assert info["shortest_path"] >= distance - 0.3
+        gained, way = 0.0, info["shortest_path"]
+        for _ in range(25):
+            _, reward, terminated, _, info = env.step(AHEAD)
+            if terminated:
+                break
+            gained += reward + EFFORT_COST * 0.5 * 0.1 + CONTACT_COST * info["contact"] * 0.1
+        site, T = env.episodes.stage.site, env.view.T_world_base
+        left = site.distances(*info["goal"])[tuple(site.grid.cells((T.x, T.y)))]
+        if not terminated and np.isfinite(left):
+            # What is left of the way and what was gained make the whole.
+            assert gained + left == pytest.approx(way, abs=0.6)
+            checked += 1
+    assert checked >= 2
+
+
+def test_navigation_succeeds_at_the_goal(plane: World) -> None:
+    env = RobotEnv("navigation", world=plane)
+    _, info = env.reset(seed=0, options={"start": [0, 0, 0], "goal": [3, 0]})
+    assert info["shortest_path"] == pytest.approx(3.0, abs=0.3)
+    total = 0.0
+    for _ in range(40):
+        _, reward, terminated, _, info = env.step(AHEAD)
+        total += reward
+        if terminated:
+            break
+    assert (info["success"], info["reason"], info["collision"]) == (True, "success", False)
+    assert info["distance"] <= 0.58
+    assert total == pytest.approx(10 + 3.0 - 0.58, abs=0.5)
+
+
+def test_navigation_ends_at_a_collision(walled: World) -> None:
+    env = RobotEnv("navigation", world=walled)
+    env.reset(seed=0, options={"start": Pose2(1.5, 0.0, 0.4), "goal": [0.0, -3.0]})
+    for _ in range(60):
+        _, reward, terminated, _, info = env.step(AHEAD)
+        if terminated:
+            break
+    assert (info["collision"], info["success"], info["reason"]) == (True, False, "collision")
+    assert reward < -4
+
+
+def test_difficulty_lengthens_the_way_and_roughens_it(rough: World) -> None:
+    ways = {}
+    for difficulty in (0.0, 1.0):
+        env = RobotEnv("navigation", world=rough, difficulty=difficulty)
+        ways[difficulty] = np.mean([env.reset(seed=s)[1]["shortest_path"] for s in range(6)])
+        assert all(env.reset(seed=s)[1]["redrawn"] < 100 for s in range(3))
+    assert ways[0.0] < 4
+    assert ways[1.0] > 10
+
+
+def test_traverse_progress_and_success() -> None:
+    env = RobotEnv("traverse", kind="waves", difficulty=0.0)
+    observation, info = env.reset(seed=2)
+    assert set(observation) == {"scan", "goal", "attitude", "height_map"}
+    first, total = info["distance"], 0.0
+    for _ in range(450):
+        bearing = float(observation["goal"][1])
+        action = np.array((1.0 if abs(bearing) < 0.5 else 0.2, np.clip(bearing, -1, 1)))
+        observation, reward, terminated, truncated, info = env.step(action)
+        total += reward + 0.1 * (EFFORT_COST * (action**2).mean() + CONTACT_COST * info["contact"])
+        if terminated or truncated:
+            break
+    assert info["reason"] == "success"
+    assert info["progress"] == pytest.approx(first - info["distance"])
+    assert total == pytest.approx(10 + info["progress"])
+
+
+def test_a_new_course_in_each_episode_or_the_same() -> None:
+    def courses(randomize: list[str]) -> list[bytes]:
+        env = RobotEnv("traverse", kind="stones", randomize=randomize)
+        found = []
+        for seed in (1, None, None):
+            env.reset(seed=seed)
+            found.append(env.view.world.surface.z.tobytes())
+        return found
+
+    assert len(set(courses(["terrain"]))) == 3
+    assert len(set(courses([]))) == 1
+
+
+def test_height_map_is_the_ground_around(rough: World) -> None:
+    env = RobotEnv("mapping", world=rough, observe=["height_map"])
+    for seed in range(3):
+        heights = env.reset(seed=seed)[0]["height_map"]
+        T = env.view.T_world_base
+        for row, col in ((0, 0), (10, 20), (31, 5)):
+            ahead, left = (15.5 - row) * 0.2, (15.5 - col) * 0.2
+            x, y = T.to_pose2().apply((ahead, left)).tolist()
+            if rough.surface.contains(x, y):
+                expected = float(rough.surface.height_at(x, y)) - T.z
+                assert heights[row, col] == pytest.approx(expected, abs=1e-4)
