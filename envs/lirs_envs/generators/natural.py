@@ -15,9 +15,9 @@ EDGE = 50.0
 """Side of a natural terrain, metres."""
 
 
-def fractal(rng: np.random.Generator, hurst: float = 1.0) -> FloatArray:
+def fractal(rng: np.random.Generator, hurst: float = 1.0, nodes: int = NODES) -> FloatArray:
     """Return (n, n) heights 0 to 1 of spectral synthesis (Saupe 1988): amplitudes fall with k^-(H + 1)."""
-    f = np.fft.fftfreq(NODES)
+    f = np.fft.fftfreq(nodes)
     k = np.hypot(f[:, None], f)
     k[0, 0] = np.inf
     z = np.fft.ifft2(k ** -(hurst + 1) * np.exp(2j * np.pi * rng.random(k.shape))).real

@@ -46,13 +46,13 @@ def slopes(difficulty: float, rng: np.random.Generator) -> Obstacles:
 
 def steps(difficulty: float, rng: np.random.Generator) -> Obstacles:
     """Return terraces with upright risers, up and down at random."""
-    riser = at_difficulty(difficulty, 0.04, 0.22, 0.36)
+    riser = at_difficulty(difficulty, 0.04, 0.22, 0.34)
     treads = rng.uniform(1.2, 2.2, 30)
     level = _folded(np.cumsum(rng.choice((-1, 1), 30)), 4)
     at = np.cumsum(treads) - treads.sum() / 2
     bend = rng.uniform(0.3, 1.0) * np.sin(2 * math.pi * Y / rng.uniform(12, 25) + rng.uniform(0, 2 * math.pi))
     z: FloatArray = np.float64(riser) * level[np.clip(np.searchsorted(at, X + bend) - 1, 0, 29)]
-    return z, np.array(cv2.GaussianBlur(z, (0, 0), 8), dtype=np.float64)
+    return z, np.array(cv2.GaussianBlur(z.astype(np.float32), (0, 0), 10), dtype=np.float64)
 
 
 def _folded(level: IntArray, most: int) -> IntArray:
@@ -89,8 +89,8 @@ def craters(difficulty: float, rng: np.random.Generator) -> Obstacles:
     bowl, rim = np.zeros((NODES, NODES)), np.zeros((NODES, NODES))
     for _ in range(round(at_difficulty(difficulty, 16, 60, 70))):
         east, north, radius = rng.uniform(-HALF, HALF), rng.uniform(-HALF, HALF), rng.uniform(0.9, largest)
-        cols = _nodes_within(east, 1.6 * radius)
-        rows = _nodes_within(-north, 1.6 * radius)
+        cols = nodes_within(east, 1.6 * radius)
+        rows = nodes_within(-north, 1.6 * radius)
         distance = np.hypot(X[:, cols] - east, Y[rows] - north) / radius
         depth = steepness * radius
         bowl[rows, cols] = np.minimum(bowl[rows, cols], -depth * np.clip(1 - distance**2, 0, None))
@@ -100,7 +100,7 @@ def craters(difficulty: float, rng: np.random.Generator) -> Obstacles:
     return z, z * min(1.0, GENTLE / (2 * steepness))
 
 
-def _nodes_within(middle: float, reach: float) -> slice:
+def nodes_within(middle: float, reach: float) -> slice:
     """Return the nodes along an axis whose coordinate is within reach of a middle."""
     first, last = np.searchsorted(X[0], (middle - reach, middle + reach))
     return slice(int(first), int(last))

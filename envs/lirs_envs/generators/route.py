@@ -42,5 +42,5 @@ def distance_to_route(route: FloatArray) -> Float32Array:
     pixels = np.round(np.column_stack((route[:, 0] + HALF, HALF - route[:, 1])) / CELL).astype(np.int32)
     off_route = np.ones((NODES, NODES), np.uint8)
     cv2.polylines(off_route, [pixels], isClosed=False, color=(0,))
-    distance = cv2.distanceTransform(off_route, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    distance = cv2.distanceTransform(off_route, cv2.DIST_L2, cv2.DIST_MASK_5)
     return np.asarray(distance * CELL, dtype=np.float32)

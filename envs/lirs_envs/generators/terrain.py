@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from lirs_envs.generators.maze import maze
-from lirs_envs.generators.natural import fractal
-from lirs_envs.generators.obstacles import OBSTACLES, at_difficulty
-from lirs_envs.generators.route import CELL, HALF, distance_to_route, winding_route
+from lirs_envs.generators.natural import NODES, fractal
+from lirs_envs.generators.obstacles import OBSTACLES, X, Y, at_difficulty, nodes_within
+from lirs_envs.generators.route import CELL, distance_to_route, winding_route
 from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.field_validators import is_finite
@@ -23,8 +24,10 @@ KINDS = (*OBSTACLES, "mazes")
 """Kinds of courses."""
 PAD = 0.9
 """Radius of the level ground around start and goal, metres."""
-SHOULDER, PAD_SHOULDER = 0.8, 2.0
+SHOULDER, PAD_SHOULDER = 0.8, 2.4
 """Width over which gentle and level ground go over into the rest, metres."""
+COARSE = 64
+"""Nodes along a side from which the rolling ground is interpolated."""
 HEIGHT_RANGE = (-2.8, 3.4)
 """No course reaches below or above, metres at scale 1: room for every course in one model."""
 
@@ -82,7 +85,7 @@ def generate(
         raise ConfigError(f"difficulty of a terrain must be 0 to 1, got {difficulty}")
     if not (is_finite(scale) and scale > 0):
         raise ConfigError(f"scale of a terrain must be a finite number above 0, got {scale}")
-    ground = at_difficulty(difficulty, 0.05, 0.15, 0.3) * (fractal(rng) - 0.5)
+    ground = _undulation(at_difficulty(difficulty, 0.05, 0.15, 0.3), rng)
     if kind == "mazes":
         rooms, open_share = at_difficulty(difficulty, 5, 7, 9), at_difficulty(difficulty, 0.6, 0.1, 0.0)
         walls, route = maze(round(rooms), open_share, rng)
@@ -111,17 +114,24 @@ def _crossing(kind: str, difficulty: float, rng: np.random.Generator) -> tuple[F
     share = _smooth_step((distance_to_route(route) - half_width) / SHOULDER)
     z = gentle + share * (obstacles - gentle)
     for x, y in (route[0], route[-1]):
-        z = _with_pad(z, float(x), float(y))
+        _level(z, float(x), float(y))
     return z, route
 
 
-def _with_pad(z: FloatArray, x: float, y: float) -> FloatArray:
-    """Return heights that are level around a point."""
-    nodes = np.linspace(-HALF, HALF, len(z))
-    distance = np.hypot(nodes - x, nodes[::-1, None] - y)
-    level = z[distance <= PAD].mean()
-    levelled: FloatArray = level + _smooth_step((distance - PAD) / PAD_SHOULDER) * (z - level)
-    return levelled
+def _undulation(relief: float, rng: np.random.Generator) -> FloatArray:
+    """Return (n, n) heights of gently rolling ground around 0, metres."""
+    coarse = relief * (fractal(rng, nodes=COARSE) - 0.5)
+    return np.asarray(cv2.resize(coarse, (NODES, NODES), interpolation=cv2.INTER_CUBIC), dtype=np.float64)
+
+
+def _level(z: FloatArray, x: float, y: float) -> None:
+    """Level the ground around a point, in place."""
+    reach = PAD + PAD_SHOULDER
+    cols, rows = nodes_within(x, reach), nodes_within(-y, reach)
+    distance = np.hypot(X[:, cols] - x, Y[rows] - y)
+    part = z[rows, cols]
+    level = part[distance <= PAD].mean()
+    z[rows, cols] = level + _smooth_step((distance - PAD) / PAD_SHOULDER) * (part - level)
 
 
 def _smooth_step(t: FloatArray | Float32Array) -> FloatArray:
