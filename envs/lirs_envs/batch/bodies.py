@@ -13,11 +13,12 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from mujoco.batch import SimulationError as BatchError
+from numba import njit
 
 from lirs_envs.collisions import DIVERGENCE_WARNINGS
 from lirs_envs.robot_model import CONTACT_SENSOR, SETTLING_TIME, RobotModel, base_pose
 from lirs_envs.robots.robot import Robot
-from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, Vector3
+from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, Vector3
 from lirs_wct.geometry.pose import Pose3
 
 WARNINGS = [int(warning) for warning in DIVERGENCE_WARNINGS]
@@ -115,10 +116,9 @@ class Bodies:
             self.step(row, math.ceil(SETTLING_TIME / self.body.timestep))
         self._batch.bind("time")[i] = 0.0
 
-    def touching(self) -> BoolArray:
-        """(N,) whether a geom that is no wheel touches anything, at the beginning of the last step."""
-        found: BoolArray = np.any(self._sensordata[:, self._touch] > 0, axis=1)
-        return found
+    def add_touching(self, touched: BoolArray) -> None:
+        """Mark in (N,) whose geoms that are no wheels touch anything, at the beginning of the last step."""
+        _add_touching(self._sensordata, self._touch, touched)
 
     def specific_force(self) -> FloatArray:
         """(N, 3) true readings of the accelerometers along the bases' axes, m/s^2."""
@@ -149,6 +149,14 @@ class Bodies:
         data = self._batch.get_data(i)
         mujoco.mj_forward(self.models[i], data)
         return data
+
+
+@njit(cache=True, nogil=True)
+def _add_touching(sensordata: FloatArray, sensors: IntArray, touched: BoolArray) -> None:
+    for i in range(len(touched)):
+        for k in sensors:
+            if sensordata[i, k] > 0.0:
+                touched[i] = True
 
 
 class BodyView:

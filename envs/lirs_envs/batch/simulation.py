@@ -231,7 +231,7 @@ class BatchSimulation:
             self._control.update(ids, commands, imu.rates, dt, bodies.ctrl)
             self._walk(ids, dt)
             failed |= bodies.step(some, steps)
-            touched |= bodies.touching()
+            bodies.add_touching(touched)
             imu.read_rates(ids, bodies.qvel)
             self._odometry.integrate(ids, bodies.qpos, imu.rates, imu.attitude, dt)
         for i in {*failed, *ids[bodies.diverged()[ids]].tolist()}:
