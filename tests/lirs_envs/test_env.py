@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import copy
+import gc
 import json
 import pickle
+import resource
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -283,3 +286,30 @@ def test_random_flight_holds_out() -> None:
     for _ in range(20):
         env.step(np.array((0.0, 0.0, 1.0), np.float32))
     assert view.T_world_base.z > before + 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads the memory from /proc")
+@pytest.mark.parametrize("name", ["LIRS/Mapping-v1", "LIRS/Traverse-v0"])
+def test_memory_does_not_grow(name: str) -> None:
+    """Episodes keep no records: 60 resets and 800 steps, of which a leak of 25 kB a reset would show."""
+
+    def megabytes() -> float:
+        gc.collect()
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
+
+    env = gym.make(name, time_limit=5.0)
+    env.reset(seed=0)
+
+    def run(resets: int, steps: int) -> None:
+        for _ in range(resets):
+            env.reset()
+        for _ in range(steps):
+            *_, terminated, truncated, _ = env.step(np.array((0.5, 0.1), np.float32))
+            if terminated or truncated:
+                env.reset()
+
+    run(20, 200)
+    before = megabytes()
+    run(60, 800)
+    assert megabytes() - before < 1.5
