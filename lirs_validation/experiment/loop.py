@@ -149,8 +149,9 @@ def _map(
     estimate = mapper.update(observation.scan, observation.odometry, observation.imu)
     done = time.perf_counter()
     log.observations.append(observation)
-    if simulation.walker_beams is not None:
-        log.walker_beams.append(simulation.walker_beams)
+    walker_beams = simulation.walker_beams
+    if walker_beams is not None:
+        log.walker_beams.append(walker_beams)
     log.truth.append(simulation.T_world_base)
     log.estimates.append(estimate)
     log.mapper_seconds.append(done - handed)

@@ -114,6 +114,7 @@ def test_a_record_that_is_none_is_named(tmp_path: Path) -> None:
 class Puppet:
     """Simulation, driver and mapper in one, each of which can fail at a tick."""
 
+    walker_beams = None
     period = 0.04
     start = Pose2()
     T_world_base = Pose3()
