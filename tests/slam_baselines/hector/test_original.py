@@ -136,3 +136,14 @@ def test_outside_its_map_it_follows_the_odometry() -> None:
 def test_illegal_config(bad: dict[str, float]) -> None:
     with pytest.raises(ConfigError):
         HectorOriginalConfig(**bad)
+
+
+@pytest.mark.shared
+def test_a_map_of_its_size_holds_a_sparse_log_of_a_campus(shared_data: Path, tmp_path: Path) -> None:
+    """The drive leads 54 m away from its start; the original has an ATE of 0.73 m there."""
+    folder = shared_data / "logs" / "edmonton"
+    log, mapper = read_carmen(folder / "edmonton.clf.gz"), make_mapper("hector_original")
+    for scan, odometry in zip(log.scans, log.odometry, strict=True):
+        mapper.update(scan, odometry, None)
+    truth = unpacked(folder / "reference_poses.tum.gz", tmp_path)
+    assert 0.73 / 2 < trajectory_errors(truth, mapper.trajectory()).ate_rmse < 2 * 0.73
