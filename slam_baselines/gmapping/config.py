@@ -12,6 +12,7 @@ from slam_baselines.mapping.ground_filter import GroundFilterConfig
 from slam_baselines.matching.tracking_monitor import TrackingConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
 from slam_baselines.motion.gyro_bias import GyroBiasConfig
+from slam_baselines.scan.interpolation import InterpolationConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +34,9 @@ class GmappingConfig(ProposalConfig):
         delta: edge of a map's cell, metres.
         maxUrange: range from which on hits count as free up to here, metres; infinite: beams without return
             are left out.
+        sparse_distance: distance between two scans, a radian of turn counted as a metre, from which on the
+            later one is matched by the wider search, and its hits are interpolated, metres.
+        interpolation: of hits along surfaces.
         tracking: share of the beams on known cells that end at a wall, below which a processed scan does not
             enter the maps.
         bootstrap: when the first metres on uneven ground are refined.
@@ -57,6 +61,8 @@ class GmappingConfig(ProposalConfig):
     ogain: float = 0.5
     delta: float = 0.05
     maxUrange: float = math.inf  # noqa: N815
+    sparse_distance: float = 0.4
+    interpolation: InterpolationConfig = field(default_factory=InterpolationConfig)
     tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(lost_score=0.3, lost_after=3))
     bootstrap: BootstrapConfig = field(default_factory=lambda: BootstrapConfig(first=2.0))
     ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
@@ -76,6 +82,7 @@ class GmappingConfig(ProposalConfig):
             "ogain",
             "delta",
             "maxUrange",
+            "sparse_distance",
             "mahalanobis_gate",
         )
         require_at_least(self, 0, "linearUpdate", "angularUpdate")

@@ -249,22 +249,69 @@ def match(view: Any, beams: Any, prior: Any, start: Any, tuning: Any, H: Any) ->
 
 @njit(cache=True)
 def search(view: Any, beams: Any, prior: Any, tuning: Any) -> Any:
-    """Return the (3,) pose of the best score in a window around the prior, by trying all."""
-    stride = max(1, len(beams.points) // 60)
-    some = Beams(np.ascontiguousarray(beams.points[::stride]), beams.weights[::stride] * stride)
+    """Return the (3,) pose of the best score in a window around the prior, by trying all.
+
+    Olson 2009, "Real-time correlative scan matching": the scan is rotated once for each yaw, then shifted by
+    whole cells of a coarser map, in which a miss by one cell counts half.
+    """
+    stride = max(1, len(beams.points) // 120)
+    points, weights = beams.points[::stride], beams.weights[::stride] * stride
     n, turns = int(tuning.llsamplerange / tuning.lstep), int(tuning.lasamplerange / tuning.astep)
-    best, highest = prior.pose.copy(), -np.inf
-    pose = np.empty(3)
+    cell = tuning.lstep
+    walls, row0, col0 = _coarse_walls(view, points, prior.pose, cell, tuning.llsamplerange)
+    rows, cols = walls.shape
+    at_row, at_col = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
+    best, highest, pose = prior.pose.copy(), -np.inf, np.empty(3)
     for k in range(-turns, turns + 1):
-        for i in range(-n, n + 1):
-            for j in range(-n, n + 1):
-                pose[0], pose[1] = prior.pose[0] + i * tuning.lstep, prior.pose[1] + j * tuning.lstep
-                pose[2] = prior.pose[2] + k * tuning.astep
-                value = score(view, some, pose, tuning) + log_prior(pose, prior)
+        pose[2] = prior.pose[2] + k * tuning.astep
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        for i in range(len(points)):
+            x, y = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
+            at_row[i] = int(np.floor((prior.pose[1] + y) / cell)) - row0
+            at_col[i] = int(np.floor((prior.pose[0] + x) / cell)) - col0
+        for dr in range(-n, n + 1):
+            for dc in range(-n, n + 1):
+                pose[0], pose[1] = prior.pose[0] + dc * cell, prior.pose[1] + dr * cell
+                value = log_prior(pose, prior)
+                for i in range(len(points)):
+                    r, q = at_row[i] + dr, at_col[i] + dc
+                    near = walls[r, q] if 0 <= r < rows and 0 <= q < cols else 0
+                    value -= weights[i] * NOTHING * (1 - 0.5 * near)
                 if value > highest:
                     highest = value
                     best[:] = pose
     return best
+
+
+@njit(cache=True)
+def _coarse_walls(view: Any, points: Any, pose: Any, cell: float, margin: float) -> Any:
+    """Return (rows, cols) 2 on walls, 1 beside them, 0 elsewhere; and row and column of the first cell.
+
+    Covers what beams from around a pose reach.
+    """
+    reach = np.sqrt((points[:, 0] ** 2 + points[:, 1] ** 2).max()) + margin + 2 * cell
+    row0, col0 = int(np.floor((pose[1] - reach) / cell)), int(np.floor((pose[0] - reach) / cell))
+    side = int(2 * reach / cell) + 2
+    walls = np.zeros((side, side), np.uint8)
+    table, res, patches = view.table, view.resolution, view.patches
+    for r in range(table.shape[0]):
+        for c in range(table.shape[1]):
+            p = table[r, c]
+            if p == ABSENT or patches.record[p] == ABSENT:
+                continue
+            record = patches.record[p]
+            for k in range(1 << (2 * BITS)):
+                if patches.log_odds[p, k] <= 0 or patches.min_slope[record, k] < view.wall_slope:
+                    continue
+                y = (((view.corner[0] + r) << BITS) + (k >> BITS) + 0.5) * res
+                x = (((view.corner[1] + c) << BITS) + (k & MASK) + 0.5) * res
+                row, col = int(np.floor(y / cell)) - row0, int(np.floor(x / cell)) - col0
+                if 0 < row < side - 1 and 0 < col < side - 1:
+                    walls[row, col] = 2
+                    for i in range(row - 1, row + 2):
+                        for j in range(col - 1, col + 2):
+                            walls[i, j] = max(walls[i, j], 1)
+    return walls, row0, col0
 
 
 @njit(cache=True)

@@ -26,6 +26,7 @@ from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.matching.tracking_monitor import TrackingMonitor
 from slam_baselines.motion.gyro_bias import GyroBias
 from slam_baselines.motion.increment import MotionIncrement
+from slam_baselines.scan.interpolation import interpolate_hits
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
 
 __all__ = ["GmappingConfig", "GmappingMapper"]
@@ -47,6 +48,7 @@ class GmappingMapper:
         self._registration = BiasedRegistration(self._filter.proposer, self._ground_filter, c.gyro_bias)
         self._bias = GyroBias.unknown(c.gyro_bias)
         self._received = self._lost_scans = 0
+        self._sparse = False
         self._stopwatch = Stopwatch()
 
     @property
@@ -122,14 +124,19 @@ class GmappingMapper:
     def _follow(self, scan: LeveledScan, odometry: Pose2, imu: Imu | None) -> None:
         """Add the odometry to the motion since the last processed scan."""
         delta = self._increment.add_odometry(odometry, imu, scan.stamp)
+        self._sparse = math.hypot(delta.x, delta.y) + abs(delta.yaw) >= self.config.sparse_distance
         if scan.leveled:
             self._ground_filter.move(delta, scan)
 
     def _track(self, scan: LeveledScan) -> None:
-        """Correct the motion by matching the scan to the best particle's map."""
-        found = self._filter.match_best(
-            self._beams(scan), self._increment, self._ground_filter.match_wall_slope
-        )
+        """Correct the motion by matching the scan to the best particle's map.
+
+        A sparse scan that is processed at once is matched there, with dead reckoning as its prior.
+        """
+        if self._sparse and self._due:
+            return
+        beams, wall_slope = self._beams(scan), self._ground_filter.match_wall_slope
+        found = self._filter.match_best(beams, self._increment, wall_slope, wide=self._sparse)
         if found is not None and self._increment.distance_from(found) <= self.config.mahalanobis_gate:
             self._increment.pose = found
 
@@ -137,8 +144,8 @@ class GmappingMapper:
         """Make the scan a generation of the filter."""
         particles, motion = self._filter, self._increment
         if particles.tree.generations:
-            wall_slope = self._ground_filter.match_wall_slope
-            self._tracking.observe(*particles.sample_poses(self._beams(scan), motion, wall_slope))
+            beams, wall_slope = self._beams(scan), self._ground_filter.match_wall_slope
+            self._tracking.observe(*particles.sample_poses(beams, motion, wall_slope, wide=self._sparse))
             self._learn_bias(motion)
         particles.add_generation(motion.pose)
         come = GyroIncrement(motion.reckoned, motion.seconds)
@@ -165,8 +172,10 @@ class GmappingMapper:
         """Draw the scan; on uneven ground, refine the start of the trajectory when it is due."""
         ground, bootstrap = self._ground_filter, self._bootstrap
         _, min_slopes = ground.insert(scan, self._pose)
-        points = scan.transformed(Pose2(), ground.height)
-        self._filter.insert_scan(points, min_slopes, ground.match_wall_slope)
+        drawn = scan.transformed(Pose2(), ground.height), min_slopes
+        if self._sparse:
+            drawn = interpolate_hits(*drawn, self.config.delta, self.config.interpolation)
+        self._filter.insert_scan(*drawn, ground.match_wall_slope)
         if not scan.leveled:
             return
         keyframe: GmappingKeyframe = Keyframe(scan, self._pose, ground.height, min_slopes, motion)

@@ -16,7 +16,7 @@ from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.likelihood_field import Beams
-from slam_baselines.gmapping.proposal import Proposer, propagated
+from slam_baselines.gmapping.proposal import First, Proposer, propagated
 from slam_baselines.gmapping.resampling import effective_number, normalized, systematic_resample
 from slam_baselines.gmapping.trajectory_tree import TrajectoryTree
 from slam_baselines.motion.increment import MotionIncrement
@@ -62,17 +62,22 @@ class ParticleFilter:
         """Return (n,) the minimum slopes of the cells under points (n, 2 or more) of the best map."""
         return self.maps.min_slope(self.best, points)
 
-    def match_best(self, beams: Beams, increment: MotionIncrement, wall_slope: int) -> Pose2 | None:
+    def match_best(
+        self, beams: Beams, increment: MotionIncrement, wall_slope: int, *, wide: bool = False
+    ) -> Pose2 | None:
         """Return `T_processed_now` by matching a scan to the best map; None where it fits nowhere near."""
         view, expected = self.maps.view(self.best, wall_slope), self.pose @ increment.pose
-        found = self.proposer.match_scan(view, beams, expected.as_array(), increment.newest)
+        found = self.proposer.match_scan(view, beams, expected.as_array(), increment.newest, wide=wide)
         return None if found is None else self.pose.inverse() @ Pose2(*found.tolist())
 
-    def sample_poses(self, beams: Beams, increment: MotionIncrement, wall_slope: int) -> tuple[float, float]:
+    def sample_poses(
+        self, beams: Beams, increment: MotionIncrement, wall_slope: int, *, wide: bool = False
+    ) -> tuple[float, float]:
         """Draw new poses and weigh them; return hit ratio and known ratio of the best particle."""
         c = self._config
         odometry = propagated(self._poses, increment.pose, increment.reckoned.covariance)
-        proposal = self.proposer.propose(self.maps, beams, wall_slope, odometry, self.best, self._rng)
+        first = First(self.best, wide)
+        proposal = self.proposer.propose(self.maps, beams, wall_slope, odometry, first, self._rng)
         gain = 1 / (c.ogain * c.particles)
         before, self._poses = self._poses, proposal.poses
         self._log_weights += gain * proposal.log_eta

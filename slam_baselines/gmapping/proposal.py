@@ -36,6 +36,13 @@ from slam_baselines.gmapping.likelihood_field import (
     search,
 )
 
+SAME_PEAK = 0.05
+"""Metres, and radians: peaks closer together are one.
+
+Only the first particle is searched for in any case. A better fit of the same peak, found because it had two
+attempts, would raise its weight above that of the others scan by scan.
+"""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ProposalConfig:
@@ -47,7 +54,7 @@ class ProposalConfig:
         iterations: most Gauss-Newton steps, of the coarse and of the fine stage.
         lsigma: of the likelihood exp(-d^2 / lsigma) of one beam, square metres. Far above a laser's
             variance, since neighbouring beams err together.
-        lstep: step of the wider search in x and y, metres.
+        lstep: step of the wider search in x and y, and edge of the cells of its map, metres.
         astep: step of the wider search in yaw, radians.
         llsamplerange: half the wider search's window, metres.
         lasamplerange: half the wider search's window, radians.
@@ -65,10 +72,10 @@ class ProposalConfig:
     kernelSize: int = 1  # noqa: N815  the original's name
     iterations: int = 8
     lsigma: float = 0.005
-    lstep: float = 0.05
-    astep: float = 0.05
-    llsamplerange: float = 0.5
-    lasamplerange: float = 0.35
+    lstep: float = 0.1
+    astep: float = 0.02
+    llsamplerange: float = 0.7
+    lasamplerange: float = 0.5
     samples: int = 16
     spread: float = 2.0
     search_threshold: float = 0.5
@@ -104,6 +111,13 @@ class Proposal(NamedTuple):
     known_ratio: FloatArray
 
 
+class First(NamedTuple):
+    """The particle that is matched first, and whether a wider window is searched for it in any case."""
+
+    particle: int
+    wide: bool
+
+
 class PoseDistributions(NamedTuple):
     """Where the particles are by odometry.
 
@@ -135,12 +149,12 @@ class Proposer:
         beams: Beams,
         wall_slope: int,
         odometry: PoseDistributions,
-        best: int,
+        first: First,
         rng: np.random.Generator,
     ) -> Proposal:
         """Return new poses for all particles.
 
-        The odometry's error is common to all particles: `best` is matched first, and the others try its
+        The odometry's error is common to all particles: one is matched first, and the others try its
         correction beside their own expectation.
 
         Args:
@@ -148,19 +162,25 @@ class Proposer:
             beams: of the scan.
             wall_slope: minimum slope from which on a hit is a wall, SLOPE_STEP.
             odometry: where they are by it.
-            best: the particle to match first.
+            first: the particle to match first.
             rng: source of the draws.
         """
         n = len(odometry.poses)
         proposal = Proposal(*(np.empty((n, *shape)) for shape in ((3,), (3,), (3, 3), (), (), ())))
         samples = Samples(self._cube, rng.standard_normal((n, 3)))
         self.searches += propose(
-            maps.stack, wall_slope, beams, odometry, best, samples, self._tuning, proposal
+            maps.stack, wall_slope, beams, odometry, first, samples, self._tuning, proposal
         )
         return proposal
 
     def match_scan(
-        self, view: MapView, beams: Beams, expected: FloatArray, covariance: FloatArray
+        self,
+        view: MapView,
+        beams: Beams,
+        expected: FloatArray,
+        covariance: FloatArray,
+        *,
+        wide: bool = False,
     ) -> FloatArray | None:
         """Return the (3,) pose at which a scan fits into one map; None where it fits nowhere near.
 
@@ -169,10 +189,12 @@ class Proposer:
             beams: of the scan.
             expected: (3,) pose by odometry.
             covariance: (3, 3) of it.
+            wide: whether to search a wider window, too.
         """
         if beams.weights.sum() < self.config.min_beams:
             return None
-        pose, hit, known = match_alone(view, beams, expected, covariance, self._tuning)
+        self.searches += wide
+        pose, hit, known = match_alone(view, beams, expected, covariance, wide, self._tuning)
         return pose if hit >= max(self.config.search_threshold * known, self.config.min_beams) else None
 
 
@@ -206,16 +228,23 @@ class Samples(NamedTuple):
 
 @njit(cache=True)
 def propose(
-    maps: Any, wall_slope: int, beams: Any, odometry: Any, best: int, samples: Any, tuning: Any, out: Any
+    maps: Any,
+    wall_slope: int,
+    beams: Any,
+    odometry: Any,
+    first: Any,
+    samples: Any,
+    tuning: Any,
+    out: Any,
 ) -> int:
     """Fill a proposal; return the number of searches."""
     res, (poses, means, sigmas, log_eta, hit_ratio, known_ratio) = maps.resolution, out
     n = len(poses)
     correction = np.zeros(3)
     searches = 0
-    total, width = max(beams.weights.sum(), 1e-9), tuning.sigma / res
+    total = max(beams.weights.sum(), 1e-9)
     for step in range(n):
-        k = best if step == 0 else step - 1 if step <= best else step
+        k = first.particle if step == 0 else step - 1 if step <= first.particle else step
         view = MapView(maps.tables[k], maps.corner, maps.patches, res, wall_slope)
         prior = Prior(odometry.poses[k], np.linalg.inv(odometry.covariances[k]))
         start = prior.pose
@@ -224,21 +253,8 @@ def propose(
             if score(view, beams, other, tuning) > score(view, beams, start, tuning):
                 start = other
         H = np.empty((3, 3))
-        peak = match(view, beams, prior, start, tuning, H)
-        value, hit, known = log_likelihood(
-            view, beams, peak, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution
-        )
-        if tuning.min_beams <= known and hit < tuning.search_threshold * known:
-            searches += 1
-            curvature = H.copy()
-            other = match(view, beams, prior, search(view, beams, prior, tuning), tuning, H)
-            better, there, seen = log_likelihood(view, beams, other, tuning.kernelSize, tuning.lsigma, width)
-            if there >= tuning.search_threshold * seen and better + log_prior(
-                other, prior
-            ) > value + log_prior(peak, prior):
-                peak, hit, known = other, there, seen
-            else:
-                H = curvature
+        peak, hit, known, searched = find_peak(view, beams, prior, start, first.wide and step == 0, tuning, H)
+        searches += searched
         if step == 0:
             correction = between(prior.pose, peak)
         if hit < max(tuning.minimumScore * known, tuning.min_beams):
@@ -253,9 +269,39 @@ def propose(
 
 
 @njit(cache=True)
-def match_alone(view: Any, beams: Any, expected: Any, covariance: Any, tuning: Any) -> Any:
+def find_peak(view: Any, beams: Any, prior: Any, start: Any, wide: bool, tuning: Any, H: Any) -> Any:
+    """Return the (3,) pose at which a scan fits best; fill H with its information.
+
+    The wider window is searched where the scan fits poorly near the start, or where `wide` says so.
+
+    Returns:
+        The pose, weights of beams that end at a wall and on known cells, whether the window was searched.
+    """
+    reach, width = tuning.kernelSize, tuning.sigma / view.resolution
+    peak = match(view, beams, prior, start, tuning, H)
+    value, hit, known = log_likelihood(view, beams, peak, reach, tuning.lsigma, width)
+    if known < tuning.min_beams or not (wide or hit < tuning.search_threshold * known):
+        return peak, hit, known, False
+    curvature = H.copy()
+    other = match(view, beams, prior, search(view, beams, prior, tuning), tuning, H)
+    apart = other - peak
+    if np.hypot(apart[0], apart[1]) < SAME_PEAK and abs(apart[2]) < SAME_PEAK:
+        H[:] = curvature
+        return peak, hit, known, True
+    better, there, seen = log_likelihood(view, beams, other, reach, tuning.lsigma, width)
+    gain = better + log_prior(other, prior) - value - log_prior(peak, prior)
+    if gain > 0 and there >= tuning.search_threshold * seen:
+        return other, there, seen, True
+    H[:] = curvature
+    return peak, hit, known, True
+
+
+@njit(cache=True)
+def match_alone(view: Any, beams: Any, expected: Any, covariance: Any, wide: bool, tuning: Any) -> Any:
     """Return the pose that fits best, and the weights of beams that end at a wall and on known cells."""
     prior = Prior(expected, np.linalg.inv(covariance))
+    if wide:
+        return find_peak(view, beams, prior, expected, True, tuning, np.empty((3, 3)))[:3]
     pose = match(view, beams, prior, expected, tuning, np.empty((3, 3)))
     _, hit, known = log_likelihood(
         view, beams, pose, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution

@@ -70,6 +70,20 @@ def errors(poses: list[Pose2], truth: list[Pose2]) -> np.ndarray:
     return np.array([p.distance(truth[0].inverse() @ t) for p, t in zip(poses, truth, strict=True)])
 
 
+def test_a_few_scans_with_slipping_wheels() -> None:
+    """A scan every .7 m, and odometry that is 15 % too long or too short from one to the next."""
+    truth = circuit()[::7]
+    rng, odometry = np.random.default_rng(4), Pose2()
+    mapper, answers = make_mapper("gmapping", particles=10, seed=3), []
+    for i, pose in enumerate(truth):
+        if i:
+            step = truth[i - 1].inverse() @ pose
+            odometry = odometry @ Pose2(step.x * rng.choice((0.85, 1.15)), step.y, step.yaw)
+        answers.append(mapper.update(scan_at(pose, 2.0 * i, rng), odometry, None))
+    assert errors(answers, truth).max() < 0.1
+    assert mapper.stats.counts["searches"] >= len(truth) - 2
+
+
 def test_a_room_with_bad_odometry() -> None:
     truth = circuit()
     mapper = make_mapper("gmapping", particles=10, seed=3)

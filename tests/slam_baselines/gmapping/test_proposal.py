@@ -9,8 +9,10 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.likelihood_field import Beams
-from slam_baselines.gmapping.proposal import PoseDistributions, Proposal, ProposalConfig, Proposer
+from slam_baselines.gmapping.proposal import First, PoseDistributions, Proposal, ProposalConfig, Proposer
 from slam_baselines.scan.leveling import ScanPoints
+
+ALONE = First(0, False)
 
 
 def ends(
@@ -39,10 +41,12 @@ def mapped(particles: int, *box: float, beams: int = 360, most: float = 12) -> P
     return maps
 
 
-def proposed(maps: PatchMaps, points: np.ndarray, expected: np.ndarray, seed: int = 0) -> Proposal:
+def proposed(
+    maps: PatchMaps, points: np.ndarray, expected: np.ndarray, seed: int = 0, first: First = ALONE
+) -> Proposal:
     odometry = PoseDistributions(expected, np.tile(np.diag((0.01, 0.01, 0.01)), (len(expected), 1, 1)))
     beams = Beams(points, np.ones(len(points)))
-    return Proposer(ProposalConfig()).propose(maps, beams, 0, odometry, 0, np.random.default_rng(seed))
+    return Proposer(ProposalConfig()).propose(maps, beams, 0, odometry, first, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize(
@@ -70,6 +74,18 @@ def test_a_corridor_keeps_the_odometry_along_and_the_walls_across() -> None:
     assert (y, yaw) == (pytest.approx(0.1, abs=0.01), pytest.approx(0.0, abs=0.005))
     spread = np.sqrt(np.diag(got.covariances[0]))
     assert spread[0] > 3 * spread[1]
+
+
+@pytest.mark.parametrize(("wide", "error"), [(False, 0.4), (True, 0.0)])
+def test_side_walls_that_fit_do_not_hide_end_walls_that_do_not(wide: bool, error: float) -> None:
+    """Wheels slipped by .4 m along a short corridor; most beams meet its sides, so the fit is not poor."""
+    corridor, truth = (-3.0, 4.0, -1.0, 1.2), np.array((0.2, 0.1, 0.0))
+    maps = mapped(3, *corridor, beams=1440)
+    points = ends(Pose2(*truth), *corridor)
+    got = proposed(maps, points, np.tile(truth, (3, 1)) + np.array((0.4, 0.0, 0.0)), first=First(1, wide))
+    np.testing.assert_allclose(got.means[:, 0] - truth[0], error, atol=0.05)
+    np.testing.assert_allclose(got.means[:, 1:], np.tile(truth[1:], (3, 1)), atol=0.02)
+    assert np.all(got.hit_ratio > 0.5)
 
 
 def test_a_scan_that_fits_better_weighs_more() -> None:
