@@ -12,6 +12,7 @@ from lirs_wct.geometry.pose import Pose2, wrap_angle
 from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
 from slam_baselines.mapping.occupancy_map import OccupancyMap, UpdateConfig, bounding_box
 from slam_baselines.mapping.pyramid import MapPyramid
+from slam_baselines.scan.interpolation import InterpolationConfig, interpolate_hits
 from slam_baselines.scan.leveling import LeveledScan, ScanPoints
 
 
@@ -25,6 +26,9 @@ class BuilderConfig:
         map_update_distance_thresh: metres to drive before the next update.
         map_update_angle_thresh: radians to turn before the next update.
         map_update_tilt_thresh: radians to tilt, since tilting shows other heights of the same things.
+        sparse_distance: distance from the scan before, a radian of turn counted as a metre, from which on a
+            scan's hits are interpolated, metres.
+        interpolation: of hits along surfaces.
         update: how a scan changes the map.
         ground_filter: separates hits on ground from hits on walls.
 
@@ -37,11 +41,13 @@ class BuilderConfig:
     map_update_distance_thresh: float = 0.4
     map_update_angle_thresh: float = 0.9
     map_update_tilt_thresh: float = math.radians(3.0)
+    sparse_distance: float = 0.4
+    interpolation: InterpolationConfig = field(default_factory=InterpolationConfig)
     update: UpdateConfig = field(default_factory=UpdateConfig)
     ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
 
     def __post_init__(self) -> None:
-        require_above(self, 0, "map_resolution", unit="m")
+        require_above(self, 0, "map_resolution", "sparse_distance", unit="m")
         require_at_least(self, 1, "map_multi_res_levels")
         thresholds = (f"map_update_{what}_thresh" for what in ("distance", "angle", "tilt"))
         require_at_least(self, 0, *thresholds)
@@ -54,6 +60,7 @@ class MapBuilder:
         self._config = config
         self.ground_filter = GroundFilter(config.ground_filter)
         self.updates = 0
+        self._sparse = False
         self._last: Pose2 | None = None
         self._entered: tuple[Pose2, tuple[float, float]] | None = None
         self.restart()
@@ -67,8 +74,10 @@ class MapBuilder:
 
     def move_base(self, scan: LeveledScan, pose: Pose2) -> None:
         """Follow the base to `pose`; keeps its height up to date."""
+        step = Pose2() if self._last is None else self._last.inverse() @ pose
+        self._sparse = math.hypot(step.x, step.y) + abs(step.yaw) >= self._config.sparse_distance
         if scan.leveled:
-            self.ground_filter.move(Pose2() if self._last is None else self._last.inverse() @ pose, scan)
+            self.ground_filter.move(step, scan)
         self._last = pose
 
     def min_slopes(
@@ -101,7 +110,10 @@ class MapBuilder:
             self._wall_slope = self.ground_filter.match_wall_slope
             for level in self.pyramid.maps:
                 level.revalue(self._wall_slope)
-        self._draw(placed, min_slopes)
+        drawn = placed, min_slopes
+        if self._sparse:
+            drawn = interpolate_hits(*drawn, self._config.map_resolution, self._config.interpolation)
+        self._draw(*drawn)
         self.updates += 1
         self._entered = pose, scan.ground_slope
         return min_slopes
