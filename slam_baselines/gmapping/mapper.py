@@ -31,6 +31,9 @@ from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
 
 __all__ = ["GmappingConfig", "GmappingMapper"]
 
+WARM_UP = {"sparse_distance": 0.1}
+"""Configuration with which a short drive reaches every kernel: the scans are sparse."""
+
 
 class GmappingMapper:
     """A filter over whole paths; a loop closes when the particles that fit survive."""

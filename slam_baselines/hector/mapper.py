@@ -32,6 +32,9 @@ from slam_baselines.motion.calibration import CalibrationConfig
 from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, OdometryIncrement, PoseEstimate
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
 
+WARM_UP = {"sparse_distance": 0.1}
+"""Configuration with which a short drive reaches every kernel: the scans are sparse."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class HectorConfig(BuilderConfig):

@@ -180,7 +180,7 @@ def test_a_match_far_from_dead_reckoning_is_not_believed(monkeypatch: pytest.Mon
     poses = [Pose2(0.05 * k) for k in range(40)]
     for k, pose in enumerate(poses[:30]):
         mapper.update(scan_at(pose, 0.1 * k, rng), pose, None)
-    monkeypatch.setattr(mapper._filter, "match_best", lambda *_: Pose2(-1.6))
+    monkeypatch.setattr(mapper._filter, "match_best", lambda *_, **__: Pose2(-1.6))
     for k, pose in enumerate(poses[30:], 30):
         found = mapper.update(scan_at(pose, 0.1 * k, rng), pose, None)
         assert found.distance(pose) < 0.1
