@@ -34,8 +34,8 @@ class GmappingConfig(ProposalConfig):
         delta: edge of a map's cell, metres.
         maxUrange: range from which on hits count as free up to here, metres; infinite: beams without return
             are left out.
-        sparse_distance: distance between two scans, a radian of turn counted as a metre, from which on the
-            later one is matched by the wider search, and its hits are interpolated, metres.
+        sparse_distance: distance between two scans from which on the later one is matched by the wider
+            search, and its hits are interpolated, metres.
         interpolation: of hits along surfaces.
         tracking: share of the beams on known cells that end at a wall, below which a processed scan does not
             enter the maps.

@@ -127,7 +127,7 @@ class GmappingMapper:
     def _follow(self, scan: LeveledScan, odometry: Pose2, imu: Imu | None) -> None:
         """Add the odometry to the motion since the last processed scan."""
         delta = self._increment.add_odometry(odometry, imu, scan.stamp)
-        self._sparse = math.hypot(delta.x, delta.y) + abs(delta.yaw) >= self.config.sparse_distance
+        self._sparse = math.hypot(delta.x, delta.y) >= self.config.sparse_distance
         if scan.leveled:
             self._ground_filter.move(delta, scan)
 
