@@ -193,7 +193,7 @@ class RobotModel:
         self._walker_centers[:] = walkers.touchable
 
     def settle(
-        self, T_world_base: Pose3, walkers: Walkers | None = None, seconds: float = SETTLING_TIME
+        self, T_world_base: Pose3, walkers: Walkers | None = None, *, seconds: float = SETTLING_TIME
     ) -> None:
         """Let the robot go in a pose with its wheels held, and wait; the time then is 0.
 

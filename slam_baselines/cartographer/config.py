@@ -15,6 +15,7 @@ from slam_baselines.mapping.bootstrap import BootstrapConfig
 from slam_baselines.mapping.ground_filter import GroundFilterConfig
 from slam_baselines.mapping.occupancy_map import UpdateConfig
 from slam_baselines.matching.gauss_newton import MatchConfig
+from slam_baselines.matching.localizability import LocalizabilityConfig
 from slam_baselines.matching.registration import RegistrationConfig
 from slam_baselines.matching.tracking_monitor import TrackingConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
@@ -86,6 +87,7 @@ class LocalConfig:
         slip_speed: speed at which wheels may slip; on uneven ground, a match that neither slip nor the
             odometry's errors explain is rejected, m/s and rad/s.
         slip_deviations: standard deviations of the odometry's errors that are allowed beside the slip.
+        localizability: when matches are believed where the attitude is known.
         tracking: mean occupancy at the ends of the beams below which a scan enters no submap.
 
     Raises:
@@ -102,6 +104,7 @@ class LocalConfig:
     ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
     slip_speed: float = 1.0
     slip_deviations: float = 4.0
+    localizability: LocalizabilityConfig = field(default_factory=LocalizabilityConfig)
     tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(lost_score=0.2))
 
     def __post_init__(self) -> None:
@@ -343,6 +346,7 @@ class LocalizationConfig:
     max_points: int = 150
     min_points: int = 30
     max_search_nodes: int = 1 << 20
+    localizability: LocalizabilityConfig = field(default_factory=LocalizabilityConfig)
     tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(lost_score=0.2))
     start_deviation: tuple[float, float] = (0.3, 0.1)
 

@@ -99,7 +99,8 @@ class GlobalSlam:
         self._since_submap = composed(self._since_submap, node.motion)
         if node.submaps and submaps[node.submaps[-1]].nodes[0] == index:
             self._add_odometry_constraint(node.submaps[-1])
-        self._add_candidates(index, node)
+        if node.localizable:
+            self._add_candidates(index, node)
 
     def _add_odometry_constraint(self, index: int) -> None:
         """Constrain a submap that has just begun to the one before by odometry."""

@@ -20,6 +20,7 @@ from slam_baselines.cartographer.submap import Submaps
 from slam_baselines.mapping.bootstrap import register_backwards
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.matching.gauss_newton import Match
+from slam_baselines.matching.localizability import LocalizabilityMonitor
 from slam_baselines.matching.registration import Registration
 from slam_baselines.matching.tracking_monitor import TrackingMonitor
 from slam_baselines.motion.dead_reckoning import DeadReckoning, PoseEstimate
@@ -35,6 +36,7 @@ class LocalSlam:
         submaps: all of them.
         ground_filter: in the local frame.
         registration: of scans in the matching submap.
+        localizability: whether matches to walls are to be believed; observes scans whose attitude is known.
         estimate: `T_local_base`.
         received: scans so far.
         matched: of these, registered in a submap.
@@ -55,6 +57,8 @@ class LocalSlam:
         self._reckoning = DeadReckoning(config.motion)
         self._since_node = DeadReckoning(config.motion)
         self._increment = NOWHERE
+        self.localizability = LocalizabilityMonitor(config.localizability)
+        self._reckoned_yaw = 0.0
         self._tracking = TrackingMonitor(config.tracking)
         self._distance_traveled = self._drawn_at = 0.0
         self._filter = MotionFilter(config.motion_filter)
@@ -74,7 +78,8 @@ class LocalSlam:
         fits = self._fits(self._match(level, expected, seconds))
         self._distance_traveled += before.distance(self.estimate.pose)
         if level.leveled:
-            self.ground_filter.move(before.inverse() @ self.estimate.pose, level)
+            step = before.inverse() @ self.estimate.pose
+            self.ground_filter.move(step, level, registered=self.localizability.localizable)
         due = fits and self._filter.due(level, self.estimate.pose)
         return self._insert_into_submaps(level) if due else None
 
@@ -95,6 +100,7 @@ class LocalSlam:
         """Move the estimate to where the scan fits; to the expected one, if there is nothing to fit."""
         before, self.estimate = self.estimate.pose, expected
         self.received += 1
+        self._reckoned_yaw += wrap_angle(expected.pose.yaw - before.yaw)
         if len(scan.hits) == 0 or not self.submaps.all:
             return None
         weights = self.walls(scan, expected.pose, self.ground_filter.height, None)
@@ -103,8 +109,12 @@ class LocalSlam:
         fitted, match = self.registration.register(submap.pyramid, scan.hits, weights, expected, before)
         if self.ground_filter.match_wall_slope > 0 and not self._plausible(expected, fitted.pose, seconds):
             self.implausible += 1
-            return None
-        self.estimate = fitted
+            fitted, match = expected, None
+        if scan.leveled:
+            off = 0.0 if match is None else wrap_angle(match.pose[2] - self._reckoned_yaw)
+            self.localizability.observe(None if match is None else match.score, off, seconds)
+        if self.localizability.believed:
+            self.estimate = fitted
         self.matched += match is not None
         return match
 
@@ -122,8 +132,11 @@ class LocalSlam:
         )
 
     def _fits(self, match: Match | None) -> bool:
-        """Return whether the scan may enter the submaps."""
-        fits = self._tracking.observe(match.score, match.known) if match else self._tracking.observe(None)
+        """Return whether the scan may enter the submaps: until walls are proven, a match says nothing."""
+        if match is None or (self.localizability.scans and not self.localizability.proven):
+            fits = self._tracking.observe(None)
+        else:
+            fits = self._tracking.observe(match.score, match.known)
         self.lost_scans += self.lost
         return fits
 
@@ -141,8 +154,9 @@ class LocalSlam:
         self.nodes += 1
         self._filter.note(scan, pose)
         return Node(
-            scan, pose, height, min_slopes, step, self.estimate.covariance, entered,
-            ground_filter.distance_traveled, ground_filter.tilt, self._distance_traveled,
+            scan, pose, height, min_slopes, step, self.estimate.covariance,
+            self.localizability.believed, entered, ground_filter.distance_traveled,
+            ground_filter.drift, ground_filter.tilt, self._distance_traveled,
         )  # fmt: skip
 
     def refine(self, nodes: Sequence[Node]) -> list[Node]:

@@ -78,7 +78,7 @@ class CartographerMapper:
         node = self._local.add_range_data(scan, odometry, imu)
         if node is not None:
             self._graph.add_node(node)
-            if self._bootstrap.add(node, node.distance_traveled):
+            if self._bootstrap.add(node, node.distance_traveled) and self._local.localizability.believed:
                 self._refine_start()
         nodes, pose = self._graph.nodes, self._local.estimate.pose
         self._scans.add(scan.stamp, len(nodes) - 1, nodes[-1].pose.inverse() @ pose if nodes else pose)
@@ -98,9 +98,10 @@ class CartographerMapper:
             self._graph.add_node(node)
 
     def map(self) -> OccupancyGrid:
-        """Return the map, drawn from all nodes at their optimized poses."""
+        """Return the map, drawn from all nodes at their optimized poses (see LocalizabilityMonitor.draws)."""
         poses, _ = self._graph.optimized_poses()
-        return self._map.render(self._graph.nodes, poses)
+        draws = self._local.localizability.draws(self._local.ground_filter.distance_traveled)
+        return self._map.render(self._graph.nodes, poses, walls=draws)
 
     def trajectory(self) -> Trajectory:
         """Return the pose of every scan, by stamp."""

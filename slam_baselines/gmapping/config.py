@@ -9,6 +9,7 @@ from lirs_wct.field_validators import require_above, require_at_least, require_w
 from slam_baselines.gmapping.proposal import ProposalConfig
 from slam_baselines.mapping.bootstrap import BootstrapConfig
 from slam_baselines.mapping.ground_filter import GroundFilterConfig
+from slam_baselines.matching.localizability import LocalizabilityConfig
 from slam_baselines.matching.tracking_monitor import TrackingConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
 from slam_baselines.motion.gyro_bias import GyroBiasConfig
@@ -34,11 +35,13 @@ class GmappingConfig(ProposalConfig):
         delta: edge of a map's cell, metres.
         maxUrange: range from which on hits count as free up to here, metres; infinite: beams without return
             are left out.
-        sparse_distance: distance between two scans from which on the later one is matched by the wider
-            search, and its hits are interpolated, metres.
+        sparse_distance: mean distance between scans, a radian of turn counted as a metre, from which on they
+            are matched by the wider search, and their hits are interpolated, metres.
+        sparse_memory: scans over which this mean is taken.
         interpolation: of hits along surfaces.
         tracking: share of the beams on known cells that end at a wall, below which a processed scan does not
             enter the maps.
+        localizability: when processed scans on uneven ground are believed; its scores are hit ratios.
         bootstrap: when the first metres on uneven ground are refined.
         ground_filter: separates hits on ground from hits on walls.
         mahalanobis_gate: a scan that is matched farther from dead reckoning than so many standard deviations
@@ -62,8 +65,12 @@ class GmappingConfig(ProposalConfig):
     delta: float = 0.05
     maxUrange: float = math.inf  # noqa: N815
     sparse_distance: float = 0.4
+    sparse_memory: float = 10.0
     interpolation: InterpolationConfig = field(default_factory=InterpolationConfig)
     tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(lost_score=0.3, lost_after=3))
+    localizability: LocalizabilityConfig = field(
+        default_factory=lambda: LocalizabilityConfig(score=0.75, memory=10.0)
+    )
     bootstrap: BootstrapConfig = field(default_factory=lambda: BootstrapConfig(first=2.0))
     ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
     mahalanobis_gate: float = 8.0
@@ -83,6 +90,7 @@ class GmappingConfig(ProposalConfig):
             "delta",
             "maxUrange",
             "sparse_distance",
+            "sparse_memory",
             "mahalanobis_gate",
         )
         require_at_least(self, 0, "linearUpdate", "angularUpdate")

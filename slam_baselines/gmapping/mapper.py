@@ -19,10 +19,13 @@ from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.likelihood_field import Beams
 from slam_baselines.gmapping.particle_filter import ParticleFilter
+from slam_baselines.gmapping.proposal import Proposal
 from slam_baselines.mapper import MapperStats, required_odometry
 from slam_baselines.mapping.bootstrap import Bootstrap
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.mapping.keyframe import Keyframe
+from slam_baselines.mapping.occupancy_map import NO_WALL
+from slam_baselines.matching.localizability import LocalizabilityMonitor
 from slam_baselines.matching.tracking_monitor import TrackingMonitor
 from slam_baselines.motion.gyro_bias import GyroBias
 from slam_baselines.motion.increment import MotionIncrement
@@ -50,8 +53,10 @@ class GmappingMapper:
         self._bootstrap: Bootstrap[GmappingKeyframe] = Bootstrap(c.bootstrap)
         self._registration = BiasedRegistration(self._filter.proposer, self._ground_filter, c.gyro_bias)
         self._bias = GyroBias.unknown(c.gyro_bias)
+        self._localizability = LocalizabilityMonitor(c.localizability)
+        self._reckoned_yaw = 0.0
         self._received = self._lost_scans = 0
-        self._sparse = False
+        self._spacing = 0.0
         self._stopwatch = Stopwatch()
 
     @property
@@ -80,8 +85,10 @@ class GmappingMapper:
         return self._pose
 
     def map(self) -> OccupancyGrid:
-        """Return the map of the best particle."""
-        return self._filter.maps.occupancy_grid(self._filter.best, self._ground_filter.wall_slope)
+        """Return the map of the best particle; without walls where dead reckoning placed most of them."""
+        ground = self._ground_filter
+        drawn = self._localizability.draws(ground.distance_traveled)
+        return self._filter.maps.occupancy_grid(self._filter.best, ground.wall_slope if drawn else NO_WALL)
 
     def trajectory(self) -> Trajectory:
         """Return the pose of every scan on the path of the best particle."""
@@ -124,19 +131,25 @@ class GmappingMapper:
             or motion.turn >= c.angularUpdate
         )
 
+    @property
+    def _sparse(self) -> bool:
+        return self._spacing >= self.config.sparse_distance
+
     def _follow(self, scan: LeveledScan, odometry: Pose2, imu: Imu | None) -> None:
         """Add the odometry to the motion since the last processed scan."""
         delta = self._increment.add_odometry(odometry, imu, scan.stamp)
-        self._sparse = math.hypot(delta.x, delta.y) >= self.config.sparse_distance
+        self._spacing += (math.hypot(delta.x, delta.y) + abs(delta.yaw) - self._spacing) / min(
+            self._received, self.config.sparse_memory
+        )
         if scan.leveled:
             self._ground_filter.move(delta, scan)
 
     def _track(self, scan: LeveledScan) -> None:
-        """Correct the motion by matching the scan to the best particle's map.
+        """Correct the motion by matching the scan to the best particle's map, where it is localizable.
 
         A sparse scan that is processed at once is matched there, with dead reckoning as its prior.
         """
-        if self._sparse and self._due:
+        if (self._sparse and self._due) or (scan.leveled and not self._localizability.localizable):
             return
         beams, wall_slope = self._beams(scan), self._ground_filter.match_wall_slope
         found = self._filter.match_best(beams, self._increment, wall_slope, wide=self._sparse)
@@ -147,9 +160,7 @@ class GmappingMapper:
         """Make the scan a generation of the filter."""
         particles, motion = self._filter, self._increment
         if particles.tree.generations:
-            beams, wall_slope = self._beams(scan), self._ground_filter.match_wall_slope
-            self._tracking.observe(*particles.sample_poses(beams, motion, wall_slope, wide=self._sparse))
-            self._learn_bias(motion)
+            self._sample(scan)
         particles.add_generation(motion.pose)
         come = GyroIncrement(motion.reckoned, motion.seconds)
         motion.begin()
@@ -158,9 +169,42 @@ class GmappingMapper:
             self._enter(scan, come)
         particles.resample()
 
+    def _sample(self, scan: LeveledScan) -> None:
+        """Draw new poses and weigh them; follow dead reckoning where it is not localizable."""
+        particles, motion = self._filter, self._increment
+        beams = self._beams(scan)
+        wall_slope = self._ground_filter.match_wall_slope
+        proposal = particles.propose(beams, motion, wall_slope, wide=self._sparse)
+        hit, known = (float(ratio[particles.best]) for ratio in (proposal.hit_ratio, proposal.known_ratio))
+        tells = self._tells(beams, known)
+        if scan.leveled:
+            self._observe_localizability(proposal, hit if tells else None)
+        if not scan.leveled or (self._localizability.localizable and (tells or self._localizability.steady)):
+            particles.adopt(proposal)
+        else:
+            particles.follow(motion)
+        if scan.leveled and not self._localizability.proven:
+            self._tracking.observe(None)
+        else:
+            self._tracking.observe(hit, known)
+        self._learn_bias(motion)
+
+    def _observe_localizability(self, proposal: Proposal, hit_ratio: float | None) -> None:
+        """Find out whether matches are to be believed."""
+        motion = self._increment
+        self._reckoned_yaw += motion.reckoned.pose.yaw
+        yaw = float(proposal.means[self._filter.best, 2])
+        self._localizability.observe(hit_ratio, wrap_angle(yaw - self._reckoned_yaw), motion.seconds)
+
+    def _tells(self, beams: Beams, known_ratio: float) -> bool:
+        """Return whether enough beams at walls end where the map is known."""
+        c = self.config
+        return known_ratio >= c.tracking.known_ratio and beams.weights.sum() >= c.min_beams
+
     def _learn_bias(self, motion: MotionIncrement) -> None:
         """Learn the gyro's bias on, once the start is refined: before, too few walls are known."""
-        if self._bootstrap.refinements and self._tracking.fits and motion.seconds > 0:
+        fits = self._tracking.fits and self._localizability.believed
+        if self._bootstrap.refinements and fits and motion.seconds > 0:
             turned = self._filter.turned - motion.reckoned.pose.yaw
             self._bias = self._bias.learned(wrap_angle(turned), motion.seconds)
             motion.bias = self._bias.value
@@ -182,7 +226,7 @@ class GmappingMapper:
         if not scan.leveled:
             return
         keyframe: GmappingKeyframe = Keyframe(scan, self._pose, ground.height, min_slopes, motion)
-        if bootstrap.add(keyframe, ground.distance_traveled) and ground.match_wall_slope > 0:
+        if bootstrap.add(keyframe, ground.distance_traveled) and not ground.flat:
             maps = PatchMaps(1, self.config.delta)
             bootstrap.replace(self._registration.refined(bootstrap.keyframes, maps))
             self._bias = self._registration.bias

@@ -16,7 +16,7 @@ from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.likelihood_field import Beams
-from slam_baselines.gmapping.proposal import First, Proposer, propagated
+from slam_baselines.gmapping.proposal import First, Proposal, Proposer, propagated
 from slam_baselines.gmapping.resampling import effective_number, normalized, systematic_resample
 from slam_baselines.gmapping.trajectory_tree import TrajectoryTree
 from slam_baselines.motion.increment import MotionIncrement
@@ -70,21 +70,26 @@ class ParticleFilter:
         found = self.proposer.match_scan(view, beams, expected.as_array(), increment.newest, wide=wide)
         return None if found is None else self.pose.inverse() @ Pose2(*found.tolist())
 
-    def sample_poses(
+    def propose(
         self, beams: Beams, increment: MotionIncrement, wall_slope: int, *, wide: bool = False
-    ) -> tuple[float, float]:
-        """Draw new poses and weigh them; return hit ratio and known ratio of the best particle."""
-        c = self._config
+    ) -> Proposal:
+        """Draw new poses by odometry and scan; they are taken over by `adopt`."""
         odometry = propagated(self._poses, increment.pose, increment.reckoned.covariance)
         first = First(self.best, wide)
-        proposal = self.proposer.propose(self.maps, beams, wall_slope, odometry, first, self._rng)
-        gain = 1 / (c.ogain * c.particles)
+        return self.proposer.propose(self.maps, beams, wall_slope, odometry, first, self._rng)
+
+    def adopt(self, proposal: Proposal) -> None:
+        """Take over proposed poses, and weigh them."""
+        gain = 1 / (self._config.ogain * self._config.particles)
         before, self._poses = self._poses, proposal.poses
         self._log_weights += gain * proposal.log_eta
         self._totals += gain * proposal.log_eta
         self.best = int(np.argmax(self._totals))
         self.turned = float(self._poses[self.best, 2] - before[self.best, 2])
-        return float(proposal.hit_ratio[self.best]), float(proposal.known_ratio[self.best])
+
+    def follow(self, increment: MotionIncrement) -> None:
+        """Move all particles by dead reckoning alone; no draw, since nothing would tell a good one."""
+        self._poses = propagated(self._poses, increment.pose, increment.reckoned.covariance).poses
 
     def add_generation(self, step: Pose2) -> None:
         """Make the poses a generation of the tree, `step` by odometry after the one before."""

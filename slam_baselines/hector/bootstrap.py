@@ -7,6 +7,7 @@ from dataclasses import replace
 from slam_baselines.mapping.bootstrap import register_forwards
 from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.mapping.map_builder import MapBuilder
+from slam_baselines.matching.localizability import LocalizabilityMonitor
 from slam_baselines.matching.registration import Registration
 from slam_baselines.motion.dead_reckoning import DeadReckoning, OdometryIncrement, PoseEstimate
 
@@ -15,13 +16,25 @@ HectorKeyframe = Keyframe[tuple[OdometryIncrement | None, ...]]
 
 
 def refined(
-    keyframes: list[HectorKeyframe], builder: MapBuilder, registration: Registration, reckoning: DeadReckoning
+    keyframes: list[HectorKeyframe],
+    builder: MapBuilder,
+    registration: Registration,
+    reckoning: DeadReckoning,
+    localizability: LocalizabilityMonitor,
 ) -> list[HectorKeyframe]:
     """Build the map again from keyframes; return them where they are in it.
 
-    Forwards, since the odometry's calibration makes dead reckoning from the start as good as the walls.
+    Forwards, since the odometry's calibration makes dead reckoning from the start as good as the walls. Where
+    too few keyframes fit, nothing is known to be a wall by now either: they and the map stay as they are.
+
+    Args:
+        keyframes: all so far.
+        builder: of the map.
+        registration: of a keyframe in it.
+        reckoning: dead reckoning as calibrated by now.
+        localizability: a new monitor; tells whether the matches of the keyframes are to be believed.
     """
-    builder.restart()
+    before_refinement = builder.restart()
     found: list[HectorKeyframe] = []
 
     def register(now: HectorKeyframe, before: HectorKeyframe | None, last: PoseEstimate) -> PoseEstimate:
@@ -29,13 +42,20 @@ def refined(
         slopes = builder.min_slopes(now.scan, estimate.pose, now.height, now.min_slopes)
         if before is not None:
             weights = builder.weights(slopes)
-            estimate, _ = registration.register(builder.pyramid, now.scan.hits, weights, estimate, last.pose)
+            estimate, match = registration.register(
+                builder.pyramid, now.scan.hits, weights, estimate, last.pose
+            )
+            score, seconds = None if match is None else match.score, now.scan.stamp - before.scan.stamp
+            localizability.observe(score, 0.0, seconds)
         builder.enter_again(now.scan, estimate.pose, now.height, slopes)
         found.append(replace(now, pose=estimate.pose, min_slopes=slopes))
         return estimate
 
     register_forwards(keyframes, register)
-    return found
+    if builder.flat or localizability.localizable:
+        return found
+    builder.pyramid = before_refinement
+    return keyframes
 
 
 def _expected(

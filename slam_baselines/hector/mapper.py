@@ -8,14 +8,14 @@ in a wider window, a scan that fits nowhere does not enter the map, and ground i
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_within
 from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.common.stopwatch import Stopwatch
@@ -26,6 +26,7 @@ from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.mapping.keyframe_trajectory import KeyframeTrajectory
 from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
 from slam_baselines.matching.gauss_newton import Match
+from slam_baselines.matching.localizability import LocalizabilityConfig, LocalizabilityMonitor
 from slam_baselines.matching.registration import Registration, RegistrationConfig
 from slam_baselines.matching.tracking_monitor import TrackingConfig, TrackingMonitor
 from slam_baselines.motion.calibration import CalibrationConfig
@@ -36,6 +37,10 @@ WARM_UP = {"sparse_distance": 0.1}
 """Configuration with which a short drive reaches every kernel: the scans are sparse."""
 
 
+REFINED_SHARE = 0.55
+"""Share of the keyframes that must fit for a refined start: of the first ones few walls are known."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class HectorConfig(BuilderConfig):
     """Parameters of hector_mapping where they exist, and those of the parts.
@@ -44,8 +49,8 @@ class HectorConfig(BuilderConfig):
         motion: confidence in the odometry.
         calibration: how fast the odometry's constant errors are learnt.
         registration: of a scan in the map.
-        calibration_score: mean occupancy at the ends of the beams from which on a match on uneven ground
-            calibrates the odometry.
+        localizability: when matches on uneven ground are believed.
+        learning_steps: steps after which the calibration is believed where there are no walls.
         bootstrap: when the map is built again.
         laser_max_dist: hits farther away are not used, metres.
         laser_clear_dist: a beam without return is believed to be free up to here, metres.
@@ -63,7 +68,8 @@ class HectorConfig(BuilderConfig):
     )
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
-    calibration_score: float = 0.6
+    localizability: LocalizabilityConfig = field(default_factory=LocalizabilityConfig)
+    learning_steps: int = 300
     bootstrap: BootstrapConfig = field(default_factory=BootstrapConfig)
     laser_max_dist: float = math.inf
     laser_clear_dist: float = 0.0
@@ -97,6 +103,10 @@ class HectorMapper:
         self._motion: list[OdometryIncrement | None] = []
         self._received = self._matched = self._unmatched = self._lost_scans = 0
         self._tracking = TrackingMonitor(self.config.tracking)
+        self._localizability = LocalizabilityMonitor(self.config.localizability)
+        self._registered = False
+        self._reckoned_yaw = 0.0
+        self._stamp = -math.inf
         self._earlier: Pose2 | None = None
         self._stopwatch = Stopwatch()
 
@@ -112,8 +122,9 @@ class HectorMapper:
         expected = self._reckoning.predict(self._estimate, odometry, imu, scan.stamp)
         if level.leveled and not self._bootstrap.over:
             self._motion.append(self._reckoning.increment)
-        match = self._match(level, expected)
-        self._builder.move_base(level, self._estimate.pose)
+        seconds, self._stamp = scan.stamp - self._stamp, scan.stamp
+        match = self._match(level, expected, seconds)
+        self._builder.move_base(level, self._estimate.pose, registered=self._registered)
         if self._fits(match) and self._builder.due(level, self._estimate.pose):
             self._enter(level)
         last = self._keyframes[-1] if self._keyframes else Pose2()
@@ -122,8 +133,9 @@ class HectorMapper:
         return self._estimate.pose
 
     def map(self) -> OccupancyGrid:
-        """Return the finest level of the map."""
-        return self._builder.map()
+        """Return the finest level of the map; without walls where dead reckoning placed most of them."""
+        driven = self._builder.ground_filter.distance_traveled
+        return self._builder.map(walls=self._localizability.draws(driven))
 
     def trajectory(self) -> Trajectory:
         """Return the pose of every scan, by stamp."""
@@ -151,33 +163,54 @@ class HectorMapper:
             **self._stopwatch.summary(),
         )
 
-    def _match(self, scan: LeveledScan, expected: PoseEstimate) -> Match | None:
+    def _match(self, scan: LeveledScan, expected: PoseEstimate, seconds: float) -> Match | None:
         """Move the estimate to where the scan fits; to the expected one, if there is nothing to fit."""
-        r, before, self._estimate = self.config.registration, self._estimate.pose, expected
+        before, self._estimate = self._estimate.pose, expected
         self._received += 1
+        self._registered = False
+        self._reckoned_yaw += wrap_angle(expected.pose.yaw - before.yaw)
         if self._builder.updates == 0:
             return None
         weights = self._builder.weights(self._builder.min_slopes(scan, expected.pose))
-        self._estimate, match = self._registration.register(
+        found, match = self._registration.register(
             self._builder.pyramid, scan.hits, weights, expected, before, self._earlier
         )
         self._earlier = before
+        if scan.leveled:
+            self._observe_localizability(match, seconds)
+        self._believe(match, found, before)
         if match is None:
             self._unmatched += 1
         else:
             self._matched += 1
-            if match.score >= (r.search_threshold if self._builder.flat else self.config.calibration_score):
-                self._reckoning.learn(before, self._estimate.pose)
         return match
+
+    def _observe_localizability(self, match: Match | None, seconds: float) -> None:
+        """Find out whether matches, and what they say of the odometry, are to be believed."""
+        off = 0.0 if match is None else wrap_angle(match.pose[2] - self._reckoned_yaw)
+        self._localizability.observe(None if match is None else match.score, off, seconds)
+        mature = self._reckoning.learned >= self.config.learning_steps
+        self._reckoning.calibrated = self._localizability.steady or mature
+
+    def _believe(self, match: Match | None, found: PoseEstimate, before: Pose2) -> None:
+        """Take over the pose that was found if matches localize the robot, and learn how it drives."""
+        c, leveled = self.config, self._localizability.scans > 0
+        if match is None or not self._localizability.believed:
+            return
+        self._estimate = found
+        needed = c.localizability.score if leveled else c.registration.search_threshold
+        self._registered = match.score >= needed
+        if self._registered:
+            self._reckoning.learn(before, found.pose)
 
     def _fits(self, match: Match | None) -> bool:
         """Return whether the scan may enter the map.
 
-        The first metres on uneven ground are refined with more of the ground known: until then a poor match
-        says nothing, and dead reckoning is believed.
+        Where the attitude is known, a poor match says nothing until walls are proven: what it saw
+        before may be hillsides, and dead reckoning is believed.
         """
         poor = match is not None and match.score < self.config.tracking.lost_score
-        if match is None or (poor and not self._builder.flat and not self._bootstrap.over):
+        if match is None or (poor and self._localizability.scans and not self._localizability.proven):
             return self._tracking.observe(None)
         fits = self._tracking.observe(match.score, match.known)
         self._lost_scans += self.lost
@@ -194,7 +227,10 @@ class HectorMapper:
         keyframe: HectorKeyframe = Keyframe(scan, pose, ground.height, min_slopes, tuple(self._motion))
         self._motion.clear()
         if bootstrap.add(keyframe, ground.distance_traveled):
-            bootstrap.replace(refined(bootstrap.keyframes, builder, self._registration, self._reckoning))
+            localizability = LocalizabilityMonitor(replace(self.config.localizability, share=REFINED_SHARE))
+            bootstrap.replace(
+                refined(bootstrap.keyframes, builder, self._registration, self._reckoning, localizability)
+            )
             self._keyframes[: len(bootstrap.keyframes)] = [k.pose for k in bootstrap.keyframes]
             T_new_old = self._keyframes[-1] @ pose.inverse()
             self._estimate = PoseEstimate(T_new_old @ pose, self._estimate.covariance)

@@ -29,6 +29,9 @@ from slam_baselines.mapping.growing_grid import GrowingGrid
 from slam_baselines.mapping.occupancy_map import SLOPE_STEP
 from slam_baselines.scan.leveling import LeveledScan, ScanPoints
 
+STANDSTILL = 1e-4
+"""A shorter step is none, metres."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class GroundFilterConfig:
@@ -40,17 +43,20 @@ class GroundFilterConfig:
         height_error: of a beam's height close to the robot, metres.
         confidence: how many of these errors a proof must exceed.
         drift: of the robot's height, per metre driven.
+        tilt_lever: drift of the robot's height per radian by which its tilt changes, metres: base_link does
+            not rise as steeply as the robot is tilted while an axle climbs or drops.
+        slip_slope: slope that wheels slip down on, radians; on less steep ones the share of a step that they
+            slip falls with the square of the grade.
         base_height: of base_link above the ground, metres.
         footprint: radius of the ground that the robot stands on, metres.
         flat_tilt: ground on which the robot never tilted more is a floor: every hit is a wall. Radians.
-        slope_factor: ratio of the steepest ground to the robot's largest tilt.
-        slope_margin: added to it, radians.
-        match_margin: the same for matching, where the ratio is 1, radians.
+        wall_slope: faces steeper than this are walls, on uneven ground, radians.
+        match_margin: what is steeper than the robot's largest tilt by this is a wall for matching, radians.
         full_weight_slope: rise over run from which on a hit has full weight in matching; where it is less
             steep, an error of height shifts it more, and its weight falls with the square of the slope.
-        first_margin: added at the start, when little ground is known, radians.
+        first_margin: added to it at the start, when little ground is known, radians.
         first_meters: distance over which the first margin falls to 1/e, metres.
-        slope_limit: of the steepest ground, radians.
+        slope_limit: of the steepest ground for matching, radians.
 
     Raises:
         ConfigError: a value that is not above 0.
@@ -61,11 +67,12 @@ class GroundFilterConfig:
     height_error: float = 0.01
     confidence: float = 3.0
     drift: float = 0.0015
+    tilt_lever: float = 0.05
+    slip_slope: float = math.radians(25.0)
     base_height: float = 0.13
     footprint: float = 0.3
     flat_tilt: float = math.radians(0.6)
-    slope_factor: float = 2.0
-    slope_margin: float = math.radians(3.0)
+    wall_slope: float = math.radians(45.0)
     match_margin: float = math.radians(3.0)
     full_weight_slope: float = 2.0
     first_margin: float = math.radians(15.0)
@@ -73,7 +80,7 @@ class GroundFilterConfig:
     slope_limit: float = math.radians(40.0)
 
     def __post_init__(self) -> None:
-        above = "resolution", "attitude_error", "height_error", "confidence", "slope_factor"
+        above = "resolution", "attitude_error", "height_error", "confidence", "wall_slope"
         require_above(self, 0, *above, "full_weight_slope", "slope_limit", of="the ground filter")
 
 
@@ -84,6 +91,7 @@ class GroundFilter:
         height: of base_link in the map frame, 0 at the start, metres.
         distance_traveled: metres.
         tilt: largest of the robot so far, radians.
+        drift: largest that the robot's height may have drifted since the start, metres.
     """
 
     def __init__(self, config: GroundFilterConfig | None = None) -> None:
@@ -92,34 +100,50 @@ class GroundFilter:
         self.height = 0.0
         self.distance_traveled = 0.0
         self.tilt = 0.0
+        self.drift = 0.0
         self._slope: tuple[float, float] | None = None
         self._offsets = _neighbours(self.config.resolution)
 
-    def move(self, delta: Pose2, scan: LeveledScan) -> None:
-        """Follow the ground over a step `T_before_now` of the base, as steep as the robot is tilted."""
+    def move(self, delta: Pose2, scan: LeveledScan, *, registered: bool = True) -> None:
+        """Follow the ground over a step of the base, as steep as the robot is tilted.
+
+        Args:
+            delta: `T_before_now`.
+            scan: tells the tilt.
+            registered: whether scans fitted at both ends; else wheels may have slipped on the slope.
+        """
+        c, step = self.config, math.hypot(delta.x, delta.y)
         self.height += scan.ground_slope[0] * delta.x + scan.ground_slope[1] * delta.y
-        self.distance_traveled += math.hypot(delta.x, delta.y)
+        self.distance_traveled += step
         x, y = scan.ground_slope if self._slope is None else self._slope
         # Noise of single readings is no slope.
         self._slope = 0.8 * x + 0.2 * scan.ground_slope[0], 0.8 * y + 0.2 * scan.ground_slope[1]
         self.tilt = max(self.tilt, math.atan(math.hypot(*self._slope)))
+        if step > STANDSTILL:
+            tilting = math.dist((x, y), self._slope)
+            grade = math.hypot(*self._slope)
+            slip = 0.0 if registered else min(1.0, (grade / math.tan(c.slip_slope)) ** 2)
+            self.drift += (c.drift + grade * slip) * step
+            self.drift += c.tilt_lever * max(0.0, tilting - 0.2 * c.attitude_error)
+
+    @property
+    def flat(self) -> bool:
+        """Whether the robot has never tilted more than on a floor."""
+        return self.tilt <= self.config.flat_tilt
 
     @property
     def wall_slope(self) -> int:
-        """Rise over run, in SLOPE_STEP, from which on a hit is a wall; 0 on a floor."""
-        return self._steps(self.config.slope_factor, self.config.slope_margin)
+        """Rise over run, in SLOPE_STEP, from which on a hit is drawn as a wall; 0 on a floor."""
+        return 0 if self.flat else round(math.tan(self.config.wall_slope) / SLOPE_STEP)
 
     @property
     def match_wall_slope(self) -> int:
         """The same, for matching: ground is hardly steeper than where the robot has been."""
-        return self._steps(1.0, self.config.match_margin)
-
-    def _steps(self, factor: float, margin: float) -> int:
         c = self.config
-        if self.tilt <= c.flat_tilt:
+        if self.flat:
             return 0
         unknown = c.first_margin * math.exp(-self.distance_traveled / c.first_meters)
-        angle = math.degrees(min(factor * self.tilt + margin + unknown, c.slope_limit))
+        angle = math.degrees(min(self.tilt + c.match_margin + unknown, c.slope_limit))
         return round(math.tan(math.radians(math.ceil(angle))) / SLOPE_STEP)
 
     def insert(self, scan: LeveledScan, pose: Pose2) -> tuple[ScanPoints, ByteArray]:
@@ -139,7 +163,7 @@ class GroundFilter:
         low, high = ends.min(axis=0) - 2.0, ends.max(axis=0) + 2.0
         g.ensure(low[0], low[1], high[0], high[1])
         upper_bound = g.layers["upper_bound"]
-        old = c.drift * self.distance_traveled
+        old = self.drift
         near, far = c.confidence * c.height_error, c.confidence * c.attitude_error
         frame = np.array((g.row0, g.col0, g.resolution))
         lower(upper_bound, frame, scan.origin, scan.hits, True, near - old, far)
@@ -187,7 +211,7 @@ class GroundFilter:
         c, g = self.config, self.grid
         near, far = c.confidence * c.height_error, c.confidence * c.attitude_error
         frame = np.array((g.row0, g.col0, g.resolution))
-        bounds = c.drift * self.distance_traveled, near, far
+        bounds = self.drift, near, far
         slopes: ByteArray = min_slopes(
             g.layers["upper_bound"], frame, scan, self._ground(base), bounds, self._offsets
         )

@@ -10,7 +10,7 @@ from lirs_wct.field_validators import require_above, require_at_least
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
-from slam_baselines.mapping.occupancy_map import OccupancyMap, UpdateConfig, bounding_box
+from slam_baselines.mapping.occupancy_map import NO_WALL, OccupancyMap, UpdateConfig, bounding_box
 from slam_baselines.mapping.pyramid import MapPyramid
 from slam_baselines.scan.interpolation import InterpolationConfig, interpolate_hits
 from slam_baselines.scan.leveling import LeveledScan, ScanPoints
@@ -63,21 +63,22 @@ class MapBuilder:
         self._sparse = False
         self._last: Pose2 | None = None
         self._entered: tuple[Pose2, tuple[float, float]] | None = None
-        self.restart()
+        self.pyramid = _pyramid(config)
+        self._wall_slope = 0
 
-    def restart(self) -> None:
-        """Forget the occupancy, but not the ground."""
-        c = self._config
-        resolutions = [c.map_resolution * 2**level for level in range(c.map_multi_res_levels)]
-        self.pyramid = MapPyramid(tuple(OccupancyMap(r, c.update) for r in resolutions))
+    def restart(self) -> MapPyramid:
+        """Forget the occupancy, but not the ground; return the pyramid that was."""
+        c, before = self._config, self.pyramid
+        self.pyramid = _pyramid(c)
         self._wall_slope = self.ground_filter.match_wall_slope
+        return before
 
-    def move_base(self, scan: LeveledScan, pose: Pose2) -> None:
-        """Follow the base to `pose`; keeps its height up to date."""
+    def move_base(self, scan: LeveledScan, pose: Pose2, *, registered: bool = True) -> None:
+        """Follow the base to `pose`; keeps its height up to date (see GroundFilter.move)."""
         step = Pose2() if self._last is None else self._last.inverse() @ pose
         self._sparse = math.hypot(step.x, step.y) + abs(step.yaw) >= self._config.sparse_distance
         if scan.leveled:
-            self.ground_filter.move(step, scan)
+            self.ground_filter.move(step, scan, registered=registered)
         self._last = pose
 
     def min_slopes(
@@ -139,11 +140,16 @@ class MapBuilder:
         """Whether the ground has always been a floor, so that every hit is a wall."""
         return self._wall_slope == 0
 
-    def map(self) -> OccupancyGrid:
-        """Return the finest level."""
-        return self.pyramid.maps[0].occupancy_grid(self.ground_filter.wall_slope)
+    def map(self, *, walls: bool = True) -> OccupancyGrid:
+        """Return the finest level; without walls, what would be one is unknown."""
+        return self.pyramid.maps[0].occupancy_grid(self.ground_filter.wall_slope if walls else NO_WALL)
 
     @property
     def memory(self) -> int:
         """Bytes of all maps."""
         return sum(level.grid.nbytes for level in self.pyramid.maps) + self.ground_filter.grid.nbytes
+
+
+def _pyramid(config: BuilderConfig) -> MapPyramid:
+    resolutions = [config.map_resolution * 2**level for level in range(config.map_multi_res_levels)]
+    return MapPyramid(tuple(OccupancyMap(r, config.update) for r in resolutions))

@@ -145,6 +145,8 @@ class OccupancyMap:
         return OccupancyGrid(values, self.resolution, corner)
 
 
+NO_WALL = 256
+"""A wall slope that no hit reaches."""
 UNKNOWN = -128
 """Log-odds of a cell that no beam has touched."""
 STEP = 0.1

@@ -138,12 +138,16 @@ class DeadReckoning:
     Attributes:
         calibration: what the odometry always gets wrong.
         increment: the last one; None without odometry.
+        calibrated: whether steps are corrected by the calibration.
+        learned: steps that the calibration has learned from.
     """
 
     def __init__(self, config: MotionConfig, calibration: CalibrationConfig | None = None) -> None:
         self.config = config
         self.calibration = Calibration(calibration or CalibrationConfig())
         self.increment: OdometryIncrement | None = None
+        self.calibrated = True
+        self.learned = 0
         self._odometry: Pose2 | None = None
         self._rate: float | None = None
         self._stamp: float | None = None
@@ -168,11 +172,14 @@ class DeadReckoning:
             self.increment = OdometryIncrement(_between(before, odometry), *_downhill(imu))
         if then is None:
             return last
-        delta = None if self.increment is None else self.increment.corrected(self.calibration)
+        delta = None if self.increment is None else self._step(self.increment)
         turned = None if rate is None or self._rate is None else (rate + self._rate) / 2 * (stamp - then)
         return self.config.predict(
             last, delta, stamp - then, turned, self.increment.tilt if self.increment else 0.0
         )
+
+    def _step(self, increment: OdometryIncrement) -> Pose2:
+        return increment.corrected(self.calibration) if self.calibrated else increment.step
 
     def learn(self, before: Pose2, now: Pose2) -> None:
         """Take note of where the last step truly led: from `before` to `now` in the map."""
@@ -181,6 +188,7 @@ class DeadReckoning:
             self.increment is not None
             and abs(self.increment.step.x) + abs(self.increment.step.yaw) > STANDSTILL
         ):
+            self.learned += 1
             self.calibration.learn(self.increment.step, _between(before, now), self.increment.down)
 
 

@@ -85,7 +85,9 @@ def test_a_turtlebot_on_a_narrow_barrier_stays_or_falls(name: str, nodes_wide: i
     sim.reset(Pose2(-1.5, 0.0))
     touched = sim.contact.heights(world.surface)
     for yaw in (0.0, 0.8, math.pi / 2):
-        sim.body.settle(Pose3.from_rpy(across, 0.0, 0.5 + sim.robot.base_height + 0.02, 0, 0, yaw), 0.02)
+        sim.body.settle(
+            Pose3.from_rpy(across, 0.0, 0.5 + sim.robot.base_height + 0.02, 0, 0, yaw), seconds=0.02
+        )
         deepest = 0.0
         for _ in range(1500):
             sim.body.step((0.0, 0.0), 1)

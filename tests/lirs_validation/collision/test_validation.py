@@ -61,7 +61,7 @@ def body_in(world: World, name: str, kind: ContactGeometry = "hfield") -> RobotM
 
 def left_alone(body: RobotModel, pose: Pose3, seconds: float) -> Leg:
     """Let a robot fall with its wheels held, every step noted."""
-    body.settle(pose, 0.0)
+    body.settle(pose, seconds=0.0)
     recorder = ContactRecorder(body)
     for _ in range(round(seconds / body.timestep)):
         recorder.step((0.0, 0.0))
@@ -172,7 +172,7 @@ def test_motors_work_is_what_the_robot_gains() -> None:
     """Speeding up on the level: kinetic energy is the motors' work less what slip takes, a few per cent."""
     world = terrain(lambda x, y: 0.01 * (x > 9.9))
     body, robot = body_in(world, "husky"), make_robot("husky")
-    body.settle(Pose3(0.0, 0.0, robot.base_height), 0.6)
+    body.settle(Pose3(0.0, 0.0, robot.base_height), seconds=0.6)
     recorder = ContactRecorder(body)
     for k in range(150):
         speed = min(1.0, k / 100) / robot.wheel_radius

@@ -1,0 +1,115 @@
+"""Localizability monitor: whether a mapper matches walls, or hillsides that it takes for walls.
+
+A planar scan of a hillside fits the map of the same hillside from the same place only: seen from another
+height, it seems to have moved. Matches to it turn and pull the estimate away from dead reckoning, which
+needs no walls. Two witnesses tell walls from hillsides without the truth: on walls most scans fit well, and
+the gyro agrees with the turn of the matches.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from lirs_wct.field_validators import require_above, require_at_least, require_within
+from lirs_wct.geometry.pose import wrap_angle
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalizabilityConfig:
+    """When matches localize the robot.
+
+    Attributes:
+        score: mean occupancy at the ends of the beams from which on a scan fits: on walls 9 of 10 scans
+            do, on hillsides few.
+        share: of the matched scans that must fit for matches to be believed ...
+        least_share: ... and to be believed on.
+        memory: scans after which one counts 1/e.
+        turn: largest turn by which matches may depart from dead reckoning, radians ...
+        seconds: ... within this time.
+        drawn_share: share of all scans that must have fitted for walls to be drawn ...
+        first_meters: ... after this distance, metres, or where `memory` scans were matched: until then dead
+            reckoning is good enough.
+
+    Raises:
+        ConfigError: a score or share outside (0, 1), a least_share above the share, a memory below 1, or
+            another value that is not above 0.
+    """
+
+    score: float = 0.6
+    share: float = 0.7
+    least_share: float = 0.15
+    memory: float = 50.0
+    turn: float = math.radians(1.5)
+    seconds: float = 5.0
+    drawn_share: float = 0.5
+    first_meters: float = 5.0
+
+    def __post_init__(self) -> None:
+        require_within(self, "(0, 1)", "score", "share", "drawn_share", of="localizability")
+        require_within(self, f"(0, {self.share}]", "least_share", of="localizability")
+        require_at_least(self, 1, "memory", of="localizability")
+        require_above(self, 0, "turn", "seconds", "first_meters", of="localizability")
+
+
+class LocalizabilityMonitor:
+    """Whether matches localize the robot.
+
+    Attributes:
+        localizable: whether they do.
+        steady: whether so many scans fit that what they say of the odometry is to be believed as well.
+        scans: all that were observed.
+    """
+
+    def __init__(self, config: LocalizabilityConfig) -> None:
+        self.localizable = self.steady = False
+        self.scans = self._matched = self._localizable = self._fitted = 0
+        self._config = config
+        self._share = self._turned = self._steadiness = 0.0
+        self._off: float | None = None
+
+    def observe(self, score: float | None, off: float, seconds: float) -> None:
+        """Count a scan.
+
+        Args:
+            score: how well the ends of its beams agree with the map, 0 to 1; None where there was nothing
+                to match.
+            off: yaw of the match less the yaw by dead reckoning since the start, radians.
+            seconds: since the scan before.
+        """
+        c = self._config
+        fits = score is not None and score >= c.score
+        self._turned *= math.exp(-seconds / c.seconds)
+        self._steadiness += (fits - self._steadiness) / c.memory
+        if score is not None:
+            self._matched += 1
+            self._share += (fits - self._share) / min(self._matched, c.memory)
+            self._turned += 0.0 if self._off is None else wrap_angle(off - self._off)
+            self._off = off
+        enough = self._share >= (c.least_share if self.localizable else c.share)
+        self.localizable = enough and abs(self._turned) <= c.turn
+        self.steady = self.localizable and self._steadiness >= 2 * c.least_share
+        self.scans += 1
+        self._localizable += self.localizable
+        self._fitted += self.localizable and fits
+
+    @property
+    def believed(self) -> bool:
+        """Whether matches are to be believed: always where no attitude is known, and nothing is observed."""
+        return self.localizable or self.scans == 0
+
+    @property
+    def proven(self) -> bool:
+        """Whether walls localized the robot for so long that what contradicts them means that it is lost."""
+        return self._localizable >= self._config.memory
+
+    def draws(self, distance: float) -> bool:
+        """Return whether walls may be drawn after a distance driven, metres.
+
+        Where they seldom localize the robot, they stand where dead reckoning put them, and what is taken
+        for walls may be ground.
+        """
+        c = self._config
+        if self.scans == 0 or (distance <= c.first_meters and self._matched < c.memory):
+            return True
+        return self._fitted >= c.drawn_share * self.scans

@@ -1,0 +1,98 @@
+"""The localizability monitor: walls are believed, hillsides are not, and each shows within seconds."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lirs_wct.errors import ConfigError
+from slam_baselines.matching.localizability import LocalizabilityConfig, LocalizabilityMonitor
+
+PERIOD = 0.1
+DEGREE = math.radians(1.0)
+
+
+def observed(*scores: float | None, turn: float = 0.0) -> LocalizabilityMonitor:
+    """A monitor that saw these scores; the match turns away from dead reckoning by `turn` each scan."""
+    monitor = LocalizabilityMonitor(LocalizabilityConfig())
+    for k, score in enumerate(scores):
+        monitor.observe(score, k * turn, PERIOD)
+    return monitor
+
+
+def test_walls_hold() -> None:
+    monitor = observed(*[0.9] * 60)
+    assert monitor.localizable
+    assert monitor.steady
+    assert monitor.proven
+    assert monitor.draws(20.0)
+
+
+def test_hillsides_do_not() -> None:
+    monitor = observed(*[0.3, 0.4, 0.65] * 60)
+    assert not monitor.localizable
+    assert not monitor.believed
+    assert not monitor.draws(20.0)
+
+
+def test_scans_that_fit_but_turn_the_robot_are_not_believed() -> None:
+    monitor = observed(*[0.9] * 100, turn=0.1 * DEGREE)
+    assert not monitor.localizable
+
+
+def test_a_slow_drift_of_the_gyro_is_no_contradiction() -> None:
+    assert observed(*[0.9] * 600, turn=0.01 * DEGREE).localizable
+
+
+def test_a_turn_across_the_half_circle_is_small() -> None:
+    monitor = LocalizabilityMonitor(LocalizabilityConfig())
+    for k in range(60):
+        monitor.observe(0.9, math.pi - 1e-3 if k % 2 else -math.pi + 1e-3, PERIOD)
+    assert monitor.localizable
+
+
+def test_what_held_is_believed_on_while_some_scans_fit() -> None:
+    """Less is asked to go on than to begin: a poor stretch between walls is no reason to let go."""
+    stretch = [0.3, 0.3, 0.9] * 40
+    assert observed(*[0.9] * 60, *stretch).localizable
+    assert not observed(*stretch).localizable
+    assert not observed(*[0.9] * 60, *[0.3] * 200).localizable
+
+
+def test_scans_with_nothing_to_match_change_nothing_but_the_steadiness() -> None:
+    monitor = observed(*[0.9] * 60, *[None] * 200)
+    assert monitor.localizable
+    assert not monitor.steady
+    assert not monitor.draws(20.0)
+
+
+def test_without_an_attitude_nothing_is_observed_and_all_is_believed() -> None:
+    monitor = LocalizabilityMonitor(LocalizabilityConfig())
+    assert monitor.believed
+    assert monitor.draws(1e3)
+
+
+def test_the_first_metres_are_drawn_until_enough_scans_were_matched() -> None:
+    assert observed(*[0.3] * 20).draws(4.0)
+    assert not observed(*[0.3] * 20).draws(6.0)
+    assert not observed(*[0.3] * 80).draws(4.0)
+
+
+@given(st.lists(st.none() | st.floats(0.0, 1.0), max_size=200))
+def test_no_more_is_proven_than_was_held(scores: list[float | None]) -> None:
+    monitor = observed(*scores)
+    assert monitor.scans == len(scores)
+    assert monitor.localizable or not monitor.steady
+    assert not monitor.proven or len(scores) >= LocalizabilityConfig().memory
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [{"score": 1.0}, {"share": 0.0}, {"least_share": 0.8}, {"memory": 0.5}, {"turn": 0.0}, {"seconds": -1.0}],
+)
+def test_illegal_settings_are_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match=next(iter(bad))):
+        LocalizabilityConfig(**bad)
