@@ -93,7 +93,7 @@ def group_table(
     groups = by_group(entries)
     fields = _fields(groups)
     kept = _existing(metrics, entries)
-    headings = (*fields, *(("sound runs",) if count else ()), *(metric.heading for metric in kept))
+    headings = (*fields, *(("succeeded",) if count else ()), *(metric.heading for metric in kept))
     rows = []
     for group, runs in groups.items():
         good = [run for run in runs if succeeded(run)]
