@@ -1,4 +1,4 @@
-"""Stable-Baselines3 takes no Gymnasium vector environments: this adapter makes one a `VecEnv` of its own."""
+"""Stable-Baselines3 takes no Gymnasium vector environments: this adapter makes them a `VecEnv` of its own."""
 
 from __future__ import annotations
 
@@ -10,28 +10,50 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from lirs_envs.vector_env import RobotVectorEnv
+from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import ConfigError
 
+PICTURES = {None: None, "rgb_array": "rgb_array", "map": "rgb_array"}
+"""Render modes, and what they are called in Stable-Baselines3."""
 
-def as_vec_env(envs: RobotVectorEnv) -> Any:
-    """Return a vector environment as Stable-Baselines3's `VecEnv`.
+
+def as_vec_env(*vectors: RobotVectorEnv) -> Any:
+    """Return vector environments as one `VecEnv` of Stable-Baselines3.
 
     Args:
-        envs: with autoreset mode `SameStep`, as Stable-Baselines3 resets.
+        *vectors: with autoreset mode `SameStep`, as Stable-Baselines3 resets; several of them (say, each in a
+            world of its own) have the same spaces, and their environments are numbered one after the other.
+
+    A vector with render mode `map` shows as one with `rgb_array`, the one kind of picture that
+    Stable-Baselines3 knows.
 
     Raises:
-        ConfigError: Stable-Baselines3 is not installed, or the autoreset mode is another.
+        ConfigError: Stable-Baselines3 is not installed, the autoreset or render mode is none for it, or the
+            vectors differ in spaces or render mode.
     """
     try:
         base: Any = import_module("stable_baselines3.common.vec_env").VecEnv
     except ImportError:
         raise ConfigError("as_vec_env needs Stable-Baselines3: pip install 'lirs-wct[rl]'") from None
-    if envs.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
+    if not vectors:
+        raise ConfigError("as_vec_env needs at least one vector environment")
+    for one in vectors:
+        _check(one, vectors[0])
+    return _adapter(base)(vectors)
+
+
+def _check(one: RobotVectorEnv, first: RobotVectorEnv) -> None:
+    if one.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
         raise ConfigError(
             "Stable-Baselines3 resets in the step that ends an episode: make the vector environment with "
-            f"autoreset_mode='SameStep', got {envs.metadata.get('autoreset_mode')}"
+            f"autoreset_mode='SameStep', got {one.metadata.get('autoreset_mode')}"
         )
-    return _adapter(base)(envs)
+    if one.render_mode not in PICTURES:
+        raise ConfigError(f"Stable-Baselines3 shows render modes rgb_array and map, got {one.render_mode!r}")
+    for name in ("single_observation_space", "single_action_space", "render_mode"):
+        wanted, got = getattr(first, name), getattr(one, name)
+        if got != wanted:
+            raise ConfigError(f"all vectors of a VecEnv need the same {name}, got {wanted} and {got}")
 
 
 def _adapter(base: Any) -> Any:
@@ -40,22 +62,34 @@ def _adapter(base: Any) -> Any:
     class RobotVecEnv(base):
         """N robots as Stable-Baselines3 steps them."""
 
-        def __init__(self, envs: RobotVectorEnv) -> None:
-            self.envs = envs
+        def __init__(self, vectors: Sequence[RobotVectorEnv]) -> None:
+            self.vectors = tuple(vectors)
+            self._views = [view for one in vectors for view in one.views]
+            self._ends = np.cumsum([one.num_envs for one in vectors])[:-1].tolist()
             self._actions: Any = None
-            super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
+            first = vectors[0]
+            super().__init__(len(self._views), first.single_observation_space, first.single_action_space)
 
         def reset(self) -> Any:
-            seeds = None if all(seed is None for seed in self._seeds) else self._seeds
-            observation, infos = self.envs.reset(seed=seeds, options=self._common_options())
-            self.reset_infos = split_infos(infos, self.num_envs)
+            observed = []
+            self.reset_infos = []
+            for one, rows in zip(self.vectors, self._split(np.arange(self.num_envs)), strict=True):
+                seeds = [self._seeds[i] for i in rows]
+                known = any(seed is not None for seed in seeds)
+                options = self._common_options(rows)
+                observation, infos = one.reset(seed=seeds if known else None, options=options)
+                observed.append(observation)
+                self.reset_infos += split_infos(infos, one.num_envs)
             self._reset_seeds()
             self._reset_options()
-            return observation
+            return _joined(observed)
 
-        def _common_options(self) -> Any:
-            options = self._options[0]
-            if any(other != options for other in self._options):
+        def _split(self, rows: Any) -> list[Any]:
+            return np.split(rows, self._ends)
+
+        def _common_options(self, rows: Any) -> Any:
+            options = self._options[rows[0]]
+            if any(self._options[i] != options for i in rows):
                 raise ConfigError("all environments of a vector take the same options of a reset")
             return options or None
 
@@ -63,44 +97,55 @@ def _adapter(base: Any) -> Any:
             self._actions = actions
 
         def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
-            observation, rewards, terminated, truncated, infos = self.envs.step(self._actions)
-            done = terminated | truncated
-            rows = split_infos(infos, self.num_envs)
-            for i in np.flatnonzero(done).tolist():
-                self.reset_infos[i] = {k: v for k, v in rows[i].items() if not k.startswith("final_")}
-                rows[i] = dict(rows[i]["final_info"])
-                rows[i]["terminal_observation"] = infos["final_obs"][i]
-            for i in range(self.num_envs):
-                rows[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
-            return observation, rewards.astype(np.float32), done, rows
+            observed, rewards, dones = [], [], []
+            rows: list[dict[str, Any]] = []
+            for one, actions in zip(self.vectors, self._split(self._actions), strict=True):
+                observation, reward, terminated, truncated, infos = one.step(actions)
+                observed.append(observation)
+                rewards.append(reward)
+                dones.append(terminated | truncated)
+                parts = split_infos(infos, one.num_envs)
+                for k, row in enumerate(parts):
+                    if dones[-1][k]:
+                        began = {name: value for name, value in row.items() if not name.startswith("final_")}
+                        self.reset_infos[len(rows) + k] = began
+                        parts[k] = row["final_info"] | {"terminal_observation": row["final_obs"]}
+                    parts[k]["TimeLimit.truncated"] = bool(truncated[k] and not terminated[k])
+                rows += parts
+            return _joined(observed), np.concatenate(rewards).astype(np.float32), np.concatenate(dones), rows
 
         def close(self) -> None:
-            self.envs.close()
+            for one in self.vectors:
+                one.close()
 
-        def get_images(self) -> Sequence[Any]:
-            return list(self.envs.render() or ())
+        def get_images(self) -> Sequence[ByteArray | None]:
+            return [image for one in self.vectors for image in one.render() or [None] * one.num_envs]
 
         def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+            rows = self._get_indices(indices)
             if attr_name == "render_mode":
-                return [self.envs.render_mode for _ in self._rows(indices)]
-            return [getattr(self.envs.views[i], attr_name) for i in self._rows(indices)]
+                return [PICTURES[self.vectors[0].render_mode] for _ in rows]
+            return [getattr(self._views[i], attr_name) for i in rows]
 
         def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-            for i in self._rows(indices):
-                setattr(self.envs.views[i], attr_name, value)
+            for i in self._get_indices(indices):
+                setattr(self._views[i], attr_name, value)
 
         def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-            return [getattr(self.envs.views[i], method_name)(*args, **kwargs) for i in self._rows(indices)]
+            rows = self._get_indices(indices)
+            return [getattr(self._views[i], method_name)(*args, **kwargs) for i in rows]
 
         def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-            return [False for _ in self._rows(indices)]
-
-        def _rows(self, indices: Any) -> list[int]:
-            if indices is None:
-                return list(range(self.num_envs))
-            return [indices] if isinstance(indices, int) else list(indices)
+            return [False for _ in self._get_indices(indices)]
 
     return RobotVecEnv
+
+
+def _joined(observations: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the observations of several vectors as those of one."""
+    if len(observations) == 1:
+        return observations[0]
+    return {name: np.concatenate([one[name] for one in observations]) for name in observations[0]}
 
 
 def split_infos(infos: dict[str, Any], count: int) -> list[dict[str, Any]]:

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from gymnasium.wrappers import (
     FrameStackObservation,
     NormalizeObservation,
     RecordEpisodeStatistics,
+    RecordVideo,
 )
 
 import lirs_envs  # noqa: F401  registers
@@ -124,6 +126,28 @@ def test_wrappers(name: str) -> None:
             break
     assert np.isfinite(observation).all()
     assert info["episode"]["r"] == pytest.approx(total)
+
+
+def test_record_video(plane: World, tmp_path: Path) -> None:
+    """A film of each episode, of the map: no OpenGL is needed."""
+    pytest.importorskip("moviepy", reason="moviepy is not installed")
+    env = RobotEnv("navigation", world=plane, time_limit=0.5, render_mode="map")
+    filmed: Any = RecordVideo(env, str(tmp_path / "films"), episode_trigger=lambda _: True)
+    for seed in range(2):
+        filmed.reset(seed=seed)
+        ended = False
+        while not ended:
+            *_, terminated, truncated, _ = filmed.step(np.array((0.5, 0.1), np.float32))
+            ended = terminated or truncated
+    filmed.close()
+    films = sorted((tmp_path / "films").glob("*.mp4"))
+    assert len(films) == 2
+    film = cv2.VideoCapture(str(films[0]))
+    assert film.get(cv2.CAP_PROP_FRAME_COUNT) == 6
+    assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(10)
+    taken, frame = film.read()
+    assert taken
+    assert frame.std() > 0
 
 
 def test_step_before_reset_and_after_the_end(plane: World) -> None:

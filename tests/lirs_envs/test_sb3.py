@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
+from lirs_envs.env import RobotEnv
+from lirs_envs.robots.catalog import ROBOTS
 from lirs_envs.sb3 import _adapter, as_vec_env, split_infos
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_wct.errors import ConfigError
+from lirs_wct.world import World
+
+REASON = "Stable-Baselines3 is not installed (extra [rl])"
+EVERYTHING = ["scan", "sectors", "odometry", "attitude", "goal", "goal_direction", "seen_map", "height_map"]
 
 
 class VecEnvInterface:
@@ -21,6 +29,9 @@ class VecEnvInterface:
         self._seeds: list[int | None] = [None] * num_envs
         self._options: list[dict[str, Any]] = [{} for _ in range(num_envs)]
         self.render_mode = self.get_attr("render_mode")[0]  # type: ignore[attr-defined]
+
+    def _get_indices(self, indices: Any) -> Any:
+        return range(self.num_envs) if indices is None else [indices] if isinstance(indices, int) else indices
 
     def seed(self, seed: int) -> list[int | None]:
         self._seeds = [seed + i for i in range(self.num_envs)]
@@ -37,14 +48,20 @@ class VecEnvInterface:
         return self.step_wait()  # type: ignore[attr-defined]
 
 
-def vector(**options: Any) -> RobotVectorEnv:
-    return RobotVectorEnv(
-        3, "navigation", autoreset_mode="SameStep", threads=1, world="simple", time_limit=0.5, **options
-    )
+def vector(count: int = 3, **options: Any) -> RobotVectorEnv:
+    given = {"world": "simple", "time_limit": 0.5, "autoreset_mode": "SameStep"} | options
+    return RobotVectorEnv(count, "navigation", threads=1, **given)
+
+
+def same(one: Any, two: Any) -> bool:
+    """Whether two observations or infos hold the same, bit for bit."""
+    if isinstance(one, dict):
+        return one.keys() == two.keys() and all(same(value, two[name]) for name, value in one.items())
+    return np.asarray(one).tolist() == np.asarray(two).tolist()
 
 
 def test_steps_are_those_of_the_vector() -> None:
-    adapted, plain = _adapter(VecEnvInterface)(vector()), vector()
+    adapted, plain = _adapter(VecEnvInterface)([vector()]), vector()
     adapted.seed(5)
     first, (second, infos) = adapted.reset(), plain.reset(seed=5)
     assert first["scan"].tobytes() == second["scan"].tobytes()
@@ -73,7 +90,7 @@ def test_steps_are_those_of_the_vector() -> None:
 
 
 def test_attributes_and_methods_of_chosen_environments() -> None:
-    adapted = _adapter(VecEnvInterface)(vector())
+    adapted = _adapter(VecEnvInterface)([vector()])
     adapted.reset()
     adapted.set_attr("difficulty", 0.9, indices=[0, 2])
     assert adapted.get_attr("difficulty") == [0.9, 0.5, 0.9]
@@ -96,11 +113,110 @@ def test_what_cannot_be(monkeypatch: pytest.MonkeyPatch) -> None:
         as_vec_env(vector())
 
 
-def test_stable_baselines_takes_it() -> None:
-    pytest.importorskip("stable_baselines3")
-    from stable_baselines3 import PPO
+def test_several_vectors_are_one(plane: World) -> None:
+    both = _adapter(VecEnvInterface)([vector(2), vector(3, world=plane)])
+    alone = vector(2), vector(3, world=plane)
+    both.seed(5)
+    seen, first, second = both.reset(), *(one.reset(seed=s)[0] for one, s in zip(alone, (5, 7), strict=True))
+    rng = np.random.default_rng(0)
+    for _ in range(7):
+        assert same(seen, {name: np.concatenate((value, second[name])) for name, value in first.items()})
+        actions = rng.uniform(-1, 1, (5, 2))
+        seen, rewards, done, rows = both.step(actions)
+        first, *ones, one_infos = alone[0].step(actions[:2])
+        second, *twos, two_infos = alone[1].step(actions[2:])
+        assert rewards == pytest.approx(np.concatenate((ones[0], twos[0])))
+        assert done.tolist() == np.concatenate((ones[1] | ones[2], twos[1] | twos[2])).tolist()
+        for i, infos, k in ((1, one_infos, 1), (2, two_infos, 0), (4, two_infos, 2)):
+            infos = infos["final_info"] if done[i] else infos
+            assert rows[i]["T_world_base"].tolist() == infos["T_world_base"][k].tolist()
+            assert both.reset_infos[i]["time"] == 0.0
+    assert done.shape == (5,)
+    both.set_attr("difficulty", 0.9, indices=[1, 2])
+    assert [view.difficulty for one in both.vectors for view in one.views] == [0.5, 0.9, 0.9, 0.5, 0.5]
 
-    with pytest.raises(ConfigError, match="autoreset_mode='SameStep'"):
-        as_vec_env(RobotVectorEnv(2, "navigation", world="simple"))
-    model = PPO("MultiInputPolicy", as_vec_env(vector()), n_steps=16, batch_size=16, n_epochs=1)
-    model.learn(96)
+
+@pytest.mark.parametrize(
+    ("vectors", "words"),
+    [
+        ([], "needs at least one vector environment"),
+        ([{"autoreset_mode": "NextStep"}], "autoreset_mode='SameStep', got AutoresetMode.NEXT_STEP"),
+        ([{"render_mode": "depth_array"}], "shows render modes rgb_array and map, got 'depth_array'"),
+        ([{}, {"robot": "quadrotor"}], "the same single_observation_space"),
+        ([{}, {"render_mode": "map"}], "the same render_mode, got None and map"),
+    ],
+)
+def test_vectors_that_do_not_fit(
+    vectors: list[dict[str, Any]], words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lirs_envs.sb3.import_module", lambda _: SimpleNamespace(VecEnv=VecEnvInterface))
+    with pytest.raises(ConfigError, match=words):
+        as_vec_env(*(vector(**options) for options in vectors))
+
+
+@pytest.mark.filterwarnings("ignore:Your observation height_map has an unconventional shape")
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("robot", sorted(ROBOTS))
+@pytest.mark.parametrize("name", ["LIRS/Mapping-v1", "LIRS/Navigation-v0", "LIRS/Traverse-v0"])
+def test_its_checker_finds_nothing(name: str, robot: str) -> None:
+    checker = pytest.importorskip("stable_baselines3.common.env_checker", reason=REASON)
+    checker.check_env(gym.make(name, robot=robot, world="simple").unwrapped)
+
+
+def test_its_own_vector_says_the_same() -> None:
+    """Single environments in Stable-Baselines3's `DummyVecEnv`: same readings, rewards, ends, infos."""
+    vec_env = pytest.importorskip("stable_baselines3.common.vec_env", reason=REASON)
+    options: dict[str, Any] = {"world": "medium", "time_limit": 2.0, "observe": EVERYTHING}
+    theirs = vec_env.DummyVecEnv([lambda: RobotEnv("navigation", **options) for _ in range(4)])
+    ours = as_vec_env(vector(4, **options))
+    for envs in (theirs, ours):
+        envs.seed(3)
+        envs.set_options({"difficulty": 0.1})
+    assert same(theirs.reset(), ours.reset())
+    assert same(theirs.reset_infos[2], ours.reset_infos[2])
+    rng, ends = np.random.default_rng(1), set()
+    for _ in range(50):
+        actions = rng.uniform((0.3, -0.6), 1, (4, 2)).astype(np.float32)
+        one, two = theirs.step(actions), ours.step(actions)
+        assert same(one[0], two[0])
+        assert same(one[1], two[1])
+        assert same(one[2], two[2])
+        for i in range(4):
+            assert same(one[3][i], two[3][i]), i
+            assert same(theirs.reset_infos[i], ours.reset_infos[i])
+            ends |= {(row["reason"], row["TimeLimit.truncated"]) for row in [two[3][i]] if two[2][i]}
+    assert ("timeout", True) in ends
+    assert ours.get_attr("difficulty", indices=2) == [0.1]
+
+
+def test_ppo_learns_through_the_adapter() -> None:
+    """A few hundred steps on every group, with its monitor, its normalization and an evaluation."""
+    sb3 = pytest.importorskip("stable_baselines3", reason=REASON)
+    from stable_baselines3.common.evaluation import evaluate_policy
+    from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+
+    made = vector(2, observe=EVERYTHING), vector(2, world="medium", observe=EVERYTHING)
+    monitored = VecMonitor(as_vec_env(*made), info_keywords=("success",))
+    envs = VecNormalize(monitored, norm_obs_keys=["goal", "attitude"])
+    model = sb3.PPO("MultiInputPolicy", envs, n_steps=32, batch_size=64, n_epochs=1, seed=0, device="cpu")
+    before = {name: value.clone() for name, value in model.policy.state_dict().items()}
+    model.learn(384)
+    assert model.num_timesteps == 384
+    assert {episode["l"] for episode in model.ep_info_buffer} == {5}
+    assert any((before[name] != value).any() for name, value in model.policy.state_dict().items())
+    envs.training = False
+    rewards, lengths = evaluate_policy(model, envs, n_eval_episodes=6, return_episode_rewards=True)
+    assert lengths == [5] * 6
+    assert np.isfinite(rewards).all()
+
+
+def test_its_pictures_are_maps() -> None:
+    pytest.importorskip("stable_baselines3", reason=REASON)
+    envs = as_vec_env(vector(2, render_mode="map"), vector(2, world="medium", render_mode="map"))
+    envs.reset()
+    tiled = envs.render()
+    assert tiled.dtype == np.uint8
+    single = np.shape(envs.get_images()[0])
+    assert tiled.shape == (2 * single[0], 2 * single[1], 3)
+    assert np.ptp(tiled) > 0
+    envs.close()

@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers import vector as wrappers
 
 import lirs_envs  # noqa: F401  registers
 from lirs_envs.vector_env import RobotVectorEnv
@@ -169,3 +170,26 @@ def test_max_episode_steps_truncates(plane: World) -> None:
     env.reset(seed=0)
     truncated = [env.step(np.zeros((2, 2)))[3].tolist() for _ in range(4)]
     assert truncated == [[False, False], [False, False], [True, True], [False, False]]
+
+
+def test_vector_wrappers() -> None:
+    """Wrappers of vectors, one on the other: returns of episodes, flat and normalized readings."""
+    envs: Any = gym.make_vec(
+        "LIRS/Navigation-v0",
+        num_envs=3,
+        vectorization_mode="vector_entry_point",
+        world="simple",
+        time_limit=0.5,
+    )
+    envs = wrappers.RecordEpisodeStatistics(envs)
+    envs = wrappers.NormalizeObservation(wrappers.FlattenObservation(envs))
+    observation, _ = envs.reset(seed=0)
+    total = np.zeros(3)
+    for _ in range(5):
+        observation, rewards, terminated, truncated, infos = envs.step(np.full((3, 2), 0.3, np.float32))
+        total += rewards
+    assert observation.shape == envs.observation_space.shape
+    assert np.isfinite(observation).all()
+    assert (terminated | truncated).all()
+    assert infos["episode"]["r"] == pytest.approx(total)
+    assert infos["episode"]["l"].tolist() == [5, 5, 5]

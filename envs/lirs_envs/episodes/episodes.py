@@ -101,7 +101,7 @@ class Episodes:
             randomize_terrain="terrain" in factors,
         )
         self.task = TraverseTask(self.stage, kind, scale) if crossing else TASKS[task](self.stage)
-        if "goal" in names and not self.task.has_goal:
+        if {"goal", "goal_direction"} & set(names) and not self.task.has_goal:
             raise ConfigError(f"the {task} task has no goal to observe")
         self.observations = Observations(names, self.stage, self.task)
         self._randomization = Randomization(self.simulation, factors)

@@ -19,6 +19,10 @@ MAP_CELLS = 64
 """Cells along a side of the seen map, of 0.25 m each."""
 HEIGHT_CELLS, HEIGHT_CELL = 32, 0.2
 """Cells along a side of the height map, and their edge in metres."""
+SECTORS = 36
+"""Sectors of equal width that a scan is divided into."""
+GOAL_SCALE = 30.0
+"""Distance of a goal that is scaled to 1, metres; farther ones too."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,29 @@ def _make_finite(ranges: Float32Array, range_max: float) -> None:
                 ranges[i, k] = range_max
 
 
+def scan_sectors(ranges: Float32Array, range_max: float) -> Float32Array:
+    """Return (n, 36) proximities of scans (n, beams): see `GROUPS`; beams not above 0 are left out."""
+    proximity = np.empty((len(ranges), SECTORS), np.float32)
+    _find_proximity(ranges, range_max, proximity)
+    return proximity
+
+
+@njit(cache=True, nogil=True)
+def _find_proximity(ranges: Float32Array, range_max: float, out: Float32Array) -> None:
+    """Fill (n, sectors) with 1 / (1 + r), r metres the least range above 0 in a sector; 1 = there is none."""
+    n, beams = ranges.shape
+    sectors = out.shape[1]
+    for i in range(n):
+        out[i] = 0.0
+        for k in range(beams):
+            if ranges[i, k] > 0.0:
+                s = k * sectors // beams
+                out[i, s] = max(out[i, s], np.float32(1.0 / (1.0 + min(ranges[i, k], range_max))))
+        for s in range(sectors):
+            if out[i, s] == 0.0:
+                out[i, s] = 1.0
+
+
 def _goal(stage: Stage, task: Task, ids: IntArray) -> FloatArray:
     """Return distance, metres, and bearing from the robot's heading, radians."""
     polar = np.empty((len(ids), 2))
@@ -89,6 +116,13 @@ def _goal(stage: Stage, task: Task, ids: IntArray) -> FloatArray:
         dx, dy = goal[0] - T.x, goal[1] - T.y
         polar[k] = math.hypot(dx, dy), math.remainder(math.atan2(dy, dx) - T.yaw, math.tau)
     return polar
+
+
+def goal_direction(polar: FloatArray) -> Float32Array:
+    """Return (n, 3) directions and distances of goals (n, 2), distance and bearing: see `GROUPS`."""
+    distance, bearing = polar.T
+    scaled = np.minimum(distance / GOAL_SCALE, 1.0)
+    return np.column_stack((np.cos(bearing), np.sin(bearing), scaled)).astype(np.float32)
 
 
 def _seen_map(stage: Stage, task: Task, ids: IntArray) -> ByteArray:
@@ -140,6 +174,12 @@ def _local_heights(
 
 GROUPS: dict[str, Group] = {
     "scan": Group(_scan_space, _scan),
+    "sectors": Group(
+        lambda stage: spaces.Box(0.0, 1.0, (SECTORS,), np.float32),
+        lambda stage, task, ids: scan_sectors(
+            stage.simulation.ranges[ids], stage.simulation.config.preset.range_max
+        ),
+    ),
     "odometry": Group(
         lambda stage: spaces.Box(-np.inf, np.inf, (3,), np.float64),
         lambda stage, task, ids: stage.simulation.odometry[ids],
@@ -151,6 +191,10 @@ GROUPS: dict[str, Group] = {
     "goal": Group(
         lambda stage: spaces.Box(np.array((0.0, -np.pi)), np.array((np.inf, np.pi)), dtype=np.float64), _goal
     ),
+    "goal_direction": Group(
+        lambda stage: spaces.Box(np.array((-1, -1, 0), np.float32), np.ones(3, np.float32), dtype=np.float32),
+        lambda stage, task, ids: goal_direction(_goal(stage, task, ids)),
+    ),
     "seen_map": Group(lambda stage: spaces.Box(0, 255, (1, MAP_CELLS, MAP_CELLS), np.uint8), _seen_map),
     "height_map": Group(
         lambda stage: spaces.Box(-np.inf, np.inf, (HEIGHT_CELLS, HEIGHT_CELLS), np.float32), _height_map
@@ -159,9 +203,13 @@ GROUPS: dict[str, Group] = {
 """Groups by name.
 
 scan: (beams,) metres; nothing in range is `range_max`, too near or lost is 0.
+sectors: (36,) proximity 1 / (1 + r), r metres the least range in each of 36 sectors of the scan, from right
+    to left; 1 = all its beams are too near or lost. A scan for small networks.
 odometry: (3,) x, y, yaw of `T_odom_base`; metres, radians.
 attitude: (2,) measured roll and pitch, radians.
 goal: (2,) straight distance, metres, and bearing, radians, from the true pose.
+goal_direction: (3,) cosine and sine of the goal's bearing, and its distance over 30 m, at most 1. A goal for
+    networks: without a jump where it is behind.
 seen_map: (1, 64, 64) 255 = seen ground; cells of 0.25 m around the true pose, row 0 = ahead, column 0 = left.
 height_map: (32, 32) heights of the ground above base_link, metres, cells of 0.2 m laid out in the same way.
 """
