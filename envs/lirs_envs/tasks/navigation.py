@@ -121,8 +121,10 @@ def _draw_goal(
     """Return a goal at a distance and behind a roughness that the difficulty picks; None = there is none."""
     if not site.area(start.x, start.y):
         return None
-    ways = site.distances(start.x, start.y)
-    longest = min(NEAR + difficulty * (FAR - NEAR), float(ways[np.isfinite(ways)].max()))
+    longest = NEAR + difficulty * (FAR - NEAR)
+    # Two cells beyond: the longest way is shortened only where the area ends before it.
+    ways = site.distances(start.x, start.y, longest + 2 * site.grid.resolution)
+    longest = min(longest, float(ways[np.isfinite(ways)].max()))
     cells = np.argwhere((ways >= max(0.6 * longest, 1.5)) & (ways <= longest))
     if len(cells) == 0:
         return None

@@ -108,10 +108,13 @@ class Site:
         ).tolist()
         return Pose2(x, y, math.pi * (2 * turn - 1))
 
-    def distances(self, x: float, y: float) -> FloatArray:
-        """Return (rows, cols) metres of the shortest way from each cell of `grid` to a point; inf = none."""
-        cell = self.grid.cells((x, y))
-        return search(np.where(self.areas > 0, 1.0, np.inf), cell[None], self.grid.resolution).cost
+    def distances(self, x: float, y: float, limit: float = math.inf) -> FloatArray:
+        """Return (rows, cols) metres of the shortest way from each cell of `grid` to a point.
+
+        inf = there is none, or none up to the limit.
+        """
+        weight, cell = np.where(self.areas > 0, 1.0, np.inf), self.grid.cells((x, y))
+        return search(weight, cell[None], self.grid.resolution, limit=limit).cost
 
     def reachable(self, area: int) -> BoolArray:
         """Return (rows, cols) cells of `seen` where the robot's middle can be, in an area of a number."""
