@@ -27,7 +27,8 @@ class LocalizabilityConfig:
         memory: scans after which one counts 1/e.
         turn: largest turn by which matches may depart from dead reckoning, radians ...
         seconds: ... within this time.
-        drawn_share: share of all scans that must have fitted for walls to be drawn ...
+        drawn_share: share of all scans that must have fitted for walls to be drawn, half of it ...
+        recent_share: ... where this share of the latest scans fitted ...
         first_meters: ... after this distance, metres, or where `memory` scans were matched: until then dead
             reckoning is good enough.
 
@@ -43,10 +44,11 @@ class LocalizabilityConfig:
     turn: float = math.radians(1.5)
     seconds: float = 5.0
     drawn_share: float = 0.5
+    recent_share: float = 0.8
     first_meters: float = 5.0
 
     def __post_init__(self) -> None:
-        require_within(self, "(0, 1)", "score", "share", "drawn_share", of="localizability")
+        require_within(self, "(0, 1)", "score", "share", "drawn_share", "recent_share", of="localizability")
         require_within(self, f"(0, {self.share}]", "least_share", of="localizability")
         require_at_least(self, 1, "memory", of="localizability")
         require_above(self, 0, "turn", "seconds", "first_meters", of="localizability")
@@ -112,4 +114,5 @@ class LocalizabilityMonitor:
         c = self._config
         if self.scans == 0 or (distance <= c.first_meters and self._matched < c.memory):
             return True
-        return self._fitted >= c.drawn_share * self.scans
+        recently = self.proven and self._steadiness >= c.recent_share
+        return self._fitted >= (0.5 if recently else 1.0) * c.drawn_share * self.scans

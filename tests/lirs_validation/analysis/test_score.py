@@ -27,7 +27,7 @@ from lirs_wct.sources.options import BuildOptions
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     out = tmp_path_factory.mktemp("out")
-    made = validate("medium", seconds=10, seed=2, out=out, options=BuildOptions(size=40.0, height=4.0))
+    made = validate("medium", seconds=15, seed=2, out=out, options=BuildOptions(size=40.0, height=4.0))
     assert made.folder is not None
     return read_run(made.folder)
 
@@ -62,8 +62,8 @@ def test_its_own_files_score_its_own_figures(run: RunFolder) -> None:
 def test_the_map_frame_is_that_of_the_first_base_pose(run: RunFolder, foreign: tuple[Path, Path]) -> None:
     scored = score(run, trajectory=foreign[0], map_yaml=foreign[1])
     assert scored.frame == "map"
-    assert scored.given == scored.trajectory["poses"] == math.ceil(251 / 3)
-    assert scored.trajectory["scan_coverage"] == pytest.approx(84 / 251)
+    assert scored.given == scored.trajectory["poses"] == math.ceil(376 / 3)
+    assert scored.trajectory["scan_coverage"] == pytest.approx(126 / 376)
     assert scored.status == "incomplete"
     assert "33.5 % of the scans, at least 95 %" in scored.reason
     assert scored.trajectory["ate_rmse"] == pytest.approx(run.entry["trajectory"]["ate_rmse"], rel=0.1)
@@ -126,7 +126,7 @@ def test_other_stamps_are_said(run: RunFolder, foreign: tuple[Path, Path], tmp_p
     estimate = read_tum(foreign[0])
     write_tum(tmp_path / "late.tum", replace(estimate, stamps=estimate.stamps + 1.7e9))
     with pytest.raises(
-        SourceError, match=r"late\.tum: other stamps: 0 of its 84 poses .*run's 0\.00 \.\. 10\.00 s"
+        SourceError, match=r"late\.tum: other stamps: 0 of its 126 poses .*run's 0\.00 \.\. 15\.00 s"
     ):
         score(run, trajectory=tmp_path / "late.tum")
 
@@ -163,7 +163,7 @@ def test_the_command(
     assert document["files"]["map"] == str(foreign[1])
     assert np.isfinite(document["trajectory"]["ate_rmse"])
     shown = " ".join(capsys.readouterr().out.split())
-    assert "84 of 84 poses" in shown
+    assert "126 of 126 poses" in shown
     assert "33.5 % of the scans" in shown
     for wrong in (words[:3], [*words, "--frame", "moon"]):
         monkeypatch.setattr("sys.argv", wrong)

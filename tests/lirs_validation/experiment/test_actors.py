@@ -12,7 +12,7 @@ from lirs_wct.errors import ConfigError
 
 @pytest.fixture(scope="module")
 def run() -> Run:
-    return validate("medium", seconds=8, seed=3, actors=50)
+    return validate("medium", seconds=15, seed=3, actors=50)
 
 
 def test_the_true_map_holds_no_walker_and_the_mappers_map_does(run: Run) -> None:

@@ -69,6 +69,15 @@ def test_scans_with_nothing_to_match_change_nothing_but_the_steadiness() -> None
     assert not monitor.draws(20.0)
 
 
+def test_walls_that_came_late_are_drawn_once_they_are_sure() -> None:
+    """Of a start on a slope few scans fit; a short drive would have no map else."""
+    poor_start = [0.3] * 100
+    assert not observed(*poor_start, *[0.9] * 30).draws(10.0)
+    assert observed(*poor_start, *[0.9] * 130).draws(10.0)
+    assert observed(*poor_start * 2, *[0.9] * 180).draws(10.0)
+    assert not observed(*poor_start * 5, *[0.9] * 180).draws(10.0)
+
+
 def test_without_an_attitude_nothing_is_observed_and_all_is_believed() -> None:
     monitor = LocalizabilityMonitor(LocalizabilityConfig())
     assert monitor.believed
