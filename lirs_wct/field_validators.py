@@ -79,3 +79,8 @@ def _require(config: Any, names: tuple[str, ...], of: str, legal: str, finite: b
 
 def _space(unit: str) -> str:
     return f" {unit}" if unit else ""
+
+
+def number_fields(config: Any) -> list[str]:
+    """Return the names of the fields that are numbers."""
+    return [name for name in config.__dataclass_fields__ if isinstance(getattr(config, name), int | float)]

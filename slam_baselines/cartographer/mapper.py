@@ -10,17 +10,12 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.cartographer.config import (
-    CartographerConfig,
-    ConstraintConfig,
-    GlobalConfig,
-    LocalConfig,
-    SubmapConfig,
-)
+from slam_baselines.cartographer.config import CartographerConfig, GlobalConfig, LocalConfig, SubmapConfig
 from slam_baselines.cartographer.global_slam import GlobalSlam
 from slam_baselines.cartographer.local_slam import LocalSlam
 from slam_baselines.cartographer.localization import CartographerLocalizer, KnownMap
 from slam_baselines.cartographer.loop_closure.loop_event import LoopEvent
+from slam_baselines.cartographer.loop_closure_config import ConstraintConfig
 from slam_baselines.cartographer.node import Node
 from slam_baselines.cartographer.node_map import NodeMap
 from slam_baselines.common.stopwatch import Stopwatch

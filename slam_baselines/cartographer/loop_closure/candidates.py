@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 
-from slam_baselines.cartographer.config import CandidateConfig
+from slam_baselines.cartographer.loop_closure_config import CandidateConfig
 
 Candidate = tuple[int, int]
 """Index of a node, index of a submap."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2, wrap_angle
-from slam_baselines.cartographer.config import ConstraintConfig
+from slam_baselines.cartographer.loop_closure_config import ConstraintConfig
 from slam_baselines.cartographer.submap import Submap
 from slam_baselines.common.linalg import inverted
 from slam_baselines.matching.branch_and_bound import Exclusion, Window, branch_and_bound

@@ -10,8 +10,8 @@ from collections import deque
 from collections.abc import Sequence
 
 from lirs_wct.geometry.pose import Pose2, wrap_angle
-from slam_baselines.cartographer.config import LoopVerificationConfig
 from slam_baselines.cartographer.loop_closure.constraint_builder import LoopConstraint
+from slam_baselines.cartographer.loop_closure_config import LoopVerificationConfig
 
 
 class LoopVerification:

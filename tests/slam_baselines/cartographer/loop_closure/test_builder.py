@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from lirs_wct.geometry.pose import Pose2
-from slam_baselines.cartographer.config import ConstraintConfig, SubmapConfig
+from slam_baselines.cartographer.config import SubmapConfig
 from slam_baselines.cartographer.loop_closure.constraint_builder import ConstraintBuilder
+from slam_baselines.cartographer.loop_closure_config import ConstraintConfig
 from slam_baselines.cartographer.submap import Submap
 from slam_baselines.scan.leveling import ScanPoints
 from tests.slam_baselines.cartographer.corridor import corridor_scan

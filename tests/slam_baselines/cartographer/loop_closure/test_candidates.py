@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from slam_baselines.cartographer.config import CandidateConfig
 from slam_baselines.cartographer.loop_closure.candidates import CandidateQueue
+from slam_baselines.cartographer.loop_closure_config import CandidateConfig
 
 
 def test_the_queue_takes_new_nodes_first_and_enough_is_enough():

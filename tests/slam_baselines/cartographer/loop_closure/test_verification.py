@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from lirs_wct.geometry.pose import Pose2
-from slam_baselines.cartographer.config import LoopVerificationConfig
 from slam_baselines.cartographer.loop_closure.constraint_builder import LoopConstraint
 from slam_baselines.cartographer.loop_closure.verification import LoopVerification
+from slam_baselines.cartographer.loop_closure_config import LoopVerificationConfig
 
 
 def test_one_loop_that_moves_far_waits_for_a_second():
