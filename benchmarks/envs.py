@@ -34,8 +34,10 @@ import lirs_envs  # noqa: F401  registers
 from lirs_envs.tasks.seen_ground import SeenGround
 from lirs_envs.tasks.site import seen_frame
 from lirs_envs.vector_env import RobotVectorEnv
+from lirs_wct.geometry.pose import Pose3
 
 N, HELD = 16, 10
+ALL = np.arange(N)
 TASK: dict[str, Any] = {"world": "medium", "robot": "husky", "control_hz": 25, "time_limit": 1e6}
 OLD = {"world": "medium", "robot": "husky"}
 LIMITS = {
@@ -83,6 +85,12 @@ def vector(threads: int) -> RobotVectorEnv:
     return env
 
 
+def rays(row: np.ndarray, mount: Pose3, beams: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return origin (3,) and directions (n, 3) in the world, from a pose of the base (7,)."""
+    T = Pose3(*row.tolist())
+    return (T @ mount).position, np.ascontiguousarray(beams @ T.rotation.T)
+
+
 class Recording:
     """States, controls and poses of a stretch of steps, to be replayed."""
 
@@ -90,13 +98,12 @@ class Recording:
         env = vector(1)
         self.simulation = env.episodes.simulation
         bodies = self.simulation.bodies
-        self.beams = self.simulation._lidars
         self.substeps = bodies.body.substeps
         self.state = bodies._batch.state.copy()
         self.batch = Batch(bodies.body.model, N, 1)
         self.batch.bind("sensordata")
         self.controls: list[np.ndarray] = []
-        self.poses: list[list[Any]] = []
+        self.poses: list[np.ndarray] = []
         self.ranges: list[np.ndarray] = []
         step = bodies.step
 
@@ -107,20 +114,16 @@ class Recording:
         bodies.step = recorded  # type: ignore[method-assign]
         for k in range(steps):
             env.step(told[k])
-            self.poses.append(list(self.simulation.poses))
+            self.poses.append(self.simulation.T_world_base.copy())
             self.ranges.append(self.simulation.ranges.copy())
         robot, preset = self.simulation.config.robot, self.simulation.config.preset
-        mount = robot.T_base_laser
-        self.range_max = preset.range_max
-        self.begun = SeenGround(N, preset.directions @ mount.rotation.T, mount.position, 1.0)
-        frame = seen_frame(self.simulation.worlds[0])
+        mount, frame = robot.T_base_laser, seen_frame(self.simulation.worlds[0])
+        self.range_max, beams = preset.range_max, preset.directions @ mount.rotation.T
+        self.begun = SeenGround(N, frame.height.shape, beams, mount.position, 1.0)
         for i in range(N):
             self.begun.begin(i, frame, np.isfinite(frame.height))
-            self.begun.add(i, self.ranges[0][i], self.range_max, self.poses[0][i])
-        self.rays = [
-            [lidar._rays(T, None) for lidar, T in zip(self.beams, poses, strict=True) if lidar is not None]
-            for poses in self.poses
-        ]
+        self.begun.add(ALL, self.ranges[0], self.range_max, self.poses[0])
+        self.rays = [[rays(T, mount, beams) for T in poses] for poses in self.poses]
 
     def physics(self, k: int) -> None:
         """Replay the controls of a step."""
@@ -139,8 +142,7 @@ class Recording:
         """Mark the ground that the scans of a step saw, where the reset's scan has marked its own."""
         if k == 0:
             self.seen = copy.deepcopy(self.begun)
-        for i in range(N):
-            self.seen.add(i, self.ranges[k][i], self.range_max, self.poses[k][i])
+        self.seen.add(ALL, self.ranges[k], self.range_max, self.poses[k])
 
 
 def main() -> None:

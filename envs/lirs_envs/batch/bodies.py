@@ -21,7 +21,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, Vector3
 from lirs_wct.geometry.pose import Pose3
 
-WARNINGS = [int(warning) for warning in DIVERGENCE_WARNINGS]
+WARNINGS = np.array([int(warning) for warning in DIVERGENCE_WARNINGS], np.int64)
 
 
 class Bodies:
@@ -126,9 +126,8 @@ class Bodies:
 
     def diverged(self) -> BoolArray:
         """(N,) whether each robot has diverged."""
-        warned = np.any(self._batch.warning[:, WARNINGS, 1] > 0, axis=1)
-        finite = np.isfinite(self.qpos).all(axis=1) & np.isfinite(self.qvel).all(axis=1)
-        found: BoolArray = warned | ~finite
+        found: BoolArray = np.zeros(self.count, np.bool_)
+        _find_diverged(self.qpos, self.qvel, self._batch.warning, WARNINGS, found)
         return found
 
     def divergence(self, i: int) -> str:
@@ -144,6 +143,10 @@ class Bodies:
         """Return `T_world_base` of robot `i`."""
         return base_pose(self.qpos[i])
 
+    def read_poses(self, rows: IntArray, out: FloatArray) -> None:
+        """Fill rows of (N, 7) with x, y, z, qw, qx, qy, qz of `T_world_base`."""
+        _read_poses(rows, self.qpos, out)
+
     def data(self, i: int) -> mujoco.MjData:
         """Return MuJoCo's data of robot `i`, with its derived fields: to be rendered."""
         data = self._batch.get_data(i)
@@ -157,6 +160,26 @@ def _add_touching(sensordata: FloatArray, sensors: IntArray, touched: BoolArray)
         for k in sensors:
             if sensordata[i, k] > 0.0:
                 touched[i] = True
+
+
+@njit(cache=True, nogil=True)
+def _find_diverged(
+    qpos: FloatArray, qvel: FloatArray, warning: Int32Array, kinds: IntArray, found: BoolArray
+) -> None:
+    for i in range(len(found)):
+        finite = np.isfinite(qpos[i]).all() and np.isfinite(qvel[i]).all()
+        found[i] = not finite
+        for k in kinds:
+            found[i] |= warning[i, k, 1] > 0
+
+
+@njit(cache=True, nogil=True)
+def _read_poses(rows: IntArray, qpos: FloatArray, out: FloatArray) -> None:
+    for i in rows:
+        w, x, y, z = qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6]
+        norm = math.sqrt(w * w + x * x + y * y + z * z)
+        out[i, :3] = qpos[i, :3]
+        out[i, 3], out[i, 4], out[i, 5], out[i, 6] = w / norm, x / norm, y / norm, z / norm
 
 
 class BodyView:

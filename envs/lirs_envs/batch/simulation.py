@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -13,14 +14,15 @@ from lirs_envs.actors.walkers import TOUCHABLE, WALKER_STREAM, Walkers
 from lirs_envs.batch.bodies import Bodies
 from lirs_envs.batch.control import DifferentialDrives, WheelActuators
 from lirs_envs.batch.imu import ImuReadings
+from lirs_envs.batch.lidars import Lidars
 from lirs_envs.batch.odometry import WheelJoints, WheelOdometries
 from lirs_envs.batch.per_robot import FlightControllers, Odometries
 from lirs_envs.lidar.casters import WalkerCaster, make_caster
-from lirs_envs.lidar.lidar import BaseVelocity, Lidar
+from lirs_envs.lidar.lidar import BaseVelocity
 from lirs_envs.lidar.noise import LidarNoise, lidar_noise
 from lirs_envs.lidar.ray_casting import Caster, RayCaster
 from lirs_envs.placement import MAX_SETTLING_DISTANCE, standing_pose
-from lirs_envs.robot_model import RobotModel, is_tipped
+from lirs_envs.robot_model import TIPPED, RobotModel, is_tipped
 from lirs_envs.sensing.sensors import IMU_STREAM, LIDAR_STREAM, ODOMETRY_STREAM, Observation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
@@ -30,6 +32,9 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.world import World
+
+PARTS = 4
+"""Parts of the scans that each thread takes, one after the other: they do not take equally long."""
 
 
 class BatchSimulation:
@@ -47,7 +52,7 @@ class BatchSimulation:
         odometry: (N, 3) `T_odom_base`: x, y, yaw, metres and radians.
         attitude: (N, 2) measured roll and pitch, radians.
         touched: (N,) whether the robot's body (not a wheel) touched anything in the last `advance`.
-        poses: last valid `T_world_base` of each robot.
+        T_world_base: (N, 7) x, y, z, qw, qx, qy, qz of the last valid pose of each robot.
         errors: of each robot, why its simulation cannot go on; empty = it can.
 
     Args:
@@ -94,12 +99,17 @@ class BatchSimulation:
             self._walkers = [self._make_walkers(world) for _ in range(count)]
             self.casters = [WalkerCaster(self.casters[0], w, builtin=True) for w in self._walkers]
         self._make_sensors(count)
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._make_pool()
+
+    def _make_pool(self) -> None:
+        # The calling thread works, too.
+        self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
 
     def _make_sensors(self, count: int) -> None:
         config, body = self.config, self.bodies.body
         robot, noise = config.robot, config.noise
         self._surfaces = [world.surface for world in self.worlds]
+        self._bounds = np.array([surface.bounds for surface in self._surfaces])
         self._imu = ImuReadings(noise.imu, count)
         self._control: DifferentialDrives | FlightControllers
         self._odometry: WheelOdometries | Odometries
@@ -115,13 +125,12 @@ class BatchSimulation:
         self.lidar_noise: list[LidarNoise] = [
             noise.lidar if isinstance(noise.lidar, LidarNoise) else lidar_noise(config.preset, noise.lidar)
         ] * count
-        self._lidars: list[Lidar | None] = [None] * count
+        self._lidars = Lidars(config, count)
         self._stamps = np.zeros(count)
         self._ticks = np.zeros(count, np.int64)
-        self.ranges: Float32Array = np.zeros((count, config.preset.beams), np.float32)
         self.touched: BoolArray = np.zeros(count, np.bool_)
         self.errors = [""] * count
-        self.poses = [Pose3()] * count
+        self.T_world_base: FloatArray = np.tile((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (count, 1))
 
     def _make_walkers(self, world: World) -> Walkers:
         config = self.config
@@ -132,13 +141,18 @@ class BatchSimulation:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+        self._make_pool()
 
     def close(self) -> None:
         """End the threads; whatever comes after runs in one."""
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None
+
+    @property
+    def ranges(self) -> Float32Array:
+        """(N, beams) float32 of the last scans (see `LaserScan`)."""
+        return self._lidars.ranges
 
     @property
     def odometry(self) -> FloatArray:
@@ -160,7 +174,7 @@ class BatchSimulation:
             raise ConfigError(f"the world {self.worlds[i].name!r} cannot be replaced: it has no height range")
         write_heights(self.bodies.models[i], world.surface, self._height_range)
         self.bodies.models_changed()
-        self.worlds[i], self._surfaces[i] = world, world.surface
+        self.worlds[i], self._surfaces[i], self._bounds[i] = world, world.surface, world.surface.bounds
         self.casters[i] = RayCaster(world.surface)
         if self._walkers:
             self._walkers[i] = self._make_walkers(world)
@@ -182,7 +196,8 @@ class BatchSimulation:
         divergence = bodies.divergence(i)
         if divergence:
             raise SimulationError(divergence)
-        there = self.poses[i] = bodies.pose(i)
+        bodies.read_poses(np.array((i,)), self.T_world_base)
+        there = self.pose(i)
         if math.hypot(there.x - start.x, there.y - start.y) > MAX_SETTLING_DISTANCE or is_tipped(there):
             raise SimulationError(
                 f"{robot.name} does not stay at ({start.x:.2f}, {start.y:.2f}): "
@@ -191,28 +206,21 @@ class BatchSimulation:
         self._begin(i, seed)
 
     def _begin(self, i: int, seed: int) -> None:
-        config, bodies, row = self.config, self.bodies, np.array((i,))
+        bodies, row = self.bodies, np.array((i,))
         lidar, odometry, imu = (
             np.random.default_rng((seed, stream)) for stream in (LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM)
         )
-        self._lidars[i] = Lidar(
-            config.preset,
-            self.casters[i],
-            config.robot.T_base_laser,
-            lidar,
-            self.lidar_noise[i],
-            rolling_scan=config.noise.rolling_scan,
-        )
+        self._lidars.begin(i, self.casters[i], self.lidar_noise[i], lidar)
         self._imu.begin(i, bodies.qpos, bodies.qvel, imu)
         self._odometry.begin(i, bodies.qpos, odometry)
         self._control.begin(i)
         self._imu.read(row, bodies.qpos, bodies.specific_force(), self.period)
         self._ticks[i], self._stamps[i] = 0, 0.0
         self.errors[i], self.touched[i] = "", False
-        self._scan(i)
+        self._scan(row)
 
     def advance(
-        self, ids: IntArray, commands: FloatArray, after_scan: Callable[[int], None] | None = None
+        self, ids: IntArray, commands: FloatArray, after_scan: Callable[[IntArray], None] | None = None
     ) -> None:
         """Drive robots for one period; those that diverge have their `errors` set and keep their readings.
 
@@ -220,7 +228,8 @@ class BatchSimulation:
             ids: rows of the robots, sorted.
             commands: (N, 3) speeds ahead, m/s, turn rates, rad/s, climbs, m/s; beyond the robot's limits they
                 are clipped.
-            after_scan: called for each robot that has a new scan, perhaps from several threads at a time.
+            after_scan: called with rows of robots that have a new scan, perhaps from several threads at a
+                time.
         """
         bodies, imu = self.bodies, self._imu
         touched, odometry = np.zeros(bodies.count, np.bool_), self.odometry.copy()
@@ -238,13 +247,12 @@ class BatchSimulation:
             self.errors[i] = failed.get(i, "") or bodies.divergence(i)
             self.odometry[i] = odometry[i]
         going = np.array([i for i in ids.tolist() if not self.errors[i]], np.int64)
-        for i in going.tolist():
-            self.poses[i] = bodies.pose(i)
+        bodies.read_poses(going, self.T_world_base)
         imu.read(going, bodies.qpos, bodies.specific_force(), self.period)
         self._odometry.read(going)
         self.touched[ids] = touched[ids]
         self._ticks[going] += 1
-        self._scan_all([i for i in going.tolist() if self._scan_is_due(i)], after_scan)
+        self._scan_all(going[self._scan_is_due(going)], after_scan)
 
     def _walk(self, ids: IntArray, dt: float) -> None:
         """Let the walkers walk, before the robots' next step."""
@@ -253,33 +261,45 @@ class BatchSimulation:
             self._walkers[i].advance(dt, x, y)
             self.bodies.mocap_pos[i] = self._walkers[i].touchable
 
-    def _scan_is_due(self, i: int) -> bool:
-        """Whether the lidar, at its own rate, has begun another scan in the last period."""
-        scans = self.period * self.config.preset.rate
-        return int(self._ticks[i] * scans + 1e-9) > int((self._ticks[i] - 1) * scans + 1e-9)
+    def _scan_is_due(self, rows: IntArray) -> BoolArray:
+        """Whether lidars, at their own rate, have begun another scan in the last period."""
+        scans, ticks = self.period * self.config.preset.rate, self._ticks[rows]
+        due: BoolArray = np.floor(ticks * scans + 1e-9) > np.floor((ticks - 1) * scans + 1e-9)
+        return due
 
-    def _scan_all(self, due: list[int], after_scan: Callable[[int], None] | None) -> None:
-        def work(part: list[int]) -> None:
-            for i in part:
-                self._scan(i)
+    def _scan_all(self, due: IntArray, after_scan: Callable[[IntArray], None] | None) -> None:
+        share = -(-len(due) // (PARTS * self.threads)) if self._pool else max(len(due), 1)
+        parts = deque(due[k : k + share] for k in range(0, len(due), share))
+
+        def work() -> None:
+            while parts:
+                try:
+                    part = parts.popleft()
+                except IndexError:  # another thread took the last one
+                    return
+                self._scan(part)
                 if after_scan is not None:
-                    after_scan(i)
+                    after_scan(part)
 
-        if self._pool is None or len(due) < 2:
-            work(due)
-            return
-        share = -(-len(due) // self.threads)
-        list(self._pool.map(work, [due[k : k + share] for k in range(0, len(due), share)]))
+        helpers = (
+            [self._pool.submit(work) for _ in range(min(self.threads, len(parts)) - 1)] if self._pool else []
+        )
+        work()
+        for helper in helpers:
+            helper.result()
 
-    def _scan(self, i: int) -> None:
-        lidar, velocity = self._lidars[i], None
-        assert lidar is not None, "reset comes first"
-        T = self.poses[i]
-        if lidar.time_increment:
-            linear = (self.bodies.qvel[i, :3] @ T.rotation).tolist()
-            velocity = BaseVelocity(tuple(linear), tuple(self.bodies.qvel[i, 3:6].tolist()))
-        self.ranges[i] = lidar.ranges(T, velocity)
-        self._stamps[i] = self.time(i)
+    def _scan(self, rows: IntArray) -> None:
+        self._lidars.scan(rows, self.T_world_base, self._velocity)
+        self._stamps[rows] = self._ticks[rows] * self.period
+
+    def _velocity(self, i: int) -> BaseVelocity:
+        x, y, z = (self.bodies.qvel[i, :3] @ self.pose(i).rotation).tolist()
+        roll, pitch, yaw = self.bodies.qvel[i, 3:6].tolist()
+        return BaseVelocity((x, y, z), (roll, pitch, yaw))
+
+    def pose(self, i: int) -> Pose3:
+        """Return the last valid `T_world_base` of robot `i`."""
+        return Pose3(*self.T_world_base[i].tolist())
 
     def time(self, i: int) -> float:
         """Return the seconds since robot `i` was reset."""
@@ -293,15 +313,21 @@ class BatchSimulation:
         """Return the ground of robot `i`."""
         return self._surfaces[i]
 
-    def off_world(self, i: int) -> bool:
-        """Whether base_link of robot `i` is beyond its world's border."""
-        T, (west, south, east, north) = self.poses[i], self._surfaces[i].bounds
-        return not (west <= T.x <= east and south <= T.y <= north)
+    def tipped(self) -> BoolArray:
+        """(N,) whether each robot tilts by more than 60 deg or lies on its back."""
+        x, y = self.T_world_base[:, 4], self.T_world_base[:, 5]
+        tipped: BoolArray = np.less(1 - 2 * (x * x + y * y), TIPPED)
+        return tipped
+
+    def off_world(self) -> BoolArray:
+        """(N,) whether base_link of each robot is beyond its world's border."""
+        place = self.T_world_base[:, :2]
+        inside = (place >= self._bounds[:, :2]) & (place <= self._bounds[:, 2:])
+        return np.asarray(~inside.all(axis=1))
 
     def reading(self, i: int) -> Observation:
         """Return what the sensors of robot `i` read last, as a mapper takes it."""
-        preset, lidar = self.config.preset, self._lidars[i]
-        assert lidar is not None, "reset comes first"
+        preset = self.config.preset
         scan = LaserScan(
             self.ranges[i].copy(),
             preset.angle_min,
@@ -309,8 +335,8 @@ class BatchSimulation:
             preset.range_min,
             preset.range_max,
             float(self._stamps[i]),
-            lidar.T_base_laser,
-            lidar.time_increment,
+            self.config.robot.T_base_laser,
+            self._lidars.time_increment,
         )
         roll, pitch = self.attitude[i].tolist()
         rates, force = tuple(self._imu.rates[i].tolist()), tuple(self._imu.force[i].tolist())

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from numba import njit
 
 from lirs_envs.batch.simulation import BatchSimulation
 from lirs_envs.episodes.config import EnvConfig
@@ -15,7 +17,6 @@ from lirs_envs.episodes.randomization import Factors, Randomization
 from lirs_envs.episodes.world_cache import cached_world
 from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
 from lirs_envs.placement import check_fit
-from lirs_envs.robot_model import is_tipped
 from lirs_envs.sensing.sensors import Observation
 from lirs_envs.tasks.mapping import MappingTask
 from lirs_envs.tasks.navigation import NavigationTask
@@ -92,10 +93,11 @@ class Episodes:
         )
         names = TASKS[task].observe if config.observe is None else config.observe
         sees = task == "mapping" or "seen_map" in names
+        site = make_site(world, robot)
         self.stage = Stage(
             simulation=self.simulation,
-            site=make_site(world, robot),
-            seen=self._make_seen(count) if sees else None,
+            site=site,
+            seen=self._make_seen(count, site.seen.height.shape) if sees else None,
             difficulty=np.full(count, float(config.difficulty)),
             randomize_start="start" in factors,
             randomize_terrain="terrain" in factors,
@@ -111,11 +113,11 @@ class Episodes:
         self._last_step = min(max(1, round(limit * config.control_hz)), max_steps or 2**62)
         self._make_rows(count)
 
-    def _make_seen(self, count: int) -> SeenGround:
+    def _make_seen(self, count: int, shape: tuple[int, int]) -> SeenGround:
         robot, preset = self.config.simulation.robot, self.config.simulation.preset
         mount = robot.T_base_laser
         reach = FLYING_REACH if robot.flies else GROUND_REACH
-        return SeenGround(count, preset.directions @ mount.rotation.T, mount.position, reach)
+        return SeenGround(count, shape, preset.directions @ mount.rotation.T, mount.position, reach)
 
     def _make_rows(self, count: int) -> None:
         self.terminated: BoolArray = np.zeros(count, np.bool_)
@@ -157,7 +159,7 @@ class Episodes:
         self.terminated[i] = self.truncated[i] = False
         if self.stage.seen is not None:
             self.stage.seen.begin(i, *self.task.ground(i))
-            self._see(i)
+            self._see(np.array((i,)))
         self.task.begin(i)
         self._ready[i] = True
 
@@ -205,24 +207,24 @@ class Episodes:
         return rewards[ids]
 
     def _end(self, ids: IntArray) -> None:
+        simulation = self.simulation
+        tipped, off = simulation.tipped().tolist(), simulation.off_world().tolist()
         for i in ids.tolist():
-            reason = self._reason(i)
+            reason = self.task.end(i)
+            if simulation.errors[i]:
+                reason = "error"
+            elif tipped[i]:
+                reason = "tipped over"
+            elif off[i]:
+                reason = "left the world"
             self.terminated[i] = bool(reason)
             self.truncated[i] = not reason and self._steps[i] >= self._last_step
             self._reasons[i] = "timeout" if self.truncated[i] else reason
 
-    def _reason(self, i: int) -> str:
-        simulation = self.simulation
-        if simulation.errors[i]:
-            return "error"
-        if is_tipped(simulation.poses[i]):
-            return "tipped over"
-        return "left the world" if simulation.off_world(i) else self.task.end(i)
-
-    def _see(self, i: int) -> None:
+    def _see(self, rows: IntArray) -> None:
         simulation, seen = self.simulation, self.stage.seen
         assert seen is not None
-        seen.add(i, simulation.ranges[i], simulation.config.preset.range_max, simulation.poses[i])
+        seen.add(rows, simulation.ranges, simulation.config.preset.range_max, simulation.T_world_base)
 
     def _check_ready(self, ids: IntArray) -> None:
         if not self._ready[ids].all():
@@ -246,10 +248,11 @@ class Episodes:
 
     def infos(self) -> dict[str, Any]:
         """Return (N, ...) arrays of what `info` says."""
-        poses = [(T.x, T.y, T.yaw) for T in self.stage.poses]
+        poses = np.empty((self.count, 3))
+        _planar(self.simulation.T_world_base, poses)
         reasons = np.array(self._reasons, dtype=object)
         return {
-            "T_world_base": np.array(poses),
+            "T_world_base": poses,
             "time": self._steps * self.simulation.period,
             "contact": self.simulation.touched.copy(),
             "timeout": self.truncated.copy(),
@@ -257,6 +260,15 @@ class Episodes:
             "redrawn": self._redrawn.copy(),
             **self.task.infos(),
         }
+
+
+@njit(cache=True, nogil=True)
+def _planar(T_world_base: FloatArray, poses: FloatArray) -> None:
+    """Fill (N, 3) x, y, yaw of poses (N, 7) x, y, z, qw, qx, qy, qz."""
+    for i in range(len(poses)):
+        x, y, _, w, a, b, c = T_world_base[i]
+        poses[i, 0], poses[i, 1] = x, y
+        poses[i, 2] = math.atan2(2 * (w * c + a * b), 1 - 2 * (b * b + c * c))
 
 
 class EpisodeView:
@@ -283,7 +295,7 @@ class EpisodeView:
     @property
     def T_world_base(self) -> Pose3:  # noqa: N802  a frame pair
         """True pose of base_link."""
-        return self._episodes.stage.poses[self._i]
+        return self._episodes.stage.pose(self._i)
 
     @property
     def world(self) -> World:

@@ -111,7 +111,7 @@ def _goal(stage: Stage, task: Task, ids: IntArray) -> FloatArray:
     """Return distance, metres, and bearing from the robot's heading, radians."""
     polar = np.empty((len(ids), 2))
     for k, i in enumerate(ids.tolist()):
-        goal, T = task.goal(i), stage.poses[i]
+        goal, T = task.goal(i), stage.pose(i)
         assert goal is not None, "only tasks with a goal have it observed"
         dx, dy = goal[0] - T.x, goal[1] - T.y
         polar[k] = math.hypot(dx, dy), math.remainder(math.atan2(dy, dx) - T.yaw, math.tau)
@@ -129,7 +129,7 @@ def _seen_map(stage: Stage, task: Task, ids: IntArray) -> ByteArray:
     assert stage.seen is not None
     maps = np.empty((len(ids), 1, MAP_CELLS, MAP_CELLS), np.uint8)
     for k, i in enumerate(ids.tolist()):
-        T = stage.poses[i]
+        T = stage.pose(i)
         stage.seen.local_map(i, T.x, T.y, T.yaw, maps[k, 0])
     return maps
 
@@ -137,7 +137,7 @@ def _seen_map(stage: Stage, task: Task, ids: IntArray) -> ByteArray:
 def _height_map(stage: Stage, task: Task, ids: IntArray) -> Float32Array:
     maps = np.empty((len(ids), HEIGHT_CELLS, HEIGHT_CELLS), np.float32)
     for k, i in enumerate(ids.tolist()):
-        T, surface = stage.poses[i], stage.simulation.surface(i)
+        T, surface = stage.pose(i), stage.simulation.surface(i)
         frame = (*surface.origin, *surface.cell)
         _local_heights(surface.z, frame, (T.x, T.y, T.z, T.yaw), maps[k])
     return maps

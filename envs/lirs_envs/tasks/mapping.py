@@ -63,7 +63,7 @@ class MappingTask(Task):
 
     def end(self, i: int) -> str:
         """Return "covered" at 95 %."""
-        return "covered" if self._coverage()[i] >= COVERED else ""
+        return "covered" if self._seen.wanted_cells[i] / self._reachable[i] >= COVERED else ""
 
     def infos(self) -> dict[str, Any]:
         """Return the coverage of the reachable ground, 0 to 1, and the seen area, square metres."""

@@ -74,7 +74,7 @@ class NavigationTask(Task):
         """Return the metres gained, and what success or collision are worth."""
         stage, rewards = self.stage, np.zeros(len(ids))
         for k, i in enumerate(ids.tolist()):
-            T = stage.poses[i]
+            T = stage.pose(i)
             way = _way(stage.site, self._costs[i], T.x, T.y)
             if math.isfinite(way):
                 # Off the ground that can be driven nothing is gained until the robot is back on it.
@@ -105,7 +105,7 @@ class NavigationTask(Task):
         }
 
     def _distance(self, i: int) -> float:
-        T = self.stage.poses[i]
+        T = self.stage.pose(i)
         return math.hypot(self._goals[i, 0] - T.x, self._goals[i, 1] - T.y)
 
 

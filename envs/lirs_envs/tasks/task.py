@@ -45,14 +45,13 @@ class Stage:
     randomize_terrain: bool
 
     @property
-    def poses(self) -> list[Pose3]:
-        """Last valid `T_world_base` of each robot."""
-        return self.simulation.poses
-
-    @property
     def count(self) -> int:
         """Number of robots, N."""
-        return len(self.poses)
+        return self.simulation.bodies.count
+
+    def pose(self, i: int) -> Pose3:
+        """Return the last valid `T_world_base` of robot `i`."""
+        return self.simulation.pose(i)
 
     def start(self, rng: np.random.Generator, options: Mapping[str, Any]) -> Pose2:
         """Return the start that the options ask for, or one drawn, or the world's first."""

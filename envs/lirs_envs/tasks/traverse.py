@@ -89,7 +89,7 @@ class TraverseTask(Task):
         }
 
     def _distance(self, i: int) -> float:
-        (x, y), T = self.goal(i), self.stage.poses[i]
+        (x, y), T = self.goal(i), self.stage.pose(i)
         return math.hypot(x - T.x, y - T.y)
 
 

@@ -65,7 +65,7 @@ def test_each_is_a_simulation_of_its_own(
     for row in commands(robot, 25, 3):
         many.advance(np.arange(3), row)
         assert same(alone.advance(Twist(*row[1].tolist())), many.reading(1))
-    assert alone.T_world_base == many.poses[1]
+    assert alone.T_world_base == many.pose(1)
 
 
 @pytest.mark.parametrize("place", ["rough", "walled"])

@@ -34,13 +34,18 @@ def stepped(world: World, T: Pose3, beams: np.ndarray, ranges: np.ndarray, reach
     return seen
 
 
+def see(ground: SeenGround, ranges: np.ndarray, range_max: float, T: Pose3) -> None:
+    row = np.array([[T.x, T.y, T.z, T.qw, T.qx, T.qy, T.qz]])
+    ground.add(np.array((0,)), ranges[None], range_max, row)
+
+
 @pytest.mark.parametrize("reach", [1.0, 3.0])
 def test_against_beams_followed_in_small_steps(rough: World, reach: float) -> None:
     rng = np.random.default_rng(2)
     angle = rng.uniform(-math.pi, math.pi, 60)
     beams = np.stack((np.cos(angle), np.sin(angle), np.zeros(60)), axis=1)
-    ground = SeenGround(1, beams, np.zeros(3), reach)
     frame = seen_frame(rough)
+    ground = SeenGround(1, frame.height.shape, beams, np.zeros(3), reach)
     ground.begin(0, frame, np.isfinite(frame.height))
     expected = np.zeros(frame.height.shape, np.int64)
     for x, y, roll, pitch in rng.uniform((-6, -6, -0.2, -0.2), (6, 6, 0.2, 0.2), (4, 4)):
@@ -50,9 +55,9 @@ def test_against_beams_followed_in_small_steps(rough: World, reach: float) -> No
         expected = np.where(one == 0, expected, np.where(expected == 1, 1, one))
         measured = np.where(np.isinf(ranges), np.inf, ranges).astype(np.float32)
         before = ground.cells[0]
-        ground.add(0, measured, 12.0, T)
+        see(ground, measured, 12.0, T)
         again = ground.cells[0]
-        ground.add(0, measured, 12.0, T)
+        see(ground, measured, 12.0, T)
         assert ground.cells[0] == again > before
     seen = ground.seen(0)
     assert seen[expected == 1].all()
@@ -64,10 +69,10 @@ def test_against_beams_followed_in_small_steps(rough: World, reach: float) -> No
 
 def test_beams_that_are_lost_or_too_near_see_nothing(plane: World) -> None:
     beams = np.array(((1.0, 0, 0), (0, 1.0, 0), (-1.0, 0, 0), (0, -1.0, 0)))
-    ground = SeenGround(1, beams, np.array((0.0, 0.0, 0.2)), 1.0)
     frame = seen_frame(plane)
+    ground = SeenGround(1, frame.height.shape, beams, np.array((0.0, 0.0, 0.2)), 1.0)
     ground.begin(0, frame, np.zeros(frame.height.shape, np.bool_))
-    ground.add(0, np.array((np.nan, -np.inf, np.inf, 2.1), np.float32), 3.0, Pose3(0.1, 0.1, 0.0))
+    see(ground, np.array((np.nan, -np.inf, np.inf, 2.1), np.float32), 3.0, Pose3(0.1, 0.1, 0.0))
     rows, cols = np.nonzero(ground.seen(0))
     # West 3 m: from cell 40 down to 28; south 2.1 m: rows 40 down to 32.
     assert sorted(set(cols)) == list(range(28, 41))
@@ -80,9 +85,9 @@ def test_high_beams_see_no_ground(plane: World) -> None:
     beams = np.array(((1.0, 0.0, 0.0),))
     frame = seen_frame(plane)
     for z, cells in ((0.9, 33), (1.1, 0)):
-        ground = SeenGround(1, beams, np.zeros(3), 1.0)
+        ground = SeenGround(1, frame.height.shape, beams, np.zeros(3), 1.0)
         ground.begin(0, frame, np.isfinite(frame.height))
-        ground.add(0, np.array((np.inf,), np.float32), 8.0, Pose3(0.1, 0.1, z))
+        see(ground, np.array((np.inf,), np.float32), 8.0, Pose3(0.1, 0.1, z))
         assert ground.cells[0] == cells
 
 
@@ -90,9 +95,9 @@ def test_local_map_turns_with_the_robot(plane: World) -> None:
     beams = np.array(((1.0, 0.0, 0.0),))
     frame = seen_frame(plane)
     for yaw in (0.0, math.pi / 2, 2.5):
-        ground = SeenGround(1, beams, np.zeros(3), 1.0)
+        ground = SeenGround(1, frame.height.shape, beams, np.zeros(3), 1.0)
         ground.begin(0, frame, np.isfinite(frame.height))
-        ground.add(0, np.array((5.0,), np.float32), 20.0, Pose3.from_rpy(0.0, 0.0, 0.2, 0.0, 0.0, yaw))
+        see(ground, np.array((5.0,), np.float32), 20.0, Pose3.from_rpy(0.0, 0.0, 0.2, 0.0, 0.0, yaw))
         out = np.zeros((64, 64), np.uint8)
         ground.local_map(0, 0.0, 0.0, yaw, out)
         rows, cols = np.nonzero(out)

@@ -1,0 +1,112 @@
+"""Scans of N lidars: the kernels of one, row by row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numba import njit
+
+from lirs_envs.lidar.lidar import BaseVelocity, Lidar, transform_rays
+from lirs_envs.lidar.mipmap import TerrainMipmap
+from lirs_envs.lidar.noise import LidarNoise, NoiseParameters, measure
+from lirs_envs.lidar.ray_casting import Caster, RayCaster, cast_rays
+from lirs_envs.lidar.wall_rays import WallCells
+from lirs_envs.simulation_config import SimulationConfig
+from lirs_wct.arrays import Float32Array, FloatArray, IntArray
+from lirs_wct.geometry.pose import Pose3
+
+
+class Lidars:
+    """Lidars of N robots, each with noise and a random stream of its own (see `lidar.lidar.Lidar`).
+
+    Attributes:
+        ranges: (N, beams) float32 of the last scans (see `LaserScan`).
+        time_increment: between two beams of a rolling scan, seconds; else 0.
+    """
+
+    def __init__(self, config: SimulationConfig, count: int) -> None:
+        preset, mount = config.preset, config.robot.T_base_laser
+        self._config = config
+        self._fan = mount.position[None], preset.directions @ mount.rotation.T
+        self._limits = preset.range_min, preset.range_max
+        self._lidars: list[Lidar | None] = [None] * count
+        self._rngs = [np.random.default_rng(0) for _ in range(count)]
+        self._casters: list[Caster | None] = [None] * count
+        self._normals = np.zeros((count, preset.beams))
+        self._uniforms = np.zeros((count, 0, 2))
+        self._parameters = np.zeros((count, len(NoiseParameters._fields)))
+        self.time_increment = 0.0
+        self.ranges: Float32Array = np.zeros((count, preset.beams), np.float32)
+
+    def begin(self, i: int, caster: Caster, noise: LidarNoise, rng: np.random.Generator) -> None:
+        """Begin with lidar `i`, whose beams meet what `caster` knows."""
+        config = self._config
+        lidar = Lidar(
+            config.preset,
+            caster,
+            config.robot.T_base_laser,
+            rng,
+            noise,
+            rolling_scan=config.noise.rolling_scan,
+        )
+        self._lidars[i], self._casters[i], self._rngs[i] = lidar, caster, rng
+        self._parameters[i], self.time_increment = noise.parameters, lidar.time_increment
+        if noise.draws_uniform and not self._uniforms.size:
+            self._uniforms = np.zeros((*self.ranges.shape, 2))
+
+    def scan(self, rows: IntArray, T_world_base: FloatArray, velocity: Callable[[int], BaseVelocity]) -> None:
+        """Scan from the poses (N, 7) of robots `rows`; rolling scans ask for a robot's velocity."""
+        for caster, group in self._by_caster(rows):
+            if isinstance(caster, RayCaster) and not self.time_increment:
+                self._scan_together(caster, np.array(group), T_world_base)
+                continue
+            for i in group:
+                lidar = self._lidars[i]
+                assert lidar is not None, "begin comes first"
+                moving = velocity(i) if self.time_increment else None
+                self.ranges[i] = lidar.ranges(Pose3(*T_world_base[i].tolist()), moving)
+
+    def _by_caster(self, rows: IntArray) -> list[tuple[Caster | None, list[int]]]:
+        groups: dict[int, tuple[Caster | None, list[int]]] = {}
+        for i in rows.tolist():
+            caster = self._casters[i]
+            groups.setdefault(id(caster), (caster, []))[1].append(i)
+        return list(groups.values())
+
+    def _scan_together(self, caster: RayCaster, rows: IntArray, T_world_base: FloatArray) -> None:
+        for i in rows.tolist():
+            rng = self._rngs[i]
+            rng.standard_normal(out=self._normals[i])
+            if self._uniforms.size:
+                rng.random(out=self._uniforms[i])
+        _scan_rows(
+            rows,
+            T_world_base,
+            self._fan,
+            (caster.terrain, caster.walls),
+            (self._normals, self._uniforms, self._parameters),
+            self._limits,
+            self.ranges,
+        )
+
+
+@njit(cache=True, nogil=True)
+def _scan_rows(
+    rows: IntArray,
+    T_world_base: FloatArray,
+    fan: tuple[FloatArray, FloatArray],
+    world: tuple[TerrainMipmap, WallCells],
+    noise: tuple[FloatArray, FloatArray, FloatArray],
+    limits: tuple[float, float],
+    ranges: Float32Array,
+) -> None:
+    mount, beams = fan
+    normals, uniforms, parameters = noise
+    origin, directions, exact = np.empty((1, 3)), np.empty_like(beams), np.empty(len(beams))
+    for i in rows:
+        T, p = T_world_base[i], parameters[i]
+        transform_rays((T[3], T[4], T[5], T[6]), (T[0], T[1], T[2]), mount, beams, origin, directions)
+        cast_rays(world[0], world[1], origin, directions, limits[1], exact)
+        drawn = NoiseParameters(p[0], p[1], p[2], p[3], p[4], p[5])
+        measure(exact, normals[i], uniforms[i], limits, drawn, ranges[i])
