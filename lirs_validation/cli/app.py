@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import typer
 from typer.exceptions import TyperException
 
+from lirs_validation.cli.bench import bench
 from lirs_validation.cli.collide import collide
 from lirs_validation.cli.console import BAD_INPUT, INTERRUPTED, RUN_FAILED, err, out
 from lirs_validation.cli.map import map_log
@@ -34,7 +35,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, evaluate.",
 )
-for command in (build, validate, report, compare, score, collide, view, info, convert, robot):
+for command in (build, validate, report, compare, score, bench, collide, view, info, convert, robot):
     app.command()(command)
 app.command("map")(map_log)
 

@@ -11,13 +11,12 @@ import typer
 
 from lirs_validation.cli import sweep_options as option
 from lirs_validation.cli.arguments import SOURCE_HELP
-from lirs_validation.cli.console import RUN_FAILED, err, out
+from lirs_validation.cli.console import out
+from lirs_validation.cli.sweeping import run_sweep
 from lirs_validation.cli.typer_options import with_build_options
 from lirs_validation.config import SourceOptions
-from lirs_wct.errors import OutputError
 
 if TYPE_CHECKING:
-    from lirs_validation.sweep.engines.base import Executor
     from lirs_validation.sweep.sweep import Sweep
 
 FEW = 10
@@ -77,26 +76,7 @@ def validate(
     executor = make_executor(engine, jobs=jobs, address=address, limits=limits)
     manifest = Manifest(command=shlex.join(["lirs-wct", *sys.argv[1:]]), suite=suite)
     sweep = Sweep(experiments, output, manifest=manifest, retry_failed=retry_failed)
-    _run(sweep, executor)
-
-
-def _run(sweep: Sweep, executor: Executor) -> None:
-    """Run what is pending; show what there is then, also after Ctrl-C."""
-    from lirs_validation.cli.progress import run_with_progress
-
-    if sweep.kept:
-        again = f"; {len(sweep.pending)} to run" if sweep.pending else ""
-        err.print(f"kept {sweep.kept} of {len(sweep.experiments)} from before{again}", highlight=False)
-    try:
-        for _ in run_with_progress(sweep, executor, err):
-            pass
-    finally:
-        _show(sweep)
-    if sweep.unwritten:
-        name, reason = next(iter(sweep.unwritten.items()))
-        raise OutputError(f"{reason} ({len(sweep.unwritten)} not written, {name} among them; run it again)")
-    if sweep.failed:
-        raise typer.Exit(RUN_FAILED)
+    run_sweep(sweep, executor, lambda: _show(sweep))
 
 
 def _show(sweep: Sweep) -> None:

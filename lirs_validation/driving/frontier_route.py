@@ -55,6 +55,8 @@ class FrontierRoute:
     frame: Frame = "map"
     refresh = 1.0
     ends = ""
+    slack = TURN
+    """Metres beyond the way to the nearest frontier up to which others are looked at."""
 
     def __init__(
         self,
@@ -121,7 +123,7 @@ class FrontierRoute:
             return None
         local = pose.yaw - chart.grid.origin.yaw
         weight = penalize_behind(chart.weight, first, local, ARC / chart.grid.resolution)
-        reach = search(weight, first[None], chart.grid.resolution, goals=goals, slack=TURN)
+        reach = search(weight, first[None], chart.grid.resolution, goals=goals, slack=self.slack)
         found = np.argwhere(goals & np.isfinite(reach.cost))
         if not len(found):
             return None

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
-import inspect
-from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
-from lirs_validation.experiment.import_path import importable
+from lirs_validation.experiment.own_code import make_own, own_class, own_source_file
 from lirs_wct.errors import ConfigError, unknown_name
 from slam_baselines.mapper import MAPPERS, Mapper, make_mapper
 from slam_baselines.warm_up import warm_up
@@ -32,14 +28,8 @@ def mapper_named(name: str, seed: int) -> Mapper:
         if name not in MAPPERS:
             raise unknown_name("mapper", name, [*MAPPERS, "module:name of your own"])
         return make_mapper(name, seed=seed)
-    module_name, _, attribute = name.partition(":")
-    maker = _attribute(_module(module_name, name), attribute, name)
-    try:
-        mapper = maker(**_taken(maker, {"seed": seed, "resolution": RESOLUTION}))
-    except (ConfigError, KeyboardInterrupt):
-        raise
-    except BaseException as error:  # `sys.exit` too
-        raise ConfigError(f"mapper {name!r}: cannot be made: {type(error).__name__}: {error}") from error
+    maker = own_class(name, "mapper", "update")
+    mapper = make_own(maker, {"seed": seed, "resolution": RESOLUTION}, name, "mapper")
     return _checked(mapper, name)
 
 
@@ -51,56 +41,7 @@ def warm_up_mapper(name: str) -> None:
 
 def source_file(name: str) -> Path | None:
     """Return the file that holds a mapper of your own; None for ours."""
-    if ":" not in name:
-        return None
-    file = getattr(_module(name.partition(":")[0], name), "__file__", None)
-    return Path(file) if file else None
-
-
-def _module(module: str, name: str) -> ModuleType:
-    here = Path.cwd()
-    try:
-        with importable(here):
-            return importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        if error.name is not None and (module == error.name or module.startswith(f"{error.name}.")):
-            raise ConfigError(
-                f"mapper {name!r}: no module {error.name!r} is installed or in {here}"
-            ) from error
-        raise ConfigError(
-            f"mapper {name!r}: {module} imports {error.name!r}, which is not installed"
-        ) from error
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:  # `sys.exit` too: a script without `if __name__ == "__main__"`
-        raise ConfigError(
-            f"mapper {name!r}: importing {module} failed: {type(error).__name__}: {error}"
-        ) from error
-
-
-def _attribute(module: ModuleType, attribute: str, name: str) -> Callable[..., Any]:
-    found: Any = getattr(module, attribute, None)
-    if callable(found):
-        return found  # type: ignore[no-any-return]
-    classes = {key: value for key, value in vars(module).items() if isinstance(value, type)}
-    likely = sorted(key for key, value in classes.items() if hasattr(value, "update"))
-    raise ConfigError(
-        f"mapper {name!r}: {module.__name__} has no class {attribute!r}"
-        f"; classes with update: {', '.join(likely) or 'none'}"
-    )
-
-
-def _taken(maker: Callable[..., Any], offered: dict[str, Any]) -> dict[str, Any]:
-    """Return what of the offered keywords a maker takes."""
-    try:
-        parameters = inspect.signature(maker).parameters.values()
-    except ValueError:  # some classes of compiled modules have no signature
-        return {}
-    if any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters):
-        return offered
-    by_keyword = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-    names = {p.name for p in parameters if p.kind in by_keyword}
-    return {key: value for key, value in offered.items() if key in names}
+    return own_source_file(name, "mapper")
 
 
 def _checked(mapper: Any, name: str) -> Mapper:

@@ -20,8 +20,8 @@ class Experiment(Protocol):
         ...
 
     @property
-    def world_config(self) -> RunConfig:
-        """A config of the world that it takes place in."""
+    def world_config(self) -> RunConfig | None:
+        """A config of the world that it takes place in; None = it makes its world itself."""
         ...
 
     def check(self) -> None:

@@ -70,7 +70,8 @@ class Suite:
             for config in ([run.config for run in self.collisions.experiments()] if self.collisions else [])
         ]
         order = list(dict.fromkeys(run.config.source for run in runs))
-        return tuple(sorted([*runs, *checks], key=lambda found: order.index(found.world_config.source)))
+        found: list[SlamExperiment | CollisionExperiment] = [*runs, *checks]
+        return tuple(sorted(found, key=lambda each: order.index(each.world_config.source)))
 
 
 MAPPERS = ("gmapping", "hector", "cartographer")

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from lirs_validation.config import RunConfig
 from lirs_validation.experiment.import_path import importable
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
 from lirs_validation.sweep.engines.base import Limits, ProgressOf
@@ -89,13 +90,19 @@ class _Flight:
                 yield outcome
 
     def _start(self, experiment: Experiment) -> None:
-        config = experiment.world_config
+        scenario = self._scenario(experiment.world_config)
+        task = self._perform.remote(experiment, scenario, self._limits, str(Path.cwd()))
+        self._flying[task] = experiment
+
+    def _scenario(self, config: RunConfig | None) -> Any:
+        """Return where Ray holds the scenario of a config; None = the experiment makes its world itself."""
+        if config is None:
+            return None
         key = (config.source, config.build)
         if key not in self._scenarios:
             # Experiments come world by world: Ray frees the one before after its last experiment.
             self._scenarios = {key: self._ray.put(build_scenario(config))}
-        task = self._perform.remote(experiment, self._scenarios[key], self._limits, str(Path.cwd()))
-        self._flying[task] = experiment
+        return self._scenarios[key]
 
     def _collected(self, done: Any, experiment: Experiment, out: Path) -> Outcome:
         """Write what came back; only here, so that an experiment run twice is in the results once."""
@@ -115,7 +122,7 @@ class _Flight:
 
 
 def perform_remotely(
-    experiment: Experiment, scenario: Scenario, limits: Limits, here: str
+    experiment: Experiment, scenario: Scenario | None, limits: Limits, here: str
 ) -> tuple[Outcome, Files]:
     """Run an experiment on a machine of the cluster; return the files that it wrote."""
     with suppress(OSError):
@@ -127,7 +134,8 @@ def perform_remotely(
             outcome = next(engine.run([experiment], out, lambda name: no_progress))
         else:
             scenarios = ScenarioCache()
-            scenarios.put(scenario)
+            if scenario is not None:
+                scenarios.put(scenario)
             outcome = attempt(experiment, out, scenarios, no_progress, concurrent=True)
         folder = out / experiment.name
         files = {p.name: p.read_bytes() for p in folder.iterdir()} if folder.is_dir() else {}

@@ -8,33 +8,13 @@ from typing import Any
 
 import pytest
 
-from lirs_validation import cli, read_record
-from lirs_validation.cli import console
+from lirs_validation import read_record
 from lirs_validation.cli.sweep_options import read_experiments
 from lirs_validation.config import SourceOptions
 from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.errors import MapperError
 from tests.lirs_validation.records import record, saved_whole
-
-Said = tuple[int, str, str]
-
-
-@pytest.fixture
-def wct(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
-    """Run the command line in an empty folder; return exit code, stdout and stderr."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(console.out, "_width", 200)
-    monkeypatch.setattr(console.out, "_height", 50)  # else a dumb terminal has 80 columns whatever the width
-
-    def call(*arguments: str) -> Said:
-        monkeypatch.setattr("sys.argv", ["lirs-wct", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        said = capsys.readouterr()
-        return int(ended.value.code or 0), said.out, said.err
-
-    return call
 
 
 @pytest.fixture

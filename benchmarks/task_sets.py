@@ -1,0 +1,206 @@
+"""Draw the benchmark's sets of tasks anew: the same seeds give the same tasks.
+
+    python benchmarks/task_sets.py [SET ...] [--data FOLDER] [-o FOLDER]
+
+What is drawn is in `task_plans.py`. Without `--data`, tasks in worlds of files that do not ship stay as they
+are in the shipped set. When a task changes, `VERSION` is raised by hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from task_plans import COURSE_DIFFICULTIES, PLANS, Plan
+
+from lirs_envs.env import RobotEnv
+from lirs_envs.generators.terrain import KINDS
+from lirs_envs.robots.catalog import make_robot
+from lirs_validation.bench.tasks import SETS, SPLITS, Task, TaskSet, set_entry, task_set
+from lirs_validation.driving.choice import MARGIN
+from lirs_wct.errors import SimulationError, SourceError
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.world import World
+
+VERSION = 1
+SHIPPED = Path(__file__).resolve().parents[1] / "lirs_validation" / "bench" / "task_sets"
+DIFFICULTIES = (0.5, 0.75, 1.0)
+"""Of goals, in turn."""
+DRAWS = 200
+"""Starts and goals that are drawn for a task before a world counts as one that has none."""
+PACE = 0.8
+"""Speed from which time limits are made, m/s, or 0.8 x the robot's where that is less."""
+BLOCKED = 6.0
+"""Metres within which the way straight ahead of a start to map from is blocked."""
+NEAR_START = 0.4
+"""Radians between heading and goal, at least: straight ahead is no way to a goal."""
+
+
+def main() -> None:
+    """Write the sets."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("sets", nargs="*", choices=SETS, default=list(SETS), metavar="SET")
+    parser.add_argument("--data", type=Path, help="folder with the files that do not ship")
+    parser.add_argument("-o", "--output", type=Path, default=SHIPPED, help="folder")
+    given = parser.parse_args()
+    given.output.mkdir(parents=True, exist_ok=True)
+    for name in given.sets:
+        found = draw_set(name, given.data)
+        (given.output / f"{name}.json").write_text(as_text(set_entry(found)), encoding="utf-8")
+        print(f"{name}: {len(found.tasks)} tasks")
+
+
+def draw_set(name: str, data: Path | None) -> TaskSet:
+    """Return a set, drawn anew."""
+    tasks: list[Task] = []
+    for number, plan in enumerate(PLANS[name]()):
+        try:
+            plan.world.places(data)
+        except SourceError:
+            tasks += [task for task in task_set(name).tasks if task.world == plan.world]
+            continue
+        world = plan.world.world(data)
+        first = 1000 * number
+        tasks += [draw_navigation(plan, world, first + k, k) for k in range(plan.navigation)]
+        tasks += [draw_mapping(plan, world, first + 500 + k) for k in range(plan.mapping)]
+    if name == "generated":
+        tasks += courses()
+    return TaskSet(name=name, version=VERSION, tasks=tuple(tasks))
+
+
+def courses() -> list[Task]:
+    """Return the courses to traverse: of each kind one a difficulty, for a Husky."""
+    return [
+        Task(
+            name=f"{split}-traverse-{kind}-{round(100 * difficulty):03d}",
+            task="traverse",
+            split=split,
+            robot="husky",
+            seed=100 * s + 10 * k + d,
+            time_limit=90.0,
+            course=kind,
+            difficulty=difficulty,
+        )
+        for s, split in enumerate(SPLITS)
+        for k, kind in enumerate(KINDS)
+        for d, difficulty in enumerate(COURSE_DIFFICULTIES[split])
+    ]
+
+
+def draw_navigation(plan: Plan, world: World, seed: int, k: int) -> Task:
+    """Draw start and goal as the environment does, with a way between them that has room."""
+    difficulty = DIFFICULTIES[k % len(DIFFICULTIES)]
+    env = RobotEnv("navigation", world=world, robot=plan.robot, difficulty=difficulty)
+    areas = roomy_areas(world, plan.robot)
+    for draw in range(DRAWS):
+        try:
+            observation, info = env.reset(seed=seed + 10_000 * draw)
+        except SimulationError:
+            break
+        (x, y, yaw), goal = rounded(info["T_world_base"]), rounded(info["goal"])
+        found = {area_at(*areas, x, y), area_at(*areas, *goal)}
+        if 0 in found or len(found) > 1 or abs(observation["goal"][1]) < NEAR_START:
+            continue
+        task = Task(
+            name=f"{plan.split}-navigation-{plan.world.name}-{plan.robot}-{k}",
+            task="navigation",
+            split=plan.split,
+            robot=plan.robot,
+            seed=seed,
+            time_limit=float(math.ceil(20 + 4 * info["shortest_path"] / pace(plan.robot))),
+            world=plan.world,
+            start=(x, y, yaw),
+            goal=goal,
+        )
+        if can_begin(env, task):
+            return task
+    raise SystemExit(f"{plan.world.name}: no start and goal for {plan.robot} in {DRAWS} draws")
+
+
+def draw_mapping(plan: Plan, world: World, seed: int) -> Task:
+    """Draw a start with room around it and something in the way straight ahead."""
+    env = RobotEnv("mapping", world=world, robot=plan.robot)
+    grid, areas = roomy_areas(world, plan.robot)
+    site = env.episodes.stage.site
+    for draw in range(DRAWS):
+        _, info = env.reset(seed=seed + 10_000 * draw)
+        x, y, yaw = rounded(info["T_world_base"])
+        if not area_at(grid, areas, x, y) or free_ahead(grid, areas, x, y, yaw) > BLOCKED:
+            continue
+        reachable = float(site.reachable(site.area(x, y)).sum()) * 0.25**2
+        budget = 5.0 * round(2.5 * math.sqrt(reachable) / 5)
+        task = Task(
+            name=f"{plan.split}-mapping-{plan.world.name}-{plan.robot}-{seed % 500}",
+            task="mapping",
+            split=plan.split,
+            robot=plan.robot,
+            seed=seed,
+            time_limit=float(math.ceil(30 + 2 * budget / pace(plan.robot))),
+            world=plan.world,
+            start=(x, y, yaw),
+            path_budget=budget,
+        )
+        if can_begin(env, task):
+            return task
+    raise SystemExit(f"{plan.world.name}: no start for {plan.robot} in {DRAWS} draws")
+
+
+def can_begin(env: RobotEnv, task: Task) -> bool:
+    """Return whether the environment takes the task's start and goal, which were rounded."""
+    options: dict[str, Any] = {"start": task.start}
+    try:
+        env.reset(seed=task.seed, options=options | ({"goal": task.goal} if task.goal else {}))
+    except SimulationError:
+        return False
+    return True
+
+
+def roomy_areas(world: World, robot: str) -> tuple[OccupancyGrid, np.ndarray]:
+    """Return the grid on which the upper bound plans, and the numbers of its areas; 0 = not free."""
+    figures = make_robot(robot)
+    grid = world.traversable(clearance=figures.radius + MARGIN, max_slope=figures.max_slope)
+    _, areas = cv2.connectedComponents(grid.free.astype(np.uint8), connectivity=4)
+    return grid, areas
+
+
+def area_at(grid: OccupancyGrid, areas: np.ndarray, x: float, y: float) -> int:
+    """Return the number of the area at a point."""
+    row, col = np.clip(grid.cells((x, y)), 0, np.array(areas.shape) - 1).tolist()
+    return int(areas[row, col])
+
+
+def free_ahead(grid: OccupancyGrid, areas: np.ndarray, x: float, y: float, yaw: float) -> float:
+    """Return the metres that lie free straight ahead."""
+    for distance in np.arange(0.0, 2 * BLOCKED, 0.1).tolist():
+        if not area_at(grid, areas, x + distance * math.cos(yaw), y + distance * math.sin(yaw)):
+            return distance
+    return math.inf
+
+
+def pace(robot: str) -> float:
+    """Return the speed from which time limits are made, m/s."""
+    return min(PACE, 0.8 * make_robot(robot).max_speed)
+
+
+def rounded(values: np.ndarray) -> tuple[float, ...]:
+    """Return numbers with three digits."""
+    return tuple(round(float(value), 3) for value in values)
+
+
+def as_text(entry: dict[str, Any]) -> str:
+    """Return a set as JSON with a world or a task a line."""
+    worlds = ",\n".join(f"  {json.dumps(name)}: {json.dumps(w)}" for name, w in entry["worlds"].items())
+    tasks = ",\n".join(f"  {json.dumps(task)}" for task in entry["tasks"])
+    head = "".join(f' "{key}": {json.dumps(entry[key])},\n' for key in ("schema", "name", "version"))
+    return f'{{\n{head} "worlds": {{\n{worlds}\n }},\n "tasks": [\n{tasks}\n ]\n}}\n'
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,174 @@
+"""An episode as an experiment of a sweep: it fills one folder, and is run once."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from lirs_validation.bench.episode import EpisodeLog, episode_metrics, run_episode
+from lirs_validation.bench.policies.choice import PolicyChoice
+from lirs_validation.bench.tasks import Task
+from lirs_validation.config import RunConfig
+from lirs_validation.experiment.scenario import ScenarioCache
+from lirs_validation.record.provenance import versions
+from lirs_validation.record.run_record import plain
+from lirs_validation.record.staleness import is_stale
+from lirs_validation.sweep.outcome import Outcome
+from lirs_wct.errors import SourceError
+from lirs_wct.files import atomic_folder
+from lirs_wct.progress import Progress
+
+RECORD, PICTURE = "episode.json", "episode.png"
+SCHEMA = 1
+"""Of an episode's record."""
+NO_METRICS = {"score": 0.0, "success": False, "collision": False, "path_length": 0.0, "time": 0.0}
+"""Of an episode that came to nothing."""
+SPACING = 1.0
+"""Seconds between the poses that a record keeps."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchExperiment:
+    """A policy on a task.
+
+    Attributes:
+        set_name: of the task's set.
+        set_version: of that set.
+        task: what to do.
+        policy: who does it.
+        data: folder with the files that do not ship.
+        pictures: whether a picture of the map with the path is written.
+    """
+
+    set_name: str
+    set_version: int
+    task: Task
+    policy: PolicyChoice
+    data: Path | None = None
+    pictures: bool = False
+
+    @cached_property
+    def name(self) -> str:
+        """Name of its folder."""
+        text = json.dumps(self._asked(), sort_keys=True)
+        digest = hashlib.sha256(text.encode()).hexdigest()[:8]
+        return f"{Path(self.set_name).stem}-{self.task.name}-{self.policy.short}-{digest}"
+
+    @property
+    def world_config(self) -> RunConfig | None:
+        """None: it makes its world itself."""
+        return None
+
+    def check(self) -> None:
+        """Look for the policy and the files of the world."""
+        _check_policy(self.policy, self.task.task)
+        if self.task.world is not None:
+            self.task.world.places(self.data)
+
+    def perform(
+        self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
+    ) -> Outcome:
+        """Run the episode, and write its record; a policy that failed is an error of this episode alone."""
+        progress("build", 0.0)
+        pictures: list[Any] = []
+        log = run_episode(
+            self.task,
+            self.policy,
+            self.data,
+            progress=progress,
+            picture=pictures.append if self.pictures else None,
+        )
+        outcome = Outcome(
+            experiment=self.name,
+            status="error" if log.trace else "ok",
+            reason=log.reason,
+            trace=log.trace,
+            written=True,
+        )
+        with atomic_folder(out / self.name) as folder:
+            if pictures:
+                cv2.imwrite(str(folder / PICTURE), pictures[0][..., ::-1])
+            self._write(folder, outcome, episode_metrics(self.task, log), _sampled(log))
+        return outcome
+
+    def write_failure(self, out: Path, outcome: Outcome) -> None:
+        """Write a record with score 0, and where the episode failed."""
+        with atomic_folder(out / self.name) as folder:
+            self._write(folder, outcome, NO_METRICS, {})
+
+    def finished(self, out: Path) -> Outcome | None:
+        """Return how the episode ended, if this code and this policy wrote its record."""
+        folder = out / self.name
+        try:
+            entry = read_episode(folder)
+        except SourceError:
+            return None
+        if is_stale(folder / RECORD, entry["versions"], self.policy.files):
+            return None
+        if self.pictures and not entry["trace"] and not (folder / PICTURE).is_file():
+            return None
+        return Outcome(experiment=self.name, status=entry["status"], reason=entry["reason"], written=True)
+
+    def described(self) -> dict[str, Any]:
+        """Return name and what was asked."""
+        return {"name": self.name} | self._asked()
+
+    def _asked(self) -> dict[str, Any]:
+        return {
+            "set": self.set_name,
+            "set_version": self.set_version,
+            "task": self.task.described(),
+            "policy": self.policy.name,
+            "arguments": dict(self.policy.arguments),
+        }
+
+    def _write(self, folder: Path, outcome: Outcome, metrics: dict[str, Any], series: dict[str, Any]) -> None:
+        entry = {"schema": SCHEMA} | self._asked()
+        entry |= {"observe": self.policy.observe, "status": outcome.status, "reason": outcome.reason}
+        entry |= {"metrics": metrics, "trace": outcome.trace, "versions": versions()} | series
+        text = json.dumps(entry, indent=1, default=plain)
+        (folder / RECORD).write_text(text + "\n", encoding="utf-8")
+        if outcome.trace:
+            (folder / "error.txt").write_text(outcome.trace, encoding="utf-8")
+
+
+@cache
+def _check_policy(policy: PolicyChoice, task: str) -> None:
+    policy.check(task)
+    _ = policy.observe
+
+
+def _sampled(log: EpisodeLog) -> dict[str, Any]:
+    """Return a pose a second, and where ground is to be seen the coverage with it."""
+    step = max(1, round(SPACING * (len(log.poses) - 1) / max(float(log.last["time"]), 1e-9)))
+    kept = sorted({*range(0, len(log.poses), step), len(log.poses) - 1})
+    series: dict[str, Any] = {"path": [[round(float(v), 3) for v in log.poses[k]] for k in kept]}
+    if log.coverage:
+        driven = log.driven
+        series["coverage"] = [[round(float(driven[k]), 2), round(log.coverage[k], 4)] for k in kept]
+    return series
+
+
+def read_episode(folder: Path) -> dict[str, Any]:
+    """Read the record of an episode.
+
+    Raises:
+        SourceError: it is missing or damaged, or of another schema.
+    """
+    path = folder / RECORD
+    try:
+        entry: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        whole = entry["schema"] == SCHEMA and isinstance(entry["metrics"]["score"], float)
+        names = ("set", "set_version", "task", "policy", "arguments", "status", "reason", "trace", "versions")
+        whole = whole and all(name in entry for name in names)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise SourceError(f"{path}: not an episode's record, or damaged ({type(error).__name__})") from error
+    if not whole:
+        raise SourceError(f"{path}: not an episode's record of schema {SCHEMA}")
+    return entry

@@ -1,0 +1,1 @@
+"""The benchmark's policies: shipped ones by name, and the user's own."""

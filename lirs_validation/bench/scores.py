@@ -1,0 +1,94 @@
+"""Scores of episodes, 0 to 1, and of policies: a mean over tasks with its interval."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from lirs_envs.tasks.mapping import COVERED
+from lirs_wct.arrays import FloatArray
+
+CONFIDENCE = 0.95
+RESAMPLES = 10_000
+SEED = 1
+"""Of the resamples: the same scores have the same interval."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """A mean over tasks.
+
+    Attributes:
+        mean: of the tasks' scores.
+        low: lower end of its 95 % interval, by the percentile bootstrap over tasks; None of one task.
+        high: upper end.
+        count: number of tasks.
+    """
+
+    mean: float
+    low: float | None
+    high: float | None
+    count: int
+
+
+def score_of(values: Sequence[float]) -> Score | None:
+    """Return the mean of tasks' scores with its interval; None of no score."""
+    if not values:
+        return None
+    scores, mean = np.array(values, dtype=np.float64), float(np.mean(values))
+    if len(scores) == 1:
+        return Score(mean=mean, low=None, high=None, count=1)
+    if np.ptp(scores) == 0:
+        return Score(mean=mean, low=mean, high=mean, count=len(scores))
+    found = stats.bootstrap(
+        (scores,),
+        np.mean,
+        confidence_level=CONFIDENCE,
+        n_resamples=RESAMPLES,
+        method="percentile",
+        rng=np.random.default_rng(SEED),
+    ).confidence_interval
+    return Score(mean=mean, low=float(found.low), high=float(found.high), count=len(scores))
+
+
+def success_by_path_length(success: bool, shortest: float, driven: float) -> float:
+    """Return an episode's part of SPL (Anderson et al., "On evaluation of embodied navigation agents", 2018).
+
+    Args:
+        success: whether the goal was reached.
+        shortest: way from start to goal over drivable ground, metres.
+        driven: length of the path that was driven, metres.
+    """
+    return shortest / max(shortest, driven) if success else 0.0
+
+
+def coverage_area(driven: Sequence[float], coverage: Sequence[float], budget: float) -> float:
+    """Return the area under newly covered ground over path length, 0 to 1.
+
+    The ground that the first scan saw counts for nothing, the share at which the task ends for 1; after the
+    episode's end the coverage stays as it was.
+
+    Args:
+        driven: (n,) metres of path at each step, from 0 at the first scan.
+        coverage: (n,) share of the reachable ground that was seen by then.
+        budget: metres of path over which the area is taken.
+    """
+    first = coverage[0]
+    if first >= COVERED:
+        return 0.0
+    gained: FloatArray = np.clip((np.array(coverage) - first) / (COVERED - first), 0.0, 1.0)
+    at = np.minimum(np.append(np.array(driven, dtype=np.float64), budget), budget)
+    return float(np.trapezoid(np.append(gained, gained[-1]), at) / budget)
+
+
+def distance_share(gained: float, whole: float) -> float:
+    """Return the share of the distance to the goal that was gained by the end, 0 to 1.
+
+    Args:
+        gained: metres.
+        whole: distance from start to goal, metres.
+    """
+    return float(np.clip(gained / whole, 0.0, 1.0))

@@ -1,0 +1,186 @@
+"""Worlds of the benchmark's tasks: bundled, made by seeded generators, or of files known by their content."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lirs_envs.episodes.world_cache import cached_world
+from lirs_envs.generators.floor_plan import floor_plan
+from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES, fractal, with_rocks
+from lirs_envs.generators.terrain import KINDS, generate
+from lirs_wct.arrays import FloatArray
+from lirs_wct.errors import ConfigError, SourceError, unknown_name
+from lirs_wct.field_validators import require_seed
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.ground import Terrain
+from lirs_wct.sources.bundled import RECIPES
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.world import World, build_world
+
+CELL = EDGE / (NODES - 1)
+"""Spacing of a natural terrain's nodes, metres."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileSpec:
+    """A file that does not ship.
+
+    Attributes:
+        sha256: digest of its content, hexadecimal.
+        size: bytes.
+        origin: where it can be had: repository and path.
+    """
+
+    sha256: str
+    size: int
+    origin: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorldSpec:
+    """How a world is made.
+
+    Attributes:
+        name: in its set.
+        maker: one of `MAKERS`, or `files`.
+        options: of the maker, names and values.
+        files: that it is made from, the source first; none of what ships.
+    """
+
+    name: str
+    maker: str
+    options: tuple[tuple[str, Any], ...] = ()
+    files: tuple[FileSpec, ...] = ()
+
+    def world(self, data: Path | None) -> World:
+        """Make the world.
+
+        Args:
+            data: folder with the files that do not ship.
+
+        Raises:
+            SourceError: a file is missing or cannot be used.
+        """
+        if not self.files:
+            return _made(self.name, self.maker, self.options)
+        return _from_files(tuple(self.places(data)), self.options)
+
+    def places(self, data: Path | None) -> list[Path]:
+        """Return where its files lie.
+
+        Raises:
+            SourceError: one is missing.
+        """
+        found = [_find(file, data) for file in self.files]
+        for file, path in zip(self.files, found, strict=True):
+            if path is None:
+                where = "no --data folder is given" if data is None else f"{data} does not hold it"
+                raise SourceError(f"{self.name}: {where}: {file.origin} (sha256 {file.sha256[:12]}...)")
+        return [path for path in found if path is not None]
+
+    def described(self) -> dict[str, Any]:
+        """Return the JSON value."""
+        entry: dict[str, Any] = {"maker": self.maker} | dict(self.options)
+        return entry | ({"files": [vars(file) for file in self.files]} if self.files else {})
+
+
+def read_world(name: str, entry: Mapping[str, Any]) -> WorldSpec:
+    """Return a world of its JSON value (see `WorldSpec.described`).
+
+    Options of the maker `files` are those of `BuildOptions`.
+
+    Raises:
+        ConfigError: it is no such value.
+    """
+    options = dict(entry)
+    maker, files = str(options.pop("maker")), options.pop("files", [])
+    if (maker == "files") != bool(files) or maker not in (*MAKERS, "files"):
+        raise unknown_name("maker of a world", maker, (*MAKERS, "files with a list of files"))
+    specs = tuple(FileSpec(**file) for file in files)
+    if maker == "files":
+        BuildOptions(**options)
+    return WorldSpec(name=name, maker=maker, options=tuple(options.items()), files=specs)
+
+
+def _bundled(name: str, *, source: str) -> World:
+    if source not in RECIPES:
+        raise unknown_name("bundled world", source, RECIPES)
+    return cached_world(source)
+
+
+def _natural(name: str, *, kind: str, seed: int) -> World:
+    if kind not in NATURAL_TERRAINS:
+        raise unknown_name("natural terrain", kind, NATURAL_TERRAINS)
+    require_seed(seed)
+    return _terrain(name, NATURAL_TERRAINS[kind](np.random.default_rng(seed)))
+
+
+def _boulders(name: str, *, seed: int) -> World:
+    """Return rolling ground with so many boulders that none of it is seen from afar."""
+    require_seed(seed)
+    rng = np.random.default_rng(seed)
+    return _terrain(name, with_rocks(rng, 3 * fractal(rng), 160, radius=(0.5, 1.2), height=(1.0, 2.0)))
+
+
+def _terrain(name: str, heights: FloatArray) -> World:
+    surface = HeightField.centered(heights.astype(np.float32), (CELL, CELL))
+    return World(name, Terrain(surface), scale="generated")
+
+
+def _course(name: str, *, kind: str, difficulty: float, seed: int) -> World:
+    if kind not in KINDS:
+        raise unknown_name("course", kind, KINDS)
+    require_seed(seed)
+    return generate(kind, difficulty, np.random.default_rng(seed)).world()
+
+
+def _floor_plan(name: str, *, seed: int) -> World:
+    require_seed(seed)
+    return World(name, floor_plan(np.random.default_rng(seed)), scale="generated")
+
+
+MAKERS: Mapping[str, Callable[..., World]] = {
+    "bundled": _bundled,
+    "natural": _natural,
+    "boulders": _boulders,
+    "course": _course,
+    "floor plan": _floor_plan,
+}
+"""Makers of worlds that ship, by name."""
+
+
+@lru_cache(maxsize=4)
+def _made(name: str, maker: str, options: tuple[tuple[str, Any], ...]) -> World:
+    try:
+        return MAKERS[maker](name, **dict(options))
+    except TypeError as error:
+        raise ConfigError(f"world {name!r}: {error}") from error
+
+
+@lru_cache(maxsize=4)
+def _from_files(places: tuple[Path, ...], options: tuple[tuple[str, Any], ...]) -> World:
+    given: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in options}
+    return build_world(places[0], BuildOptions(**given))
+
+
+@lru_cache(maxsize=256)
+def _find(file: FileSpec, data: Path | None) -> Path | None:
+    """Return the file of this content in a folder and those in it."""
+    if data is None:
+        return None
+    for path in sorted(data.rglob("*")):
+        if path.is_file() and path.stat().st_size == file.size and _digest(path) == file.sha256:
+            return path
+    return None
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

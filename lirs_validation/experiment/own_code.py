@@ -1,0 +1,95 @@
+"""Classes of the user's own, named as `module:name`: found, and made with the keywords that they take."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from lirs_validation.experiment.import_path import importable
+from lirs_wct.errors import ConfigError
+
+
+def own_class(name: str, what: str, method: str) -> Callable[..., Any]:
+    """Return the class or function that `module:name` names.
+
+    The module is looked for in the current folder too, which is on `sys.path` only while it is imported.
+
+    Args:
+        name: `module:name`.
+        what: it makes, such as "mapper".
+        method: that what is made has; classes with it are named where there is none of that name.
+
+    Raises:
+        ConfigError: the module cannot be imported, or has nothing of that name that can be called.
+    """
+    module_name, _, attribute = name.partition(":")
+    module = _module(module_name, name, what)
+    found: Any = getattr(module, attribute, None)
+    if callable(found):
+        return found  # type: ignore[no-any-return]
+    classes = {key: value for key, value in vars(module).items() if isinstance(value, type)}
+    likely = sorted(key for key, value in classes.items() if hasattr(value, method))
+    raise ConfigError(
+        f"{what} {name!r}: {module.__name__} has no class {attribute!r}"
+        f"; classes with {method}: {', '.join(likely) or 'none'}"
+    )
+
+
+def make_own(maker: Callable[..., Any], offered: Mapping[str, Any], name: str, what: str) -> Any:
+    """Call a maker with those of the offered keywords that it takes.
+
+    Raises:
+        ConfigError: it raised, or ended the program.
+    """
+    try:
+        return maker(**keywords_taken(maker, offered))
+    except (ConfigError, KeyboardInterrupt):
+        raise
+    except BaseException as error:  # `sys.exit` too
+        raise ConfigError(f"{what} {name!r}: cannot be made: {type(error).__name__}: {error}") from error
+
+
+def own_source_file(name: str, what: str) -> Path | None:
+    """Return the file of the module that `module:name` names; None = a name of ours."""
+    if ":" not in name:
+        return None
+    file = getattr(_module(name.partition(":")[0], name, what), "__file__", None)
+    return Path(file) if file else None
+
+
+def keywords_taken(maker: Callable[..., Any], offered: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what of the offered keywords a maker takes."""
+    try:
+        parameters = inspect.signature(maker).parameters.values()
+    except ValueError:  # some classes of compiled modules have no signature
+        return {}
+    if any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters):
+        return dict(offered)
+    by_keyword = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    names = {p.name for p in parameters if p.kind in by_keyword}
+    return {key: value for key, value in offered.items() if key in names}
+
+
+def _module(module: str, name: str, what: str) -> ModuleType:
+    here = Path.cwd()
+    try:
+        with importable(here):
+            return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is not None and (module == error.name or module.startswith(f"{error.name}.")):
+            raise ConfigError(
+                f"{what} {name!r}: no module {error.name!r} is installed or in {here}"
+            ) from error
+        raise ConfigError(
+            f"{what} {name!r}: {module} imports {error.name!r}, which is not installed"
+        ) from error
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # `sys.exit` too: a script without `if __name__ == "__main__"`
+        raise ConfigError(
+            f"{what} {name!r}: importing {module} failed: {type(error).__name__}: {error}"
+        ) from error

@@ -1,0 +1,85 @@
+"""The benchmark's scores: one line for a policy, and a table of all that ran on the same tasks."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from lirs_validation.bench.policies.choice import UPPER_BOUND
+from lirs_validation.bench.results import PolicyResult, share_of_bound
+from lirs_validation.bench.scores import Score
+from lirs_validation.record.formatting import NOTHING
+from lirs_validation.report.tables.screen import FittedTable
+from lirs_validation.report.tables.table import ReportTable
+from lirs_wct.files import atomic_write
+
+MEASURES = {
+    "navigation": "success weighted by path length (SPL)",
+    "mapping": "area under newly covered ground over path length",
+    "traverse": "share of the distance gained",
+}
+"""What a score is, by task."""
+HEADINGS = ("policy", "score", "95 %", "success", "collision", "failed", "of astar", "tasks")
+
+
+def score_line(result: PolicyResult, tasks: str) -> str:
+    """Return a policy's score in one line; `tasks` says of which."""
+    score = result.score
+    ends = "" if score.low is None else f" [{interval(score)}]"
+    return f"{result.policy.label}: {score.mean:.3f}{ends}, {tasks}"
+
+
+def interval(score: Score) -> str:
+    """Return the ends of a score's interval."""
+    return NOTHING if score.low is None else f"{score.low:.3f}, {score.high:.3f}"
+
+
+def bench_table(results: Sequence[PolicyResult], task: str) -> FittedTable:
+    """Return the table of policies, the best first."""
+    bound = next((result for result in results if result.policy.name == UPPER_BOUND), None)
+    rows = tuple(_row(result, bound) for result in results)
+    caption = (
+        f"Score: {MEASURES[task]}, mean over tasks; 95 % by bootstrap over tasks. "
+        "of astar: share of the upper bound's score on the same tasks."
+    )
+    if any(result.privileged for result in results):
+        caption += " *: is given what only a simulator knows."
+    if len({result.score.count for result in results}) > 1:
+        caption += " Not every policy has run on every task: their scores do not compare."
+    return FittedTable(ReportTable("bench", "", caption, HEADINGS, rows), drop=("failed", "collision"))
+
+
+def _row(result: PolicyResult, bound: PolicyResult | None) -> tuple[str, ...]:
+    share = share_of_bound(result, bound)
+    return (
+        result.policy.label + ("*" if result.privileged else ""),
+        f"{result.score.mean:.3f}",
+        interval(result.score),
+        f"{result.successes:.2f}",
+        f"{result.collisions:.2f}",
+        str(result.failed),
+        NOTHING if share is None else f"{share:.2f}",
+        str(result.score.count),
+    )
+
+
+def write_scores(path: Path, results: Sequence[PolicyResult], about: dict[str, object]) -> None:
+    """Write the table as JSON, each policy with its tasks' scores.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    bound = next((result for result in results if result.policy.name == UPPER_BOUND), None)
+    policies = [
+        {"policy": result.policy.name, "arguments": dict(result.policy.arguments)}
+        | {"score": vars(result.score), "success": result.successes, "collision": result.collisions}
+        | {"failed": result.failed, "of_astar": share_of_bound(result, bound)}
+        | {"tasks": {name: entry["metrics"]["score"] for name, entry in sorted(result.episodes.items())}}
+        for result in results
+    ]
+    with atomic_write(path) as temporary:
+        text = json.dumps(
+            about | {"interval": "percentile bootstrap over tasks", "policies": policies}, indent=1
+        )
+        temporary.write_text(text + "\n", encoding="utf-8")
