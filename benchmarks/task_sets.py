@@ -21,7 +21,7 @@ from task_plans import COURSE_DIFFICULTIES, PLANS, Plan
 from lirs_envs.env import RobotEnv
 from lirs_envs.generators.terrain import KINDS
 from lirs_envs.robots.catalog import make_robot
-from lirs_validation.bench.tasks import SETS, SPLITS, Task, TaskSet, set_entry, task_set
+from lirs_validation.bench.tasks import SETS, SPLITS, BenchTask, TaskSet, set_entry, task_set
 from lirs_validation.driving.choice import MARGIN
 from lirs_wct.errors import SimulationError, SourceError
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -59,7 +59,7 @@ def main() -> None:
 
 def draw_set(name: str, data: Path | None) -> TaskSet:
     """Return a set, drawn anew."""
-    tasks: list[Task] = []
+    tasks: list[BenchTask] = []
     for number, plan in enumerate(PLANS[name]()):
         try:
             plan.world.places(data)
@@ -75,10 +75,10 @@ def draw_set(name: str, data: Path | None) -> TaskSet:
     return TaskSet(name=name, version=VERSION, tasks=tuple(tasks))
 
 
-def courses() -> list[Task]:
+def courses() -> list[BenchTask]:
     """Return the courses to traverse: of each kind one a difficulty, for a Husky."""
     return [
-        Task(
+        BenchTask(
             name=f"{split}-traverse-{kind}-{round(100 * difficulty):03d}",
             task="traverse",
             split=split,
@@ -94,7 +94,7 @@ def courses() -> list[Task]:
     ]
 
 
-def draw_navigation(plan: Plan, world: World, seed: int, k: int) -> Task:
+def draw_navigation(plan: Plan, world: World, seed: int, k: int) -> BenchTask:
     """Draw start and goal as the environment does, with a way between them that has room."""
     difficulty = DIFFICULTIES[k % len(DIFFICULTIES)]
     env = RobotEnv("navigation", world=world, robot=plan.robot, difficulty=difficulty)
@@ -108,7 +108,7 @@ def draw_navigation(plan: Plan, world: World, seed: int, k: int) -> Task:
         found = {area_at(*areas, x, y), area_at(*areas, *goal)}
         if 0 in found or len(found) > 1 or abs(observation["goal"][1]) < NEAR_START:
             continue
-        task = Task(
+        task = BenchTask(
             name=f"{plan.split}-navigation-{plan.world.name}-{plan.robot}-{k}",
             task="navigation",
             split=plan.split,
@@ -124,7 +124,7 @@ def draw_navigation(plan: Plan, world: World, seed: int, k: int) -> Task:
     raise SystemExit(f"{plan.world.name}: no start and goal for {plan.robot} in {DRAWS} draws")
 
 
-def draw_mapping(plan: Plan, world: World, seed: int) -> Task:
+def draw_mapping(plan: Plan, world: World, seed: int) -> BenchTask:
     """Draw a start with room around it and something in the way straight ahead."""
     env = RobotEnv("mapping", world=world, robot=plan.robot)
     grid, areas = roomy_areas(world, plan.robot)
@@ -136,7 +136,7 @@ def draw_mapping(plan: Plan, world: World, seed: int) -> Task:
             continue
         reachable = float(site.reachable(site.area(x, y)).sum()) * 0.25**2
         budget = 5.0 * round(2.5 * math.sqrt(reachable) / 5)
-        task = Task(
+        task = BenchTask(
             name=f"{plan.split}-mapping-{plan.world.name}-{plan.robot}-{seed % 500}",
             task="mapping",
             split=plan.split,
@@ -152,7 +152,7 @@ def draw_mapping(plan: Plan, world: World, seed: int) -> Task:
     raise SystemExit(f"{plan.world.name}: no start for {plan.robot} in {DRAWS} draws")
 
 
-def can_begin(env: RobotEnv, task: Task) -> bool:
+def can_begin(env: RobotEnv, task: BenchTask) -> bool:
     """Return whether the environment takes the task's start and goal, which were rounded."""
     options: dict[str, Any] = {"start": task.start}
     try:

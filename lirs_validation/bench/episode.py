@@ -15,7 +15,7 @@ from lirs_envs.env import Observed, RobotEnv
 from lirs_envs.policies.policy import Policy
 from lirs_validation.bench.policies.choice import PolicyChoice
 from lirs_validation.bench.scores import coverage_area, distance_share, success_by_path_length
-from lirs_validation.bench.tasks import Task
+from lirs_validation.bench.tasks import BenchTask
 from lirs_validation.interrupts import is_interrupt
 from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.errors import ConfigError
@@ -67,7 +67,7 @@ class EpisodeLog:
 
 
 def make_task_env(
-    task: Task, data: Path | None, observe: tuple[str, ...] | None, render_mode: str | None = None
+    task: BenchTask, data: Path | None, observe: tuple[str, ...] | None, render_mode: str | None = None
 ) -> RobotEnv:
     """Return the environment of a task.
 
@@ -86,7 +86,7 @@ def make_task_env(
     return RobotEnv(task.task, render_mode=render_mode, **options)
 
 
-def reset_options(task: Task) -> dict[str, Any]:
+def reset_options(task: BenchTask) -> dict[str, Any]:
     """Return the options with which a task's environment is reset."""
     if task.task == "traverse":
         return {"kind": task.course, "difficulty": task.difficulty}
@@ -95,7 +95,7 @@ def reset_options(task: Task) -> dict[str, Any]:
 
 
 def run_episode(
-    task: Task,
+    task: BenchTask,
     choice: PolicyChoice,
     data: Path | None = None,
     *,
@@ -133,7 +133,7 @@ def run_episode(
 
 def _drive(
     env: RobotEnv,
-    task: Task,
+    task: BenchTask,
     choice: PolicyChoice,
     observation: Observed,
     log: EpisodeLog,
@@ -195,7 +195,7 @@ def _action(env: RobotEnv, policy: Policy, observation: Observed) -> Float32Arra
     return action
 
 
-def episode_metrics(task: Task, log: EpisodeLog) -> dict[str, Any]:
+def episode_metrics(task: BenchTask, log: EpisodeLog) -> dict[str, Any]:
     """Return score, success and what they were made of; a policy that failed scores 0."""
     driven, last = log.driven, log.last
     entry: dict[str, Any] = {

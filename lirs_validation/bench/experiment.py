@@ -13,7 +13,7 @@ import cv2
 
 from lirs_validation.bench.episode import EpisodeLog, episode_metrics, run_episode
 from lirs_validation.bench.policies.choice import PolicyChoice
-from lirs_validation.bench.tasks import Task
+from lirs_validation.bench.tasks import BenchTask
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.provenance import versions
@@ -48,7 +48,7 @@ class BenchExperiment:
 
     set_name: str
     set_version: int
-    task: Task
+    task: BenchTask
     policy: PolicyChoice
     data: Path | None = None
     pictures: bool = False
@@ -58,7 +58,7 @@ class BenchExperiment:
         """Name of its folder."""
         text = json.dumps(self._asked(), sort_keys=True)
         digest = hashlib.sha256(text.encode()).hexdigest()[:8]
-        return f"{Path(self.set_name).stem}-{self.task.name}-{self.policy.short}-{digest}"
+        return f"{self.set_name}-{self.task.name}-{self.policy.short}-{digest}"
 
     @property
     def world_config(self) -> RunConfig | None:

@@ -10,7 +10,7 @@ from typing import Any
 from lirs_validation.bench.experiment import RECORD, read_episode
 from lirs_validation.bench.policies.choice import UPPER_BOUND, PolicyChoice
 from lirs_validation.bench.scores import Score, score_of
-from lirs_validation.bench.tasks import Task, TaskSet
+from lirs_validation.bench.tasks import BenchTask, TaskSet
 from lirs_validation.record.staleness import same_code
 from lirs_wct.errors import SourceError
 
@@ -67,14 +67,14 @@ def share_of_bound(result: PolicyResult, bound: PolicyResult | None) -> float | 
     return own / best if best > 0 else None
 
 
-def read_results(out: Path, tasks: TaskSet, chosen: Sequence[Task]) -> list[PolicyResult]:
+def read_results(out: Path, tasks: TaskSet, chosen: Sequence[BenchTask]) -> list[PolicyResult]:
     """Return the results of every policy in a folder over some tasks, the best first.
 
     Episodes of other code, of another version of the set, or of a task that has changed are left out.
     """
     described = {task.name: task.described() for task in chosen}
     found: dict[PolicyChoice, dict[str, dict[str, Any]]] = {}
-    for path in sorted(out.glob(f"{Path(tasks.name).stem}-*/{RECORD}")):
+    for path in sorted(out.glob(f"{tasks.name}-*/{RECORD}")):
         try:
             entry = read_episode(path.parent)
         except SourceError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -19,12 +20,13 @@ from lirs_wct.field_validators import is_finite, require_above, require_seed, re
 SETS = ("indoor", "hills", "lirs", "generated")
 SPLITS = ("train", "validation", "test")
 TASKS = ("navigation", "mapping", "traverse")
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 SCHEMA = 1
 """Of a file with a set of tasks."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Task:
+class BenchTask:
     """One episode that every policy is asked for.
 
     Attributes:
@@ -59,6 +61,7 @@ class Task:
     difficulty: float | None = None
 
     def __post_init__(self) -> None:
+        check_name(self.name, "task")
         if self.task not in TASKS:
             raise unknown_name("task", self.task, TASKS)
         if self.split not in SPLITS:
@@ -113,9 +116,9 @@ class TaskSet:
 
     name: str
     version: int
-    tasks: tuple[Task, ...]
+    tasks: tuple[BenchTask, ...]
 
-    def chosen(self, task: str, split: str) -> tuple[Task, ...]:
+    def chosen(self, task: str, split: str) -> tuple[BenchTask, ...]:
         """Return the tasks of one kind and split, `all` = of every split.
 
         Raises:
@@ -133,6 +136,16 @@ class TaskSet:
                 f"it has {', '.join(held) or 'none'}"
             )
         return found
+
+
+def check_name(name: object, of: str) -> None:
+    """Check a name that folders get.
+
+    Raises:
+        ConfigError: it holds other characters than letters, digits and `_.-`.
+    """
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        raise ConfigError(f"the name of a {of} must be letters, digits and _.- alone, got {name!r}")
 
 
 def task_set(name: str) -> TaskSet:
@@ -172,6 +185,7 @@ def read_task_set(entry: Any, where: str) -> TaskSet:
     try:
         if entry["schema"] != SCHEMA:
             raise ConfigError(f"schema of a task set must be {SCHEMA}, got {entry['schema']}")
+        check_name(entry["name"], "task set")
         worlds = {name: read_world(name, world) for name, world in entry["worlds"].items()}
         tasks = tuple(_read_task(task, worlds) for task in entry["tasks"])
         found = TaskSet(name=str(entry["name"]), version=int(entry["version"]), tasks=tasks)
@@ -183,7 +197,7 @@ def read_task_set(entry: Any, where: str) -> TaskSet:
     return found
 
 
-def _read_task(entry: Mapping[str, Any], worlds: Mapping[str, WorldSpec]) -> Task:
+def _read_task(entry: Mapping[str, Any], worlds: Mapping[str, WorldSpec]) -> BenchTask:
     values = dict(entry)
     for name in ("start", "goal"):
         if values.get(name) is not None:
@@ -192,7 +206,7 @@ def _read_task(entry: Mapping[str, Any], worlds: Mapping[str, WorldSpec]) -> Tas
         if values["world"] not in worlds:
             raise unknown_name("world of a task", str(values["world"]), worlds)
         values["world"] = worlds[values["world"]]
-    return Task(**values)
+    return BenchTask(**values)
 
 
 def set_entry(found: TaskSet) -> dict[str, Any]:

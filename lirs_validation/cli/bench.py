@@ -18,7 +18,7 @@ from lirs_wct.errors import ConfigError, SourceError
 if TYPE_CHECKING:
     from lirs_validation.bench.policies.choice import PolicyChoice
     from lirs_validation.bench.results import PolicyResult
-    from lirs_validation.bench.tasks import Task, TaskSet
+    from lirs_validation.bench.tasks import BenchTask, TaskSet
 
 POLICY_HELP = (
     "random, straight, go_to_goal, frontier, astar (on the true map: the upper bound), or module:name of "
@@ -99,7 +99,7 @@ def bench(
     run_sweep(sweep, executor, lambda: _show(output, tasks, chosen, choices))
 
 
-def _with_sources(tasks: Sequence[Task], data: Path | None) -> list[Task]:
+def _with_sources(tasks: Sequence[BenchTask], data: Path | None) -> list[BenchTask]:
     """Return the tasks whose worlds can be made; say of each other world why it cannot.
 
     Raises:
@@ -125,7 +125,7 @@ def _with_sources(tasks: Sequence[Task], data: Path | None) -> list[Task]:
 
 
 def _read_policies(
-    names: Sequence[str], arguments: Sequence[str], task: Task, data: Path | None
+    names: Sequence[str], arguments: Sequence[str], task: BenchTask, data: Path | None
 ) -> list[PolicyChoice]:
     """Return the policies, each of which was made once for a task.
 
@@ -151,7 +151,9 @@ def _read_policies(
     return choices
 
 
-def _show(output: Path, tasks: TaskSet, chosen: Sequence[Task], policies: Sequence[PolicyChoice]) -> None:
+def _show(
+    output: Path, tasks: TaskSet, chosen: Sequence[BenchTask], policies: Sequence[PolicyChoice]
+) -> None:
     """Print the scores of the policies and the table of all, and write them."""
     from lirs_validation.bench.results import read_results
     from lirs_validation.report.tables.bench_table import bench_table, score_line, write_scores
@@ -165,7 +167,7 @@ def _show(output: Path, tasks: TaskSet, chosen: Sequence[Task], policies: Sequen
         if result.policy in policies:
             _tell_failures(result)
     out.print(bench_table(results, task))
-    path = output / f"scores-{Path(tasks.name).stem}-{task}-{split}.json"
+    path = output / f"scores-{tasks.name}-{task}-{split}.json"
     about = {"set": tasks.name, "version": tasks.version, "task": task, "split": split}
     write_scores(path, results, about)
     for result in results:

@@ -14,7 +14,7 @@ from lirs_envs.policies.go_to_goal import GoToGoal
 from lirs_envs.policies.policy import Policy, PolicyContext
 from lirs_validation.bench.policies.explorer import Explorer
 from lirs_validation.bench.policies.true_map import OnTrueMap
-from lirs_validation.bench.tasks import TASKS, Task
+from lirs_validation.bench.tasks import TASKS, BenchTask
 from lirs_validation.experiment.own_code import make_own, own_class, own_source_file
 from lirs_wct.errors import ConfigError, unknown_name
 
@@ -109,7 +109,7 @@ class PolicyChoice:
         if self.arguments:
             raise ConfigError(f"the policy {self.name} takes no arguments, got {self.label}")
 
-    def make(self, env: RobotEnv, task: Task) -> Policy:
+    def make(self, env: RobotEnv, task: BenchTask) -> Policy:
         """Make the policy for an episode of a task.
 
         A class of the user's own gets as keywords what it takes of `context` (see `PolicyContext`),

@@ -12,11 +12,11 @@ import pytest
 from lirs_validation.bench.episode import SPENT, episode_metrics, make_task_env, run_episode
 from lirs_validation.bench.policies.choice import BASELINES, PolicyChoice
 from lirs_validation.bench.task_worlds import WorldSpec
-from lirs_validation.bench.tasks import Task
+from lirs_validation.bench.tasks import BenchTask
 from lirs_wct.errors import ConfigError
 
 PLAN = WorldSpec(name="plan", maker="floor plan", options=(("seed", 0),))
-THERE = Task(
+THERE = BenchTask(
     name="there",
     task="navigation",
     split="test",
@@ -27,7 +27,7 @@ THERE = Task(
     start=(-2.0, -6.0, 0.0),
     goal=(4.5, -6.5),
 )
-AROUND = Task(
+AROUND = BenchTask(
     name="around",
     task="mapping",
     split="test",
@@ -38,7 +38,7 @@ AROUND = Task(
     start=(-6.0, -5.0, 0.0),
     path_budget=5.0,
 )
-ACROSS = Task(
+ACROSS = BenchTask(
     name="across",
     task="traverse",
     split="test",
@@ -121,7 +121,7 @@ def _theirs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(__import__("sys").modules, "their_policies", raising=False)
 
 
-def run(task: Task, name: str, **arguments: str) -> tuple[Any, dict[str, Any]]:
+def run(task: BenchTask, name: str, **arguments: str) -> tuple[Any, dict[str, Any]]:
     log = run_episode(task, PolicyChoice(name, tuple(arguments.items())))
     return log, episode_metrics(task, log)
 

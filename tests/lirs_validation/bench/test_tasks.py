@@ -90,6 +90,8 @@ def test_what_a_set_lacks_is_said() -> None:
         (changed(world="attic"), "unknown world of a task 'attic'; legal: plan"),
         (changed(time_limit=0), "time_limit of a must be"),
         (changed(colour="red"), "colour"),
+        (changed(name="../a"), "the name of a task must be letters, digits and _.- alone, got '../a'"),
+        (GOOD | {"name": ""}, "the name of a task set must be"),
         (GOOD | {"schema": 9}, "schema of a task set must be 1, got 9"),
         (GOOD | {"tasks": GOOD["tasks"] * 2}, "two tasks have one name"),
         (GOOD | {"worlds": {"plan": {"maker": "magic"}}}, "unknown maker of a world 'magic'"),

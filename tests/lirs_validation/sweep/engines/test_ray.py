@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from lirs_validation.sweep.engines.base import Limits
 from lirs_validation.sweep.engines.factory import make_executor
+from lirs_validation.sweep.engines.ray import perform_remotely
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.errors import ConfigError
 from tests.lirs_validation.sweep.fake_experiments import FakeExperiment
@@ -51,3 +53,12 @@ def test_where_no_cluster_answers_it_is_said(tmp_path: Path) -> None:
     sweep = Sweep([FakeExperiment("a", str(tmp_path / "notes"))], tmp_path / "out")
     with pytest.raises(ConfigError, match=r"--address 127\.0\.0\.1:1: no Ray cluster answers there"):
         list(sweep.run(make_executor("ray", address="127.0.0.1:1")))
+
+
+@pytest.mark.parametrize("limits", [Limits(), Limits(seconds=60.0)])
+def test_an_experiment_that_makes_its_world_itself_needs_none(tmp_path: Path, limits: Limits) -> None:
+    (tmp_path / "notes").mkdir()
+    experiment = FakeExperiment("alone", str(tmp_path / "notes"))
+    outcome, files = perform_remotely(experiment, None, limits, str(ROOT))
+    assert outcome.status == "ok"
+    assert files == {"result": b"alone True"}

@@ -1,0 +1,80 @@
+"""The sets of tasks that ship are what their script draws."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from collections import Counter
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from lirs_validation.bench.episode import make_task_env, reset_options
+from lirs_validation.bench.tasks import SETS, BenchTask, set_entry, task_set
+
+ROOT = Path(__file__).resolve().parents[1]
+SHIPPED = ROOT / "lirs_validation" / "bench" / "task_sets"
+
+
+@pytest.fixture(scope="module")
+def script() -> ModuleType:
+    sys.path.insert(0, str(ROOT / "benchmarks"))
+    try:
+        spec = importlib.util.spec_from_file_location("task_sets", ROOT / "benchmarks" / "task_sets.py")
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(ROOT / "benchmarks"))
+    return module
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_the_files_are_as_the_script_writes_them(name: str, script: ModuleType) -> None:
+    text = (SHIPPED / f"{name}.json").read_text(encoding="utf-8")
+    assert script.as_text(set_entry(task_set(name))) == text
+    assert json.loads(text)["version"] == script.VERSION
+
+
+def test_plans_and_files_have_the_same_worlds(script: ModuleType) -> None:
+    for name in SETS:
+        planned: Counter[tuple[str, str]] = Counter()
+        for plan in script.PLANS[name]():
+            planned[plan.world.name, plan.robot] += plan.navigation + plan.mapping
+        tasks = [task for task in task_set(name).tasks if task.world is not None]
+        assert Counter((t.world.name, t.robot) for t in tasks if t.world) == planned
+
+
+def test_drawing_again_gives_the_same_tasks(script: ModuleType) -> None:
+    number, plan = next((k, p) for k, p in enumerate(script.PLANS["indoor"]()) if p.split == "validation")
+    world = plan.world.world(None)
+    shipped = {task.name: task for task in task_set("indoor").tasks}
+    navigation = script.draw_navigation(plan, world, 1000 * number, 0)
+    mapping = script.draw_mapping(plan, world, 1000 * number + 500)
+    assert same(navigation, shipped[navigation.name])
+    assert same(mapping, shipped[mapping.name])
+
+
+def same(drawn: BenchTask, shipped: BenchTask) -> bool:
+    """Whether two tasks are one but for the last digit, which may differ between machines."""
+    a, b = drawn.described(), shipped.described()
+    numbers = [
+        (x, y) for key in ("start", "goal") for x, y in zip(a.pop(key, ()), b.pop(key, ()), strict=True)
+    ]
+    return a == b and all(abs(x - y) <= 0.002 for x, y in numbers)
+
+
+def test_every_test_task_that_ships_can_begin() -> None:
+    for name in SETS:
+        worlds = set()
+        for task in task_set(name).chosen("navigation", "test"):
+            if task.world is None or task.world.files or task.world in worlds:
+                continue
+            worlds.add(task.world)
+            env = make_task_env(task, None, None)
+            _, info = env.reset(seed=task.seed, options=reset_options(task))
+            assert info["shortest_path"] > 1.0
+            env.close()
