@@ -11,6 +11,7 @@ from typing import Any
 
 import cv2
 
+from lirs_envs.episodes.episodes import TASKS as ENVIRONMENT_TASKS
 from lirs_validation.bench.episode import EpisodeLog, episode_metrics, run_episode
 from lirs_validation.bench.policies.choice import PolicyChoice
 from lirs_validation.bench.tasks import BenchTask
@@ -115,6 +116,11 @@ class BenchExperiment:
             return None
         return Outcome(experiment=self.name, status=entry["status"], reason=entry["reason"], written=True)
 
+    @property
+    def observe(self) -> tuple[str, ...]:
+        """Groups of observations that the policy is given."""
+        return self.policy.observe or ENVIRONMENT_TASKS[self.task.task].observe
+
     def described(self) -> dict[str, Any]:
         """Return name and what was asked."""
         return {"name": self.name} | self._asked()
@@ -130,7 +136,7 @@ class BenchExperiment:
 
     def _write(self, folder: Path, outcome: Outcome, metrics: dict[str, Any], series: dict[str, Any]) -> None:
         entry = {"schema": SCHEMA} | self._asked()
-        entry |= {"observe": self.policy.observe, "status": outcome.status, "reason": outcome.reason}
+        entry |= {"observe": self.observe, "status": outcome.status, "reason": outcome.reason}
         entry |= {"metrics": metrics, "trace": outcome.trace, "versions": versions()} | series
         text = json.dumps(entry, indent=1, default=plain)
         (folder / RECORD).write_text(text + "\n", encoding="utf-8")

@@ -27,7 +27,7 @@ class Baseline(NamedTuple):
     Attributes:
         make: of what it drives and of its context.
         tasks: that it can be asked for.
-        observe: groups of observations that it needs; None = the task's own.
+        observe: groups of observations that it is given; None = the task's own.
     """
 
     make: Callable[[RobotEnv, PolicyContext], Policy]
@@ -36,9 +36,11 @@ class Baseline(NamedTuple):
 
 
 BASELINES: Mapping[str, Baseline] = {
-    "random": Baseline(lambda env, context: RandomActions(context)),
-    "straight": Baseline(lambda env, context: StraightAhead(context)),
-    "go_to_goal": Baseline(lambda env, context: GoToGoal(context), ("navigation", "traverse")),
+    "random": Baseline(lambda env, context: RandomActions(context), observe=("attitude",)),
+    "straight": Baseline(lambda env, context: StraightAhead(context), observe=("attitude",)),
+    "go_to_goal": Baseline(
+        lambda env, context: GoToGoal(context), ("navigation", "traverse"), ("scan", "goal")
+    ),
     "frontier": Baseline(Explorer, ("navigation", "mapping")),
     "astar": Baseline(OnTrueMap),
 }
