@@ -85,6 +85,10 @@ ORIGINS = {
 """Repository and folder that hold them."""
 
 
+MAPS = (("maze", "train"), ("smoothers_world", "validation"), ("depot", "test"), ("willow", "test"))
+"""Maps of buildings among them, with their splits."""
+
+
 def made(maker: str, name: str, **options: Any) -> WorldSpec:
     """Return a world that ships, or that a generator makes."""
     return WorldSpec(name=name, maker=maker, options=tuple(options.items()))
@@ -149,13 +153,18 @@ def indoor() -> list[Plan]:
         for first, split in ((0, "train"), (10, "validation"), (20, "test"))
         for k, seed in enumerate(range(first, first + 3))
     ]
-    for name, split in (
-        ("maze", "train"),
-        ("smoothers_world", "validation"),
-        ("depot", "test"),
-        ("willow", "test"),
-    ):
-        plans.append(Plan(world=from_files(name), split=split, robot="jackal", navigation=4, mapping=2))
+    # A lidar of 30 m sees half of a hall at once: there a robot with a short one maps.
+    for robot, navigation, mapping in (("jackal", 4, 0), ("turtlebot2", 0, 2)):
+        for name, split in MAPS:
+            plans.append(
+                Plan(
+                    world=from_files(name),
+                    split=split,
+                    robot=robot,
+                    navigation=navigation,
+                    mapping=mapping,
+                )
+            )
     return plans
 
 
