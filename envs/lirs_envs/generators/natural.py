@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 import cv2
 import numpy as np
+from numba import njit
 
 from lirs_wct.arrays import FloatArray
 
@@ -60,15 +62,23 @@ def with_rocks(
         radius: least and largest, metres.
         height: least and largest, metres.
     """
-    x, cell = np.linspace(0, edge, len(z)), edge / (len(z) - 1)
-    z = z.copy()
-    for _ in range(count):
-        east, north = rng.uniform(border, edge - border, 2)
-        wide, high = rng.uniform(*radius), rng.uniform(*height)
-        cols, rows = (slice(int((c - wide) / cell), int((c + wide) / cell) + 2) for c in (east, north))
-        distance = np.hypot(x[cols] - east, x[rows, None] - north) / wide
-        z[rows, cols] += high * np.sqrt(np.clip(1 - distance**4, 0, 1))
+    low, high = zip((border, edge - border), (border, edge - border), radius, height, strict=True)
+    rocks = rng.uniform(low, high, (count, 4))
+    z = np.array(z, dtype=np.float64)
+    _add_rocks(z, np.linspace(0, edge, len(z)), rocks)
     return z
+
+
+@njit(cache=True)
+def _add_rocks(z: FloatArray, x: FloatArray, rocks: FloatArray) -> None:
+    """Add rocks (n, 4), east, north, radius, height, to heights whose nodes are at `x` along both axes."""
+    per_metre = (len(z) - 1) / x[-1]
+    for east, north, wide, high in rocks:
+        for i in range(int((north - wide) * per_metre), int((north + wide) * per_metre) + 2):
+            for j in range(int((east - wide) * per_metre), int((east + wide) * per_metre) + 2):
+                distance = math.hypot(x[j] - east, x[i] - north) / wide
+                if distance < 1.0:
+                    z[i, j] += high * math.sqrt(1.0 - distance**4)
 
 
 NATURAL_TERRAINS: Mapping[str, Callable[[np.random.Generator], FloatArray]] = {

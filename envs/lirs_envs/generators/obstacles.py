@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 
 import cv2
 import numpy as np
+from numba import njit
 
 from lirs_envs.generators.natural import NODES, with_rocks
 from lirs_envs.generators.route import ENDS, HALF
@@ -86,18 +87,34 @@ def craters(difficulty: float, rng: np.random.Generator) -> Obstacles:
     """Return craters: round bowls, each with a low rim."""
     steepness = at_difficulty(difficulty, 0.1, 0.55, 0.8)
     largest = at_difficulty(difficulty, 1.8, 2.4, 2.8)
+    count = round(at_difficulty(difficulty, 16, 60, 70))
+    bowls = rng.uniform((-HALF, -HALF, 0.9), (HALF, HALF, largest), (count, 3))
     bowl, rim = np.zeros((NODES, NODES)), np.zeros((NODES, NODES))
-    for _ in range(round(at_difficulty(difficulty, 16, 60, 70))):
-        east, north, radius = rng.uniform(-HALF, HALF), rng.uniform(-HALF, HALF), rng.uniform(0.9, largest)
-        cols = nodes_within(east, 1.6 * radius)
-        rows = nodes_within(-north, 1.6 * radius)
-        distance = np.hypot(X[:, cols] - east, Y[rows] - north) / radius
-        depth = steepness * radius
-        bowl[rows, cols] = np.minimum(bowl[rows, cols], -depth * np.clip(1 - distance**2, 0, None))
-        raised = 0.15 * depth * np.exp(-(((distance - 1) / 0.2) ** 2))
-        rim[rows, cols] = np.maximum(rim[rows, cols], raised)
+    _dig(bowls, steepness, (X[0], Y[:, 0]), bowl, rim)
     z = bowl + rim
     return z, z * min(1.0, GENTLE / (2 * steepness))
+
+
+@njit(cache=True)
+def _dig(
+    bowls: FloatArray,
+    steepness: float,
+    nodes: tuple[FloatArray, FloatArray],
+    bowl: FloatArray,
+    rim: FloatArray,
+) -> None:
+    """Dig bowls (n, 3), x, y, radius, with rims, at nodes of x and y; of two that meet the larger counts."""
+    x, y = nodes
+    south = -y
+    for east, north, radius in bowls:
+        reach, depth = 1.6 * radius, steepness * radius
+        top, bottom = np.searchsorted(south, -north - reach), np.searchsorted(south, -north + reach)
+        left, right = np.searchsorted(x, east - reach), np.searchsorted(x, east + reach)
+        for i in range(top, bottom):
+            for j in range(left, right):
+                distance = math.sqrt((x[j] - east) ** 2 + (y[i] - north) ** 2) / radius
+                bowl[i, j] = min(bowl[i, j], -depth * max(1 - distance**2, 0.0))
+                rim[i, j] = max(rim[i, j], 0.15 * depth * math.exp(-(((distance - 1) / 0.2) ** 2)))
 
 
 def nodes_within(middle: float, reach: float) -> slice:
