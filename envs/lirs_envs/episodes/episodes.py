@@ -15,7 +15,7 @@ from lirs_envs.episodes.config import EnvConfig
 from lirs_envs.episodes.observations import Observations
 from lirs_envs.episodes.randomization import Factors, Randomization
 from lirs_envs.episodes.world_cache import cached_world
-from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
+from lirs_envs.generators.terrain import generate, scaled_height_range
 from lirs_envs.placement import check_fit
 from lirs_envs.sensing.sensors import Observation
 from lirs_envs.tasks.mapping import MappingTask
@@ -23,7 +23,7 @@ from lirs_envs.tasks.navigation import NavigationTask
 from lirs_envs.tasks.seen_ground import SeenGround
 from lirs_envs.tasks.site import make_site
 from lirs_envs.tasks.task import CONTACT_COST, DRAWS, EFFORT_COST, Stage, Task
-from lirs_envs.tasks.traverse import MIXED, TraverseTask
+from lirs_envs.tasks.traverse import MIXED, CourseScale, TraverseTask, course_scale
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import ConfigError, SimulationError, unknown_name
 from lirs_wct.field_validators import is_finite
@@ -77,7 +77,7 @@ class Episodes:
         if task not in TASKS:
             raise unknown_name("task", task, TASKS)
         crossing, robot = task == "traverse", config.simulation.robot
-        scale = 1.0
+        scale = course_scale(robot)
         factors = _factors(config, crossing)
         world = _world(config, crossing, scale)
         check_fit(world, robot)
@@ -89,7 +89,7 @@ class Episodes:
             period=1 / config.control_hz,
             threads=threads,
             own_models=Randomization.needs_own_models(factors),
-            height_range=(scale * HEIGHT_RANGE[0], scale * HEIGHT_RANGE[1]) if crossing else None,
+            height_range=scaled_height_range(*scale) if crossing else None,
         )
         names = TASKS[task].observe if config.observe is None else config.observe
         sees = task == "mapping" or "seen_map" in names
@@ -320,7 +320,7 @@ def _factors(config: EnvConfig, crossing: bool) -> Factors:
     return given
 
 
-def _world(config: EnvConfig, crossing: bool, scale: float) -> World:
+def _world(config: EnvConfig, crossing: bool, scale: CourseScale) -> World:
     if crossing:
-        return generate("waves", 0.0, np.random.default_rng(0), scale=scale).world()
+        return generate("waves", 0.0, np.random.default_rng(0), **scale._asdict()).world()
     return config.world if isinstance(config.world, World) else cached_world(str(config.world))

@@ -30,6 +30,8 @@ COARSE = 64
 """Nodes along a side from which the rolling ground is interpolated."""
 HEIGHT_RANGE = (-2.8, 3.4)
 """No course reaches below or above, metres at scale 1: room for every course in one model."""
+MIN_WALL = 0.5
+"""Least height of a maze's walls at any scale, metres: above the lidar of every ground robot."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,8 +66,14 @@ class GeneratedTerrain:
         return World(self.kind, Terrain(self.surface), (self.start,), scale="generated")
 
 
+def scaled_height_range(scale: float, steepness: float) -> tuple[float, float]:
+    """Return what no course of a scale and a steepness reaches below or above, metres."""
+    factor = scale * max(steepness, 1.0)
+    return factor * HEIGHT_RANGE[0], max(factor * HEIGHT_RANGE[1], 2 * MIN_WALL)
+
+
 def generate(
-    kind: str, difficulty: float, rng: np.random.Generator, *, scale: float = 1.0
+    kind: str, difficulty: float, rng: np.random.Generator, *, scale: float = 1.0, steepness: float = 1.0
 ) -> GeneratedTerrain:
     """Make a course; the same random generator gives the same one.
 
@@ -74,26 +82,30 @@ def generate(
         difficulty: 0 (straight ahead passes all but mazes) to 1; a Husky's own limit lies below 0.5, beyond
             that it needs the gentle way.
         rng: of everything.
-        scale: all lengths, relative to those for a Husky, whose course is 25.6 m square.
+        scale: all lengths, relative to those for a Husky, whose course is 25.6 m square; the walls of a maze
+            are never lower than 0.5 m.
+        steepness: all slopes but those of walls, relative to those for a Husky.
 
     Raises:
-        ConfigError: there is no such kind, the difficulty is not 0 to 1, or the scale is not above 0.
+        ConfigError: there is no such kind, the difficulty is not 0 to 1, or scale or steepness is not above
+            0.
     """
     if kind not in KINDS:
         raise unknown_name("kind of terrain", kind, KINDS)
     if not (is_finite(difficulty) and 0 <= difficulty <= 1):
         raise ConfigError(f"difficulty of a terrain must be 0 to 1, got {difficulty}")
-    if not (is_finite(scale) and scale > 0):
-        raise ConfigError(f"scale of a terrain must be a finite number above 0, got {scale}")
+    for name, factor in (("scale", scale), ("steepness", steepness)):
+        if not (is_finite(factor) and factor > 0):
+            raise ConfigError(f"{name} of a terrain must be a finite number above 0, got {factor}")
     ground = _undulation(at_difficulty(difficulty, 0.05, 0.15, 0.3), rng)
     if kind == "mazes":
         rooms, open_share = at_difficulty(difficulty, 5, 7, 9), at_difficulty(difficulty, 0.6, 0.1, 0.0)
         walls, route = maze(round(rooms), open_share, rng)
-        z = ground + walls
+        z = scale * (steepness * ground + max(1.0, MIN_WALL / scale) * walls)
     else:
         z, route = _crossing(kind, difficulty, rng)
-        z += ground
-    heights = (scale * np.clip(z, *HEIGHT_RANGE)).astype(np.float32)
+        z = scale * steepness * np.clip(z + ground, *HEIGHT_RANGE)
+    heights = z.astype(np.float32)
     start, goal = _ends(scale * route)
     return GeneratedTerrain(
         kind=kind,

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from lirs_envs.generators.terrain import KINDS, GeneratedTerrain, generate
+from lirs_envs.robots.robot import Robot
 from lirs_envs.tasks.site import SeenFrame, seen_frame
 from lirs_envs.tasks.task import Stage, Task
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
@@ -17,8 +18,24 @@ from lirs_wct.geometry.pose import Pose2
 
 SUCCESS = 10.0
 """Reward at the goal."""
+HUSKY_RADIUS, HUSKY_SLOPE = 0.58, math.radians(25)
+"""What courses are made for: the radius of a robot, metres, and the steepest ground that it plans over."""
 MIXED = "mixed"
 """Kind of course that is any of the kinds, drawn anew for each episode."""
+
+
+class CourseScale(NamedTuple):
+    """Lengths and slopes of courses relative to those for a Husky (see `generators.terrain.generate`)."""
+
+    scale: float
+    steepness: float
+
+
+def course_scale(robot: Robot) -> CourseScale:
+    """Return the scale at which a course is as hard for a robot as it is for a Husky."""
+    if robot.flies:
+        return CourseScale(1.0, 1.0)
+    return CourseScale(robot.radius / HUSKY_RADIUS, math.tan(robot.max_slope) / math.tan(HUSKY_SLOPE))
 
 
 class TraverseTask(Task):
@@ -28,7 +45,7 @@ class TraverseTask(Task):
     time_limit: ClassVar = 90.0
     option_names: ClassVar = ("difficulty", "kind")
 
-    def __init__(self, stage: Stage, kind: str, scale: float) -> None:
+    def __init__(self, stage: Stage, kind: str, scale: CourseScale) -> None:
         super().__init__(stage)
         self._kind, self._scale = check_kind(kind), scale
         self._courses: list[GeneratedTerrain | None] = [None] * stage.count
@@ -36,7 +53,7 @@ class TraverseTask(Task):
         self._distances = np.zeros((stage.count, 2))
         """To the goal at the start, and now."""
         self._success = np.zeros(stage.count, np.bool_)
-        self._radius = max(0.5, stage.simulation.config.robot.radius)
+        self._radius = max(0.5 * scale.scale, stage.simulation.config.robot.radius)
 
     def draw(self, i: int, rng: np.random.Generator, options: Mapping[str, Any]) -> Pose2 | None:
         """Draw a course (see `Task.draw`)."""
@@ -44,7 +61,7 @@ class TraverseTask(Task):
         if kind == MIXED:
             kind = KINDS[int(rng.integers(len(KINDS)))]
         drawn = rng if self.stage.randomize_terrain else np.random.default_rng(0)
-        course = generate(kind, float(self.stage.difficulty[i]), drawn, scale=self._scale)
+        course = generate(kind, float(self.stage.difficulty[i]), drawn, **self._scale._asdict())
         self._courses[i], self._kinds[i] = course, kind
         self.stage.simulation.replace_terrain(i, course.world())
         return course.start

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from lirs_envs.generators.natural import NATURAL_TERRAINS, with_rocks
-from lirs_envs.generators.terrain import HEIGHT_RANGE, KINDS, GeneratedTerrain, generate
+from lirs_envs.generators.terrain import (
+    HEIGHT_RANGE,
+    KINDS,
+    GeneratedTerrain,
+    generate,
+    scaled_height_range,
+)
 from lirs_envs.placement import standing_pose
 from lirs_envs.robots.catalog import make_robot
 from lirs_wct.errors import ConfigError
@@ -90,6 +96,25 @@ def test_a_scale_scales_all_lengths() -> None:
     assert half.surface.size == pytest.approx(np.multiply(one.surface.size, 0.5))
     assert half.route == pytest.approx(0.5 * one.route)
     assert (half.start.x, half.start.yaw) == pytest.approx((one.start.x / 2, one.start.yaw))
+
+
+def test_steepness_scales_slopes_and_leaves_lengths() -> None:
+    rng = [np.random.default_rng(1) for _ in range(2)]
+    one, flat = generate("waves", 0.6, rng[0]), generate("waves", 0.6, rng[1], steepness=0.4)
+    assert flat.heights == pytest.approx(0.4 * one.heights, abs=1e-6)
+    assert flat.route == pytest.approx(one.route)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("scale", "steepness"), [(0.24, 0.38), (0.53, 1.24)])
+def test_courses_of_any_scale_fit_their_height_range(kind: str, scale: float, steepness: float) -> None:
+    low, high = scaled_height_range(scale, steepness)
+    for seed in range(3):
+        course = generate(kind, 1.0, np.random.default_rng(seed), scale=scale, steepness=steepness)
+        assert low <= course.heights.min() < course.heights.max() <= high
+    if kind == "mazes":
+        # Seen by a lidar that is mounted high above a small robot.
+        assert course.heights.max() > 0.45
 
 
 @pytest.mark.parametrize(

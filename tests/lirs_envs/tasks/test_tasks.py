@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from lirs_envs.env import RobotEnv
+from lirs_envs.robots.catalog import make_robot
 from lirs_envs.tasks.site import SEEN_CELL
 from lirs_envs.tasks.task import CONTACT_COST, EFFORT_COST
+from lirs_envs.tasks.traverse import course_scale
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 
@@ -127,6 +129,26 @@ def test_traverse_progress_and_success() -> None:
     assert info["reason"] == "success"
     assert info["progress"] == pytest.approx(first - info["distance"])
     assert total == pytest.approx(10 + info["progress"])
+
+
+@pytest.mark.parametrize("name", ["jackal", "turtlebot3_burger"])
+def test_an_easy_course_is_easy_for_a_small_robot(name: str) -> None:
+    """As wide and as steep for it as for a Husky: towards the goal it gets there, in about as much time."""
+    assert course_scale(make_robot("husky")) == (1.0, 1.0)
+    assert course_scale(make_robot("quadrotor")) == (1.0, 1.0)
+    robot = make_robot(name)
+    env = RobotEnv("traverse", kind="slopes", robot=name, difficulty=0.0, observe=["goal"])
+    observation, info = env.reset(seed=1)
+    scale = robot.radius / make_robot("husky").radius
+    assert env.view.world.surface.size[0] == pytest.approx(25.6 * scale)
+    assert info["distance"] == pytest.approx(21.6 * scale, rel=0.1)
+    done = False
+    while not done:
+        turn = float(np.clip(observation["goal"][1], -1, 1))
+        observation, _, terminated, truncated, info = env.step(np.array((1.0, turn), np.float32))
+        done = terminated or truncated
+    assert info["success"]
+    assert info["time"] < 45
 
 
 def test_a_new_course_in_each_episode_or_the_same() -> None:

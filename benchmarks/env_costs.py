@@ -1,0 +1,102 @@
+"""Memory that environments grow by, and what a second process pays before its first step.
+
+    python benchmarks/env_costs.py [--quick] [--json FILE]
+
+Memory: what the process holds (resident) after 1,000 resets and 100,000 steps of an environment, less what
+it held before; statistics of the episodes are recorded. 20 MB are allowed. Start: processor time beyond the
+imports of a process of its own, from `make` through `reset` to the first step, where the world was built by
+a process before; 1 s is allowed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import lirs_envs  # noqa: F401  registers
+
+IDS = "LIRS/Mapping-v1", "LIRS/Navigation-v0", "LIRS/Traverse-v0"
+N = 16
+START = """
+import time
+import gymnasium as gym, lirs_envs, lirs_envs.env, lirs_envs.vector_env
+begin = time.process_time()
+env = gym.make("{id}")
+env.reset(seed=1)
+env.step(env.action_space.sample())
+print(time.process_time() - begin)
+"""
+
+
+def main() -> None:
+    """Measure and show."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a twentieth of resets and steps")
+    parser.add_argument("--json", type=Path, help="write the figures to this file")
+    given = parser.parse_args()
+    resets, steps = (50, 5_000) if given.quick else (1_000, 100_000)
+    found: dict[str, float] = {}
+    for name in IDS:
+        start_seconds(name)  # builds the world, and compiles
+        found[f"{name} start_s"] = start_seconds(name)
+        found[f"{name} grown_mb"] = grown(gym.make(name, time_limit=20.0), 1, resets, steps)
+        vector = gym.make_vec(name, num_envs=N, vectorization_mode="vector_entry_point", time_limit=20.0)
+        found[f"{name} x {N} grown_mb"] = grown(vector, N, resets, steps)
+    table = Table("environment", "figure")
+    for key, value in found.items():
+        table.add_row(key, f"{value:.2f}")
+    Console().print(table)
+    if given.json:
+        given.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+def start_seconds(name: str) -> float:
+    """Return the seconds of processor time that a process needs for its first step, imports left out."""
+    program = START.format(id=name)
+    told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    return float(told.stdout)
+
+
+def grown(env: Any, count: int, resets: int, steps: int) -> float:
+    """Return the megabytes that resets and steps of `count` environments leave behind."""
+    recorded = (gym.wrappers.vector if count > 1 else gym.wrappers).RecordEpisodeStatistics(env)
+    recorded.reset(seed=0)
+    action = np.tile(np.array((0.5, 0.1), np.float32), (count, 1) if count > 1 else 1)
+    drive(recorded, action, resets // (20 * count) + 1, steps // (20 * count))
+    before = megabytes()
+    drive(recorded, action, resets // count, steps // count)
+    after = megabytes()
+    recorded.close()
+    return after - before
+
+
+def drive(env: Any, action: np.ndarray, resets: int, steps: int) -> None:
+    """Reset, then step; episodes that end begin anew."""
+    vector = isinstance(env, gym.vector.VectorEnv)
+    for _ in range(resets):
+        env.reset()
+    for _ in range(steps):
+        *_, terminated, truncated, _ = env.step(action)
+        if not vector and (terminated or truncated):
+            env.reset()
+
+
+def megabytes() -> float:
+    """Return what this process holds, megabytes."""
+    gc.collect()
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
+
+
+if __name__ == "__main__":
+    main()
