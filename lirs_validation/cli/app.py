@@ -17,6 +17,7 @@ from typer.exceptions import TyperException
 from lirs_validation.cli.bench import bench
 from lirs_validation.cli.collide import collide
 from lirs_validation.cli.console import BAD_INPUT, INTERRUPTED, RUN_FAILED, err, out
+from lirs_validation.cli.export import export
 from lirs_validation.cli.map import map_log
 from lirs_validation.cli.reports import compare, report, score
 from lirs_validation.cli.robot_card import robot
@@ -35,7 +36,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, evaluate.",
 )
-for command in (build, validate, report, compare, score, bench, collide, view, info, convert, robot):
+for command in (build, validate, report, compare, score, export, bench, collide, view, info, convert, robot):
     app.command()(command)
 app.command("map")(map_log)
 

@@ -1,0 +1,30 @@
+"""A drive of a few scans with every kind of reading, and a map larger than a chunk of MCAP."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lirs_wct.formats.rosbag.writer import Drive
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import Imu, LaserScan
+
+MOUNT = Pose3.from_rpy(0.22, -0.01, 0.32, 0.0, 0.02, 0.1)
+
+
+def drive(scans: int = 5) -> Drive:
+    rng = np.random.default_rng(3)
+    stamps = [1.0 + 0.02 * k for k in range(scans)]
+    ranges = rng.uniform(0.2, 20.0, (scans, 31)).astype(np.float32)
+    ranges[:, 0], ranges[:, 1], ranges[:, 2] = np.inf, -np.inf, np.nan
+    odometry = [Pose2(0.01 * k, -0.002 * k, 0.005 * k) for k in range(scans)]
+    p = rng.uniform(0, 1, (1100, 1000))
+    p[0, :10] = np.nan
+    return Drive(
+        scans=[LaserScan(r, -1.5, 0.1, 0.1, 30.0, t, MOUNT) for r, t in zip(ranges, stamps, strict=True)],
+        odometry=odometry,
+        imu=[Imu(0.01 * k, -0.02 * k, (0.1, 0.2, 0.25), (0.3, 0.4, 9.7), t) for k, t in enumerate(stamps)],
+        truth=[Pose3.from_rpy(0.011 * k, 0.0, 0.5, 0.01, 0.02, 0.005 * k) for k in range(scans)],
+        estimates=[Pose2(0.0105 * k, -0.001 * k, 0.0052 * k) for k in range(scans)],
+        grid=OccupancyGrid.from_probability(p, 0.05, Pose2(-20, -21, 0.1)),
+    )
