@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,14 @@ from lirs_validation import read_record
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples"
-RUN_BELOW = {"build_a_world", "validate_slam", "map_a_log", "drive_with_gymnasium", "your_own_mapper"}
+RUN_BELOW = {
+    "build_a_world",
+    "drive_with_gymnasium",
+    "map_a_log",
+    "train_navigation",
+    "validate_slam",
+    "your_own_mapper",
+}
 
 
 def run(name: str, *arguments: str | Path, cwd: Path) -> str:
@@ -65,3 +73,42 @@ def test_your_own_mapper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     )  # fmt: skip
     assert run.record.status == "ok"
     assert run.record.trajectory["ate_rmse"] == pytest.approx(run.record.trajectory["odometry_ate_rmse"])
+
+
+@pytest.mark.slow
+def test_train_navigation(tmp_path: Path) -> None:
+    """One update of the policy, whose weights then drive."""
+    pytest.importorskip("stable_baselines3", reason="Stable-Baselines3 is not installed (extra [rl])")
+    from lirs_envs.env import RobotEnv
+    from lirs_envs.policies.policy import PolicyContext
+
+    shown = run("train_navigation", "--steps", "1", "--episodes", "0", "-o", tmp_path, cwd=tmp_path)
+    assert "4096 steps in" in shown
+    header, *episodes = (tmp_path / "curve.csv").read_text().splitlines()
+    assert header == "steps,world,return,seconds,success,collision"
+    assert len(episodes) >= 3
+    example = runpy.run_path(str(EXAMPLES / "train_navigation.py"))
+    office = str(EXAMPLES / "data" / "office.yaml")
+    env = RobotEnv("navigation", world=office, observe=example["OBSERVE"], time_limit=0.6)
+    policy = example["LearnedPolicy"](PolicyContext.of(env.episodes.config), tmp_path / "policy.zip")
+    observation, info = env.reset(seed=0)
+    policy.reset(info)
+    actions = []
+    for _ in range(4):
+        actions.append(policy.act(observation))
+        assert env.action_space.contains(actions[-1])
+        observation, *_ = env.step(actions[-1])
+    assert actions[0].tolist() == actions[1].tolist() != actions[2].tolist() == actions[3].tolist()
+    assert example["episode"](env, policy, 0) == (False, 0.0)
+
+
+def test_train_navigation_without_stable_baselines(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    monkeypatch.setattr(sys, "argv", ["train_navigation.py", "-o", str(tmp_path / "out")])
+    with pytest.raises(SystemExit) as stopped:
+        runpy.run_path(str(EXAMPLES / "train_navigation.py"), run_name="__main__")
+    assert stopped.value.code == 2
+    assert "needs Stable-Baselines3: pip install 'lirs-wct[rl]'" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
