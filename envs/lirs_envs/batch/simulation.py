@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
+import mujoco
 import numpy as np
 
 from lirs_envs.actors.walkers import TOUCHABLE, WALKER_STREAM, Walkers
@@ -17,11 +15,13 @@ from lirs_envs.batch.imu import ImuReadings
 from lirs_envs.batch.lidars import Lidars
 from lirs_envs.batch.odometry import WheelJoints, WheelOdometries
 from lirs_envs.batch.per_robot import FlightControllers, Odometries
-from lirs_envs.lidar.casters import WalkerCaster, make_caster
+from lirs_envs.batch.row_threads import RowThreads
+from lirs_envs.lidar.casters import make_caster
 from lirs_envs.lidar.lidar import BaseVelocity
 from lirs_envs.lidar.noise import LidarNoise, lidar_noise
-from lirs_envs.lidar.ray_casting import Caster, RayCaster
+from lirs_envs.lidar.ray_casting import Caster
 from lirs_envs.placement import MAX_SETTLING_DISTANCE, standing_pose
+from lirs_envs.props import footprint
 from lirs_envs.robot_model import TIPPED, RobotModel, is_tipped
 from lirs_envs.sensing.sensors import IMU_STREAM, LIDAR_STREAM, ODOMETRY_STREAM, Observation
 from lirs_envs.simulation_config import SimulationConfig
@@ -32,9 +32,6 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.world import World
-
-PARTS = 4
-"""Parts of the scans that each thread takes, one after the other: they do not take equally long."""
 
 
 class BatchSimulation:
@@ -76,16 +73,16 @@ class BatchSimulation:
         own_models: bool = False,
         height_range: tuple[float, float] | None = None,
     ) -> None:
-        if config.rays == "mujoco":
-            raise ConfigError("many robots at once take the builtin rays, got rays 'mujoco'")
         self.config, self.period, self.threads = config, period, threads
         self.worlds = [world] * count
         body = RobotModel(
             world,
             config.robot,
             period,
+            props=config.props,
             contact_geometry=config.contact_geometry,
-            actors=min(config.actors, TOUCHABLE),
+            mujoco_rays=config.rays == "mujoco",
+            actors=self._walker_bodies,
             height_range=height_range,
             contact_sensors=True,
         )
@@ -93,17 +90,15 @@ class BatchSimulation:
         self.bodies = Bodies(
             config.robot, body, count, threads, own_models=own_models or height_range is not None
         )
-        self.casters: list[Caster] = [make_caster(world, "builtin", False, body.data)] * count
-        self._walkers: list[Walkers] = []
-        if config.actors:
-            self._walkers = [self._make_walkers(world) for _ in range(count)]
-            self.casters = [WalkerCaster(self.casters[0], w, builtin=True) for w in self._walkers]
+        self._ray_data: list[mujoco.MjData] = []
+        if config.props or config.rays == "mujoco":
+            self._ray_data = [mujoco.MjData(model) for model in self.bodies.models]
+        self._walkers = [self._make_walkers(world) for _ in range(count if config.actors else 0)]
+        first = self._make_caster(0)
+        alone = self._ray_data or self._walkers
+        self.casters = [first, *((self._make_caster(i) if alone else first) for i in range(1, count))]
         self._make_sensors(count)
-        self._make_pool()
-
-    def _make_pool(self) -> None:
-        # The calling thread works, too.
-        self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
+        self._threads = RowThreads(threads)
 
     def _make_sensors(self, count: int) -> None:
         config, body = self.config, self.bodies.body
@@ -132,22 +127,25 @@ class BatchSimulation:
         self.errors = [""] * count
         self.T_world_base: FloatArray = np.tile((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (count, 1))
 
+    @property
+    def _walker_bodies(self) -> int:
+        """How many walkers MuJoCo has a body of: its own rays are to meet all of them."""
+        actors = self.config.actors
+        return actors if self.config.rays == "mujoco" else min(actors, TOUCHABLE)
+
     def _make_walkers(self, world: World) -> Walkers:
         config = self.config
-        return Walkers(world, config.actors, config.robot.radius, bodies=min(config.actors, TOUCHABLE))
+        props = [footprint(prop) for prop in config.props]
+        return Walkers(world, config.actors, config.robot.radius, props, bodies=self._walker_bodies)
 
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_pool": None}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._make_pool()
+    def _make_caster(self, i: int) -> Caster:
+        data = self._ray_data[i] if self._ray_data else self.bodies.body.data
+        walkers = self._walkers[i] if self._walkers else None
+        return make_caster(self.worlds[i], self.config.rays, bool(self.config.props), data, walkers)
 
     def close(self) -> None:
         """End the threads; whatever comes after runs in one."""
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
+        self._threads.close()
 
     @property
     def ranges(self) -> Float32Array:
@@ -175,10 +173,9 @@ class BatchSimulation:
         write_heights(self.bodies.models[i], world.surface, self._height_range)
         self.bodies.models_changed()
         self.worlds[i], self._surfaces[i], self._bounds[i] = world, world.surface, world.surface.bounds
-        self.casters[i] = RayCaster(world.surface)
         if self._walkers:
             self._walkers[i] = self._make_walkers(world)
-            self.casters[i] = WalkerCaster(self.casters[i], self._walkers[i], builtin=True)
+        self.casters[i] = self._make_caster(i)
 
     def reset(self, i: int, start: Pose2, seed: int) -> None:
         """Set robot `i` at rest on the ground; its time, odometry and noise begin anew.
@@ -268,27 +265,17 @@ class BatchSimulation:
         return due
 
     def _scan_all(self, due: IntArray, after_scan: Callable[[IntArray], None] | None) -> None:
-        share = -(-len(due) // (PARTS * self.threads)) if self._pool else max(len(due), 1)
-        parts = deque(due[k : k + share] for k in range(0, len(due), share))
+        def work(rows: IntArray) -> None:
+            self._scan(rows)
+            if after_scan is not None:
+                after_scan(rows)
 
-        def work() -> None:
-            while parts:
-                try:
-                    part = parts.popleft()
-                except IndexError:  # another thread took the last one
-                    return
-                self._scan(part)
-                if after_scan is not None:
-                    after_scan(part)
-
-        helpers = (
-            [self._pool.submit(work) for _ in range(min(self.threads, len(parts)) - 1)] if self._pool else []
-        )
-        work()
-        for helper in helpers:
-            helper.result()
+        self._threads.run(work, due)
 
     def _scan(self, rows: IntArray) -> None:
+        for i in rows.tolist() if self._ray_data else ():
+            data = self._ray_data[i]
+            data.qpos[:], data.mocap_pos[:] = self.bodies.qpos[i], self.bodies.mocap_pos[i]
         self._lidars.scan(rows, self.T_world_base, self._velocity)
         self._stamps[rows] = self._ticks[rows] * self.period
 

@@ -6,7 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from lirs_envs.lidar.casters import resolve_rays
 from lirs_envs.lidar.noise import NoiseLevel
+from lirs_envs.props import Prop
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.odometry import Method, OdometryConfig
@@ -15,6 +17,7 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.field_validators import is_finite, require_above, require_type, require_within
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 
 RANDOMIZED: dict[str, tuple[float, float] | None] = {
@@ -45,6 +48,8 @@ class EnvConfig:
         randomize: names from `RANDOMIZED`, or a mapping from names to (lowest, highest) factor, None = the
             default; None = the task's own. `start`: anywhere free, else the world's first spawn pose;
             `terrain`: a new course in each episode; `sensor`: deviations of the lidar.
+        rays: whose rays meet the world: `builtin` or `mujoco` (see `SimulationConfig`).
+        props: what stands in the world: a `Prop`, or a mapping of its fields with `place` as x, y, yaw.
         actors: number of walkers (see `lirs_envs.actors.walkers`).
         difficulty: 0 to 1, where the task has one.
         time_limit: seconds until an episode is truncated; None = the task's own.
@@ -63,6 +68,8 @@ class EnvConfig:
     control_hz: float = 10.0
     observe: Sequence[str] | None = None
     randomize: Sequence[str] | Mapping[str, Sequence[float] | None] | None = None
+    rays: str = "builtin"
+    props: Sequence[Prop | Mapping[str, Any]] = ()
     actors: int = 0
     difficulty: float = 0.5
     time_limit: float | None = None
@@ -81,7 +88,9 @@ class EnvConfig:
             robot=_paced(make_robot(self.robot)),
             lidar=self.lidar,
             noise=noise,
+            rays=resolve_rays(self.rays),
             contact_geometry=self.terrain,
+            props=[_prop(given) for given in self.props],
             actors=self.actors,
         )
         object.__setattr__(self, "simulation", config)
@@ -107,6 +116,23 @@ class EnvConfig:
 def _paced(robot: Robot) -> Robot:
     """Return a robot that, if it flies, does so at a pace for worlds of some 50 m, whatever it is told."""
     return replace(robot, max_speed=3.0, max_acceleration=3.0, max_turn_rate=1.5) if robot.flies else robot
+
+
+def _prop(given: Any) -> Prop:
+    """Return a prop from a mapping of its fields."""
+    if isinstance(given, Prop):
+        return given
+    try:
+        fields = dict(given)
+        size, place = tuple(map(float, fields["size"])), Pose2(*map(float, fields["place"]))
+        shape, mass = fields["shape"], float(fields.get("mass", 0.0))
+    except (TypeError, ValueError, KeyError):
+        fields = {}
+    if not fields or fields.keys() - {"shape", "size", "place", "mass"}:
+        raise ConfigError(
+            f"a prop must be a mapping of shape, size, place (x, y, yaw) and perhaps mass, got {given!r}"
+        )
+    return Prop(shape=shape, size=size, place=place, mass=mass)
 
 
 def _range(name: str, factors: Any) -> tuple[float, float]:

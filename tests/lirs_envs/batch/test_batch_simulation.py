@@ -11,6 +11,8 @@ import pytest
 
 from lirs_envs.batch.simulation import BatchSimulation
 from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
+from lirs_envs.lidar.casters import Rays
+from lirs_envs.props import Prop
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.odometry import OdometryConfig
@@ -83,6 +85,23 @@ def test_walkers_are_those_of_a_simulation_of_its_own(place: str, rough: World, 
         many.advance(np.arange(3), row)
         assert same(alone.advance(Twist(*row[1].tolist())), many.reading(1))
     assert not same(many.reading(0), many.reading(1))
+
+
+@pytest.mark.parametrize("rays", ["builtin", "mujoco"])
+def test_props_are_met_as_in_a_simulation_of_its_own(rays: Rays, rough: World) -> None:
+    ball = Prop(shape="sphere", size=(0.3,), place=Pose2(1.6, 0.0), mass=5.0)
+    box = Prop(shape="box", size=(0.2, 0.2, 0.5), place=Pose2(-1.5, 0.0, 0.4))
+    config = replace(config_of("husky", "gyro", False), props=(ball, box), rays=rays)
+    alone = Simulation(rough, config, seed=7)
+    many = BatchSimulation(rough, config, count=3, period=alone.period, threads=2)
+    for i in range(3):
+        many.reset(i, START, seed=7 if i == 1 else i)
+    assert same(alone.reset(START), many.reading(1))
+    for k, row in enumerate(commands("husky", 20, 3)):
+        if k == 10:
+            many = copy.deepcopy(many)
+        many.advance(np.arange(3), row)
+        assert same(alone.advance(Twist(*row[1].tolist())), many.reading(1))
 
 
 def test_threads_and_neighbors_change_nothing(rough: World) -> None:
