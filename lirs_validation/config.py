@@ -22,7 +22,9 @@ ATTITUDES: tuple[Attitude, ...] = get_args(Attitude)
 TOUR = "tour"
 DRIVERS = {TOUR: "", "frontier": "", "waypoints": "FILE", "replay": "RUN"}
 """Who drives, and what each needs: a file of waypoints, the folder of a finished run."""
-LATER: dict[str, Any] = {"attitude": "imu", "driver": TOUR, "actors": 0}
+LATER: dict[str, Any] = {"attitude": "imu", "driver": TOUR, "actors": 0} | dict.fromkeys(
+    ("scan_topic", "odom_topic", "imu_topic")
+)
 """Options that came later: at these values they are in no digest, so that folders keep their names."""
 RECORDED_RAYS = {"builtin": "ours", "mujoco": "mujoco"}
 """Rays as records name them."""
@@ -159,6 +161,9 @@ class MapConfig:
         reference: path of a reference trajectory: TUM, or a CARMEN log of corrected poses.
         imu: path of inertial readings, as a run records them (`imu.csv.gz`); None = the log has none.
         attitude: what the mapper is told of them: `imu`, or `none`.
+        scan_topic: of a bag: where the scans are; None = the only topic of scans.
+        odom_topic: of a bag: where the odometry is; None = the only topic of odometry, else /tf.
+        imu_topic: of a bag: where inertial readings are; None = they are left alone.
 
     Raises:
         ConfigError: a value is not legal.
@@ -175,6 +180,9 @@ class MapConfig:
     reference: str | None = None
     imu: str | None = None
     attitude: Attitude = "imu"
+    scan_topic: str | None = None
+    odom_topic: str | None = None
+    imu_topic: str | None = None
 
     def __post_init__(self) -> None:
         require_at_least(self, 0, "seed")

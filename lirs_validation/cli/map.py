@@ -16,7 +16,9 @@ from lirs_validation.config import SourceOptions
 if TYPE_CHECKING:
     from lirs_validation.record.map_record import MapRecord
 
-Log = Annotated[str, typer.Argument(metavar="LOG", help="CARMEN log: .clf or .log, gzipped or not.")]
+Log = Annotated[
+    str, typer.Argument(metavar="LOG", help="CARMEN log (.clf, .log, gzipped or not) or ROS bag.")
+]
 MapperName = Annotated[
     str, typer.Option(metavar="NAME|module:Class", help="SLAM method: hector, gmapping, cartographer, ...")
 ]
@@ -42,6 +44,15 @@ AttitudeName = Annotated[
 Fov = Annotated[
     float | None, typer.Option(metavar="DEG", help="Field of view of the laser, if the log does not say it.")
 ]
+ScanTopic = Annotated[
+    str | None, typer.Option(metavar="TOPIC", help="Of a bag: laser scans; default: the only such topic.")
+]
+OdomTopic = Annotated[
+    str | None, typer.Option(metavar="TOPIC", help="Of a bag: odometry; default: the only one, else /tf.")
+]
+ImuTopic = Annotated[
+    str | None, typer.Option(metavar="TOPIC", help="Of a bag: inertial readings; default: none.")
+]
 RangeMax = Annotated[
     float | None, typer.Option(metavar="METRES", help="Ranges from here on mean that nothing was there.")
 ]
@@ -61,6 +72,9 @@ def map_log(
     attitude: AttitudeName = "imu",
     fov: Fov = None,
     range_max: RangeMax = None,
+    scan_topic: ScanTopic = None,
+    odom_topic: OdomTopic = None,
+    imu_topic: ImuTopic = None,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the map's folder.")] = Path(
         "out"
     ),
@@ -82,6 +96,9 @@ def map_log(
         reference=reference,
         imu=imu,
         attitude=chosen(attitude, "--attitude", ATTITUDES),
+        scan_topic=scan_topic,
+        odom_topic=odom_topic,
+        imu_topic=imu_topic,
     )
     with progress_bar(log, err) as progress:
         mapped = run_mapping(config, out=output, progress=progress)
@@ -120,7 +137,7 @@ def with_logs_mapped(given: dict[str, Any], options: SourceOptions) -> tuple[dic
     from lirs_wct.sources.source import is_log
 
     sources = given.get("sources") or [given.get("source", "")]
-    logs = [source for source in sources if is_log(Path(source))]
+    logs = [source for source in sources if source and is_log(Path(source))]
     if not logs:
         return given, options
     out = _folder(given.get("output"))

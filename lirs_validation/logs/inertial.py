@@ -23,16 +23,17 @@ def inertial_readings(config: MapConfig, log: CarmenLog) -> list[Imu | None]:
         SourceError: the file cannot be used, or has no reading at any scan.
     """
     readings: list[Imu | None] = [None] * len(log.scans)
-    if config.imu is None:
+    held = log.imu if config.imu is None else read_imu(Path(config.imu))
+    if not held:
         return readings
-    found = sorted(read_imu(Path(config.imu)), key=lambda reading: reading.stamp)
+    found = sorted(held, key=lambda reading: reading.stamp)
     stamps = np.array([reading.stamp for reading in found])
     for scan, reading in zip(*associated(log.stamps, stamps), strict=True):
         readings[scan] = found[reading]
     if not any(readings):
         raise SourceError(
-            f"{config.imu}: other stamps: none of its {len(found)} readings lies within {MAX_GAP} s of "
-            f"one of the log's {len(log.scans)} scans"
+            f"{config.imu or config.imu_topic}: other stamps: none of its {len(found)} readings lies "
+            f"within {MAX_GAP} s of one of the log's {len(log.scans)} scans"
         )
     return readings
 

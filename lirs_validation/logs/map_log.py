@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import time
 from collections.abc import Iterator, Sequence
@@ -24,10 +25,11 @@ from lirs_validation.record.verdict import LostRule, incompleteness
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
+from lirs_wct.formats.rosbag.library import require_rosbags
 from lirs_wct.geometry.scan import Imu
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.source import find_source
+from lirs_wct.sources.source import find_source, is_bag
 from slam_baselines.mapper import Mapper
 
 
@@ -93,7 +95,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
         name, log = folder_name(config), read_log(config)
         check_log(config, mapper, log)
         readings = inertial_readings(config, log)
-        log = log if config.imu is None else with_recorded_mount(config, log)
+        log = log if config.imu is None or is_bag(Path(config.log)) else with_recorded_mount(config, log)
     progress("compile", 0.0)
     with compile_timer() as compile_seconds:
         warm_up_log_mapper(config)
@@ -130,6 +132,18 @@ def read_log(config: MapConfig) -> CarmenLog:
     Raises:
         SourceError: it cannot be used.
     """
+    path = Path(config.log)
+    topics = (config.scan_topic, config.odom_topic, config.imu_topic)
+    if is_bag(path):
+        if config.fov is not None or config.range_max is not None:
+            raise ConfigError(f"{path}: the messages of a bag say field of view and ranges themselves")
+        require_rosbags(path)
+        from lirs_wct.formats.rosbag.reader import read_bag
+        from lirs_wct.formats.rosbag.topics import Topics
+
+        return read_bag(path, Topics(*topics))
+    if any(topics):
+        raise ConfigError(f"{path}: topics can be given for a ROS bag only, this is none")
     fov = None if config.fov is None else math.radians(config.fov)
     return read_carmen(Path(config.log), LaserFacts(fov=fov, range_max=config.range_max))
 
@@ -142,12 +156,21 @@ def folder_name(config: MapConfig) -> str:
     """
     path = Path(config.log)
     try:
-        content = path.read_bytes()
+        content = _digest(path) if path.is_dir() else path.read_bytes()
         readings = None if config.imu is None else Path(config.imu).read_bytes()
     except OSError as error:
         raise SourceError(f"{error.filename}: cannot be read: {error.strerror or error}") from error
     stem = find_source(path, BuildOptions()).name
     return f"{stem}-{config.mapper.rpartition(':')[2]}-s{config.seed}-{config.digest(content, readings)}"
+
+
+def _digest(folder: Path) -> bytes:
+    """Return digests of the files of a bag's folder, in the order of their names."""
+    digests = []
+    for path in sorted(p for p in folder.iterdir() if p.is_file()):
+        with path.open("rb") as file:
+            digests.append(hashlib.file_digest(file, "sha256").digest())
+    return b"".join(digests)
 
 
 def replay(

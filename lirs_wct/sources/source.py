@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.suffixes import LOGS, MAPS, MESHES
+from lirs_wct.formats.suffixes import BAGS, LOGS, MAPS, MESHES
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.options import BuildOptions, without_effect
 from lirs_wct.sources.source_kind import SourceKind
@@ -40,8 +40,15 @@ def find_source(given: str | Path, options: BuildOptions) -> Source:
 
 
 def is_log(path: Path) -> bool:
-    """Return whether a file's name is that of a CARMEN log."""
-    return _unzipped(path).suffix.lower() in LOGS
+    """Return whether a path is that of a CARMEN log or a ROS bag."""
+    return _unzipped(path).suffix.lower() in LOGS or is_bag(path)
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a path is that of a ROS bag: a file, or a folder with files of one."""
+    if path.is_dir():
+        return not (path / "world.json").exists() and any(p.suffix in BAGS[:2] for p in path.iterdir())
+    return path.suffix.lower() in BAGS
 
 
 def warn_of_useless(source: Source, options: BuildOptions) -> None:
@@ -55,6 +62,8 @@ def warn_of_useless(source: Source, options: BuildOptions) -> None:
 
 
 def _kind(path: Path, options: BuildOptions) -> SourceKind:
+    if is_bag(path):
+        return SourceKind.LOG
     if path.is_dir():
         if not (path / "world.json").is_file():
             raise SourceError(f"{path}: a folder that was built holds world.json, this one does not")

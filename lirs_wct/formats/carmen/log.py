@@ -21,7 +21,7 @@ from lirs_wct.formats.carmen.lines import PARSERS, Lines, Message, messages_of, 
 from lirs_wct.formats.carmen.odometry import odometry_of
 from lirs_wct.formats.carmen.stamps import LineStamps, in_file_order
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 
 DAY = 86_400.0
@@ -45,6 +45,7 @@ class CarmenLog:
         late: lines whose logged stamp is before that of an earlier line.
         repaired: how often something was put right, by what.
         laser: name of the messages that the scans are from.
+        imu: inertial readings that the log itself holds; a CARMEN log holds none.
     """
 
     scans: tuple[LaserScan, ...]
@@ -55,6 +56,7 @@ class CarmenLog:
     late: int = 0
     repaired: Mapping[str, int] = field(default_factory=dict)
     laser: str = "FLASER"
+    imu: tuple[Imu, ...] = ()
 
     @property
     def stamps(self) -> FloatArray:

@@ -23,7 +23,7 @@ def drive(scans: int = 5) -> Drive:
     return Drive(
         scans=[LaserScan(r, -1.5, 0.1, 0.1, 30.0, t, MOUNT) for r, t in zip(ranges, stamps, strict=True)],
         odometry=odometry,
-        imu=[Imu(0.01 * k, -0.02 * k, (0.1, 0.2, 0.25), (0.3, 0.4, 9.7), t) for k, t in enumerate(stamps)],
+        imu=[Imu(0.001 * k, -0.002 * k, (0.1, 0.2, 0.25), (0.3, 0.4, 9.7), t) for k, t in enumerate(stamps)],
         truth=[Pose3.from_rpy(0.011 * k, 0.0, 0.5, 0.01, 0.02, 0.005 * k) for k in range(scans)],
         estimates=[Pose2(0.0105 * k, -0.001 * k, 0.0052 * k) for k in range(scans)],
         grid=OccupancyGrid.from_probability(p, 0.05, Pose2(-20, -21, 0.1)),

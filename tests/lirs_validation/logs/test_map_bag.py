@@ -1,0 +1,50 @@
+"""Bags as logs: the same trajectory as from the log of the same run, and every refusal one line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
+
+from lirs_validation import map_log, validate
+from lirs_validation.analysis.result_folders import read_run
+from lirs_validation.analysis.run_export import export_run
+from lirs_validation.config import MapConfig
+from lirs_validation.logs.map_log import folder_name, read_log, run_mapping
+from lirs_wct.errors import ConfigError
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = validate("simple", mapper="hector", seconds=4.0, out=tmp_path_factory.mktemp("out"))
+    assert made.folder is not None
+    export_run(read_run(made.folder), made.folder / "export", ("bag",))
+    return made.folder
+
+
+@pytest.mark.parametrize("mapper", ["hector", "gmapping", "cartographer"])
+def test_a_bag_gives_the_trajectory_of_its_log(run: Path, mapper: str) -> None:
+    log = map_log(run / "scans.clf.gz", mapper=mapper, imu=run / "imu.csv.gz")
+    config = MapConfig(log=str(run / "export" / "bag"), mapper=mapper, imu_topic="/imu")
+    bag = run_mapping(config)
+    assert bag.record.log["inertial_readings"] == len(log.log.scans)
+    np.testing.assert_allclose(bag.trajectory.stamps, log.trajectory.stamps, atol=1e-9)
+    np.testing.assert_allclose(bag.trajectory.xy, log.trajectory.xy, atol=1e-6)
+    np.testing.assert_allclose(bag.trajectory.yaw, log.trajectory.yaw, atol=1e-6)
+
+
+def test_other_topics_are_another_folder(run: Path) -> None:
+    config = MapConfig(log=str(run / "export" / "bag"))
+    names = {folder_name(config), folder_name(replace(config, imu_topic="/imu"))}
+    assert len(names) == 2
+
+
+def test_options_of_the_other_kind_of_log_are_refused(run: Path) -> None:
+    with pytest.raises(ConfigError, match="bag: the messages of a bag say field of view"):
+        read_log(MapConfig(log=str(run / "export" / "bag"), fov=180.0))
+    with pytest.raises(ConfigError, match=r"scans\.clf\.gz: topics can be given for a ROS bag only"):
+        read_log(MapConfig(log=str(run / "scans.clf.gz"), scan_topic="/scan"))
