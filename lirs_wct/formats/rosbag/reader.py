@@ -119,8 +119,8 @@ def _contents(path: Path, topics: Topics) -> _Contents:
                     contents.imu.append(message)
                 else:
                     contents.frames.add(line, message, static=connection.topic == "/tf_static")
-    except SourceError:
-        raise
+    except SourceError as error:
+        raise (SourceError(f"{error} (damaged: {contents.cut})") if contents.cut else error) from None
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         if not begun:

@@ -84,6 +84,12 @@ def test_the_scans_before_a_crash_are_read(bag: Path, given: Drive, tmp_path: Pa
         check(read_bag(tmp_path / "cut.mcap", IMU), given)
 
 
+def test_a_bag_cut_in_its_first_chunk_is_said_to_be_damaged(bag: Path, tmp_path: Path) -> None:
+    (tmp_path / "cut.mcap").write_bytes((bag / "run.mcap").read_bytes()[:5000])
+    with pytest.raises(SourceError, match=r"holds no message \(damaged: cut\.mcap: its end is missing\)"):
+        read_bag(tmp_path / "cut.mcap", Topics())
+
+
 def test_missing_topics_list_those_that_are_there(bag: Path) -> None:
     with pytest.raises(SourceError, match=r"--scan-topic /laser: .*/scan \(sensor_msgs/msg/LaserScan\), /tf"):
         read_bag(bag, Topics(scan="/laser"))
