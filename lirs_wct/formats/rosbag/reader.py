@@ -39,6 +39,7 @@ class _Contents:
     base: str = ""
     imu: list[Any] = field(default_factory=list)
     frames: Frames = field(default_factory=Frames)
+    skipped: Counter[str] = field(default_factory=Counter)
     cut: str = ""
 
 
@@ -68,7 +69,7 @@ def _log(path: Path, c: _Contents) -> CarmenLog:
     odometry = c.odometry or [
         Message(line, stamp, T.to_pose2()) for line, stamp, T in c.frames.odometry(base)
     ]
-    repaired, skipped = Counter[str](), Counter[str]()
+    repaired, skipped = Counter[str](), c.skipped
     scans, odoms, stamps = in_file_order(*_merged(c.scans, odometry))
     if stamps.moved:
         warnings.warn(f"{path}: {stamps.summary()}", stacklevel=3)
@@ -140,11 +141,13 @@ def _files(path: Path, stack: ExitStack, contents: _Contents) -> list[Path]:
 
 
 def _add_scan(contents: _Contents, line: int, message: Any) -> None:
-    """Keep scans of as many beams as the first."""
+    """Keep a scan of as many beams as the first; count another."""
     ranges = np.asarray(message.ranges, np.float32)
-    if not contents.raw or len(ranges) == len(contents.raw[0].ranges):
-        contents.scans.append(Message(line, _stamp(message), None, None, ranges))
-        contents.raw.append(message)
+    if contents.raw and len(ranges) != len(contents.raw[0].ranges):
+        contents.skipped["scan of another number of beams than the first"] += 1
+        return
+    contents.scans.append(Message(line, _stamp(message), None, None, ranges))
+    contents.raw.append(message)
 
 
 def _odometry(line: int, message: Any) -> Message:

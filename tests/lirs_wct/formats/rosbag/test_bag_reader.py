@@ -105,8 +105,15 @@ def test_what_is_no_bag_is_one_line(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
-def rewritten(bag: Path, target: Path, *, without: tuple[str, ...] = (), late: int | None = None) -> Path:
-    """Copy a bag without some topics; the late-th scan is stamped a second early."""
+def rewritten(
+    bag: Path,
+    target: Path,
+    *,
+    without: tuple[str, ...] = (),
+    late: int | None = None,
+    short: int | None = None,
+) -> Path:
+    """Copy a bag without some topics; the late-th scan is stamped a second early, the short-th cut."""
     from rosbags.highlevel import AnyReader
     from rosbags.rosbag2 import StoragePlugin, Writer
 
@@ -121,9 +128,10 @@ def rewritten(bag: Path, target: Path, *, without: tuple[str, ...] = (), late: i
             if c.topic not in without
         }
         for connection, stamp, data in reader.messages():
-            if connection.topic == "/scan" and (scans := scans + 1) == late:
+            if connection.topic == "/scan" and (scans := scans + 1) in (late, short):
                 message = reader.deserialize(data, connection.msgtype)
-                message.header.stamp.sec -= 1
+                message.header.stamp.sec -= scans == late
+                message.ranges = message.ranges[: 5 if scans == short else None]
                 data = bytes(reader.typestore.serialize_cdr(message, connection.msgtype))
             if connection.topic in connections:
                 writer.write(connections[connection.topic], stamp, data)
@@ -140,6 +148,12 @@ def test_without_odometry_and_frames_the_laser_is_at_the_base(bag: Path, tmp_pat
     assert set(log.odometry) == {None}
     (repair,) = log.repaired
     assert "the laser is taken to be at the base" in repair
+
+
+def test_a_scan_of_another_size_is_left_out_and_counted(bag: Path, given: Drive, tmp_path: Path) -> None:
+    log = read_bag(rewritten(bag, tmp_path / "run", short=7), Topics())
+    assert len(log.scans) == len(given.scans) - 1
+    assert log.skipped == {"scan of another number of beams than the first": 1}
 
 
 def test_stamps_that_go_back_are_repaired_and_said(bag: Path, given: Drive, tmp_path: Path) -> None:
