@@ -2,7 +2,7 @@
 # make test   sets up .venv, runs every check
 PYTHON ?= python3
 BIN := .venv/bin
-PYTEST_ARGS ?=
+PYTEST_ARGS ?= -n auto
 
 .PHONY: demo test clean
 

@@ -22,10 +22,10 @@ ATTITUDES: tuple[Attitude, ...] = get_args(Attitude)
 TOUR = "tour"
 DRIVERS = {TOUR: "", "frontier": "", "waypoints": "FILE", "replay": "RUN"}
 """Who drives, and what each needs: a file of waypoints, the folder of a finished run."""
-LATER: dict[str, Any] = {"attitude": "imu", "driver": TOUR, "actors": 0} | dict.fromkeys(
-    ("scan_topic", "odom_topic", "imu_topic")
-)
-"""Options that came later: at these values they are in no digest, so that folders keep their names."""
+LATER: dict[str, Any] = {"attitude": "imu", "driver": TOUR, "actors": 0}
+"""Options of a run that came later: with these values they are in no digest, and folders keep their names."""
+LATER_OF_MAPS: dict[str, Any] = {"attitude": "imu", "scan_topic": None, "odom_topic": None, "imu_topic": None}
+"""The same of a log that is mapped."""
 RECORDED_RAYS = {"builtin": "ours", "mujoco": "mujoco"}
 """Rays as records name them."""
 
@@ -127,14 +127,14 @@ class RunConfig:
         """
         entry = asdict(self) | {"seconds": float(self.seconds)}
         del entry["wall_limit"]
-        entry = _without_later(entry)
+        entry = _without(LATER, entry)
         text = json.dumps(entry, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
-def _without_later(entry: dict[str, Any]) -> dict[str, Any]:
+def _without(later: dict[str, Any], entry: dict[str, Any]) -> dict[str, Any]:
     """Return a config's fields without those that came later and are as they would be without."""
-    return {key: value for key, value in entry.items() if key not in LATER or value != LATER[key]}
+    return {key: value for key, value in entry.items() if key not in later or value != later[key]}
 
 
 def run_name(config: RunConfig, world: str) -> str:
@@ -206,5 +206,5 @@ class MapConfig:
         del entry["relations"], entry["reference"], entry["imu"]
         if readings is not None:
             entry["imu"] = hashlib.sha256(readings).hexdigest()
-        entry = _without_later(entry)
+        entry = _without(LATER_OF_MAPS, entry)
         return hashlib.sha256(json.dumps(entry, sort_keys=True).encode()).hexdigest()[:8]
