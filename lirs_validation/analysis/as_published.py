@@ -42,12 +42,14 @@ class Outcome:
         held: of these.
         lost: that ended because the mapper said that it was lost.
         ate: median over those that succeeded, metres; None where none did.
+        odometry: median of their odometry's ATE, metres; None where none did.
     """
 
     runs: int
     held: int
     lost: int
     ate: float | None
+    odometry: float | None = None
 
     @property
     def holds(self) -> bool:
@@ -122,11 +124,13 @@ def outcome_of(entries: Sequence[Entry]) -> Outcome:
     """Return how runs of one method in one world compare with their odometry."""
     counted = [entry for entry in entries if entry["status"] not in OF_THE_DRIVE]
     errors = [ate for e in counted if succeeded(e) and (ate := value_at(e, ATE)) is not None]
+    reckoned = [ate for e in counted if succeeded(e) and (ate := value_at(e, ODOMETRY_ATE)) is not None]
     return Outcome(
         runs=len(counted),
         held=sum(map(holds, counted)),
         lost=sum(entry["status"] == "lost" for entry in counted),
         ate=median(errors) if errors else None,
+        odometry=median(reckoned) if reckoned else None,
     )
 
 
@@ -146,7 +150,15 @@ def conclusion(planar: Outcome, aware: Outcome, how: Planar) -> str:
         if planar.clause() == aware.clause():
             return f"It {planar.clause(' here')}, {how} and with attitude: {alone}."
         return f"{first}, with attitude it {aware.clause()}: {alone}."
-    return f"{first}; with attitude it {aware.clause()}."
+    return f"{first}; with attitude it {aware.clause()}{_by_odometry(aware)}."
+
+
+def _by_odometry(outcome: Outcome) -> str:
+    """Return whether a method that holds adds little to its odometry: it may have found no walls."""
+    ate, odometry = outcome.ate, outcome.odometry
+    if not outcome.holds or ate is None or odometry is None or ate * CLEARLY < odometry:
+        return ""
+    return ", but is not clearly more accurate than its odometry"
 
 
 def _compared(planar: Outcome, aware: Outcome) -> str:

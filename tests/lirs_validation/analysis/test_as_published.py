@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import pytest
 
@@ -54,7 +55,7 @@ def test_ends_of_the_drive_are_not_counted_and_those_of_the_mapper_are() -> None
             entry(status="timeout"),
         ]
     )
-    assert found == Outcome(runs=6, held=2, lost=1, ate=0.1)
+    assert found == Outcome(runs=6, held=2, lost=1, ate=0.1, odometry=0.2)
 
 
 @pytest.mark.parametrize(
@@ -115,6 +116,14 @@ def test_four_of_five_runs_decide(held: int, of: int, holds: bool, loses: bool) 
 )
 def test_the_sentence_says_what_follows(planar: Outcome, aware: Outcome, sentence: str) -> None:
     assert conclusion(planar, aware, "as published") == sentence
+
+
+@pytest.mark.parametrize(("odometry", "told"), [(0.1, True), (0.14, True), (0.16, False)])
+def test_a_method_that_only_follows_its_odometry_is_said_to(odometry: float, told: bool) -> None:
+    """Where it finds no walls its ATE is the odometry's: it holds, and nothing is gained."""
+    sentence = conclusion(outcome(0), replace(outcome(5, ate=0.1), odometry=odometry), "as published")
+    said = "; with attitude it holds, but is not clearly more accurate than its odometry."
+    assert sentence.endswith(said) == told
 
 
 def test_methods_are_paired_with_their_originals_world_by_world() -> None:
