@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import runpy
 import subprocess
 import sys
@@ -82,10 +83,10 @@ def test_train_navigation(tmp_path: Path) -> None:
     from lirs_envs.env import RobotEnv
     from lirs_envs.policies.policy import PolicyContext
 
-    shown = run("train_navigation", "--steps", "1", "--episodes", "0", "-o", tmp_path, cwd=tmp_path)
-    assert "4096 steps in" in shown
+    shown = run("train_navigation", "--steps", "1", "-o", tmp_path, cwd=tmp_path)
+    assert re.search(r"\d{4} steps in", shown)
     header, *episodes = (tmp_path / "curve.csv").read_text().splitlines()
-    assert header == "steps,world,return,seconds,success,collision"
+    assert header == "steps,world,robot,return,seconds,success,collision"
     assert len(episodes) >= 3
     example = runpy.run_path(str(EXAMPLES / "train_navigation.py"))
     office = str(EXAMPLES / "data" / "office.yaml")
@@ -99,7 +100,6 @@ def test_train_navigation(tmp_path: Path) -> None:
         assert env.action_space.contains(actions[-1])
         observation, *_ = env.step(actions[-1])
     assert actions[0].tolist() == actions[1].tolist() != actions[2].tolist() == actions[3].tolist()
-    assert example["episode"](env, policy, 0) == (False, 0.0)
 
 
 def test_train_navigation_without_stable_baselines(

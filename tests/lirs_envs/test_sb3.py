@@ -17,7 +17,17 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.world import World
 
 REASON = "Stable-Baselines3 is not installed (extra [rl])"
-EVERYTHING = ["scan", "sectors", "odometry", "attitude", "goal", "goal_direction", "seen_map", "height_map"]
+EVERYTHING = [
+    "scan",
+    "sectors",
+    "body",
+    "odometry",
+    "attitude",
+    "goal",
+    "goal_direction",
+    "seen_map",
+    "height_map",
+]
 
 
 class VecEnvInterface:

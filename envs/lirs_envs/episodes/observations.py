@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from numba import njit
 
+from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.tasks.task import Stage, Task
 from lirs_wct.arrays import ByteArray, Float32Array, FloatArray, IntArray
 from lirs_wct.errors import ConfigError, unknown_name
@@ -20,7 +21,7 @@ MAP_CELLS = 64
 HEIGHT_CELLS, HEIGHT_CELL = 32, 0.2
 """Cells along a side of the height map, and their edge in metres."""
 SECTORS = 36
-"""Sectors of equal width that a scan is divided into."""
+"""Sectors of equal width around the robot, the first from straight behind it to the right."""
 GOAL_SCALE = 30.0
 """Distance of a goal that is scaled to 1, metres; farther ones too."""
 
@@ -84,27 +85,37 @@ def _make_finite(ranges: Float32Array, range_max: float) -> None:
                 ranges[i, k] = range_max
 
 
-def scan_sectors(ranges: Float32Array, range_max: float) -> Float32Array:
+def scan_sectors(ranges: Float32Array, lidar: LidarPreset) -> Float32Array:
     """Return (n, 36) proximities of scans (n, beams): see `GROUPS`; beams not above 0 are left out."""
     proximity = np.empty((len(ranges), SECTORS), np.float32)
-    _find_proximity(ranges, range_max, proximity)
+    angles = lidar.angle_min + lidar.angle_increment * np.arange(lidar.beams)
+    # A beam on the border of two sectors belongs to the left one, whatever the rounding.
+    sector_of = np.floor((angles + math.pi) * SECTORS / math.tau + 1e-9).astype(np.int64) % SECTORS
+    _find_proximity(ranges, sector_of, lidar.range_max, proximity)
     return proximity
 
 
 @njit(cache=True, nogil=True)
-def _find_proximity(ranges: Float32Array, range_max: float, out: Float32Array) -> None:
-    """Fill (n, sectors) with 1 / (1 + r), r metres the least range above 0 in a sector; 1 = there is none."""
-    n, beams = ranges.shape
-    sectors = out.shape[1]
-    for i in range(n):
-        out[i] = 0.0
-        for k in range(beams):
+def _find_proximity(ranges: Float32Array, sector_of: IntArray, range_max: float, out: Float32Array) -> None:
+    """Fill (n, sectors) with 1 / (1 + r), r metres the least range above 0 in a sector.
+
+    1 = none of its beams is above 0, 0 = no beam goes there.
+    """
+    out[:] = 0.0
+    for i in range(len(ranges)):
+        for k in range(len(sector_of)):
             if ranges[i, k] > 0.0:
-                s = k * sectors // beams
+                s = sector_of[k]
                 out[i, s] = max(out[i, s], np.float32(1.0 / (1.0 + min(ranges[i, k], range_max))))
-        for s in range(sectors):
-            if out[i, s] == 0.0:
-                out[i, s] = 1.0
+        for k in range(len(sector_of)):
+            if out[i, sector_of[k]] == 0.0:
+                out[i, sector_of[k]] = 1.0
+
+
+def _body(stage: Stage, task: Task, ids: IntArray) -> Float32Array:
+    robot = stage.simulation.config.robot
+    row = np.array((robot.radius, robot.max_speed, robot.max_turn_rate), np.float32)
+    return np.tile(row, (len(ids), 1))
 
 
 def _goal(stage: Stage, task: Task, ids: IntArray) -> FloatArray:
@@ -176,10 +187,9 @@ GROUPS: dict[str, Group] = {
     "scan": Group(_scan_space, _scan),
     "sectors": Group(
         lambda stage: spaces.Box(0.0, 1.0, (SECTORS,), np.float32),
-        lambda stage, task, ids: scan_sectors(
-            stage.simulation.ranges[ids], stage.simulation.config.preset.range_max
-        ),
+        lambda stage, task, ids: scan_sectors(stage.simulation.ranges[ids], stage.simulation.config.preset),
     ),
+    "body": Group(lambda stage: spaces.Box(0.0, np.inf, (3,), np.float32), _body),
     "odometry": Group(
         lambda stage: spaces.Box(-np.inf, np.inf, (3,), np.float64),
         lambda stage, task, ids: stage.simulation.odometry[ids],
@@ -203,8 +213,10 @@ GROUPS: dict[str, Group] = {
 """Groups by name.
 
 scan: (beams,) metres; nothing in range is `range_max`, too near or lost is 0.
-sectors: (36,) proximity 1 / (1 + r), r metres the least range in each of 36 sectors of the scan, from right
-    to left; 1 = all its beams are too near or lost. A scan for small networks.
+sectors: (36,) proximity 1 / (1 + r), r metres the least range in each of 36 sectors of 10 degrees around
+    the robot, from straight behind over right, ahead and left; 1 = all its beams are too near or lost, 0 = no
+    beam goes there. A scan for small networks, the same for every planar lidar.
+body: (3,) radius of the robot, top speed and turn rate; metres, m/s, rad/s. For a policy of several robots.
 odometry: (3,) x, y, yaw of `T_odom_base`; metres, radians.
 attitude: (2,) measured roll and pitch, radians.
 goal: (2,) straight distance, metres, and bearing, radians, from the true pose.

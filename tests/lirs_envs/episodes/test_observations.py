@@ -9,35 +9,51 @@ import pytest
 
 from lirs_envs.env import RobotEnv
 from lirs_envs.episodes.observations import SECTORS, goal_direction, scan_sectors
+from lirs_envs.lidar.presets import make_lidar_preset
+from lirs_envs.robots.catalog import make_robot
 from lirs_wct.errors import ConfigError
 from lirs_wct.world import World
 
 
-@pytest.mark.parametrize("beams", [541, 1081, 682, 360, 36])
-def test_a_sector_is_as_near_as_its_nearest_beam(beams: int) -> None:
-    rng = np.random.default_rng(beams)
-    ranges = rng.uniform(0.1, 40.0, (3, beams)).astype(np.float32)
+@pytest.mark.parametrize("name", ["lms111", "utm30lx", "urg04lx", "lds01"])
+def test_a_sector_is_as_near_as_its_nearest_beam(name: str) -> None:
+    lidar = make_lidar_preset(name)
+    rng = np.random.default_rng(lidar.beams)
+    ranges = rng.uniform(0.1, 60.0, (3, lidar.beams)).astype(np.float32)
     ranges[rng.random(ranges.shape) < 0.2] = np.inf
     for value in (-np.inf, np.nan, 0.0):
         ranges[rng.random(ranges.shape) < 0.1] = value
-    ranges[1, : beams // 4] = np.nan
-    found = scan_sectors(ranges, 20.0)
-    sector_of = np.arange(beams) * SECTORS // beams
+    ranges[1, : lidar.beams // 3] = np.nan
+    found = scan_sectors(ranges, lidar)
+    degrees = np.degrees(lidar.angle_min + lidar.angle_increment * np.arange(lidar.beams)) + 1e-6
     for row, sectors in zip(ranges, found, strict=True):
         for s in range(SECTORS):
-            valid = [min(r, 20.0) for r in row[sector_of == s].tolist() if r > 0]
-            assert sectors[s] == pytest.approx(1 / (1 + min(valid)) if valid else 1.0)
-    assert (found[1, :8] == 1.0).all()
+            inside = (degrees >= 10 * s - 180) & (degrees < 10 * s - 170)
+            valid = [min(r, lidar.range_max) for r in row[inside].tolist() if r > 0]
+            expected = 1 / (1 + min(valid)) if valid else 1.0 if inside.any() else 0.0
+            assert sectors[s] == pytest.approx(expected)
+    assert 1.0 in found[1]
+    assert (0.0 in found) == (lidar.fov < math.tau)
 
 
-def test_sectors_run_from_right_to_left(walled: World) -> None:
+@pytest.mark.parametrize("robot", ["husky", "turtlebot3_waffle"])
+def test_sectors_are_those_of_the_robot_for_every_lidar(walled: World, robot: str) -> None:
     """The wall is ahead and to the left, open ground to the right."""
-    env = RobotEnv("navigation", world=walled, observe=["scan", "sectors"], noise="none")
+    env = RobotEnv("navigation", world=walled, robot=robot, observe=["scan", "sectors"], noise="none")
     observation, _ = env.reset(seed=0, options={"start": [0.0, 0.0, -0.7], "goal": [0.0, 2.0]})
-    sectors, scan = observation["sectors"], observation["scan"]
+    sectors = observation["sectors"]
     assert env.observation_space.contains(observation)
-    assert sectors[:10].max() < 0.1 < sectors[20:30].min()
-    assert sectors.tolist() == scan_sectors(scan[None], float(scan.max()))[0].tolist()
+    assert sectors[5:12].mean() < sectors[20:27].mean()
+    lidar = make_lidar_preset(make_robot(robot).lidar)
+    assert sectors.tolist() == scan_sectors(observation["scan"][None], lidar)[0].tolist()
+
+
+def test_body_is_what_the_robot_is(plane: World) -> None:
+    env = RobotEnv("navigation", world=plane, robot="turtlebot2", observe=["body"])
+    observation, _ = env.reset(seed=0)
+    robot = make_robot("turtlebot2")
+    assert observation["body"] == pytest.approx([robot.radius, robot.max_speed, robot.max_turn_rate])
+    assert env.observation_space.contains(observation)
 
 
 def test_goal_direction_is_that_of_the_goal(plane: World) -> None:
