@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lirs_validation.drawing.style import BLUE, VERMILLION, new_figure, plain_axes, title
+from lirs_wct.drawing.style import BLUE, VERMILLION, new_figure, plain_axes, title
 
 WINDOW = 100
 """Episodes over which shares are taken."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lirs_wct.arrays import BoolArray
+from lirs_wct.display import ShownAsPicture
 from lirs_wct.errors import ConfigError, LogSourceError
 from lirs_wct.formats.world_json import WorldFile, checked_content, read_world, write_world
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -37,7 +38,7 @@ SPAWN_AREA = 200.0
 
 
 @dataclass(frozen=True)
-class World:
+class World(ShownAsPicture):
     """A place for robots, in metres: x east, y north, z up.
 
     Attributes:
@@ -53,6 +54,10 @@ class World:
     spawn_poses: tuple[Pose2, ...] = ()
     scale: str = "as given"
     export_options: ExportOptions = field(default_factory=ExportOptions)
+
+    def __repr__(self) -> str:
+        starts = f"{len(self.spawn_poses)} start poses"
+        return f"World({self.name!r}, {self.kind}, {self.surface!r}, {starts})"
 
     def __deepcopy__(self, memo: dict[int, Any]) -> World:
         """Return the world itself: it is a value, and copies of a simulation share it."""

@@ -113,7 +113,7 @@ def convert(
 
 
 def _draw(world: World, target: Path) -> None:
-    from lirs_validation.drawing.world_view import view_figure
+    from lirs_wct.drawing.world_view import view_figure
     from lirs_wct.files import atomic_write
 
     with atomic_write(target) as path:

@@ -6,27 +6,27 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from lirs_validation.drawing.canvas import Canvas, bounds_shown
-from lirs_validation.drawing.panels import headline, path_ends, value_list
-from lirs_validation.drawing.style import (
+from lirs_validation.metrics.log_accuracy import Accuracy
+from lirs_validation.record.map_formatting import map_lines
+from lirs_validation.record.map_record import MapRecord
+from lirs_wct.arrays import FloatArray
+from lirs_wct.drawing.canvas import Canvas, bounds_shown
+from lirs_wct.drawing.panels import headline, path_ends, value_list
+from lirs_wct.drawing.style import (
     BLACK,
     BLUE,
     GRAY,
     GREEN,
     VERMILLION,
+    Drawing,
     legend,
     map_axes,
     new_figure,
     plain_axes,
     title,
 )
-from lirs_validation.metrics.log_accuracy import Accuracy
-from lirs_validation.record.map_formatting import map_lines
-from lirs_validation.record.map_record import MapRecord
-from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory
 
@@ -42,7 +42,7 @@ def map_overview(
     estimate: Trajectory,
     reference: Trajectory | None,
     accuracy: Accuracy,
-) -> Figure:
+) -> Drawing:
     """Draw a mapped log on one page.
 
     Args:

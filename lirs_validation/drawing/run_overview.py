@@ -8,22 +8,26 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from scipy.ndimage import binary_dilation
 
 from lirs_validation.config import TOUR, driver_parts
-from lirs_validation.drawing.canvas import MARGIN, Canvas, bounds_shown
-from lirs_validation.drawing.hillshade import shaded_heights
-from lirs_validation.drawing.panels import headline, path_ends, value_list
-from lirs_validation.drawing.style import (
+from lirs_validation.metrics.agreement import contradicted
+from lirs_validation.record.metric_catalog import picture_lines
+from lirs_validation.record.odometry import WORSE, worse_than_odometry
+from lirs_validation.record.run_record import SUCCEEDED, RunRecord
+from lirs_wct.drawing.canvas import MARGIN, Canvas, bounds_shown
+from lirs_wct.drawing.hillshade import shaded_heights
+from lirs_wct.drawing.panels import headline, path_ends, value_list
+from lirs_wct.drawing.style import (
     BLACK,
     BLUE,
     GRAY,
     GREEN,
     TEXT,
     VERMILLION,
+    Drawing,
     legend,
     map_axes,
     new_figure,
@@ -31,10 +35,6 @@ from lirs_validation.drawing.style import (
     rgb,
     title,
 )
-from lirs_validation.metrics.agreement import contradicted
-from lirs_validation.record.metric_catalog import picture_lines
-from lirs_validation.record.odometry import WORSE, worse_than_odometry
-from lirs_validation.record.run_record import SUCCEEDED, RunRecord
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.world import World
@@ -51,7 +51,7 @@ def overview_figure(
     true_pose: OccupancyGrid,
     built: OccupancyGrid,
     aligned: OccupancyGrid | None = None,
-) -> Figure:
+) -> Drawing:
     """Draw a run on one page.
 
     Args:

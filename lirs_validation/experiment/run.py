@@ -9,6 +9,7 @@ from typing import Any
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.simulation import Simulation
 from lirs_validation.config import TOUR, Attitude, RunConfig
+from lirs_validation.drawing.run_overview import overview_figure
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.driving.driver import Driver
 from lirs_validation.experiment.attitude import with_attitude
@@ -23,6 +24,7 @@ from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.experiment.warm_up import warm_up
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.contact.contact_geometry import ContactGeometry
+from lirs_wct.drawing.style import Drawing
 from lirs_wct.errors import SimulationError
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.options import BuildOptions
@@ -39,6 +41,20 @@ class Run:
     maps: Maps
     world: World
     folder: Path | None
+
+    def overview(self) -> Drawing:
+        """Draw the run on one page."""
+        truth, estimate, _ = self.log.trajectories()
+        maps = self.maps
+        return overview_figure(
+            self.world, self.record, truth, estimate, maps.true_pose, maps.built, maps.aligned
+        )
+
+    def __repr__(self) -> str:
+        return f"Run({self.record!r}, folder={self.folder})"
+
+    def _repr_png_(self) -> bytes:
+        return self.overview()._repr_png_()
 
 
 def validate(

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from lirs_validation.drawing.map_overview import map_overview
 from lirs_validation.metrics.log_accuracy import Accuracy
 from lirs_validation.record.map_record import MapRecord
+from lirs_wct.drawing.style import Drawing
 from lirs_wct.formats.carmen.log import CarmenLog
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory
@@ -33,3 +35,13 @@ class MappedLog:
     reference: Trajectory | None
     accuracy: Accuracy
     folder: Path | None = None
+
+    def overview(self) -> Drawing:
+        """Draw the mapped log on one page."""
+        return map_overview(self.record, self.grid, self.trajectory, self.reference, self.accuracy)
+
+    def __repr__(self) -> str:
+        return f"MappedLog({self.record.config.log!r}, {self.trajectory!r}, folder={self.folder})"
+
+    def _repr_png_(self) -> bytes:
+        return self.overview()._repr_png_()

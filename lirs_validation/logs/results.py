@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lirs_validation.drawing.map_overview import map_overview
 from lirs_validation.logs.mapped_log import MappedLog
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.map_server import write_map
@@ -21,8 +20,5 @@ def write_mapped(folder: Path, mapped: MappedLog) -> Path:
         mapped.record.save(temporary)
         write_map(temporary / "map", mapped.grid)
         write_tum(temporary / "estimate.tum", mapped.trajectory)
-        figure = map_overview(
-            mapped.record, mapped.grid, mapped.trajectory, mapped.reference, mapped.accuracy
-        )
-        figure.savefig(temporary / "overview.png")
+        mapped.overview().savefig(temporary / "overview.png")
     return folder

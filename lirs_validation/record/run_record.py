@@ -6,12 +6,13 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from lirs_validation.config import RunConfig, run_name
 from lirs_validation.record.provenance import machine, versions
+from lirs_wct.display import ShownAsTable
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
 
@@ -39,7 +40,7 @@ def succeeded(entry: Mapping[str, Any]) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunRecord:
+class RunRecord(ShownAsTable):
     """What came of a run; its metrics mean what the design's definitions say.
 
     A run that came to nothing (`error`, `timeout`) has no metrics.
@@ -56,6 +57,8 @@ class RunRecord:
         file_sizes: bytes of the other files in the run's folder, by name; empty until they are written.
     """
 
+    _rows: ClassVar = "lirs_validation.record.metric_catalog:picture_lines"
+
     config: RunConfig
     world: dict[str, Any]
     status: Status
@@ -69,6 +72,9 @@ class RunRecord:
     versions: dict[str, str] = field(default_factory=versions)
     machine: dict[str, Any] = field(default_factory=machine)
     file_sizes: dict[str, int] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"RunRecord({self.name!r}, {self.status})"
 
     @property
     def name(self) -> str:

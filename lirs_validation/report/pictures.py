@@ -11,13 +11,13 @@ import numpy as np
 
 from lirs_validation.analysis.recorded_run import recorded_world_config
 from lirs_validation.analysis.result_folders import RunFolder
-from lirs_validation.drawing.canvas import Canvas, bounds_shown
-from lirs_validation.drawing.hillshade import shaded_heights
 from lirs_validation.drawing.run_overview import shown_bounds
-from lirs_validation.drawing.style import BLUE, VERMILLION, rgb
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.agreement import contradicted
 from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
+from lirs_wct.drawing.canvas import Canvas, bounds_shown
+from lirs_wct.drawing.hillshade import shaded_heights
+from lirs_wct.drawing.style import BLUE, VERMILLION, rgb
 from lirs_wct.errors import WctError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum

@@ -9,7 +9,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from lirs_validation.drawing.style import BLUE, GREEN, VERMILLION
+from lirs_wct.drawing.style import BLUE, GREEN, VERMILLION
 
 INK = "#123456"
 """Drawn in this color, a line or letter takes the page's own."""

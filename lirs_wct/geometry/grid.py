@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from lirs_wct.display import ShownAsPicture
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2
@@ -19,7 +20,7 @@ FREE = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class OccupancyGrid:
+class OccupancyGrid(ShownAsPicture):
     """Cells of a plane with the log-odds of being occupied; unknown is a state of its own.
 
     Attributes:
@@ -41,6 +42,13 @@ class OccupancyGrid:
             raise ConfigError(
                 f"log_odds must be a float32 matrix, got {self.log_odds.dtype} {self.log_odds.shape}"
             )
+
+    def __repr__(self) -> str:
+        rows, cols = self.shape
+        return (
+            f"OccupancyGrid({rows} x {cols} cells of {self.resolution:g} m, {self.known.mean():.0%} known, "
+            f"{self.occupied.sum()} occupied)"
+        )
 
     @staticmethod
     def from_probability(p: ArrayLike, resolution: float, origin: Pose2 | None = None) -> OccupancyGrid:

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
+from lirs_wct.display import ShownAsPicture
 from lirs_wct.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True)
-class HeightField:
+class HeightField(ShownAsPicture):
     """Heights on a regular grid; each cell is two triangles.
 
     A cell splits along the diagonal from its south-west to its north-east node, as MuJoCo's does.
@@ -39,6 +40,11 @@ class HeightField:
             raise ConfigError(f"cell of a height field must be above 0 m, got {self.cell}")
         if not np.isfinite(self.z).all():
             raise ConfigError("heights of a height field must be finite")
+
+    def __repr__(self) -> str:
+        (rows, cols), (width, depth) = self.shape, self.size
+        nodes = f"{rows} x {cols} nodes"
+        return f"HeightField({nodes}, {width:.4g} m x {depth:.4g} m, relief {self.relief:.4g} m)"
 
     @staticmethod
     def centered(z: Float32Array, cell: tuple[float, float]) -> HeightField:

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
+from lirs_wct.display import ShownAsPicture
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose3
 
 
 @dataclass(frozen=True, slots=True)
-class LaserScan:
+class LaserScan(ShownAsPicture):
     """One sweep of a planar laser range finder, after ROS `sensor_msgs/LaserScan` and REP 117.
 
     Attributes:
@@ -43,6 +44,12 @@ class LaserScan:
             raise ConfigError(
                 f"ranges must be a vector of float32, got {self.ranges.dtype} {self.ranges.shape}"
             )
+
+    def __repr__(self) -> str:
+        fov = np.degrees(self.angle_increment * (len(self.ranges) - 1))
+        reach = f"{self.range_min:g} to {self.range_max:g} m"
+        beams, hits = len(self.ranges), self.hits.sum()
+        return f"LaserScan({beams} beams over {fov:.4g} deg, {reach}, {hits} hits, stamp {self.stamp:g} s)"
 
     @property
     def angles(self) -> FloatArray:

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
+from lirs_wct.display import ShownAsPicture
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Pose3
 
 
 @dataclass(frozen=True, slots=True)
-class Trajectory:
+class Trajectory(ShownAsPicture):
     """Poses over time in one frame.
 
     Attributes:
@@ -38,6 +39,10 @@ class Trajectory:
             )
         if np.any(np.diff(self.stamps) <= 0):
             raise ConfigError("stamps of a trajectory must increase strictly")
+
+    def __repr__(self) -> str:
+        seconds = float(self.stamps[-1] - self.stamps[0]) if len(self.stamps) else 0.0
+        return f"Trajectory({len(self.stamps)} poses, {seconds:.4g} s, {self.length:.4g} m)"
 
     @staticmethod
     def from_poses(stamps: Sequence[float], poses: Sequence[Pose2] | Sequence[Pose3]) -> Trajectory:

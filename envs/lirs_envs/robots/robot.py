@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
+from lirs_wct.display import ShownAsTable
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above, require_at_least
 from lirs_wct.geometry.pose import Pose3
@@ -24,7 +27,7 @@ POSITIVE = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Robot:
+class Robot(ShownAsTable):
     """Figures of a robot, which has driven wheels on both sides or rotors.
 
     Attributes:
@@ -49,6 +52,8 @@ class Robot:
     Raises:
         ConfigError: a value is not legal.
     """
+
+    _rows: ClassVar = "lirs_envs.robots.robot:figures"
 
     name: str
     left_wheels: tuple[str, ...] = ()
@@ -77,6 +82,9 @@ class Robot:
         require_above(self, 0, *positive, of=of, finite=True)
         require_at_least(self, 0, "wheelbase", of=of, unit="m", finite=True)
 
+    def __repr__(self) -> str:
+        return f"Robot({self.name!r}, radius {self.radius:g} m, {self.max_speed:g} m/s, lidar {self.lidar!r})"
+
     @property
     def flies(self) -> bool:
         """Whether it has rotors instead of wheels."""
@@ -97,3 +105,22 @@ class Robot:
         makers drive it with 1.875). 1 for a single driven axle, and without wheels.
         """
         return 1 + (self.wheelbase / self.track) ** 2 if self.wheelbase else 1.0
+
+
+def figures(robot: Robot) -> list[tuple[str, str]]:
+    """Return names and formatted values of what a user compares robots by."""
+    x, y, z = robot.T_base_laser.position
+    return [
+        ("robot", robot.name),
+        ("moves by", f"{len(robot.rotors)} rotors" if robot.flies else _wheels(robot)),
+        ("radius", f"{robot.radius:g} m"),
+        ("top speed", f"{robot.max_speed:g} m/s"),
+        ("top turn rate", f"{robot.max_turn_rate:g} rad/s"),
+        ("steepest ground", f"{math.degrees(robot.max_slope):.3g} deg"),
+        ("lidar", f"{robot.lidar} at ({x:g}, {y:g}, {z:g}) m"),
+    ]
+
+
+def _wheels(robot: Robot) -> str:
+    count = len(robot.left_wheels) + len(robot.right_wheels)
+    return f"{count} driven wheels, radius {robot.wheel_radius:g} m, track {robot.track:g} m"

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from lirs_validation.config import RunConfig
-from lirs_validation.drawing.canvas import Canvas, bounds_of
-from lirs_validation.drawing.hillshade import hillshade, shading
-from lirs_validation.drawing.oblique import oblique_view
 from lirs_validation.drawing.run_overview import overview_figure, shown_bounds
-from lirs_validation.drawing.world_view import view_figure
 from lirs_validation.record.run_record import RunRecord
+from lirs_wct.drawing.canvas import Canvas, bounds_of
+from lirs_wct.drawing.hillshade import shaded_heights, shading
+from lirs_wct.drawing.oblique import oblique_view
+from lirs_wct.drawing.world_view import view_figure
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
@@ -44,8 +44,8 @@ def room() -> World:
 
 def test_light_comes_from_the_north_west() -> None:
     canvas = Canvas.over(hill().bounds, 200)
-    rgb = hillshade(hill(), canvas=canvas)
-    assert rgb.shape == (200, 200, 3)
+    rgb = shading(canvas.heights(hill()), canvas.pixel)[..., None]
+    assert rgb.shape == (200, 200, 1)
     quarter, three = 75, 125
     assert rgb[quarter, quarter, 0] > rgb[5, 5, 0] > rgb[three, three, 0]
 
@@ -58,7 +58,7 @@ def test_level_ground_is_even() -> None:
 def test_north_is_up_and_walls_are_dark() -> None:
     world = room()
     canvas = Canvas.over(world.surface.bounds, 120)
-    rgb = hillshade(world.surface, world.walls, canvas)
+    rgb = shaded_heights(world, canvas)
     dark = rgb[..., 0] < 0.3
     # The block: x 3.5..4.5, y 1.0..1.6 in the world; row 0 of the picture is north (y = 2).
     assert dark[int((2 - 1.3) / canvas.pixel), int((4.0 + 1) / canvas.pixel)]

@@ -14,27 +14,29 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
-from lirs_validation.drawing.canvas import Canvas
-from lirs_validation.drawing.hillshade import WALL, height_colors, shaded_heights
-from lirs_validation.drawing.oblique import oblique_view
-from lirs_validation.drawing.style import (
+from lirs_wct.arrays import FloatArray
+from lirs_wct.drawing.canvas import Canvas
+from lirs_wct.drawing.hillshade import WALL, height_colors, shaded_heights
+from lirs_wct.drawing.oblique import oblique_view
+from lirs_wct.drawing.style import (
     BLACK,
     SMALL,
     TEXT,
     VERMILLION,
+    Drawing,
     legend,
     map_axes,
     new_figure,
     plain_axes,
     title,
 )
-from lirs_wct.arrays import FloatArray
+from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.world import World
 
 WALL_TOP, WALL_SIDE = (0.47, 0.50, 0.56), (0.30, 0.32, 0.38)
 
 
-def view_figure(world: World) -> Figure:
+def view_figure(world: World) -> Drawing:
     """Draw a world from above and at an angle, with its start poses; no OpenGL, no pyplot."""
     canvas = Canvas.over(world.surface.bounds)
     shaded = shaded_heights(world, canvas)
@@ -58,7 +60,7 @@ def view_figure(world: World) -> Figure:
     title(oblique, f"from the south-south-west{stretched}")
     for axes in (above, oblique):
         axes.set_anchor("N")
-    _height_scale(figure, oblique, world)
+    height_scale(figure, oblique, world.surface)
     return figure
 
 
@@ -130,11 +132,11 @@ def _exaggeration(world: World) -> float:
     return float(np.clip(round(0.2 * max(world.surface.size) / relief) / 2, 1.0, 3.0))
 
 
-def _height_scale(figure: Figure, axes: Axes, world: World) -> None:
+def height_scale(figure: Figure, axes: Axes, surface: HeightField) -> None:
     """Add the color scale of the heights, where there are heights."""
-    if world.surface.relief <= 0:
+    if surface.relief <= 0:
         return
-    limits = Normalize(float(world.surface.z.min()), float(world.surface.z.max()))
+    limits = Normalize(float(surface.z.min()), float(surface.z.max()))
     bar = figure.colorbar(ScalarMappable(limits, height_colors()), ax=axes, shrink=0.6, aspect=28, pad=0.01)
     plain_axes(bar.ax, "", "")
     bar.set_label("height [m]", fontsize=TEXT)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from io import BytesIO
 from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from lirs_validation.drawing.canvas import Canvas
 from lirs_wct.arrays import FloatArray
+from lirs_wct.drawing.canvas import Canvas
 
-DPI = 150
+DPI, SCREEN_DPI = 150, 72
+"""Of files, and in Jupyter."""
 TITLE, TEXT, SMALL = 10.5, 9.0, 8.0
 """Font sizes, points."""
 
@@ -70,9 +72,18 @@ def legend(axes: Axes, handles: Sequence[Any]) -> None:
     )
 
 
-def new_figure(width: float, height: float) -> Figure:
+class Drawing(Figure):
+    """A figure that shows itself in Jupyter, which shows pyplot's figures alone."""
+
+    def _repr_png_(self) -> bytes:
+        file = BytesIO()
+        self.savefig(file, dpi=SCREEN_DPI)
+        return file.getvalue()
+
+
+def new_figure(width: float, height: float) -> Drawing:
     """Return a white figure in inches that lays its panels out by itself."""
-    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained", facecolor="white")
+    figure = Drawing(figsize=(width, height), dpi=DPI, layout="constrained", facecolor="white")
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.set(w_pad=0.06, h_pad=0.06, wspace=0.02, hspace=0.02)  # type: ignore[call-arg]

@@ -7,10 +7,9 @@ import math
 import numpy as np
 from matplotlib.colors import Colormap, LinearSegmentedColormap
 
-from lirs_validation.drawing.canvas import Canvas
 from lirs_wct.arrays import FloatArray
+from lirs_wct.drawing.canvas import Canvas
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
 
 AZIMUTH, ALTITUDE = math.radians(315), math.radians(45)
@@ -25,36 +24,28 @@ def height_colors() -> Colormap:
     return LinearSegmentedColormap.from_list("relief", ["#7d97a5", "#a9b5ac", "#d3cfb4", "#f6e8c6"])
 
 
-def hillshade(
-    surface: HeightField, walls: WallGrid | None = None, canvas: Canvas | None = None
-) -> FloatArray:
-    """Return (rows, cols, 3) a gray hillshade in [0, 1], row 0 = north; walls dark.
-
-    Lambertian shading (Horn, "Hill shading and the reflectance map", Proc. IEEE 1981); heights are
-    exaggerated until the ground's typical slope is visible.
-
-    Args:
-        surface: the ground.
-        walls: what stands on it.
-        canvas: which square metres in which pixels; default: the whole surface, 900 pixels.
-    """
-    canvas = canvas or Canvas.over(surface.bounds)
-    shade = shading(canvas.heights(surface), canvas.pixel)
-    rgb = np.repeat((0.35 + 0.65 * shade)[..., None], 3, axis=-1)
-    return _with_walls(rgb, walls, canvas)
-
-
 def shaded_heights(world: World, canvas: Canvas) -> FloatArray:
     """Return (rows, cols, 3) a hillshade tinted by height; of a laser map, its floor and what is unknown."""
-    surface = world.surface
-    z = canvas.heights(surface)
     if world.truth is not None:
         rgb = np.where(canvas.known(world.truth)[..., None], FLOOR, BEYOND)
     else:
-        low, high = float(surface.z.min()), float(surface.z.max())
-        tint = height_colors()((np.nan_to_num(z, nan=low) - low) / max(high - low, 1e-9))[..., :3]
-        rgb = np.clip(tint * (0.42 + 0.78 * shading(z, canvas.pixel)[..., None]), 0, 1)
-    return _with_walls(rgb, world.walls, canvas)
+        rgb = shaded_surface(world.surface, canvas)
+    if world.walls is not None:
+        rgb[canvas.walls(world.walls)] = WALL
+    return rgb
+
+
+def shaded_surface(surface: HeightField, canvas: Canvas) -> FloatArray:
+    """Return (rows, cols, 3) a hillshade in [0, 1] tinted by height, row 0 = north.
+
+    Lambertian shading (Horn, "Hill shading and the reflectance map", Proc. IEEE 1981); heights are
+    exaggerated until the ground's typical slope is visible.
+    """
+    z = canvas.heights(surface)
+    low, high = float(surface.z.min()), float(surface.z.max())
+    tint = height_colors()((np.nan_to_num(z, nan=low) - low) / max(high - low, 1e-9))[..., :3]
+    rgb: FloatArray = np.clip(tint * (0.42 + 0.78 * shading(z, canvas.pixel)[..., None]), 0, 1)
+    return rgb
 
 
 def shading(z: FloatArray, pixel: float) -> FloatArray:
@@ -74,9 +65,3 @@ def shading(z: FloatArray, pixel: float) -> FloatArray:
     lambert = (light[2] - east * light[0] - north * light[1]) / np.sqrt(1 + east**2 + north**2)
     brightness: FloatArray = np.clip(lambert, 0.0, 1.0)
     return brightness
-
-
-def _with_walls(rgb: FloatArray, walls: WallGrid | None, canvas: Canvas) -> FloatArray:
-    if walls is not None:
-        rgb[canvas.walls(walls)] = WALL
-    return rgb

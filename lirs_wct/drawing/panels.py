@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from lirs_validation.drawing.style import BLACK, GRAY, TEXT, TITLE
+from lirs_wct.drawing.style import BLACK, GRAY, TEXT, TITLE
 from lirs_wct.geometry.trajectory import Trajectory
 
 

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from lirs_validation.drawing.canvas import Canvas
 from lirs_wct.arrays import FloatArray
+from lirs_wct.drawing.canvas import Canvas
 
 TURN = math.radians(-28)
 """The viewer stands to the south and a little to the west."""

@@ -1,0 +1,1 @@
+"""Pictures of worlds, maps, scans and paths: no OpenGL, no pyplot."""
