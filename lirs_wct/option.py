@@ -37,6 +37,23 @@ class Switch:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Slider:
+    """Usual values of a number, for a slider on a page.
+
+    Attributes:
+        low: smallest.
+        high: largest.
+        step: between two.
+        neutral: changes nothing, and stands for "not given".
+    """
+
+    low: float
+    high: float
+    step: float
+    neutral: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class Option:
     """What a field of options says beside its type and default.
 
@@ -50,6 +67,8 @@ class Option:
         read: reader of the value; None = as its type is read.
         switch: flag that stands for a value.
         kinds: of source on which it has an effect; None = all.
+        title: of its control on a page, the paper's name where it has one; empty = the field's name.
+        slider: of its control; None = a field to write in.
     """
 
     help: str
@@ -61,6 +80,8 @@ class Option:
     read: Reader | None = None
     switch: Switch | None = None
     kinds: Collection[Enum] | None = None
+    title: str = ""
+    slider: Slider | None = None
 
 
 def option(default: Any, help: str, **given: Any) -> Any:

@@ -18,6 +18,7 @@ from lirs_validation.cli.bench import bench
 from lirs_validation.cli.collide import collide
 from lirs_validation.cli.console import BAD_INPUT, INTERRUPTED, RUN_FAILED, err, out
 from lirs_validation.cli.export import export
+from lirs_validation.cli.gui import gui
 from lirs_validation.cli.map import map_log
 from lirs_validation.cli.reports import compare, report, score
 from lirs_validation.cli.robot_card import robot
@@ -36,7 +37,21 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, evaluate.",
 )
-for command in (build, validate, report, compare, score, export, bench, collide, view, info, convert, robot):
+for command in (
+    build,
+    validate,
+    report,
+    compare,
+    score,
+    export,
+    bench,
+    collide,
+    view,
+    info,
+    convert,
+    robot,
+    gui,
+):
     app.command()(command)
 app.command("map")(map_log)
 

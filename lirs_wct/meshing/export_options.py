@@ -46,6 +46,7 @@ class ExportOptions(Options):
         "Turn the mesh files about the x axis. 0 is upright in every consumer. The paper's tool writes "
         "its Z-up STL into a Y-up Collada, which stands on its edge until it is turned by its default of "
         "-90; what it shows then is what 0 shows here.",
+        title="x axis rotate",
         metavar="DEG",
         check=_finite_turn,
         **_PANEL,

@@ -12,7 +12,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.formats.images.header import MAX_PIXELS
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.meshing.export_options import ExportOptions
-from lirs_wct.option import Options, Switch, declared, documented, one_of, option, positive
+from lirs_wct.option import Options, Slider, Switch, declared, documented, one_of, option, positive
 from lirs_wct.sources.option_text import (
     choice,
     name_of,
@@ -107,7 +107,14 @@ class PictureOptions(Options):
         check=positive,
         **_SCALE,
     )
-    z_scale: float | None = option(None, "Multiply the resulting heights.", check=positive, **_SCALE)
+    z_scale: float | None = option(
+        None,
+        "Multiply the resulting heights.",
+        title="z axis scale",
+        slider=Slider(low=0.1, high=10.0, step=0.1, neutral=1.0),
+        check=positive,
+        **_SCALE,
+    )
     scale: tuple[float, float, float] | None = option(
         None,
         "Multiply the resulting width, depth and height.",
@@ -117,7 +124,7 @@ class PictureOptions(Options):
         **_SCALE,
     )
     grayscale: bool = option(False, "Turn a colour picture into gray.", **_GRAY)
-    invert: bool = option(False, "Black is high, white is low.", **_GRAY)
+    invert: bool = option(False, "Black is high, white is low.", title="color inverse", **_GRAY)
     crop: tuple[int, int, int, int] | None = option(
         None,
         "Keep only this rectangle of the picture, pixels.",
@@ -151,10 +158,20 @@ class PictureOptions(Options):
         **_FILTER,
     )
     smoothing: float | None = option(
-        None, "Gaussian blur of this standard deviation.", metavar="SIGMA_PX", check=positive, **_FILTER
+        None,
+        "Gaussian blur of this standard deviation.",
+        slider=Slider(low=0.0, high=20.0, step=0.1, neutral=0.0),
+        metavar="SIGMA_PX",
+        check=positive,
+        **_FILTER,
     )
     sharpness: float | None = option(
-        None, "Unsharp mask of this amount, after smoothing.", metavar="AMOUNT", check=positive, **_FILTER
+        None,
+        "Unsharp mask of this amount, after smoothing.",
+        slider=Slider(low=0.0, high=5.0, step=0.1, neutral=0.0),
+        metavar="AMOUNT",
+        check=positive,
+        **_FILTER,
     )
 
     def __post_init__(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,25 +40,44 @@ def read_terrain(source: Source, options: BuildOptions) -> tuple[Terrain, str]:
         SourceError: the picture cannot be used.
         ConfigError: the window lies outside the terrain.
     """
-    bundled = source.kind is SourceKind.BUNDLED
-    surface, scale = _read_bundled(source.path, options) if bundled else read_scaled(source.path, options)
+    surface, scale = _scaled(source.path, open_picture(source, options.max_pixels), options)
     if options.window is not None:
         surface = cut_surface(surface, options.window)
     return Terrain(surface), scale
 
 
-def _read_bundled(path: Path, options: BuildOptions) -> tuple[HeightField, str]:
-    bundled = bundled_picture(path.name)
-    own = replace(
-        options,
-        size=options.size if options.size or options.pixel_size else SIZE,
-        height=options.height or bundled.height,
-    )
+@dataclass(frozen=True)
+class TerrainPicture:
+    """A picture of a terrain, and the metres that it brings.
+
+    Attributes:
+        picture: decoded.
+        size: longer side in metres; None = as the picture's tags say, else the default.
+        height: metres between its darkest and its brightest pixel; None = the same.
+    """
+
+    picture: Picture
+    size: float | None = None
+    height: float | None = None
+
+    def with_own_metres(self, options: BuildOptions) -> BuildOptions:
+        """Return the options with the picture's own metres where they give none."""
+        size = options.size if options.size or options.pixel_size else self.size
+        return replace(options, size=size, height=options.height or self.height)
+
+
+def open_picture(source: Source, max_pixels: int) -> TerrainPicture:
+    """Decode the picture of a terrain, or make that of a bundled world.
+
+    Raises:
+        SourceError: the picture cannot be used.
+    """
+    if source.kind is not SourceKind.BUNDLED:
+        return TerrainPicture(read_picture(source.path, max_pixels))
+    bundled = bundled_picture(source.path.name)
     rows, cols = bundled.pixels.shape
-    check_size(path, cols, rows, options.max_pixels)
-    resized = options.size or options.pixel_size or options.height
-    scale = "as given" if resized else "as bundled"
-    return _height_field(path, Picture(bundled.pixels, {}), own), scale
+    check_size(source.path, cols, rows, max_pixels)
+    return TerrainPicture(Picture(bundled.pixels, {}), SIZE, bundled.height)
 
 
 def read_height_field(path: Path, options: BuildOptions) -> HeightField:
@@ -79,12 +98,50 @@ def read_scaled(path: Path, options: BuildOptions) -> tuple[HeightField, str]:
         SourceError: the file cannot be used, is in colour without `grayscale`, or is more than half
             nodata.
     """
-    picture = read_picture(path, options.max_pixels)
-    surface = _height_field(path, picture, options)
-    return surface, _scale_text(own=_metric_pixel(path, picture) is not None, options=options)
+    return _scaled(path, TerrainPicture(read_picture(path, options.max_pixels)), options)
 
 
-def _height_field(path: Path, picture: Picture, options: BuildOptions) -> HeightField:
+def _scaled(path: Path, found: TerrainPicture, options: BuildOptions) -> tuple[HeightField, str]:
+    surface = height_field(path, found.picture, found.with_own_metres(options))
+    if found.size is not None:
+        resized = options.size or options.pixel_size or options.height
+        return surface, "as given" if resized else "as bundled"
+    return surface, _scale_text(own=_metric_pixel(path, found.picture) is not None, options=options)
+
+
+def decimated(
+    path: Path, picture: Picture, options: BuildOptions, nodes: int
+) -> tuple[Picture, BuildOptions]:
+    """Return a smaller picture, and the options that make nearly the same terrain of it, for a preview.
+
+    Pixels are left out and none is averaged, so gray levels and "no data" stay what they are.
+
+    Args:
+        path: of the picture, for errors.
+        picture: the whole one.
+        options: for the whole one.
+        nodes: along the longer side, at most.
+
+    Raises:
+        SourceError: the crop lies outside the picture, or its scale cannot be used.
+    """
+    pixels = _cropped(path, picture.pixels, options.crop)
+    size = _extent(pixels.shape, _metric_pixel(path, picture), options)
+    rows, cols = pixels.shape[:2]
+    share = min(1.0, nodes / max(rows, cols))
+    at = [np.linspace(0, n - 1, max(2, round(n * share))).round().astype(int) for n in (rows, cols)]
+    small = Picture(np.ascontiguousarray(pixels[np.ix_(*at)]), picture.tags)
+    resize = options.resize and (min(options.resize[0], nodes), min(options.resize[1], nodes))
+    smoothing = options.smoothing and options.smoothing * share
+    return small, replace(options, crop=None, size=size, pixel_size=None, smoothing=smoothing, resize=resize)
+
+
+def height_field(path: Path, picture: Picture, options: BuildOptions) -> HeightField:
+    """Return a decoded picture as a terrain (see `read_scaled`).
+
+    Raises:
+        SourceError: as `read_scaled` says.
+    """
     pixels = _cropped(path, picture.pixels, options.crop)
     above = _above_lowest(path, pixels, tiff.nodata(picture.tags), options)
     if options.deterrace:

@@ -1,0 +1,109 @@
+"""The server of the live page: a page for each client, gone when the client goes."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from typing import Any
+
+import rich
+import viser
+
+from lirs_validation.gui.session.uploads import Limits
+from lirs_validation.gui.view.page import Page
+from lirs_validation.gui.view.scene import Detail
+from lirs_wct.errors import ConfigError
+
+
+class Server:
+    """Serves pages until it is stopped.
+
+    Args:
+        source: shown first; None = the first bundled world.
+        host: address to listen at.
+        port: to listen at; 0 = any free one.
+        limits: of uploads.
+        detail: triangles that browsers are given.
+
+    Raises:
+        ConfigError: the address cannot be listened at.
+    """
+
+    def __init__(
+        self,
+        source: str | None = None,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        limits: Limits | None = None,
+        detail: Detail | None = None,
+    ) -> None:
+        self._source, self._limits, self._detail = source, limits or Limits(), detail or Detail()
+        self._pages: dict[int, Page] = {}
+        self._lock = threading.Lock()
+        _check_free(host, port)
+        rich.get_console().quiet = True  # viser's own announcements; ours have a console of their own
+        self._viser = viser.ViserServer(host=host, port=port, label="LIRS-WCT", verbose=False)
+        gui = self._viser.gui
+        gui.configure_theme(
+            control_width="large", show_logo=False, show_share_button=False, brand_color=(0, 114, 178)
+        )
+        gui.main_panel.dock_right()
+        self._viser.on_client_connect(self._open)
+        self._viser.on_client_disconnect(self._close)
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds it."""
+        host = self._viser.get_host()
+        return f"http://{'127.0.0.1' if host == '0.0.0.0' else host}:{self._viser.get_port()}"
+
+    @property
+    def pages(self) -> tuple[Page, ...]:
+        """The pages that are open."""
+        with self._lock:
+            return tuple(self._pages.values())
+
+    def serve(self) -> None:
+        """Wait until a Ctrl-C."""
+        try:
+            while True:
+                time.sleep(3600)
+        finally:
+            self.stop()
+
+    def stop(self) -> None:
+        """Close every page, then the server."""
+        with self._lock:
+            pages = list(self._pages.values())
+            self._pages.clear()
+        for page in pages:
+            page.close()
+        for page in pages:
+            page.worker.join(5.0)
+        self._viser.stop()
+
+    def _open(self, client: Any) -> None:
+        page = Page(client, self._source, self._limits, self._detail)
+        with self._lock:
+            self._pages[client.client_id] = page
+        if client.client_id not in self._viser.get_clients():  # gone while its page was made
+            self._close(client)
+
+    def _close(self, client: Any) -> None:
+        with self._lock:
+            page = self._pages.pop(client.client_id, None)
+        if page is not None:
+            page.close()
+
+
+def _check_free(host: str, port: int) -> None:
+    """Raise ConfigError unless the address can be listened at: viser would go on to other ports for ever."""
+    try:
+        family, kind, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        raise ConfigError(f"{host}:{port}: cannot be listened at: {error.strerror or error}") from error

@@ -1,0 +1,144 @@
+"""Construction of a world, as a page goes about it: a source, options, previews, the package."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+from lirs_validation.config import SourceOptions
+from lirs_validation.gui.session.world_facts import Facts, built_facts, preview_facts
+from lirs_validation.logs.log_source import resolve_source
+from lirs_wct.export.package import DEFAULT_FORMATS, GazeboTerrain, write_package
+from lirs_wct.ground import Ground, Terrain
+from lirs_wct.meshing.export_options import ExportOptions
+from lirs_wct.meshing.ground_texture import checked_texture
+from lirs_wct.progress import Progress, no_progress
+from lirs_wct.sources.laser_map import read_laser_map
+from lirs_wct.sources.mesh_source import read_mesh_source
+from lirs_wct.sources.picture import TerrainPicture, decimated, height_field, open_picture
+from lirs_wct.sources.source import Source, find_source
+from lirs_wct.sources.source_kind import SourceKind
+from lirs_wct.sources.window import cut_surface
+from lirs_wct.world import World, build_world
+
+PREVIEW_NODES = 129
+"""Nodes of a preview along its longer side."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A world to look at.
+
+    Attributes:
+        world: itself; of a preview, coarser and without start poses.
+        facts: names and values of what it is.
+        source: that it was made of: of a log, its map.
+        options: that it was made with.
+        package: folder of what `build` writes; None of a preview.
+    """
+
+    world: World
+    facts: Facts
+    source: str
+    options: SourceOptions
+    package: Path | None = None
+
+
+class Construction:
+    """Makes previews and packages of one page's source.
+
+    Args:
+        folder: of the page, for packages and the maps of logs.
+        nodes: of a preview along its longer side, at most.
+    """
+
+    def __init__(self, folder: Path, nodes: int = PREVIEW_NODES) -> None:
+        self._folder, self._nodes = folder, nodes
+        self._opened: tuple[Source, TerrainPicture] | None = None
+
+    def kind(self, source: str, options: SourceOptions) -> SourceKind:
+        """Return what a source is.
+
+        Raises:
+            SourceError: there is none of that name.
+        """
+        return find_source(source, options).kind
+
+    def preview(self, source: str, options: SourceOptions, progress: Progress = no_progress) -> Shown:
+        """Return what a source becomes, coarsely; a log is mapped the first time.
+
+        Raises:
+            WctError: the source or an option cannot be used.
+        """
+        source = str(resolve_source(source, options, self._folder / "maps", progress))
+        found = find_source(source, options)
+        ground, scale = self._coarse(found, options)
+        export = ExportOptions(
+            max_error=options.max_error,
+            max_triangles=options.max_triangles,
+            texture=checked_texture(options.texture, options.max_pixels),
+            texture_size=options.texture_size,
+        )
+        world = World(found.name, ground, scale=scale, export_options=export)
+        return Shown(world, preview_facts(world), source, options)
+
+    def build(
+        self,
+        source: str,
+        options: SourceOptions,
+        formats: Collection[str] = DEFAULT_FORMATS,
+        terrain: GazeboTerrain = "solid",
+        progress: Progress = no_progress,
+    ) -> Shown:
+        """Build a world and write its package, as `lirs-wct build` does.
+
+        Raises:
+            WctError: the source or an option cannot be used, or the package cannot be written.
+        """
+        source = str(resolve_source(source, options, self._folder / "maps", progress))
+        progress("build", 0.0)
+        world = build_world(source, options)
+        package = write_package(
+            world, self._folder / "worlds", formats=formats, terrain=terrain, progress=progress
+        )
+        return Shown(world, built_facts(world), source, options, package)
+
+    def _coarse(self, found: Source, options: SourceOptions) -> tuple[Ground, str]:
+        if found.kind is SourceKind.FOLDER:
+            world = World.load(found.path)
+            return world.ground, world.scale
+        if found.kind in (SourceKind.MAP, SourceKind.MAP_PICTURE):
+            return read_laser_map(found, options)
+        if found.kind is SourceKind.MESH:
+            return read_mesh_source(found.path, options)
+        return self._coarse_terrain(found, options), "preview"
+
+    def _coarse_terrain(self, found: Source, options: SourceOptions) -> Terrain:
+        picture = self._picture(found, options)
+        own = picture.with_own_metres(options)
+        small, fitting = decimated(found.path, picture.picture, own, self._nodes)
+        surface = height_field(found.path, small, fitting)
+        return Terrain(surface if options.window is None else cut_surface(surface, options.window))
+
+    def _picture(self, found: Source, options: SourceOptions) -> TerrainPicture:
+        """Return the source's picture, decoded once."""
+        if self._opened is None or self._opened[0].path != found.path:
+            self._opened = found, open_picture(found, options.max_pixels)
+        return self._opened[1]
+
+    def forget(self) -> None:
+        """Decode the picture anew next time: another file has its name now."""
+        self._opened = None
+
+
+def zipped(folder: Path) -> bytes:
+    """Return a folder as a zip archive; entries begin with the folder's own name."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for path in sorted(folder.rglob("*")):
+            if path.is_file():
+                archive.write(path, Path(folder.name) / path.relative_to(folder))
+    return content.getvalue()

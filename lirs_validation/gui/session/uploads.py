@@ -1,0 +1,128 @@
+"""Files that a browser sends: capped, under harmless names, in a folder of the page's own."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+import re
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path, PureWindowsPath
+
+import yaml
+
+from lirs_wct.errors import SourceError
+from lirs_wct.field_validators import require_above
+from lirs_wct.files import remove_orphans
+from lirs_wct.formats.images.header import MAX_PIXELS
+from lirs_wct.formats.suffixes import BAGS, LOGS, MAPS, MESHES
+
+PICTURES = (".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".tif", ".tiff", ".gif", ".bmp")
+SUFFIXES = (*PICTURES, *MAPS, *MESHES, *LOGS, ".gz", *BAGS)
+"""Of files that can be sources, textures or a map's picture."""
+LONGEST = 80
+"""Characters of a name."""
+UNPACKED = 8
+"""A compressed log may be this many times as large as an upload."""
+PREFIX = "lirs-wct-gui-"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What a page may ask of the server.
+
+    Attributes:
+        upload: bytes of all files that a page sends.
+        pixels: of a picture, decoded.
+
+    Raises:
+        ConfigError: a limit is not above 0.
+    """
+
+    upload: int = 256 * 2**20
+    pixels: int = MAX_PIXELS
+
+    def __post_init__(self) -> None:
+        require_above(self, 0, "upload", "pixels")
+
+
+class Uploads:
+    """The files of one page, in a folder that goes with it."""
+
+    def __init__(self, limits: Limits) -> None:
+        parent = Path(tempfile.gettempdir())
+        remove_orphans(parent, PREFIX)
+        self.folder = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=parent))
+        self._limits = limits
+        self._sizes: dict[str, int] = {}
+
+    def add(self, name: str, content: bytes) -> Path:
+        """Keep a file; another of its name is replaced.
+
+        Args:
+            name: as the browser says it; only its last part counts, and of that only harmless characters.
+            content: of the file.
+
+        Raises:
+            SourceError: it is too large, or nothing that this program reads.
+        """
+        safe = harmless(name)
+        suffix = Path(safe).suffix.lower()
+        if suffix not in SUFFIXES:
+            raise SourceError(f"{safe}: not a file that is read; legal: {', '.join(SUFFIXES)}")
+        self.check_room(safe, len(content))
+        if suffix == ".gz":
+            self._check_unpacked(safe, content)
+        if suffix in MAPS:
+            content = _beside(safe, content)
+        path = self.folder / safe
+        path.write_bytes(content)
+        self._sizes[safe] = len(content)
+        return path
+
+    def check_room(self, name: str, size: int) -> None:
+        """Raise SourceError if a file of this size is more than the page may send."""
+        held = sum(count for other, count in self._sizes.items() if other != harmless(name))
+        if held + size > self._limits.upload:
+            raise SourceError(
+                f"{harmless(name)}: {size / 2**20:.1f} MiB are too many: a page may send "
+                f"{self._limits.upload / 2**20:g} MiB in all, {held / 2**20:.1f} MiB are used"
+            )
+
+    def _check_unpacked(self, name: str, content: bytes) -> None:
+        most, size = UNPACKED * self._limits.upload, 0
+        try:
+            with gzip.open(io.BytesIO(content)) as file:
+                while size <= most and (part := file.read(1 << 20)):
+                    size += len(part)
+        except (OSError, EOFError):
+            return  # damaged: its reader says how
+        if size > most:
+            raise SourceError(f"{name}: unpacks to more than {most / 2**20:g} MiB")
+
+    def close(self) -> None:
+        """Remove the folder."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def harmless(name: str) -> str:
+    """Return a file's own name without folders, of letters, digits, dots, hyphens and underscores.
+
+    >>> harmless("../../etc/my map.YAML")
+    'my_map.YAML'
+    """
+    last = PureWindowsPath(name).name  # takes both kinds of slashes
+    stem, dot, suffix = re.sub(r"[^A-Za-z0-9_.-]+", "_", last).rpartition(".")
+    return f"{stem.strip('._-')[:LONGEST] or 'file'}{dot}{suffix[:10]}"
+
+
+def _beside(name: str, content: bytes) -> bytes:
+    """Return a map's YAML whose picture is the uploaded file of that name, and no other of this machine."""
+    try:
+        entry = yaml.safe_load(content.decode("utf-8"))
+        entry["image"] = harmless(str(entry["image"]))
+    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, RecursionError) as error:
+        raise SourceError(f"{name}: is no YAML of a map, which names its image") from error
+    return yaml.safe_dump(entry).encode()

@@ -1,0 +1,1 @@
+"""What a page shows, and its controls; viser alone is spoken to here."""

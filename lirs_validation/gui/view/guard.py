@@ -1,0 +1,63 @@
+"""What goes wrong in a page is said in that page, in one message, and goes no further."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from lirs_wct.errors import WctError
+
+Callback = Callable[[Any], None]
+_LOG = logging.getLogger(__name__)
+
+
+class Guard:
+    """Wraps the callbacks of one page; shows errors and hints there.
+
+    Args:
+        client: the page.
+        folder: of the page, whose path is left out of messages.
+    """
+
+    def __init__(self, client: viser.ClientHandle, folder: Path) -> None:
+        self._client, self._folder = client, folder
+        self._shown: viser.NotificationHandle | None = None
+
+    def __call__(self, callback: Callback) -> Callback:
+        """Return a callback whose errors are shown."""
+
+        def guarded(event: Any) -> None:
+            try:
+                callback(event)
+            except Exception as error:
+                self.show(error)
+
+        return guarded
+
+    def show(self, error: Exception) -> None:
+        """Show an error in place of the one before; what is no user's mistake is logged, too."""
+        if isinstance(error, WctError):
+            self._say("This does not work", str(error), "red")
+            return
+        _LOG.error("a page failed", exc_info=error)
+        self._say("The program failed", f"{type(error).__name__}: {error}", "red")
+
+    def warn(self, message: str) -> None:
+        """Show a hint."""
+        self._say("Note", message, "yellow")
+
+    def clear(self) -> None:
+        """Take the message away: what was wrong is mended."""
+        if self._shown is not None:
+            self._shown.remove()
+            self._shown = None
+
+    def _say(self, title: str, message: str, color: Any) -> None:
+        self.clear()
+        for folder in (f"{self._folder}/maps/", f"{self._folder}/worlds/", f"{self._folder}/"):
+            message = message.replace(folder, "")
+        self._shown = self._client.add_notification(title, message, color=color)

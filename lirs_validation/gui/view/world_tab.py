@@ -1,0 +1,162 @@
+"""The tab where worlds are made: source, options, figures, package."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from lirs_validation.gui.session.construction import Construction, Shown, zipped
+from lirs_validation.gui.session.controls import read_controls
+from lirs_validation.gui.session.uploads import Limits, Uploads
+from lirs_validation.gui.session.worker import Worker
+from lirs_validation.gui.session.world_facts import Facts
+from lirs_validation.gui.view.guard import Guard
+from lirs_validation.gui.view.option_controls import OptionControls
+from lirs_validation.gui.view.progress import ProgressLine
+from lirs_validation.gui.view.scene import Scene
+from lirs_wct.errors import ConfigError
+from lirs_wct.export.package import DEFAULT_FORMATS, FORMATS, GazeboTerrain
+from lirs_wct.sources.bundled import RECIPES
+
+TERRAINS: tuple[GazeboTerrain, ...] = ("solid", "heightmap")
+
+
+class WorldTab:
+    """Controls of the construction, and the world that they make.
+
+    Attributes:
+        shown: the world that the page shows; None before the first.
+
+    Args:
+        client: the page.
+        worker: does the page's work.
+        guard: shows its errors.
+        scene: shows its world.
+        uploads: keeps its files.
+        limits: of the server.
+        sources: names and what they stand for, the first one is shown.
+        changed: called with each world that is shown.
+    """
+
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        worker: Worker,
+        guard: Guard,
+        scene: Scene,
+        uploads: Uploads,
+        limits: Limits,
+        sources: dict[str, str],
+        changed: Callable[[Shown], None],
+    ) -> None:
+        self._client, self._worker, self._guard, self._scene = client, worker, guard, scene
+        self._uploads, self._limits, self._sources, self._tell = uploads, limits, dict(sources), changed
+        self._construction = Construction(uploads.folder)
+        self.shown: Shown | None = None
+        self._add_source(client.gui)
+        self._add_results(client.gui)
+        self._options = OptionControls(client.gui, guard, self.preview, self._keep)
+        self._add_files(client.gui)
+        self.preview()
+
+    def _add_source(self, gui: viser.GuiApi) -> None:
+        self._source = gui.add_dropdown(
+            "source",
+            tuple(self._sources),
+            hint="A bundled world, or a file that was opened here.",
+        )
+        self._source.on_update(self._guard(lambda _: self.preview()))
+        upload = gui.add_upload_button(
+            "Open a file ...",
+            icon=viser.Icon.UPLOAD,
+            hint="Picture of heights, laser map (first its picture, then its YAML), mesh, laser log or bag.",
+        )
+        upload.on_upload(self._guard(lambda _: self._open(upload.value.name, upload.value.content)))
+
+    def _add_results(self, gui: viser.GuiApi) -> None:
+        self._build = gui.add_button("Build", color="green", icon=viser.Icon.HAMMER)
+        self._build.on_click(self._guard(lambda _: self.build()))
+        self._download = gui.add_button("Download the package", icon=viser.Icon.DOWNLOAD, disabled=True)
+        self._download.on_click(self._guard(lambda _: self._worker.submit("download", self._send)))
+        self._progress = ProgressLine(gui)
+        self._facts = gui.add_markdown("")
+
+    def _add_files(self, gui: viser.GuiApi) -> None:
+        with gui.add_folder("Files of the package", expand_by_default=False):
+            self._formats = {
+                name: gui.add_checkbox(name, name in DEFAULT_FORMATS, hint=f"Command line: --to {name}")
+                for name in FORMATS
+            }
+            self._terrain = gui.add_dropdown(
+                "Gazebo model", TERRAINS, hint="The solid mesh, or a heightmap (square, 2^n + 1 px, 8 bit)."
+            )
+
+    def preview(self) -> None:
+        """Show what the controls say, soon and coarsely."""
+        self._worker.submit("preview", self._preview)
+
+    def build(self) -> None:
+        """Show what the controls say at full quality, and write the package."""
+        self._build.disabled = True
+        self._worker.submit("build", self._build_now)
+
+    def _keep(self, name: str, content: bytes) -> str:
+        path = self._uploads.add(name, content)
+        self._construction.forget()
+        return str(path)
+
+    def _open(self, name: str, content: bytes) -> None:
+        path = Path(self._keep(name, content))
+        self._sources[path.name] = str(path)
+        self._source.options = tuple(self._sources)
+        self._source.value = path.name  # type: ignore[misc]
+        self.preview()
+
+    def _read(self) -> tuple[str, Any]:
+        return self._sources[self._source.value], read_controls(self._options.values(), self._limits.pixels)
+
+    def _preview(self) -> None:
+        source, options = self._read()
+        self._options.show_for(self._construction.kind(source, options))
+        with self._progress.shown(self._source.value) as progress:
+            shown = self._construction.preview(source, options, progress)
+            triangles = self._scene.show_world(shown.world, coarse=True)
+        self._download.disabled = True
+        self._show(shown, (("preview", f"{triangles:,} triangles"),))
+
+    def _build_now(self) -> None:
+        try:
+            source, options = self._read()
+            formats = [name for name, box in self._formats.items() if box.value]
+            if not formats:
+                raise ConfigError(f"nothing to write; legal: {', '.join(FORMATS)}")
+            with self._progress.shown(self._source.value) as progress:
+                shown = self._construction.build(source, options, formats, self._terrain.value, progress)
+                triangles = self._scene.show_world(shown.world, coarse=False)
+        finally:
+            self._build.disabled = False
+        self._download.disabled = False
+        self._show(shown, (("shown", f"{triangles:,} triangles"),))
+
+    def _show(self, shown: Shown, more: Facts) -> None:
+        self.shown = shown
+        self._facts.content = "\n".join(
+            ("| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in (*shown.facts, *more)))
+        )
+        self._guard.clear()
+        self._tell(shown)
+
+    def _send(self) -> None:
+        if self.shown is None or self.shown.package is None:
+            raise ConfigError("nothing is built yet: Build comes first")
+        folder = self.shown.package
+        self._client.send_file_download(f"{folder.name}.zip", zipped(folder), save_immediately=True)
+
+
+def first_sources(given: str | None) -> dict[str, str]:
+    """Return the sources of a fresh page: the one that the command line named, and the bundled worlds."""
+    named = {} if given is None else {given if given in RECIPES else Path(given).name: given}
+    return named | {name: name for name in RECIPES if name not in named}

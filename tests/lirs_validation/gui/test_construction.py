@@ -1,0 +1,106 @@
+"""Previews stand for the world that is built, and the package is the one of `lirs-wct build`."""
+
+import io
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+
+from lirs_validation.config import SourceOptions
+from lirs_validation.gui.session.construction import Construction, zipped
+from lirs_validation.gui.session.world_glb import world_glb
+from lirs_wct import build_world, write_package
+from lirs_wct.errors import ConfigError, WctError
+
+NODES = 65
+
+
+@pytest.fixture(scope="module")
+def dunes(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A picture of dunes, 400 x 300 pixels of 16 bits."""
+    noise = np.random.default_rng(1).standard_normal((300, 400)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 15)
+    path = tmp_path_factory.mktemp("dunes") / "dunes.png"
+    cv2.imwrite(str(path), (65535 * (smooth - smooth.min()) / np.ptp(smooth)).astype(np.uint16))
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"size": 30.0, "height": 4.0},
+        {"invert": True, "z_scale": 2.0},
+        {"scale": (1.0, 2.0, 3.0)},
+        {"smoothing": 6.0},
+        {"crop": (50, 20, 200, 250)},
+        {"pixel_size": 0.1},
+        {"window": (5.0, -5.0, 20.0)},
+        {"resize": (200, 300)},
+    ],
+)
+def test_a_preview_is_the_world_on_fewer_nodes(tmp_path: Path, dunes: str, options: dict[str, Any]) -> None:
+    chosen = SourceOptions(**options)
+    coarse = Construction(tmp_path, NODES).preview(dunes, chosen).world.surface
+    fine = build_world(dunes, chosen).surface
+    assert max(coarse.shape) <= NODES
+    spacing = max(coarse.cell)
+    np.testing.assert_allclose(coarse.bounds, fine.bounds, atol=spacing if "window" in options else 1e-6)
+    x, y = np.meshgrid(np.linspace(-4, 4, 50), np.linspace(-4, 4, 50))
+    difference = coarse.height_at(x, y) - fine.height_at(x, y)
+    inside = np.isfinite(difference)
+    assert inside.any()
+    difference -= np.median(difference[inside]) if "window" in options else 0.0  # its lowest node is z = 0
+    assert np.abs(difference[inside]).max() < 0.05 * fine.relief
+
+
+def test_the_package_is_that_of_the_command_line(tmp_path: Path, picture: Path) -> None:
+    options = SourceOptions(height=3.0, max_error=0.05, name="hill")
+    shown = Construction(tmp_path / "page").build(str(picture), options)
+    assert shown.package is not None
+    folder = write_package(build_world(picture, options), tmp_path / "worlds")
+    mine, theirs = ({p.name: p.read_bytes() for p in f.rglob("*.*")} for f in (shown.package, folder))
+    assert mine.keys() == theirs.keys()
+    assert all(mine[name] == theirs[name] for name in mine if not name.endswith((".npz", ".config")))
+    assert dict(shown.facts)["triangles"] == f"{len(shown.world.mesh.faces):,}"
+    names = zipfile.ZipFile(io.BytesIO(zipped(folder))).namelist()
+    assert "hill/world.json" in names
+    assert all(name.startswith("hill/") for name in names)
+
+
+def test_another_file_of_the_same_name_is_read_anew(tmp_path: Path, picture: Path) -> None:
+    construction = Construction(tmp_path, NODES)
+    before = construction.preview(str(picture), SourceOptions()).world.surface
+    picture.write_bytes(picture.read_bytes())
+    construction.forget()
+    np.testing.assert_array_equal(
+        construction.preview(str(picture), SourceOptions()).world.surface.z, before.z
+    )
+
+
+def test_an_impossible_crop_is_refused_by_a_preview_too(tmp_path: Path, picture: Path) -> None:
+    with pytest.raises(WctError, match="crop"):
+        Construction(tmp_path).preview(str(picture), SourceOptions(crop=(60, 0, 10, 10)))
+
+
+@pytest.mark.parametrize("most", [2_000, 50_000])
+def test_the_browser_is_given_no_more_than_it_can_show(dunes: str, most: int) -> None:
+    world = build_world(dunes, SourceOptions(size=(50.0, 50.0)))
+    content, triangles = world_glb(world, most)
+    # Skirt and base come on top of the surface.
+    assert triangles <= most + 12 * most**0.5
+    scene = trimesh.load(io.BytesIO(content), file_type="glb", force="mesh")
+    np.testing.assert_allclose(scene.bounds[:, :2], ((-25, -25), (25, 25)), atol=1e-4)
+    assert scene.visual.material.baseColorTexture is not None
+
+
+def test_a_budget_of_triangles_is_shown_as_it_is(tmp_path: Path, dunes: str) -> None:
+    world = build_world(dunes, SourceOptions(max_triangles=900))
+    _, triangles = world_glb(world, 5_000)
+    assert triangles == len(world.mesh.faces) <= 900
+    with pytest.raises(ConfigError):
+        Construction(tmp_path).build(dunes, SourceOptions(), formats=())

@@ -1,0 +1,91 @@
+"""Every option of `build` has a control, and untouched controls say what the command line's defaults say."""
+
+from dataclasses import fields
+from typing import Any
+
+import pytest
+
+from lirs_validation.config import SourceOptions
+from lirs_validation.gui.session.controls import controls, read_controls
+from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.sources.source_kind import SourceKind
+
+MANY = 10**9
+
+
+def test_every_option_has_one_control() -> None:
+    assert [c.name for c in controls()] == [f.name for f in fields(SourceOptions)]
+
+
+def test_untouched_controls_are_the_defaults() -> None:
+    assert read_controls({c.name: c.initial for c in controls()}, MANY) == SourceOptions()
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "meant"),
+    [
+        ("size", "40,30", (40.0, 30.0)),
+        ("height", "3.5", 3.5),
+        ("z_scale", 2.0, 2.0),
+        ("scale", "2", (2.0, 2.0, 2.0)),
+        ("invert", True, True),
+        ("crop", "1,2,30,40", (1, 2, 30, 40)),
+        ("denoise", "bilateral", "bilateral"),
+        ("smoothing", 1.5, 1.5),
+        ("origin", "1,2", Pose2(1, 2)),
+        ("wall_height", "1", 1.0),
+        ("unknown", "hole", "hole"),
+        ("speckle", "3", 3),
+        ("max_triangles", "500", 500),
+        ("rotate_x", "-90", -90.0),
+        ("log_mapper", "hector", "hector"),
+        ("kind", "map", "map"),
+        ("name", "dune", "dune"),
+    ],
+)
+def test_a_control_says_what_it_shows(name: str, given: Any, meant: Any) -> None:
+    found = read_controls({name: given}, MANY)
+    assert getattr(found, name) == meant
+    assert found == SourceOptions(**{name: meant})
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "message"),
+    [
+        ("height", "tall", "height must be a number, got 'tall'"),
+        ("speckle", "1.5", "speckle must be a whole number"),
+        ("height", "nan", "height must be a finite number above 0"),
+        ("crop", "1,2", "crop must be X,Y,W,H"),
+        ("size", "a", "size must be W or W,H"),
+    ],
+)
+def test_what_no_option_is(name: str, given: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        read_controls({name: given}, MANY)
+
+
+def test_the_server_limits_pixels() -> None:
+    with pytest.raises(SourceError, match="up to 1000 pixels"):
+        read_controls({"max_pixels": "2000"}, 1000)
+
+
+def test_the_papers_controls_have_the_papers_names() -> None:
+    titles = {c.title for c in controls()}
+    assert {
+        "color inverse",
+        "smoothing",
+        "sharpness",
+        "z axis scale",
+        "grayscale",
+        "scale",
+        "x axis rotate",
+    } <= titles
+
+
+def test_controls_follow_the_kind_of_source() -> None:
+    shown = {c.name for c in controls() if c.shown_for(SourceKind.MAP)}
+    assert "wall_height" in shown
+    assert "smoothing" not in shown
+    log = {c.name for c in controls() if c.shown_for(SourceKind.LOG)}
+    assert {"log_mapper", "wall_height"} <= log
