@@ -98,7 +98,7 @@ class Recording:
     def __init__(self, steps: int, told: np.ndarray) -> None:
         env = vector(1)
         self.simulation = env.episodes.simulation
-        bodies = self.simulation.bodies
+        bodies = self.simulation.groups[0].bodies
         self.substeps = bodies.body.substeps
         self.state = bodies._batch.state.copy()
         self.batch = Batch(bodies.body.model, N, 1)

@@ -138,7 +138,7 @@ def test_call_get_attr_set_attr() -> None:
 def test_one_that_diverges_is_reset_alone(plane: World) -> None:
     env = RobotVectorEnv(N, "mapping", world=plane, threads=2)
     env.reset(seed=0)
-    env.episodes.simulation.bodies.qvel[1, 0] = np.nan
+    env.episodes.simulation.qvel(1)[0] = np.nan
     observation, _, terminated, _, infos = env.step(np.zeros((N, 2)))
     assert terminated.tolist() == [False, True, False]
     assert infos["_error"].tolist() == [False, True, False]

@@ -147,12 +147,6 @@ class Bodies:
         """Fill rows of (N, 7) with x, y, z, qw, qx, qy, qz of `T_world_base`."""
         _read_poses(rows, self.qpos, out)
 
-    def data(self, i: int) -> mujoco.MjData:
-        """Return MuJoCo's data of robot `i`, with its derived fields: to be rendered."""
-        data = self._batch.get_data(i)
-        mujoco.mj_forward(self.models[i], data)
-        return data
-
 
 @njit(cache=True, nogil=True)
 def _add_touching(sensordata: FloatArray, sensors: IntArray, touched: BoolArray) -> None:

@@ -24,18 +24,21 @@ class ImuReadings:
         self._sensors = ImuSensors(config, count)
         self.rates, self.force = np.zeros((count, 3)), np.zeros((count, 3))
         self.attitude = np.zeros((count, 2))
+        self._used_up = True
 
     def begin(self, i: int, qpos: FloatArray, qvel: FloatArray, rng: np.random.Generator) -> None:
         """Begin with unit `i` at rest, its attitude known."""
         self._sensors.begin(i, rng)
+        self._used_up = True
         self.read_rates(np.array((i,)), qvel)
         self.attitude[i] = _attitude(qpos[i])
 
     def read_rates(self, ids: IntArray, qvel: FloatArray) -> None:
         """Read the gyros."""
         sensors = self._sensors
-        sensors.draw_rate_errors()
-        _read_rates(ids, qvel, sensors.rate_errors, sensors.rates_left, self.rates)
+        if self._used_up:
+            sensors.draw_rate_errors()
+        self._used_up = _read_rates(ids, qvel, sensors.rate_errors, sensors.rates_left, self.rates)
 
     def read(self, ids: IntArray, qpos: FloatArray, force: FloatArray, dt: float) -> None:
         """Read attitude and specific force, `dt` seconds after the last reading."""
@@ -56,11 +59,15 @@ class ImuReadings:
 @njit(cache=True, nogil=True)
 def _read_rates(
     ids: IntArray, qvel: FloatArray, errors: FloatArray, left: IntArray, rates: FloatArray
-) -> None:
+) -> bool:
+    """Fill rows of `rates`; return whether the errors of one are used up."""
+    used_up = False
     for n in range(len(ids)):
         i = ids[n]
         true = (qvel[i, 3], qvel[i, 4], qvel[i, 5])
         rates[i, 0], rates[i, 1], rates[i, 2] = next_rates(errors[i], left[i : i + 1], true)
+        used_up |= left[i] == 0
+    return used_up
 
 
 @njit(cache=True, nogil=True)

@@ -38,6 +38,7 @@ class WheelOdometries:
         self._noises = DistanceNoises(config, count)
         self._angles = np.zeros((count, 2))
         self.pose = np.zeros((count, 3))
+        self._used_up = False
 
     def begin(self, i: int, qpos: FloatArray, rng: np.random.Generator) -> None:
         """Begin the odometry of robot `i` where it stands."""
@@ -50,8 +51,9 @@ class WheelOdometries:
     ) -> None:
         """Add the motion of the last `dt` seconds; `rates` (N, 3) and `attitude` (N, 2) are measured."""
         noises = self._noises
-        noises.draw()
-        integrate_wheels(
+        if self._used_up:
+            noises.draw()
+        self._used_up = integrate_wheels(
             ids,
             (qpos, rates, attitude),
             self._joints,
@@ -76,8 +78,12 @@ def integrate_wheels(
     dt: float,
     angles: FloatArray,
     pose: FloatArray,
-) -> None:
-    """Add the motion since the last update to `pose` (N, 3); `angles` (N, 2) of the wheels go on."""
+) -> bool:
+    """Add the motion since the last update to `pose` (N, 3); `angles` (N, 2) of the wheels go on.
+
+    Return whether the normal numbers of one robot are used up.
+    """
+    used_up = False
     qpos, rates, attitude = motion
     scale, normals, used = noise
     for n in range(len(ids)):
@@ -92,6 +98,8 @@ def integrate_wheels(
         at: Vector3 = (pose[i, 0], pose[i, 1], pose[i, 2])
         pose[i, 0], pose[i, 1], pose[i, 2] = integrated_pose(at, distance * math.cos(pitch), turn)
         angles[i, 0], angles[i, 1] = left, right
+        used_up |= used[i] == normals.shape[1]
+    return used_up
 
 
 @njit(cache=True, nogil=True)

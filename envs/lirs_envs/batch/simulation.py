@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 import mujoco
 import numpy as np
 
 from lirs_envs.actors.walkers import TOUCHABLE, WALKER_STREAM, Walkers
-from lirs_envs.batch.bodies import Bodies
-from lirs_envs.batch.control import DifferentialDrives, WheelActuators
-from lirs_envs.batch.imu import ImuReadings
 from lirs_envs.batch.lidars import Lidars
-from lirs_envs.batch.odometry import WheelJoints, WheelOdometries
-from lirs_envs.batch.per_robot import FlightControllers, Odometries
-from lirs_envs.batch.row_threads import RowThreads
+from lirs_envs.batch.robot_group import RobotGroup, make_groups
+from lirs_envs.batch.work_threads import Work, WorkThreads
 from lirs_envs.lidar.casters import make_caster
 from lirs_envs.lidar.lidar import BaseVelocity
 from lirs_envs.lidar.noise import LidarNoise, lidar_noise
@@ -33,17 +30,23 @@ from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.world import World
 
+PARTS = 4
+"""Parts that each thread's scans are divided into: they do not take equally long."""
+
 
 class BatchSimulation:
     """N robots of one kind, each alone in a world; row i of every array is robot i's.
 
-    What happens to a robot does not depend on the others, on their number or on the threads.
+    What happens to a robot does not depend on the others, on their number or on the threads. Each thread
+    drives a group of robots through the whole period, and then takes scans of any group that is due.
 
     Attributes:
         worlds: of each robot.
         config: robot and sensors.
         period: time of one `advance`, seconds.
-        bodies: physics.
+        count: number of robots, N.
+        body: the compiled model of all robots, but for what their own differ in.
+        groups: of robots, each of which one thread at a time advances.
         casters: what each robot's lidar sees.
         ranges: (N, beams) float32 of the last scans (see `LaserScan`).
         odometry: (N, 3) `T_odom_base`: x, y, yaw, metres and radians.
@@ -75,7 +78,7 @@ class BatchSimulation:
     ) -> None:
         self.config, self.period, self.threads = config, period, threads
         self.worlds = [world] * count
-        body = RobotModel(
+        self.body = RobotModel(
             world,
             config.robot,
             period,
@@ -87,45 +90,61 @@ class BatchSimulation:
             contact_sensors=True,
         )
         self._height_range = height_range
-        self.bodies = Bodies(
-            config.robot, body, count, threads, own_models=own_models or height_range is not None
+        self.groups = make_groups(
+            config,
+            self.body,
+            world,
+            count,
+            threads=threads,
+            own_models=own_models or height_range is not None,
         )
+        for group in self.groups if config.actors else ():
+            group.walkers = [self._make_walkers(world) for _ in group.rows]
+        self._places = [(group, k) for group in self.groups for k in range(len(group.rows))]
         self._ray_data: list[mujoco.MjData] = []
         if config.props or config.rays == "mujoco":
-            self._ray_data = [mujoco.MjData(model) for model in self.bodies.models]
-        self._walkers = [self._make_walkers(world) for _ in range(count if config.actors else 0)]
+            self._ray_data = [mujoco.MjData(self.model(i)) for i in range(count)]
         first = self._make_caster(0)
-        alone = self._ray_data or self._walkers
+        alone = self._ray_data or config.actors
         self.casters = [first, *((self._make_caster(i) if alone else first) for i in range(1, count))]
-        self._make_sensors(count)
-        self._threads = RowThreads(threads)
+        self._make_rows(count)
+        self._threads = WorkThreads(threads)
 
-    def _make_sensors(self, count: int) -> None:
-        config, body = self.config, self.bodies.body
-        robot, noise = config.robot, config.noise
-        self._surfaces = [world.surface for world in self.worlds]
-        self._bounds = np.array([surface.bounds for surface in self._surfaces])
-        self._imu = ImuReadings(noise.imu, count)
-        self._control: DifferentialDrives | FlightControllers
-        self._odometry: WheelOdometries | Odometries
-        if robot.flies:
-            self._control = FlightControllers(self.bodies, self._surfaces)
-        else:
-            self._control = DifferentialDrives(robot, WheelActuators(*map(_indices, body.actuators)), count)
-        if robot.flies or noise.odometry.method == "ekf":
-            self._odometry = Odometries(self.bodies, noise)
-        else:
-            joints = WheelJoints(_indices(body.left_angles), _indices(body.right_angles), robot.wheel_radius)
-            self._odometry = WheelOdometries(joints, noise.odometry, count)
+    def _make_rows(self, count: int) -> None:
+        config, noise = self.config, self.config.noise.lidar
+        self._bounds = np.array([world.surface.bounds for world in self.worlds])
         self.lidar_noise: list[LidarNoise] = [
-            noise.lidar if isinstance(noise.lidar, LidarNoise) else lidar_noise(config.preset, noise.lidar)
+            noise if isinstance(noise, LidarNoise) else lidar_noise(config.preset, noise)
         ] * count
         self._lidars = Lidars(config, count)
         self._stamps = np.zeros(count)
         self._ticks = np.zeros(count, np.int64)
-        self.touched: BoolArray = np.zeros(count, np.bool_)
         self.errors = [""] * count
         self.T_world_base: FloatArray = np.tile((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (count, 1))
+
+    @property
+    def count(self) -> int:
+        """Number of robots, N."""
+        return len(self.worlds)
+
+    def model(self, i: int) -> mujoco.MjModel:
+        """Return the model of robot `i`; an edit of one that is its own takes effect by `model_changed`."""
+        group, k = self._places[i]
+        return group.bodies.models[k]
+
+    def model_changed(self, i: int) -> None:
+        """Let the physics read the model of robot `i` again."""
+        self._places[i][0].bodies.models_changed()
+
+    def qpos(self, i: int) -> FloatArray:
+        """Return the positions (nq,) of robot `i`, live; the first seven are those of `T_world_base`."""
+        group, k = self._places[i]
+        return np.asarray(group.bodies.qpos[k])
+
+    def qvel(self, i: int) -> FloatArray:
+        """Return the velocities (nv,) of robot `i`, live."""
+        group, k = self._places[i]
+        return np.asarray(group.bodies.qvel[k])
 
     @property
     def _walker_bodies(self) -> int:
@@ -139,8 +158,9 @@ class BatchSimulation:
         return Walkers(world, config.actors, config.robot.radius, props, bodies=self._walker_bodies)
 
     def _make_caster(self, i: int) -> Caster:
-        data = self._ray_data[i] if self._ray_data else self.bodies.body.data
-        walkers = self._walkers[i] if self._walkers else None
+        data = self._ray_data[i] if self._ray_data else self.body.data
+        group, k = self._places[i]
+        walkers = group.walkers[k] if group.walkers else None
         return make_caster(self.worlds[i], self.config.rays, bool(self.config.props), data, walkers)
 
     def close(self) -> None:
@@ -155,12 +175,17 @@ class BatchSimulation:
     @property
     def odometry(self) -> FloatArray:
         """(N, 3) `T_odom_base`: x, y, yaw, metres and radians."""
-        return self._odometry.pose
+        return np.concatenate([group.odometry for group in self.groups])
 
     @property
     def attitude(self) -> FloatArray:
         """(N, 2) measured roll and pitch, radians."""
-        return self._imu.attitude
+        return np.concatenate([group.imu.attitude for group in self.groups])
+
+    @property
+    def touched(self) -> BoolArray:
+        """(N,) whether the robot's body (not a wheel) touched anything in the last `advance`."""
+        return np.concatenate([group.touched for group in self.groups])
 
     def replace_terrain(self, i: int, world: World) -> None:
         """Set robot `i` into another world, whose heights its ground takes; a reset comes next.
@@ -170,11 +195,12 @@ class BatchSimulation:
         """
         if self._height_range is None:
             raise ConfigError(f"the world {self.worlds[i].name!r} cannot be replaced: it has no height range")
-        write_heights(self.bodies.models[i], world.surface, self._height_range)
-        self.bodies.models_changed()
-        self.worlds[i], self._surfaces[i], self._bounds[i] = world, world.surface, world.surface.bounds
-        if self._walkers:
-            self._walkers[i] = self._make_walkers(world)
+        write_heights(self.model(i), world.surface, self._height_range)
+        self.model_changed(i)
+        group, k = self._places[i]
+        self.worlds[i], group.surfaces[k], self._bounds[i] = world, world.surface, world.surface.bounds
+        if group.walkers:
+            group.walkers[k] = self._make_walkers(world)
         self.casters[i] = self._make_caster(i)
 
     def reset(self, i: int, start: Pose2, seed: int) -> None:
@@ -183,17 +209,17 @@ class BatchSimulation:
         Raises:
             SimulationError: it cannot stand there.
         """
-        bodies, robot = self.bodies, self.config.robot
+        (group, k), robot = self._places[i], self.config.robot
         self.errors[i] = "a robot must be reset before it is advanced"
         T_world_base, touchable = standing_pose(self.worlds[i], robot, start), None
-        if self._walkers:
-            self._walkers[i].reset(start, np.random.default_rng((seed, WALKER_STREAM)))
-            touchable = self._walkers[i].touchable
-        bodies.settle(i, T_world_base, touchable)
-        divergence = bodies.divergence(i)
+        if group.walkers:
+            group.walkers[k].reset(start, np.random.default_rng((seed, WALKER_STREAM)))
+            touchable = group.walkers[k].touchable
+        group.bodies.settle(k, T_world_base, touchable)
+        divergence = group.bodies.divergence(k)
         if divergence:
             raise SimulationError(divergence)
-        bodies.read_poses(np.array((i,)), self.T_world_base)
+        self._read_poses(group, np.array((k,)))
         there = self.pose(i)
         if math.hypot(there.x - start.x, there.y - start.y) > MAX_SETTLING_DISTANCE or is_tipped(there):
             raise SimulationError(
@@ -203,18 +229,14 @@ class BatchSimulation:
         self._begin(i, seed)
 
     def _begin(self, i: int, seed: int) -> None:
-        bodies, row = self.bodies, np.array((i,))
+        group, k = self._places[i]
         lidar, odometry, imu = (
             np.random.default_rng((seed, stream)) for stream in (LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM)
         )
         self._lidars.begin(i, self.casters[i], self.lidar_noise[i], lidar)
-        self._imu.begin(i, bodies.qpos, bodies.qvel, imu)
-        self._odometry.begin(i, bodies.qpos, odometry)
-        self._control.begin(i)
-        self._imu.read(row, bodies.qpos, bodies.specific_force(), self.period)
-        self._ticks[i], self._stamps[i] = 0, 0.0
-        self.errors[i], self.touched[i] = "", False
-        self._scan(row)
+        group.begin(k, odometry, imu, self.period)
+        self._ticks[i], self._stamps[i], self.errors[i] = 0, 0.0, ""
+        self._scan(np.array((i,)))
 
     def advance(
         self, ids: IntArray, commands: FloatArray, after_scan: Callable[[IntArray], None] | None = None
@@ -228,35 +250,37 @@ class BatchSimulation:
             after_scan: called with rows of robots that have a new scan, perhaps from several threads at a
                 time.
         """
-        bodies, imu = self.bodies, self._imu
-        touched, odometry = np.zeros(bodies.count, np.bool_), self.odometry.copy()
-        some = ids.astype(np.int32) if len(ids) < bodies.count else None
-        failed: dict[int, str] = {}
-        for steps in bodies.body.substeps:
-            dt = steps * bodies.body.timestep
-            self._control.update(ids, commands, imu.rates, dt, bodies.ctrl)
-            self._walk(ids, dt)
-            failed |= bodies.step(some, steps)
-            bodies.add_touching(touched)
-            imu.read_rates(ids, bodies.qvel)
-            self._odometry.integrate(ids, bodies.qpos, imu.rates, imu.attitude, dt)
-        for i in {*failed, *ids[bodies.diverged()[ids]].tolist()}:
-            self.errors[i] = failed.get(i, "") or bodies.divergence(i)
-            self.odometry[i] = odometry[i]
-        going = np.array([i for i in ids.tolist() if not self.errors[i]], np.int64)
-        bodies.read_poses(going, self.T_world_base)
-        imu.read(going, bodies.qpos, bodies.specific_force(), self.period)
-        self._odometry.read(going)
-        self.touched[ids] = touched[ids]
-        self._ticks[going] += 1
-        self._scan_all(going[self._scan_is_due(going)], after_scan)
+        share = -(-len(ids) // (PARTS * self.threads if self.threads > 1 else 1))
 
-    def _walk(self, ids: IntArray, dt: float) -> None:
-        """Let the walkers walk, before the robots' next step."""
-        for i in ids.tolist() if self._walkers else ():
-            x, y = self.bodies.qpos[i, :2].tolist()
-            self._walkers[i].advance(dt, x, y)
-            self.bodies.mocap_pos[i] = self._walkers[i].touchable
+        def scan(rows: IntArray) -> tuple[()]:
+            self._scan(rows)
+            if after_scan is not None:
+                after_scan(rows)
+            return ()
+
+        def drive(group: RobotGroup) -> list[Work]:
+            due = self._drive(group, ids, commands)
+            return [partial(scan, due[k : k + share]) for k in range(0, len(due), share)]
+
+        self._threads.run([partial(drive, group) for group in self.groups])
+
+    def _drive(self, group: RobotGroup, ids: IntArray, commands: FloatArray) -> IntArray:
+        """Drive the robots of a group that are among `ids`; return the rows of those whose scan is due."""
+        rows = group.rows
+        local = ids[(ids >= rows.start) & (ids < rows.stop)] - rows.start
+        if not len(local):
+            return local
+        for k, error in group.advance(local, commands[rows.start : rows.stop]).items():
+            self.errors[rows.start + k] = error
+        going = np.array([k for k in local.tolist() if not self.errors[rows.start + k]], np.int64)
+        self._read_poses(group, going)
+        group.read(going, self.period)
+        going += rows.start
+        self._ticks[going] += 1
+        return going[self._scan_is_due(going)]
+
+    def _read_poses(self, group: RobotGroup, ids: IntArray) -> None:
+        group.bodies.read_poses(ids, self.T_world_base[group.rows.start : group.rows.stop])
 
     def _scan_is_due(self, rows: IntArray) -> BoolArray:
         """Whether lidars, at their own rate, have begun another scan in the last period."""
@@ -264,24 +288,18 @@ class BatchSimulation:
         due: BoolArray = np.floor(ticks * scans + 1e-9) > np.floor((ticks - 1) * scans + 1e-9)
         return due
 
-    def _scan_all(self, due: IntArray, after_scan: Callable[[IntArray], None] | None) -> None:
-        def work(rows: IntArray) -> None:
-            self._scan(rows)
-            if after_scan is not None:
-                after_scan(rows)
-
-        self._threads.run(work, due)
-
     def _scan(self, rows: IntArray) -> None:
         for i in rows.tolist() if self._ray_data else ():
             data = self._ray_data[i]
-            data.qpos[:], data.mocap_pos[:] = self.bodies.qpos[i], self.bodies.mocap_pos[i]
+            group, k = self._places[i]
+            data.qpos[:], data.mocap_pos[:] = group.bodies.qpos[k], group.bodies.mocap_pos[k]
         self._lidars.scan(rows, self.T_world_base, self._velocity)
         self._stamps[rows] = self._ticks[rows] * self.period
 
     def _velocity(self, i: int) -> BaseVelocity:
-        x, y, z = (self.bodies.qvel[i, :3] @ self.pose(i).rotation).tolist()
-        roll, pitch, yaw = self.bodies.qvel[i, 3:6].tolist()
+        qvel = self.qvel(i)
+        x, y, z = (qvel[:3] @ self.pose(i).rotation).tolist()
+        roll, pitch, yaw = qvel[3:6].tolist()
         return BaseVelocity((x, y, z), (roll, pitch, yaw))
 
     def pose(self, i: int) -> Pose3:
@@ -294,17 +312,17 @@ class BatchSimulation:
 
     def walkers(self, i: int) -> FloatArray:
         """Return (n, 3) middles of the walkers around robot `i`, metres."""
-        return self._walkers[i].centers.copy() if self._walkers else np.zeros((0, 3))
+        group, k = self._places[i]
+        return group.walkers[k].centers.copy() if group.walkers else np.zeros((0, 3))
 
     def surface(self, i: int) -> HeightField:
         """Return the ground of robot `i`."""
-        return self._surfaces[i]
+        return self.worlds[i].surface
 
     def tipped(self) -> BoolArray:
         """(N,) whether each robot tilts by more than 60 deg or lies on its back."""
         x, y = self.T_world_base[:, 4], self.T_world_base[:, 5]
-        tipped: BoolArray = np.less(1 - 2 * (x * x + y * y), TIPPED)
-        return tipped
+        return np.asarray(1 - 2 * (x * x + y * y) < TIPPED)
 
     def off_world(self) -> BoolArray:
         """(N,) whether base_link of each robot is beyond its world's border."""
@@ -314,7 +332,7 @@ class BatchSimulation:
 
     def reading(self, i: int) -> Observation:
         """Return what the sensors of robot `i` read last, as a mapper takes it."""
-        preset = self.config.preset
+        preset, (group, k) = self.config.preset, self._places[i]
         scan = LaserScan(
             self.ranges[i].copy(),
             preset.angle_min,
@@ -325,12 +343,8 @@ class BatchSimulation:
             self.config.robot.T_base_laser,
             self._lidars.time_increment,
         )
-        roll, pitch = self.attitude[i].tolist()
-        rates, force = tuple(self._imu.rates[i].tolist()), tuple(self._imu.force[i].tolist())
+        roll, pitch = group.imu.attitude[k].tolist()
+        rates, force = tuple(group.imu.rates[k].tolist()), tuple(group.imu.force[k].tolist())
         return Observation(
-            scan, Pose2(*self.odometry[i].tolist()), Imu(roll, pitch, rates, force, self.time(i))
+            scan, Pose2(*group.odometry[k].tolist()), Imu(roll, pitch, rates, force, self.time(i))
         )
-
-
-def _indices(values: list[int]) -> IntArray:
-    return np.array(values, np.int64)

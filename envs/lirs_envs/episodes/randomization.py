@@ -17,7 +17,7 @@ class Randomization:
 
     def __init__(self, simulation: BatchSimulation, factors: Factors) -> None:
         self._simulation, self._factors = simulation, factors
-        model = simulation.bodies.body.model
+        model = simulation.body.model
         base = model.body("base_link").id
         self._bodies = np.flatnonzero(model.body_rootid == base)
         self._geoms = np.flatnonzero(np.isin(model.geom_bodyid, self._bodies))
@@ -45,11 +45,10 @@ class Randomization:
             )
         if not self.needs_own_models(self._factors):
             return
-        bodies, nominal = self._simulation.bodies, self._nominal
-        model = bodies.models[i]
+        model, nominal = self._simulation.model(i), self._nominal
         model.geom_friction[self._geoms] = drawn.get("friction", 1.0) * nominal["geom_friction"]
         mass = drawn.get("mass", 1.0)
         model.body_mass[self._bodies] = mass * nominal["body_mass"]
         model.body_inertia[self._bodies] = mass * nominal["body_inertia"]
         mujoco.mj_setConst(model, mujoco.MjData(model))
-        bodies.models_changed()
+        self._simulation.model_changed(i)

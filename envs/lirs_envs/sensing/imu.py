@@ -99,8 +99,6 @@ class ImuSensors:
 
     def draw_rate_errors(self) -> None:
         """Draw a block of errors where one is used up; one by one they would cost more than the reading."""
-        if self.rates_left.all():
-            return
         for i in np.flatnonzero(self.rates_left == 0).tolist():
             noise = self._rngs[i].standard_normal((RATE_BLOCK, 3))
             self.rate_errors[i] = self.rate_bias[i] + self.config.rate_sigma * noise

@@ -102,8 +102,6 @@ class DistanceNoises:
 
     def draw(self) -> None:
         """Draw a block of numbers where one is used up."""
-        if self.used.max() < BLOCK:
-            return
         for i in np.flatnonzero(self.used == BLOCK).tolist():
             self._rngs[i].standard_normal(out=self.normals[i])
             self.used[i] = 0

@@ -47,7 +47,7 @@ class Stage:
     @property
     def count(self) -> int:
         """Number of robots, N."""
-        return self.simulation.bodies.count
+        return self.simulation.count
 
     def pose(self, i: int) -> Pose3:
         """Return the last valid `T_world_base` of robot `i`."""

@@ -1,0 +1,129 @@
+"""Some robots of a batch, which one thread at a time advances: physics, control, gyro and odometry."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lirs_envs.actors.walkers import Walkers
+from lirs_envs.batch.bodies import Bodies
+from lirs_envs.batch.control import DifferentialDrives, WheelActuators
+from lirs_envs.batch.imu import ImuReadings
+from lirs_envs.batch.odometry import WheelJoints, WheelOdometries
+from lirs_envs.batch.per_robot import FlightControllers, Odometries
+from lirs_envs.robot_model import RobotModel
+from lirs_envs.simulation_config import SimulationConfig
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.world import World
+
+LEAST = 4
+"""Robots of a group, where there are as many: what is called for a group costs as much as half a robot's
+step."""
+
+
+class RobotGroup:
+    """Robots `rows` of a batch; row k of every array is that of its k-th robot.
+
+    Attributes:
+        rows: of the batch.
+        bodies: physics.
+        imu: inertial readings.
+        surfaces: ground of each robot; to be replaced.
+        walkers: around each robot; empty = there are none. To be replaced.
+        touched: (n,) whether the robot's body (not a wheel) touched anything in the last `advance`.
+
+    Args:
+        config: robot and sensors.
+        rows: of the batch.
+        bodies: physics of as many robots.
+        surface: ground of all of them.
+    """
+
+    def __init__(self, config: SimulationConfig, rows: range, bodies: Bodies, surface: HeightField) -> None:
+        robot, noise, body, count = config.robot, config.noise, bodies.body, len(rows)
+        self.rows, self.bodies = rows, bodies
+        self.surfaces, self.walkers = [surface] * count, list[Walkers]()
+        self.touched: BoolArray = np.zeros(count, np.bool_)
+        self.imu = ImuReadings(noise.imu, count)
+        self._control: DifferentialDrives | FlightControllers
+        self._odometry: WheelOdometries | Odometries
+        if robot.flies:
+            self._control = FlightControllers(bodies, self.surfaces)
+        else:
+            self._control = DifferentialDrives(robot, WheelActuators(*map(_indices, body.actuators)), count)
+        if robot.flies or noise.odometry.method == "ekf":
+            self._odometry = Odometries(bodies, noise)
+        else:
+            joints = WheelJoints(_indices(body.left_angles), _indices(body.right_angles), robot.wheel_radius)
+            self._odometry = WheelOdometries(joints, noise.odometry, count)
+
+    @property
+    def odometry(self) -> FloatArray:
+        """(n, 3) `T_odom_base`: x, y, yaw, metres and radians."""
+        return self._odometry.pose
+
+    def begin(self, k: int, odometry: np.random.Generator, imu: np.random.Generator, dt: float) -> None:
+        """Begin anew with robot `k`, which stands where it is; its readings come every `dt` seconds."""
+        bodies = self.bodies
+        self.imu.begin(k, bodies.qpos, bodies.qvel, imu)
+        self._odometry.begin(k, bodies.qpos, odometry)
+        self._control.begin(k)
+        self.imu.read(np.array((k,)), bodies.qpos, bodies.specific_force(), dt)
+        self.touched[k] = False
+
+    def advance(self, ids: IntArray, commands: FloatArray) -> dict[int, str]:
+        """Drive robots for one period; return why some of them cannot go on, whose odometry then stays.
+
+        Args:
+            ids: robots of the group, sorted.
+            commands: (n, 3) speeds ahead, m/s, turn rates, rad/s, climbs, m/s.
+        """
+        bodies, imu = self.bodies, self.imu
+        touched, odometry = np.zeros(bodies.count, np.bool_), self.odometry.copy()
+        some = ids.astype(np.int32) if len(ids) < bodies.count else None
+        failed: dict[int, str] = {}
+        for steps in bodies.body.substeps:
+            dt = steps * bodies.body.timestep
+            self._control.update(ids, commands, imu.rates, dt, bodies.ctrl)
+            self._walk(ids, dt)
+            failed |= bodies.step(some, steps)
+            bodies.add_touching(touched)
+            imu.read_rates(ids, bodies.qvel)
+            self._odometry.integrate(ids, bodies.qpos, imu.rates, imu.attitude, dt)
+        self.touched[ids] = touched[ids]
+        stopped = {*failed, *ids[bodies.diverged()[ids]].tolist()}
+        for k in stopped:
+            self.odometry[k] = odometry[k]
+        return {k: failed.get(k, "") or bodies.divergence(k) for k in stopped}
+
+    def read(self, ids: IntArray, dt: float) -> None:
+        """Read attitude, specific force and odometry, `dt` seconds after the last reading."""
+        self.imu.read(ids, self.bodies.qpos, self.bodies.specific_force(), dt)
+        self._odometry.read(ids)
+
+    def _walk(self, ids: IntArray, dt: float) -> None:
+        """Let the walkers walk, before the robots' next step."""
+        for k in ids.tolist() if self.walkers else ():
+            x, y = self.bodies.qpos[k, :2].tolist()
+            self.walkers[k].advance(dt, x, y)
+            self.bodies.mocap_pos[k] = self.walkers[k].touchable
+
+
+def make_groups(
+    config: SimulationConfig, body: RobotModel, world: World, count: int, *, threads: int, own_models: bool
+) -> list[RobotGroup]:
+    """Return `count` robots in as many groups as there are threads, but of at least `LEAST` robots each.
+
+    Threads that get no group of their own are the physics' of the groups.
+    """
+    number = max(1, min(threads, count // LEAST))
+    groups = []
+    for k in range(number):
+        rows = range(k * count // number, (k + 1) * count // number)
+        bodies = Bodies(config.robot, body, len(rows), -(-threads // number), own_models=own_models)
+        groups.append(RobotGroup(config, rows, bodies, world.surface))
+    return groups
+
+
+def _indices(values: list[int]) -> IntArray:
+    return np.array(values, np.int64)

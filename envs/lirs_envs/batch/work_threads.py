@@ -1,0 +1,74 @@
+"""Threads that share work."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from queue import SimpleQueue
+from threading import Lock
+from typing import Any
+
+Work = Callable[[], Sequence[Any]]
+"""A piece of work; it returns the pieces that can be done after it."""
+
+
+class WorkThreads:
+    """Does work on `count` threads, the calling one among them."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._pool = ThreadPoolExecutor(count - 1) if count > 1 else None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"count": self.count}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(**state)  # type: ignore[misc]
+
+    def close(self) -> None:
+        """End the threads; whatever comes after runs in one."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def run(self, pieces: Sequence[Work]) -> None:
+        """Do pieces of work, and those that they return, perhaps several at a time, until all are done."""
+        if not pieces:
+            return
+        job = _Job(pieces, 1 if self._pool is None else self.count)
+        helpers = [] if self._pool is None else [self._pool.submit(job.work) for _ in range(self.count - 1)]
+        try:
+            job.work()
+        finally:
+            for helper in helpers:
+                helper.result()
+
+
+class _Job:
+    """Pieces of work that `count` threads take, each the next one that nobody has taken."""
+
+    def __init__(self, pieces: Sequence[Work], count: int) -> None:
+        self._count, self._open, self._lock = count, len(pieces), Lock()
+        self._waiting: SimpleQueue[Work | None] = SimpleQueue()
+        for piece in pieces:
+            self._waiting.put(piece)
+
+    def work(self) -> None:
+        """Do pieces until all are done, or one has raised."""
+        while (piece := self._waiting.get()) is not None:
+            try:
+                more = piece()
+            except BaseException:
+                self._end()
+                raise
+            with self._lock:  # Counted before another thread can take one of them, and be done with it.
+                self._open += len(more) - 1
+                over = not self._open
+            for later in more:
+                self._waiting.put(later)
+            if over:
+                self._end()
+
+    def _end(self) -> None:
+        for _ in range(self._count):
+            self._waiting.put(None)
