@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.field_validators import require_above, require_at_least, require_within
+from lirs_wct.formats.rosbag.library import STORAGES, Storage
 from lirs_wct.option import option
 from lirs_wct.sources.options import MAP_PANEL, BuildOptions
 from lirs_wct.sources.source_kind import SourceKind
@@ -24,6 +25,8 @@ DRIVERS = {TOUR: "", "frontier": "", "waypoints": "FILE", "replay": "RUN"}
 """Who drives, and what each needs: a file of waypoints, the folder of a finished run."""
 LATER: dict[str, Any] = {"attitude": "imu", "driver": TOUR, "actors": 0}
 """Options of a run that came later: with these values they are in no digest, and folders keep their names."""
+OUTSIDE_DIGEST = ("wall_limit", "bag", "sensors_only")
+"""Options of a run that say nothing of what is tried: how long one waits, and what is recorded."""
 LATER_OF_MAPS: dict[str, Any] = {"attitude": "imu", "scan_topic": None, "odom_topic": None, "imu_topic": None}
 """The same of a log that is mapped."""
 RECORDED_RAYS = {"builtin": "ours", "mujoco": "mujoco"}
@@ -81,11 +84,13 @@ class RunConfig:
         attitude: what the mapper is told of roll and pitch: `imu`, or `none` (no inertial reading).
         driver: who drives: `tour`, `frontier`, `waypoints:FILE` or `replay:RUN` (docs/sweeps.md).
         actors: number of walkers in the world.
+        bag: how the drive is recorded as a ROS 2 bag: `mcap` or `sqlite3`; None = it is not.
+        sensors_only: whether the bag leaves out what the mapper makes: map -> odom and /map.
         build: how the source becomes a world.
 
     Raises:
         ConfigError: seconds or the wall limit is not above 0, seed or actors is negative, or there is no such
-            terrain, rays, attitude or driver.
+            terrain, rays, attitude, driver or storage.
     """
 
     source: str
@@ -100,6 +105,8 @@ class RunConfig:
     attitude: Attitude = "imu"
     driver: str = TOUR
     actors: int = 0
+    bag: Storage | None = None
+    sensors_only: bool = False
     build: BuildOptions = field(default_factory=SourceOptions)
 
     def __post_init__(self) -> None:
@@ -117,16 +124,19 @@ class RunConfig:
         if self.attitude not in ATTITUDES:
             raise unknown_name("attitude", self.attitude, ATTITUDES)
         driver_parts(self.driver)
+        if self.bag is not None and self.bag not in STORAGES:
+            raise unknown_name("storage of a bag", self.bag, STORAGES)
         object.__setattr__(self, "rays", RECORDED_RAYS[resolve_rays(self.rays)])
 
     @property
     def digest(self) -> str:
         """Eight hex digits that distinguish this experiment from others.
 
-        The wall limit is left out: it says how long one waits, not what is tried.
+        What says nothing of what is tried is left out (`OUTSIDE_DIGEST`).
         """
         entry = asdict(self) | {"seconds": float(self.seconds)}
-        del entry["wall_limit"]
+        for name in OUTSIDE_DIGEST:
+            del entry[name]
         entry = _without(LATER, entry)
         text = json.dumps(entry, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:8]

@@ -22,12 +22,12 @@ from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.imu_csv import HEADER as IMU_HEADER
 from lirs_wct.formats.imu_csv import read_imu
 from lirs_wct.formats.map_server import read_map
-from lirs_wct.formats.rosbag.library import require_rosbags
+from lirs_wct.formats.rosbag.library import Storage, require_rosbags
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.geometry.pose import Pose2, Pose3
 
 if TYPE_CHECKING:
-    from lirs_wct.formats.rosbag.writer import Drive, Storage
+    from lirs_wct.formats.rosbag.writer import Drive
 
 FORMATS = ("bag", "csv", "npz", "carmen")
 """What a run can be exported to."""
@@ -71,7 +71,7 @@ def recorded_drive(run: RunFolder, *, slam: bool = True) -> Drive:
     Raises:
         SourceError: scans, poses or inertial readings are missing, damaged, or not of one drive.
     """
-    from lirs_wct.formats.rosbag.writer import Drive
+    from lirs_wct.formats.rosbag.writer import Drive, Tick
 
     truth, log = recorded_truth(run.folder), read_carmen(run.folder / "scans.clf.gz")
     imu, estimate = read_imu(run.folder / "imu.csv.gz"), read_tum(run.folder / "estimate.tum")
@@ -84,14 +84,18 @@ def recorded_drive(run: RunFolder, *, slam: bool = True) -> Drive:
     robot = make_robot((config := recorded_config(run.entry)).robot)
     range_min = make_lidar_preset(config.lidar or robot.lidar).range_min
     in_map, estimate = truth.moved(T_map_world), estimate.moved(T_map_world)
-    return Drive(
-        scans=[replace(s, T_base_laser=robot.T_base_laser, range_min=range_min) for s in log.scans],
-        odometry=[pose or Pose2() for pose in log.odometry],
-        imu=[replace(reading, stamp=s.stamp) for reading, s in zip(imu, log.scans, strict=True)],
-        truth=[Pose3.from_arrays(p, q) for p, q in zip(in_map.positions, in_map.quaternions, strict=True)],
-        estimates=[Pose2(*row) for row in estimate.planar_at(log.stamps).tolist()] if slam else (),
-        grid=read_map(run.folder / "map.yaml").moved(T_map_world) if slam else None,
-    )
+    estimates = [Pose2(*row) for row in estimate.planar_at(log.stamps).tolist()]
+    ticks = [
+        Tick(
+            scan=replace(scan, T_base_laser=robot.T_base_laser, range_min=range_min),
+            odometry=log.odometry[k] or Pose2(),
+            imu=imu[k],
+            truth=Pose3.from_arrays(in_map.positions[k], in_map.quaternions[k]),
+            estimate=estimates[k] if slam else None,
+        )
+        for k, scan in enumerate(log.scans)
+    ]
+    return Drive(ticks=ticks, grid=read_map(run.folder / "map.yaml").moved(T_map_world) if slam else None)
 
 
 def _export_bag(run: RunFolder, out: Path, *, storage: Storage, slam: bool) -> Path:

@@ -22,9 +22,9 @@ from lirs_validation.cli.gui import gui
 from lirs_validation.cli.map import map_log
 from lirs_validation.cli.reports import compare, report, score
 from lirs_validation.cli.robot_card import robot
-from lirs_validation.cli.validate import validate
+from lirs_validation.cli.validate import record, validate
 from lirs_validation.cli.worlds import build, convert, info, view
-from lirs_validation.experiment.import_path import importable
+from lirs_validation.experiment.own_code import importable
 from lirs_validation.interrupts import is_interrupt
 from lirs_wct.errors import MapperError, WctError
 
@@ -37,22 +37,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, evaluate.",
 )
-for command in (
-    build,
-    validate,
-    report,
-    compare,
-    score,
-    export,
-    bench,
-    collide,
-    view,
-    info,
-    convert,
-    robot,
-    gui,
-):
+for command in (build, report, compare, score, export, bench, collide, view, info, convert, robot, gui):
     app.command()(command)
+app.command("validate")(validate)
+app.command("record")(record)
 app.command("map")(map_log)
 
 

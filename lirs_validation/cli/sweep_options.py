@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -11,6 +12,7 @@ from lirs_validation.cli.arguments import read_drivers, read_names, read_seeds
 from lirs_validation.cli.typer_options import mujoco_terrain
 from lirs_validation.config import ATTITUDES, TOUR, SourceOptions
 from lirs_wct.errors import ConfigError
+from lirs_wct.formats.rosbag.library import STORAGES
 from lirs_wct.sources.option_text import chosen
 
 if TYPE_CHECKING:
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
 
 DEFAULT_SECONDS = 120.0
 AXES, ENGINE = "Axes of a sweep: every combination is run", "How a sweep is run"
+BAGS = "ROS 2 bags (no ROS needed)"
 
 Robots = Annotated[
     str | None,
@@ -137,6 +140,30 @@ CellMemory = Annotated[
     float | None,
     typer.Option(metavar="GB", help="End a run that takes more memory.", rich_help_panel=ENGINE),
 ]
+Bag = Annotated[
+    bool,
+    typer.Option(
+        "--bag", help="Record each run as a ROS 2 bag, which its folder then is, too.", rich_help_panel=BAGS
+    ),
+]
+StorageName = Annotated[
+    str | None,
+    typer.Option(
+        "--storage",
+        metavar="mcap|sqlite3",
+        show_default="mcap",
+        help="How bags store their messages.",
+        rich_help_panel=BAGS,
+    ),
+]
+SensorsOnly = Annotated[
+    bool,
+    typer.Option(
+        "--sensors-only",
+        help="Bags without map -> odom and /map: the SLAM that they feed gives them.",
+        rich_help_panel=BAGS,
+    ),
+]
 RetryFailed = Annotated[
     bool, typer.Option("--retry-failed", help="Run again what failed before.", rich_help_panel=ENGINE)
 ]
@@ -173,6 +200,31 @@ def read_experiments(
     if not sources:
         raise ConfigError("nothing to validate: name a source (simple, a picture, a map, ...) or a --suite")
     return _axes_experiments(sources, axes, seeds, seconds, wall_limit, build)
+
+
+def recorded(
+    experiments: Sequence[Experiment], *, bag: bool, storage: str | None, sensors_only: bool
+) -> tuple[Experiment, ...]:
+    """Return the experiments with their runs recorded as bags, where that is asked for.
+
+    Raises:
+        ConfigError: there is no such storage, or something is said of bags, and none asked for.
+    """
+    from lirs_validation.sweep.slam_experiment import SlamExperiment
+
+    if not bag:
+        if storage is not None or sensors_only:
+            raise ConfigError(
+                f"{'--storage' if storage else '--sensors-only'} is an option of bags: give --bag"
+            )
+        return tuple(experiments)
+    stored = chosen(storage or STORAGES[0], "--storage", STORAGES)
+    return tuple(
+        replace(each, config=replace(each.config, bag=stored, sensors_only=sensors_only))
+        if isinstance(each, SlamExperiment)
+        else each
+        for each in experiments
+    )
 
 
 def read_seed_options(seed: int | None, seeds: str | None) -> tuple[int, ...] | None:

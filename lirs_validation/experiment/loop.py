@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +21,9 @@ from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.progress import Progress, no_progress
 from slam_baselines.mapper import Mapper
+
+Recorder = Callable[[Observation, Pose3, Pose2], None]
+"""Is shown what was sensed, the true pose `T_world_base` and the mapper's answer `T_map_base`."""
 
 
 @dataclass
@@ -98,14 +102,24 @@ def drive(
     progress: Progress = no_progress,
     *,
     wall_limit: float | None = None,
+    recorder: Recorder | None = None,
 ) -> DriveLog:
     """Drive for a time, or until something fails or the wall limit is over; the log says which.
+
+    Args:
+        simulation: that is driven.
+        driver: who drives.
+        mapper: that is fed.
+        seconds: simulated time.
+        progress: of the drive.
+        wall_limit: wall seconds after which the drive is stopped; None = never.
+        recorder: is shown every scan once it is mapped; its time counts.
 
     Raises:
         MapperError: the mapper failed (see `GuardedMapper`).
     """
     log = DriveLog(start=driver.start)
-    _map(log, simulation.reset(driver.start), simulation, mapper, time.perf_counter())
+    _map(log, simulation.reset(driver.start), simulation, mapper, time.perf_counter(), recorder)
     # The first scan comes before anything moves: no simulated time passes, so none is counted.
     log.walls.clear()
     log.mapper_seconds.clear()
@@ -122,7 +136,7 @@ def drive(
             observation = simulation.advance(command)
         except SimulationError as error:
             return log.end("diverged", str(error))
-        _map(log, observation, simulation, mapper, begun)
+        _map(log, observation, simulation, mapper, begun, recorder)
         tracking.observe(observation.scan.stamp, mapper.lost)
         failure = _failure(simulation, driver, tracking)
         if failure is not None:
@@ -142,7 +156,12 @@ def drive(
 
 
 def _map(
-    log: DriveLog, observation: Observation, simulation: Simulation, mapper: Mapper, begun: float
+    log: DriveLog,
+    observation: Observation,
+    simulation: Simulation,
+    mapper: Mapper,
+    begun: float,
+    recorder: Recorder | None,
 ) -> None:
     """Feed the mapper, and nothing but sensors; then note what happened and how long it took."""
     handed = time.perf_counter()
@@ -155,6 +174,8 @@ def _map(
     log.truth.append(simulation.T_world_base)
     log.estimates.append(estimate)
     log.mapper_seconds.append(done - handed)
+    if recorder is not None:
+        recorder(observation, log.truth[-1], estimate)
     log.walls.append(time.perf_counter() - begun)
 
 

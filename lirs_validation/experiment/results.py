@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,8 +24,18 @@ from lirs_wct.formats.tum import write_tum
 from lirs_wct.world import World
 
 
-def write_results(folder: Path, record: RunRecord, log: DriveLog, maps: Maps, world: World) -> RunRecord:
+def write_results(
+    folder: Path, record: RunRecord, log: DriveLog, maps: Maps, world: World, bag: Sequence[Path] = ()
+) -> RunRecord:
     """Write a run's folder, whole or not at all, in place of an older one; return the record as written.
+
+    Args:
+        folder: of the run.
+        record: without the sizes of files.
+        log: of the drive.
+        maps: of the run.
+        world: where it took place.
+        bag: files of its recording, which are moved into the folder.
 
     Raises:
         OutputError: the folder cannot be written.
@@ -43,6 +55,8 @@ def write_results(folder: Path, record: RunRecord, log: DriveLog, maps: Maps, wo
         (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *lines]) + "\n", encoding="utf-8")
         overview = overview_figure(world, record, truth, estimate, maps.true_pose, maps.built, maps.aligned)
         overview.savefig(temporary / "overview.png")
+        for file in bag:
+            shutil.move(file, temporary / file.name)
         record = replace(record, file_sizes=file_sizes(temporary))
         record.save(temporary)
     return record

@@ -16,16 +16,18 @@ from lirs_validation.experiment.attitude import with_attitude
 from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.cpu_contention import cpu_contention
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
-from lirs_validation.experiment.loop import DriveLog, drive
+from lirs_validation.experiment.loop import DriveLog, Recorder, drive
 from lirs_validation.experiment.mapper_guard import GuardedMapper
 from lirs_validation.experiment.mapper_loading import mapper_named
+from lirs_validation.experiment.recording import recording
 from lirs_validation.experiment.results import write_results
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.experiment.warm_up import warm_up
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.drawing.style import Drawing
-from lirs_wct.errors import SimulationError
+from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.formats.rosbag.library import Storage, require_rosbags
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.world import World
@@ -71,6 +73,8 @@ def validate(
     attitude: Attitude = "imu",
     driver: str = TOUR,
     actors: int = 0,
+    bag: Storage | None = None,
+    sensors_only: bool = False,
     options: BuildOptions | None = None,
     out: str | Path | None = None,
     progress: Progress = no_progress,
@@ -91,6 +95,8 @@ def validate(
             any mapper.
         driver: who drives: `tour`, `frontier`, `waypoints:FILE` or `replay:RUN` (docs/sweeps.md).
         actors: number of walkers on seeded paths, whom the lidar sees and the robot touches.
+        bag: storage of a ROS 2 bag, `mcap` or `sqlite3`, that the run's folder then is too; None = no bag.
+        sensors_only: whether the bag leaves out what the mapper makes: map -> odom and /map.
         options: how the source becomes a world.
         out: folder that receives the run's folder; None = nothing is written.
         progress: of the run.
@@ -111,6 +117,8 @@ def validate(
         attitude=attitude,
         driver=driver,
         actors=actors,
+        bag=bag,
+        sensors_only=sensors_only,
         build=options or BuildOptions(),
     )
     return run(config, out=None if out is None else Path(out), progress=progress)
@@ -123,6 +131,7 @@ def run(
     progress: Progress = no_progress,
     scenarios: ScenarioCache | None = None,
     concurrent: bool = False,
+    name: str | None = None,
 ) -> Run:
     """Run a config (see `validate`).
 
@@ -132,7 +141,15 @@ def run(
         progress: of the run.
         scenarios: worlds that were built before.
         concurrent: whether other runs share the processor; found out beside that.
+        name: of the run's folder; None = the record's.
+
+    Raises:
+        WctError: see `validate`; a bag is to be recorded, and nothing written.
     """
+    if config.bag is not None:
+        require_rosbags(config.source)
+        if out is None:
+            raise ConfigError(f"{config.source}: a bag needs a folder to be written to: give out")
     robot = make_robot(config.robot)
     mapper = GuardedMapper(
         with_attitude(mapper_named(config.mapper, config.seed), config.attitude), config.mapper
@@ -145,20 +162,27 @@ def run(
         progress("compile", 0.0)
         warm_up(scenario, robot)
     simulation = scenario.simulation(robot)
-    log, cost = _timed_drive(simulation, driver, mapper, config, progress)
-    log.concurrent = log.concurrent or concurrent
-    progress("evaluate", 1.0)
-    maps = evaluate_maps(scenario.world, log, mapper)
-    cost |= {"compile_seconds": compile_seconds()}
-    record = evaluate(scenario, simulation, mapper, log, maps, cost)
-    folder = None if out is None else out / record.name
-    if folder is not None:
-        record = write_results(folder, record, log, maps, scenario.world)
+    with recording(config, out, simulation.period) as recorded:
+        log, cost = _timed_drive(simulation, driver, mapper, config, progress, recorded.add)
+        log.concurrent = log.concurrent or concurrent
+        progress("evaluate", 1.0)
+        maps = evaluate_maps(scenario.world, log, mapper)
+        cost |= {"compile_seconds": compile_seconds()}
+        record = evaluate(scenario, simulation, mapper, log, maps, cost)
+        folder = None if out is None else out / (name or record.name)
+        if folder is not None:
+            bag = recorded.finished(maps.built.moved(log.truth[0].to_pose2().inverse()))
+            record = write_results(folder, record, log, maps, scenario.world, bag)
     return Run(record, log, maps, scenario.world, folder)
 
 
 def _timed_drive(
-    simulation: Simulation, driver: Driver, mapper: Mapper, config: RunConfig, progress: Progress
+    simulation: Simulation,
+    driver: Driver,
+    mapper: Mapper,
+    config: RunConfig,
+    progress: Progress,
+    recorder: Recorder,
 ) -> tuple[DriveLog, dict[str, Any]]:
     """Drive; return the log and what the drive cost.
 
@@ -167,7 +191,8 @@ def _timed_drive(
     """
     with cpu_contention() as others:
         meter = CostMeter()
-        log = drive(simulation, driver, mapper, config.seconds, progress, wall_limit=config.wall_limit)
+        limit = config.wall_limit
+        log = drive(simulation, driver, mapper, config.seconds, progress, wall_limit=limit, recorder=recorder)
         cost = {"cpu_seconds": meter.cpu_seconds(), "peak_memory": meter.peak_memory()}
     if not log.walls:
         raise SimulationError(f"{config.source}: nothing was driven: {log.reason}")

@@ -6,7 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from lirs_wct.formats.rosbag.library import FILES, METADATA, Storage
+
 RECORD = "record.json"
+BAG = "bag"
+"""Stem of the file of a run's bag, whose folder is the run's."""
 WITH_RESULTS = (
     RECORD,
     "overview.png",
@@ -27,6 +31,12 @@ WITHOUT = (RECORD, "error.txt")
 """Of a run that came to nothing."""
 
 
+def bag_files(config: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the names of the bag's files in a run's folder; none where it was not recorded."""
+    storage: Storage | None = config.get("bag")
+    return () if storage is None else (METADATA, f"{BAG}{FILES[storage]}")
+
+
 def file_sizes(folder: Path) -> dict[str, int]:
     """Return the bytes of each file in a run's folder by name, without the record, which is to hold them."""
     return {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.name != RECORD}
@@ -41,7 +51,9 @@ def damaged_files(folder: Path, entry: Mapping[str, Any]) -> list[str]:
         folder: of the run.
         entry: its record as nested dicts.
     """
-    expected = WITHOUT if entry["status"] in ("error", "timeout") else WITH_RESULTS
+    expected: tuple[str, ...] = WITHOUT if entry["status"] in ("error", "timeout") else WITH_RESULTS
+    if expected is WITH_RESULTS:
+        expected += bag_files(entry["config"])
     written: Mapping[str, int] = entry.get("file_sizes", {})
     return [
         name

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -23,6 +24,7 @@ from lirs_validation.record.staleness import is_stale, world_files
 from lirs_validation.sweep.outcome import Outcome
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_folder
+from lirs_wct.formats.rosbag.library import require_rosbags
 from lirs_wct.progress import Progress
 from lirs_wct.sources.source import find_source
 from lirs_wct.sources.source_kind import SourceKind
@@ -35,10 +37,12 @@ class SlamExperiment:
     Attributes:
         config: what to run.
         tables: parts of the suite that its metrics belong to; empty outside suites.
+        folder: name of its folder; None = what tells it from other runs.
     """
 
     config: RunConfig
     tables: tuple[str, ...] = ()
+    folder: str | None = None
 
     @cached_property
     def world(self) -> str:
@@ -48,7 +52,7 @@ class SlamExperiment:
     @cached_property
     def name(self) -> str:
         """Name of its folder."""
-        return run_name(self.config, self.world)
+        return self.folder or run_name(self.config, self.world)
 
     @property
     def world_config(self) -> RunConfig:
@@ -59,6 +63,8 @@ class SlamExperiment:
         """Look for source, robot, LRF and mapper, and at the file that the driver needs."""
         _check_names(self.config.robot, self.config.lidar, self.config.mapper)
         check_driver(self.config)
+        if self.config.bag is not None:
+            require_rosbags(self.config.source)
         world_name(self.config)
 
     def perform(
@@ -66,7 +72,12 @@ class SlamExperiment:
     ) -> Outcome:
         """Run the config and write its folder."""
         record = run(
-            self.config, out=out, progress=progress, scenarios=scenarios, concurrent=concurrent
+            self.config,
+            out=out,
+            progress=progress,
+            scenarios=scenarios,
+            concurrent=concurrent,
+            name=self.folder,
         ).record
         return Outcome(experiment=self.name, status=record.status, reason=record.reason, written=True)
 
@@ -92,6 +103,8 @@ class SlamExperiment:
         inputs = [*world_files(self.config), source_file(self.config.mapper), *driver_files(self.config)]
         if is_stale(folder / "record.json", record.get("versions"), inputs):
             return None
+        if record["name"] != run_name(self.config, self.world) or not _recorded(record, self.config):
+            return None
         if status == "wall limit" and limit != self.config.wall_limit:
             return None
         return Outcome(experiment=self.name, status=status, reason=reason, written=True)
@@ -100,6 +113,14 @@ class SlamExperiment:
         """Return name, world and config, and the parts of the suite."""
         config = asdict(self.config)
         return {"name": self.name, "world": self.world, "tables": list(self.tables)} | config
+
+
+def _recorded(record: Mapping[str, Any], config: RunConfig) -> bool:
+    """Whether a run holds the bag that a config asks for; one that came to nothing holds none."""
+    if config.bag is None or record["status"] in ("error", "timeout"):
+        return True
+    held = record["config"]
+    return bool((held.get("bag"), held.get("sensors_only")) == (config.bag, config.sensors_only))
 
 
 @cache

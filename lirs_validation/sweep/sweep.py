@@ -25,6 +25,7 @@ class Sweep:
         experiments: what to run; of several with one name, one is.
         out: folder that receives a folder an experiment, and `sweep.json`.
         manifest: what `sweep.json` says beside the experiments.
+        listed: whether `sweep.json` is written.
         retry_failed: run experiments again that failed before.
 
     Attributes:
@@ -42,6 +43,7 @@ class Sweep:
         out: Path,
         *,
         manifest: Manifest | None = None,
+        listed: bool = True,
         retry_failed: bool = False,
     ) -> None:
         for experiment in experiments:
@@ -49,7 +51,7 @@ class Sweep:
         self.experiments = list({experiment.name: experiment for experiment in experiments}.values())
         self.out = out
         described = tuple(experiment.described() for experiment in self.experiments)
-        self._manifest: Manifest | None = replace(manifest or Manifest(), cells=described)
+        self._manifest = replace(manifest or Manifest(), cells=described) if listed else None
         remove_leftovers(out / experiment.name for experiment in self.experiments)
         found = {experiment.name: experiment.finished(out) for experiment in self.experiments}
         self.outcomes = {

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.import_path import importable
+from lirs_validation.experiment.own_code import importable
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
 from lirs_validation.sweep.engines.base import Limits, ProgressOf
 from lirs_validation.sweep.engines.processes import Processes, cores

@@ -1,15 +1,13 @@
-"""Values as ROS 2 messages: fields, frames and units as the message definitions have them (REP 103, 105)."""
+"""Values as ROS 2 messages in CDR: fields, frames and units by their definitions and REP 103, 105."""
 
 from __future__ import annotations
 
 import math
-from functools import cached_property
-from typing import Any
+from functools import cache
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
 
-from lirs_wct.arrays import FloatArray
+from lirs_wct.formats.rosbag.cdr import Layout, Zeros
 from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
@@ -18,8 +16,19 @@ MAP, ODOM, BASE, LASER = "map", "odom", "base_link", "laser"
 """Frames by REP 105."""
 YAW_UNKNOWN = 1e6
 """Variance of a yaw that no sensor measures, rad^2."""
-Message = Any
-"""A message; rosbags makes the classes when it runs."""
+Edges = tuple[tuple[str, str], ...]
+"""Parent and child frame of each transform of a message."""
+
+TIME, POSE, COVARIANCE = "iI", "ddddddd", Zeros("d", 36)
+_CLOCK = Layout(TIME)
+_POSE = Layout(TIME, MAP.encode(), POSE)
+_ODOMETRY = Layout(TIME, ODOM.encode(), BASE.encode(), POSE, COVARIANCE, "dddddd", COVARIANCE)
+_IMU = Layout(
+    TIME, BASE.encode(), "dddd", Zeros("d", 8), "d", "ddd", Zeros("d", 9), "ddd", Zeros("d", 9)
+)  # fmt: skip
+_SCAN = Layout(TIME, LASER.encode(), "fffffff", "I")
+_MAP = Layout(TIME, MAP.encode(), TIME, "fII", POSE, "I")
+_NO_INTENSITIES = bytes(4)
 
 
 def nanoseconds(stamp: float) -> int:
@@ -27,152 +36,108 @@ def nanoseconds(stamp: float) -> int:
     return round(stamp * 1e9)
 
 
-class Messages:
-    """Maker of messages of ROS 2 Jazzy."""
-
-    def __init__(self) -> None:
-        self.store = get_typestore(Stores.ROS2_JAZZY)
-
-    def encoded(self, message: Message) -> memoryview:
-        """Return a message in CDR."""
-        return memoryview(self.store.serialize_cdr(message, message.__msgtype__))
-
-    def clock(self, stamp: float) -> Message:
-        """Return `rosgraph_msgs/Clock`."""
-        return self._make("rosgraph_msgs/Clock", clock=self._time(stamp))
-
-    def scan(self, scan: LaserScan, period: float) -> Message:
-        """Return `sensor_msgs/LaserScan`.
-
-        Args:
-            scan: of the lidar.
-            period: from scan to scan, seconds.
-        """
-        return self._make(
-            "sensor_msgs/LaserScan",
-            header=self._header(scan.stamp, LASER),
-            angle_min=scan.angle_min,
-            angle_max=scan.angle_min + scan.angle_increment * (len(scan.ranges) - 1),
-            angle_increment=scan.angle_increment,
-            time_increment=scan.time_increment,
-            scan_time=period,
-            range_min=scan.range_min,
-            range_max=scan.range_max,
-            ranges=scan.ranges,
-            intensities=np.empty(0, np.float32),
-        )
-
-    def imu(self, reading: Imu) -> Message:
-        """Return `sensor_msgs/Imu` in base_link; the yaw is 0 with a variance that says "unknown"."""
-        covariance = np.zeros(9)
-        covariance[8] = YAW_UNKNOWN
-        attitude = Pose3.from_rpy(0.0, 0.0, 0.0, reading.roll, reading.pitch, 0.0)
-        return self._make(
-            "sensor_msgs/Imu",
-            header=self._header(reading.stamp, BASE),
-            orientation=self._quaternion(attitude),
-            orientation_covariance=covariance,
-            angular_velocity=self._vector(*reading.angular_velocity),
-            angular_velocity_covariance=np.zeros(9),
-            linear_acceleration=self._vector(*reading.linear_acceleration),
-            linear_acceleration_covariance=np.zeros(9),
-        )
-
-    def odometry(self, stamp: float, T_odom_base: Pose2, velocity: FloatArray) -> Message:
-        """Return `nav_msgs/Odometry`.
-
-        Args:
-            stamp: seconds.
-            T_odom_base: pose.
-            velocity: (3,) forward, leftward, m/s, and yaw rate, rad/s, of the base.
-        """
-        vx, vy, omega = velocity.tolist()
-        twist = self._make(
-            "geometry_msgs/Twist", linear=self._vector(vx, vy, 0.0), angular=self._vector(0.0, 0.0, omega)
-        )
-        pose = self._make(
-            "geometry_msgs/PoseWithCovariance",
-            pose=self._pose(Pose3.from_pose2(T_odom_base)),
-            covariance=np.zeros(36),
-        )
-        return self._make(
-            "nav_msgs/Odometry",
-            header=self._header(stamp, ODOM),
-            child_frame_id=BASE,
-            pose=pose,
-            twist=self._make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
-        )
-
-    def pose(self, stamp: float, T_map_base: Pose3) -> Message:
-        """Return `geometry_msgs/PoseStamped` in the map frame."""
-        return self._make(
-            "geometry_msgs/PoseStamped", header=self._header(stamp, MAP), pose=self._pose(T_map_base)
-        )
-
-    def transforms(self, stamp: float, edges: dict[tuple[str, str], Pose3]) -> Message:
-        """Return `tf2_msgs/TFMessage` of `T_parent_child` by the names of parent and child."""
-        return self._make(
-            "tf2_msgs/TFMessage",
-            transforms=[
-                self._make(
-                    "geometry_msgs/TransformStamped",
-                    header=self._header(stamp, parent),
-                    child_frame_id=child,
-                    transform=self._make(
-                        "geometry_msgs/Transform",
-                        translation=self._vector(T.x, T.y, T.z),
-                        rotation=self._quaternion(T),
-                    ),
-                )
-                for (parent, child), T in edges.items()
-            ],
-        )
-
-    def map(self, stamp: float, grid: OccupancyGrid) -> Message:
-        """Return `nav_msgs/OccupancyGrid`: 100 occupied, 0 free, -1 unknown, by map_saver's thresholds."""
-        p = grid.probability
-        cells = np.full(p.shape, -1, np.int8)
-        cells[p < FREE], cells[p > OCCUPIED] = 0, 100
-        rows, cols = grid.shape
-        info = self._make(
-            "nav_msgs/MapMetaData",
-            map_load_time=self._time(stamp),
-            resolution=grid.resolution,
-            width=cols,
-            height=rows,
-            origin=self._pose(Pose3.from_pose2(grid.origin)),
-        )
-        return self._make(
-            "nav_msgs/OccupancyGrid", header=self._header(stamp, MAP), info=info, data=cells.ravel()
-        )
-
-    def _make(self, name: str, **fields: Any) -> Message:
-        return self._classes[name.replace("/", "/msg/")](**fields)
-
-    @cached_property
-    def _classes(self) -> dict[str, Any]:
-        return dict(self.store.types)
-
-    def _time(self, stamp: float) -> Message:
-        seconds, rest = divmod(nanoseconds(stamp), 1_000_000_000)
-        return self._make("builtin_interfaces/Time", sec=seconds, nanosec=rest)
-
-    def _header(self, stamp: float, frame: str) -> Message:
-        return self._make("std_msgs/Header", stamp=self._time(stamp), frame_id=frame)
-
-    def _vector(self, x: float, y: float, z: float) -> Message:
-        return self._make("geometry_msgs/Vector3", x=x, y=y, z=z)
-
-    def _quaternion(self, pose: Pose3) -> Message:
-        return self._make("geometry_msgs/Quaternion", x=pose.qx, y=pose.qy, z=pose.qz, w=pose.qw)
-
-    def _pose(self, pose: Pose3) -> Message:
-        point = self._make("geometry_msgs/Point", x=pose.x, y=pose.y, z=pose.z)
-        return self._make("geometry_msgs/Pose", position=point, orientation=self._quaternion(pose))
+def clock(stamp: float) -> bytearray:
+    """Return `rosgraph_msgs/Clock`."""
+    return _CLOCK.pack(*_time(stamp))
 
 
-def body_velocity(before: Pose2, after: Pose2, seconds: float) -> FloatArray:
-    """Return (3,) the mean velocity between two poses, in the axes half-way: m/s, m/s, rad/s."""
+def laser_scan(scan: LaserScan, period: float) -> bytearray:
+    """Return `sensor_msgs/LaserScan`.
+
+    Args:
+        scan: of the lidar.
+        period: from scan to scan, seconds.
+    """
+    n = len(scan.ranges)
+    angle_max = scan.angle_min + scan.angle_increment * (n - 1)
+    message = _SCAN.pack(
+        *_time(scan.stamp),
+        scan.angle_min,
+        angle_max,
+        scan.angle_increment,
+        scan.time_increment,
+        period,
+        scan.range_min,
+        scan.range_max,
+        n,
+    )
+    return message + scan.ranges.astype("<f4", copy=False).tobytes() + _NO_INTENSITIES
+
+
+def imu(reading: Imu, stamp: float) -> bytearray:
+    """Return `sensor_msgs/Imu` in base_link; the yaw is 0 with a variance that says "unknown"."""
+    q = Pose3.from_rpy(0.0, 0.0, 0.0, reading.roll, reading.pitch, 0.0)
+    return _IMU.pack(
+        *_time(stamp),
+        *(q.qx, q.qy, q.qz, q.qw),
+        YAW_UNKNOWN,
+        *reading.angular_velocity,
+        *reading.linear_acceleration,
+    )
+
+
+def odometry(stamp: float, T_odom_base: Pose2, velocity: tuple[float, float, float]) -> bytearray:
+    """Return `nav_msgs/Odometry`.
+
+    Args:
+        stamp: seconds.
+        T_odom_base: pose.
+        velocity: forward, leftward, m/s, and yaw rate, rad/s, of the base.
+    """
+    vx, vy, omega = velocity
+    pose = _pose(Pose3.from_pose2(T_odom_base))
+    return _ODOMETRY.pack(*_time(stamp), *pose, vx, vy, 0.0, 0.0, 0.0, omega)
+
+
+def pose(stamp: float, T_map_base: Pose3) -> bytearray:
+    """Return `geometry_msgs/PoseStamped` in the map frame."""
+    return _POSE.pack(*_time(stamp), *_pose(T_map_base))
+
+
+def transforms(stamp: float, edges: Edges, poses: tuple[Pose3, ...]) -> bytearray:
+    """Return `tf2_msgs/TFMessage` of `T_parent_child`.
+
+    Args:
+        stamp: seconds, of all.
+        edges: names of parents and children.
+        poses: as many.
+    """
+    time = _time(stamp)
+    values: list[float] = [len(edges)]
+    for T in poses:
+        values += (*time, *_pose(T))
+    return _transforms_layout(edges).pack(*values)
+
+
+def occupancy_grid(stamp: float, grid: OccupancyGrid) -> bytearray:
+    """Return `nav_msgs/OccupancyGrid`: 100 occupied, 0 free, -1 unknown, by map_saver's thresholds."""
+    p = grid.probability
+    cells = np.full(p.shape, -1, np.int8)
+    cells[p < FREE], cells[p > OCCUPIED] = 0, 100
+    rows, cols = grid.shape
+    time, origin = _time(stamp), _pose(Pose3.from_pose2(grid.origin))
+    return _MAP.pack(*time, *time, grid.resolution, cols, rows, *origin, cells.size) + cells.tobytes()
+
+
+def body_velocity(before: Pose2, after: Pose2, seconds: float) -> tuple[float, float, float]:
+    """Return the mean velocity between two poses, in the axes half-way: m/s, m/s, rad/s."""
     step = before.inverse() @ after
     c, s = math.cos(step.yaw / 2), math.sin(step.yaw / 2)
-    return np.array((c * step.x + s * step.y, c * step.y - s * step.x, step.yaw)) / seconds
+    return (c * step.x + s * step.y) / seconds, (c * step.y - s * step.x) / seconds, step.yaw / seconds
+
+
+@cache
+def _transforms_layout(edges: Edges) -> Layout:
+    parts: list[str | bytes] = ["I"]
+    for parent, child in edges:
+        parts += [TIME, parent.encode(), child.encode(), POSE]
+    return Layout(*parts)
+
+
+def _time(stamp: float) -> tuple[int, int]:
+    return divmod(nanoseconds(stamp), 1_000_000_000)
+
+
+def _pose(T: Pose3) -> tuple[float, ...]:
+    """Return position and quaternion, whose order in ROS is xyzw."""
+    return T.x, T.y, T.z, T.qx, T.qy, T.qz, T.qw

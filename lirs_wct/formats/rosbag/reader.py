@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections import Counter
 from contextlib import ExitStack
@@ -170,7 +171,7 @@ def _merged(scans: list[Message], odoms: list[Message]) -> tuple[list[Message], 
 
 def _scan(raw: Any, stamp: float, mount: Pose3) -> LaserScan:
     n = len(raw.ranges)
-    first, step, last = float(raw.angle_min), float(raw.angle_increment), float(raw.angle_max)
+    first, step, last = _angle(raw.angle_min), _angle(raw.angle_increment), _angle(raw.angle_max)
     if n > 1 and abs(first + step * (n - 1) - last) < SAME_ANGLE:
         # Rounding of the increment would add up over the beams.
         step = (last - first) / (n - 1)
@@ -179,12 +180,26 @@ def _scan(raw: Any, stamp: float, mount: Pose3) -> LaserScan:
         ranges,
         first,
         step,
-        float(raw.range_min),
-        float(raw.range_max),
+        _decimal(raw.range_min),
+        _decimal(raw.range_max),
         stamp,
         mount,
         float(raw.time_increment),
     )
+
+
+def _decimal(value: float) -> float:
+    """Return the shortest decimal that a float32 may have been made of: 0.1 for 0.10000000149."""
+    return float(str(np.float32(value)))
+
+
+def _angle(value: float) -> float:
+    """Return the angle of whole ten-thousandths of a degree that a float32 was made of; else the float32.
+
+    Mappers tell trajectories apart by less than what the messages round away.
+    """
+    exact = math.radians(round(math.degrees(value), 4))
+    return exact if np.float32(exact) == np.float32(value) else float(value)
 
 
 def _imu(raw: Any, frames: Frames, base: str) -> Imu | None:

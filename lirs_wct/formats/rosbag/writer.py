@@ -1,4 +1,4 @@
-"""A drive as a ROS 2 bag: sensors, frames, truth and map on the topics that a robot has them on.
+"""A drive as a ROS 2 bag, while it goes or afterwards: sensors, frames, truth and map on a robot's topics.
 
 The frames are REP 105's: map -> odom -> base_link -> laser. Stamps are simulated time. Chunks are closed
 at 1 MiB *after* the message that fills them, so that a chunk holds every message whole, a large map too.
@@ -7,34 +7,34 @@ at 1 MiB *after* the message that fills them, so that a chunk holds every messag
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
+import sqlite3
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain, pairwise
 from pathlib import Path
-from typing import Final, Literal, get_args
+from typing import Final
 
 import numpy as np
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-from rosbags.rosbag2 import StoragePlugin, Writer
-
-from lirs_wct.arrays import FloatArray
-from lirs_wct.files import atomic_folder
-from lirs_wct.formats.rosbag.messages import (
-    BASE,
-    LASER,
-    MAP,
-    ODOM,
-    Message,
-    Messages,
-    body_velocity,
-    nanoseconds,
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
 )
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from lirs_wct.errors import OutputError
+from lirs_wct.files import atomic_folder
+from lirs_wct.formats.rosbag import messages
+from lirs_wct.formats.rosbag.library import Storage
+from lirs_wct.formats.rosbag.messages import BASE, LASER, MAP, ODOM, nanoseconds
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 
-Storage = Literal["mcap", "sqlite3"]
-STORAGES: tuple[Storage, ...] = get_args(Storage)
 TOPICS = {
     "/clock": "rosgraph_msgs/msg/Clock",
     "/tf_static": "tf2_msgs/msg/TFMessage",
@@ -46,31 +46,138 @@ TOPICS = {
     "/map": "nav_msgs/msg/OccupancyGrid",
 }
 """Topics and their types."""
-LATCHED = ("/tf_static", "/map")
+MAP_TOPIC = "/map"
+LATCHED = ("/tf_static", MAP_TOPIC)
 """Topics whose last message is for who comes later, too."""
-VERSION: Final = 9
-"""Of `metadata.yaml`: that of ROS 2 Jazzy."""
+VERSION: Final = 8
+"""Of `metadata.yaml`: the latest whose quality of service Humble reads, too, as text with numbers."""
+MOUNTED, DRIVEN, MAPPED = ((BASE, LASER),), ((ODOM, BASE),), ((ODOM, BASE), (MAP, ODOM))
+"""Parents and children of the transforms: of the sensor; of the robot by its odometry; and in a map."""
+FAILURES = (OSError, sqlite3.Error)
+"""What writing fails with."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Tick:
+    """What belongs to one scan.
+
+    Attributes:
+        scan: of the lidar.
+        odometry: `T_odom_base`.
+        imu: reading of the inertial unit.
+        truth: `T_map_base`, from the simulator; the map frame is the first base pose in the plane.
+        estimate: `T_map_base`, a mapper's answer; None = none, then nothing ties odom to a map.
+    """
+
+    scan: LaserScan
+    odometry: Pose2
+    imu: Imu
+    truth: Pose3
+    estimate: Pose2 | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """What a bag is written of; as many of each as there are scans.
+    """What a bag is written of.
 
     Attributes:
-        scans: of the lidar.
-        odometry: `T_odom_base`.
-        imu: readings of the inertial unit.
-        truth: `T_map_base`, from the simulator; the map frame is the first base pose in the plane.
-        estimates: `T_map_base`, a mapper's answers; empty = none, then nothing ties odom to a map.
+        ticks: in their order; at least one.
         grid: the mapper's map, in the map frame; None = none.
     """
 
-    scans: Sequence[LaserScan]
-    odometry: Sequence[Pose2]
-    imu: Sequence[Imu]
-    truth: Sequence[Pose3]
-    estimates: Sequence[Pose2] = ()
+    ticks: Sequence[Tick]
     grid: OccupancyGrid | None = None
+
+    @property
+    def period(self) -> float:
+        """The usual time from scan to scan, seconds; 0 of a single one."""
+        steps = np.diff([tick.scan.stamp for tick in self.ticks])
+        return float(np.median(steps)) if len(steps) else 0.0
+
+
+class BagWriter:
+    """A bag that is being written, message by message: nothing of what went before is kept.
+
+    Args:
+        folder: of the bag, which is made.
+        storage: of its messages.
+        period: from scan to scan, seconds.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+
+    def __init__(self, folder: Path, storage: Storage, period: float) -> None:
+        plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+        self._folder = folder
+        self._writer = Writer(folder, version=VERSION, storage_plugin=plugin)
+        self._store = get_typestore(Stores.ROS2_JAZZY)
+        self._period = period
+        self._last: Tick | None = None
+        try:
+            self._writer.open()
+            self._connections = {topic: self._connection(topic) for topic in TOPICS if topic != MAP_TOPIC}
+        except FAILURES as error:
+            raise self._failed(error) from error
+
+    def add(self, tick: Tick) -> None:
+        """Write what belongs to a scan; the frames come before what is measured in them.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        scan, odometry = tick.scan, tick.odometry
+        t = scan.stamp
+        try:
+            if self._last is None:
+                self._write("/tf_static", t, messages.transforms(t, MOUNTED, (scan.T_base_laser,)))
+            self._write("/clock", t, messages.clock(t))
+            self._write("/tf", t, _frames(tick))
+            self._write("/odom", t, messages.odometry(t, odometry, self._velocity(tick)))
+            self._write("/imu", t, messages.imu(tick.imu, t))
+            self._write("/scan", t, messages.laser_scan(scan, self._period))
+            self._write("/ground_truth", t, messages.pose(t, tick.truth))
+        except FAILURES as error:
+            raise self._failed(error) from error
+        self._last = tick
+
+    def close(self, grid: OccupancyGrid | None = None) -> None:
+        """Write the map, in the map frame, if there is one, and the end of the bag.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        try:
+            if grid is not None and self._last is not None:
+                self._connections[MAP_TOPIC] = self._connection(MAP_TOPIC)
+                stamp = self._last.scan.stamp
+                self._write(MAP_TOPIC, stamp, messages.occupancy_grid(stamp, grid))
+            self._writer.close()
+        except FAILURES as error:
+            raise self._failed(error) from error
+
+    def abort(self) -> None:
+        """Close the files of a bag that was not closed: it has no end."""
+        self._writer.abort()
+
+    def _connection(self, topic: str) -> Connection:
+        qos = [_qos(topic in LATCHED)]
+        return self._writer.add_connection(
+            topic, TOPICS[topic], typestore=self._store, offered_qos_profiles=qos
+        )
+
+    def _write(self, topic: str, stamp: float, message: bytearray) -> None:
+        self._writer.write(self._connections[topic], nanoseconds(stamp), memoryview(message))
+
+    def _velocity(self, tick: Tick) -> tuple[float, float, float]:
+        """Return the velocity of the base since the scan before, by odometry; at first it stands."""
+        if self._last is None:
+            return 0.0, 0.0, 0.0
+        seconds = tick.scan.stamp - self._last.scan.stamp
+        return messages.body_velocity(self._last.odometry, tick.odometry, seconds)
+
+    def _failed(self, error: Exception) -> OutputError:
+        return OutputError(f"{self._folder}: cannot be written: {getattr(error, 'strerror', None) or error}")
 
 
 def write_bag(folder: Path, drive: Drive, storage: Storage = "mcap") -> None:
@@ -79,12 +186,16 @@ def write_bag(folder: Path, drive: Drive, storage: Storage = "mcap") -> None:
     Raises:
         OutputError: the folder cannot be written.
     """
-    plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
     with atomic_folder(folder) as temporary:
         # The library names the file by the folder, and wants to make it.
         made = temporary / folder.name
-        with Writer(made, version=VERSION, storage_plugin=plugin) as writer:
-            _write(writer, drive)
+        bag = BagWriter(made, storage, drive.period)
+        try:
+            for tick in drive.ticks:
+                bag.add(tick)
+            bag.close(drive.grid)
+        finally:
+            bag.abort()
         for file in made.iterdir():
             shutil.move(file, temporary / f".{file.name}")
         made.rmdir()
@@ -92,64 +203,13 @@ def write_bag(folder: Path, drive: Drive, storage: Storage = "mcap") -> None:
             file.rename(temporary / file.name[1:])
 
 
-def _write(writer: Writer, drive: Drive) -> None:
-    """Write all messages in the order of time."""
-    messages = Messages()
-    connections = {
-        topic: writer.add_connection(
-            topic, kind, typestore=messages.store, offered_qos_profiles=[_qos(topic in LATCHED)]
-        )
-        for topic, kind in TOPICS.items()
-        if topic != "/map" or drive.grid is not None
-    }
-
-    def write(topic: str, stamp: float, message: Message) -> None:
-        writer.write(connections[topic], nanoseconds(stamp), messages.encoded(message))
-
-    first, last = drive.scans[0], drive.scans[-1]
-    write("/tf_static", first.stamp, messages.transforms(first.stamp, {(BASE, LASER): first.T_base_laser}))
-    velocities, period = _velocities(drive), _period(drive)
-    for k in range(len(drive.scans)):
-        _write_tick(write, messages, drive, k, velocities[k], period)
-    if drive.grid is not None:
-        write("/map", last.stamp, messages.map(last.stamp, drive.grid))
-
-
-def _write_tick(
-    write: Callable[[str, float, Message], None],
-    messages: Messages,
-    drive: Drive,
-    k: int,
-    velocity: FloatArray,
-    period: float,
-) -> None:
-    """Write what belongs to scan k; the frames come before what is measured in them."""
-    scan, T_odom_base = drive.scans[k], drive.odometry[k]
-    edges = {(ODOM, BASE): Pose3.from_pose2(T_odom_base)}
-    if drive.estimates:
-        edges[MAP, ODOM] = Pose3.from_pose2(drive.estimates[k] @ T_odom_base.inverse())
-    t = scan.stamp
-    write("/clock", t, messages.clock(t))
-    write("/tf", t, messages.transforms(t, edges))
-    write("/odom", t, messages.odometry(t, T_odom_base, velocity))
-    write("/imu", t, messages.imu(drive.imu[k]))
-    write("/scan", t, messages.scan(scan, period))
-    write("/ground_truth", t, messages.pose(t, drive.truth[k]))
-
-
-def _velocities(drive: Drive) -> list[FloatArray]:
-    """Return the velocity of the base over the period before each scan, by odometry; at first it stands."""
-    steps = (
-        body_velocity(a, b, later.stamp - earlier.stamp)
-        for (a, b), (earlier, later) in zip(pairwise(drive.odometry), pairwise(drive.scans), strict=True)
-    )
-    return list(chain((np.zeros(3),), steps))
-
-
-def _period(drive: Drive) -> float:
-    """Return the usual time from scan to scan, seconds; 0 of a single one."""
-    steps = np.diff([scan.stamp for scan in drive.scans])
-    return float(np.median(steps)) if len(steps) else 0.0
+def _frames(tick: Tick) -> bytearray:
+    """Return the transforms at a scan: odom -> base_link, and map -> odom where there is an estimate."""
+    T_odom_base = Pose3.from_pose2(tick.odometry)
+    if tick.estimate is None:
+        return messages.transforms(tick.scan.stamp, DRIVEN, (T_odom_base,))
+    T_map_odom = Pose3.from_pose2(tick.estimate @ tick.odometry.inverse())
+    return messages.transforms(tick.scan.stamp, MAPPED, (T_odom_base, T_map_odom))
 
 
 def _qos(latched: bool) -> Qos:

@@ -46,10 +46,10 @@ def test_a_bag_begins_at_the_origin_and_knows_the_sensor(run: RunFolder, tmp_pat
     (folder,) = export_run(run, tmp_path, ("bag",))
     drive = recorded_drive(run)
     found = [m.ros_msg for m in reader.read_ros2_messages(str(folder / "bag.mcap"), topics=["/ground_truth"])]
-    assert len(found) == len(drive.scans)
+    assert len(found) == len(drive.ticks)
     assert found[0].pose.position.x == pytest.approx(0, abs=1e-9)
-    assert drive.scans[0].range_min > 0.02
-    assert drive.scans[0].T_base_laser.z > 0.1
+    assert drive.ticks[0].scan.range_min > 0.02
+    assert drive.ticks[0].scan.T_base_laser.z > 0.1
 
 
 def test_sensors_only_leaves_the_mapper_out(run: RunFolder, tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lirs_wct.formats.rosbag.writer import Drive
+from lirs_wct.formats.rosbag.writer import Drive, Tick
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
@@ -17,14 +17,16 @@ def drive(scans: int = 5) -> Drive:
     stamps = [1.0 + 0.02 * k for k in range(scans)]
     ranges = rng.uniform(0.2, 20.0, (scans, 31)).astype(np.float32)
     ranges[:, 0], ranges[:, 1], ranges[:, 2] = np.inf, -np.inf, np.nan
-    odometry = [Pose2(0.01 * k, -0.002 * k, 0.005 * k) for k in range(scans)]
     p = rng.uniform(0, 1, (1100, 1000))
     p[0, :10] = np.nan
-    return Drive(
-        scans=[LaserScan(r, -1.5, 0.1, 0.1, 30.0, t, MOUNT) for r, t in zip(ranges, stamps, strict=True)],
-        odometry=odometry,
-        imu=[Imu(0.001 * k, -0.002 * k, (0.1, 0.2, 0.25), (0.3, 0.4, 9.7), t) for k, t in enumerate(stamps)],
-        truth=[Pose3.from_rpy(0.011 * k, 0.0, 0.5, 0.01, 0.02, 0.005 * k) for k in range(scans)],
-        estimates=[Pose2(0.0105 * k, -0.001 * k, 0.0052 * k) for k in range(scans)],
-        grid=OccupancyGrid.from_probability(p, 0.05, Pose2(-20, -21, 0.1)),
-    )
+    ticks = [
+        Tick(
+            scan=LaserScan(ranges[k], -1.5, 0.1, 0.1, 30.0, t, MOUNT),
+            odometry=Pose2(0.01 * k, -0.002 * k, 0.005 * k),
+            imu=Imu(0.001 * k, -0.002 * k, (0.1, 0.2, 0.25), (0.3, 0.4, 9.7), t),
+            truth=Pose3.from_rpy(0.011 * k, 0.0, 0.5, 0.01, 0.02, 0.005 * k),
+            estimate=Pose2(0.0105 * k, -0.001 * k, 0.0052 * k),
+        )
+        for k, t in enumerate(stamps)
+    ]
+    return Drive(ticks=ticks, grid=OccupancyGrid.from_probability(p, 0.05, Pose2(-20, -21, 0.1)))

@@ -12,9 +12,10 @@ pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen.log import CarmenLog
+from lirs_wct.formats.rosbag.library import STORAGES, Storage
 from lirs_wct.formats.rosbag.reader import read_bag
 from lirs_wct.formats.rosbag.topics import Topics
-from lirs_wct.formats.rosbag.writer import STORAGES, Drive, Storage, write_bag
+from lirs_wct.formats.rosbag.writer import Drive, write_bag
 from lirs_wct.sources.source import is_log
 from tests.lirs_wct.formats.rosbag import drives
 
@@ -34,17 +35,18 @@ def bag(given: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def check(log: CarmenLog, given: Drive) -> None:
-    assert len(log.scans) == len(given.scans)
-    for scan, wanted in zip(log.scans, given.scans, strict=True):
+    assert len(log.scans) == len(given.ticks)
+    for scan, tick in zip(log.scans, given.ticks, strict=True):
+        wanted = tick.scan
         np.testing.assert_array_equal(scan.ranges, wanted.ranges)
         np.testing.assert_allclose(scan.angles, wanted.angles, atol=2e-7)
         assert scan.stamp == pytest.approx(wanted.stamp, abs=1e-9)
-        assert (scan.range_min, scan.range_max) == (np.float32(0.1), 30.0)
+        assert (scan.range_min, scan.range_max) == (0.1, 30.0)
         np.testing.assert_allclose(scan.T_base_laser.quaternion, drives.MOUNT.quaternion)
         np.testing.assert_allclose(scan.T_base_laser.position, drives.MOUNT.position)
-    for pose, wanted_pose in zip(log.odometry, given.odometry, strict=True):
+    for pose, tick in zip(log.odometry, given.ticks, strict=True):
         assert pose is not None
-        np.testing.assert_allclose(pose.as_array(), wanted_pose.as_array(), atol=1e-9)
+        np.testing.assert_allclose(pose.as_array(), tick.odometry.as_array(), atol=1e-9)
 
 
 @pytest.mark.parametrize("storage", STORAGES)
@@ -55,7 +57,7 @@ def test_what_was_written_comes_back(given: Drive, tmp_path: Path, storage: Stor
     for path in (tmp_path / "run", file):
         log = read_bag(path, IMU)
         check(log, given)
-        for reading, wanted in zip(log.imu, given.imu, strict=True):
+        for reading, wanted in zip(log.imu, [tick.imu for tick in given.ticks], strict=True):
             assert (reading.roll, reading.pitch) == pytest.approx((wanted.roll, wanted.pitch), abs=1e-12)
             assert reading.angular_velocity == pytest.approx(wanted.angular_velocity)
             assert reading.linear_acceleration == pytest.approx(wanted.linear_acceleration)
@@ -152,7 +154,7 @@ def test_without_odometry_and_frames_the_laser_is_at_the_base(bag: Path, tmp_pat
 
 def test_a_scan_of_another_size_is_left_out_and_counted(bag: Path, given: Drive, tmp_path: Path) -> None:
     log = read_bag(rewritten(bag, tmp_path / "run", short=7), Topics())
-    assert len(log.scans) == len(given.scans) - 1
+    assert len(log.scans) == len(given.ticks) - 1
     assert log.skipped == {"scan of another number of beams than the first": 1}
 
 
@@ -161,7 +163,7 @@ def test_stamps_that_go_back_are_repaired_and_said(bag: Path, given: Drive, tmp_
         log = read_bag(rewritten(bag, tmp_path / "run", late=200), Topics())
     stamps = [scan.stamp for scan in log.scans]
     assert (np.diff(stamps) > 0).all()
-    np.testing.assert_array_equal(log.scans[199].ranges, given.scans[199].ranges)
+    np.testing.assert_array_equal(log.scans[199].ranges, given.ticks[199].scan.ranges)
     assert stamps[199] == pytest.approx(
-        given.scans[199].stamp, abs=0.1
+        given.ticks[199].scan.stamp, abs=0.1
     )  # one outlier is shared out among its neighbors

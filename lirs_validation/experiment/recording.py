@@ -1,0 +1,101 @@
+"""A drive's bag, written while it goes: what the sensors said, the truth and the mapper's poses."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from lirs_envs.sensing.sensors import Observation
+from lirs_validation.config import RunConfig
+from lirs_validation.record.result_files import BAG
+from lirs_wct.errors import OutputError
+from lirs_wct.files import remove_orphans
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2, Pose3
+
+if TYPE_CHECKING:
+    from lirs_wct.formats.rosbag.writer import BagWriter
+
+PREFIX = ".recording-"
+
+
+class Recording:
+    """The bag of a drive, or none.
+
+    Args:
+        writer: of the bag; None = nothing is recorded.
+        folder: that the writer fills.
+        slam: whether the bag holds what the mapper makes: the frame `map` on /tf, and /map.
+    """
+
+    def __init__(self, writer: BagWriter | None = None, folder: Path = Path(), *, slam: bool = True) -> None:
+        self._writer, self._folder, self._slam = writer, folder, slam
+        self._T_map_world: Pose3 | None = None
+
+    def add(self, observation: Observation, T_world_base: Pose3, T_map_base: Pose2) -> None:
+        """Record what was sensed at a scan, where the robot was, and where the mapper took it to be.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        if self._writer is None:
+            return
+        from lirs_wct.formats.rosbag.writer import Tick
+
+        if self._T_map_world is None:
+            self._T_map_world = Pose3.from_pose2(T_world_base.to_pose2().inverse())
+        tick = Tick(
+            scan=observation.scan,
+            odometry=observation.odometry,
+            imu=observation.imu,
+            truth=self._T_map_world @ T_world_base,
+            estimate=T_map_base if self._slam else None,
+        )
+        self._writer.add(tick)
+
+    def finished(self, grid: OccupancyGrid) -> Sequence[Path]:
+        """Write the map, in the map frame, and the end; return the bag's files.
+
+        Raises:
+            OutputError: they cannot be written.
+        """
+        if self._writer is None:
+            return ()
+        self._writer.close(grid if self._slam else None)
+        return sorted(self._folder.iterdir())
+
+
+@contextmanager
+def recording(config: RunConfig, out: Path | None, period: float) -> Iterator[Recording]:
+    """Give the recording that a config asks for; its files are gone afterwards, unless they were moved.
+
+    Args:
+        config: of the run.
+        out: folder that is to receive the run's folder; None = nothing is recorded.
+        period: from scan to scan, seconds.
+
+    Raises:
+        OutputError: the bag cannot be written.
+    """
+    if config.bag is None or out is None:
+        yield Recording()
+        return
+    from lirs_wct.formats.rosbag.writer import BagWriter
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        remove_orphans(out, PREFIX)
+        temporary = TemporaryDirectory(prefix=f"{PREFIX}{os.getpid()}-", dir=out, ignore_cleanup_errors=True)
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be written: {error.strerror or error}") from error
+    with temporary as made:
+        folder = Path(made) / BAG
+        writer = BagWriter(folder, config.bag, period)
+        try:
+            yield Recording(writer, folder, slam=not config.sensors_only)
+        finally:
+            writer.abort()
