@@ -65,6 +65,7 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
         super().reset(seed=seed)
         self.episodes.reset(0, self.np_random, options)
         self._path.clear()
+        self._show()
         return self._observed(), self._info()
 
     def step(self, action: Float32Array) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
@@ -72,6 +73,7 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
         episodes = self.episodes
         reward = episodes.step(ROW, np.asarray(action)[None])
         ended = bool(episodes.terminated[0]), bool(episodes.truncated[0])
+        self._show()
         return self._observed(), float(reward[0]), *ended, self._info()
 
     @property
@@ -93,6 +95,11 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
         snapshot, scan = snapshot_of(self.episodes, 0), self.view.reading().scan
         self._path.append(snapshot.T_world_base.to_pose2())
         return self._views.render(self.render_mode, snapshot, path=self._path, scan=scan)
+
+    def _show(self) -> None:
+        """Show each state where the render mode is a window, as Gymnasium's environments do."""
+        if self.render_mode == "human":
+            self.render()
 
     def close(self) -> None:
         """Free what OpenGL holds, and close the window."""
