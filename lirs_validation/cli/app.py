@@ -17,6 +17,7 @@ from typer.exceptions import TyperException
 from lirs_validation.cli.bench import bench
 from lirs_validation.cli.collide import collide
 from lirs_validation.cli.console import BAD_INPUT, INTERRUPTED, RUN_FAILED, err, out
+from lirs_validation.cli.examples import epilog
 from lirs_validation.cli.export import export
 from lirs_validation.cli.gui import gui
 from lirs_validation.cli.map import map_log
@@ -38,10 +39,10 @@ app = typer.Typer(
     help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, evaluate.",
 )
 for command in (build, report, compare, score, export, bench, collide, view, info, convert, robot, gui):
-    app.command()(command)
-app.command("validate")(validate)
-app.command("record")(record)
-app.command("map")(map_log)
+    app.command(epilog=epilog(command.__name__))(command)
+app.command("validate", epilog=epilog("validate"))(validate)
+app.command("record", epilog=epilog("record"))(record)
+app.command("map", epilog=epilog("map"))(map_log)
 
 
 def _show_version(asked: bool) -> None:

@@ -63,8 +63,7 @@ def bench(
 ) -> None:
     """Score policies on fixed tasks, and compare them with all that ran on these into the same folder.
 
-    The same command resumes an interrupted run. Example:
-    lirs-wct bench my_policy:MyPolicy straight astar --set hills --task navigation -o out/
+    The same command resumes an interrupted run.
     """
     from lirs_validation.bench.experiment import BenchExperiment
     from lirs_validation.bench.tasks import task_set

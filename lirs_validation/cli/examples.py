@@ -1,0 +1,41 @@
+"""Examples that the help of each command ends with; they run as they stand in a checkout of the repository."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+EXAMPLES: Mapping[str, tuple[str, ...]] = {
+    "build": (
+        "lirs-wct build examples/data/dunes.png --size 30 --height 2.5 -o worlds/",
+        "lirs-wct build examples/data/office.yaml --wall-height 2 --to mjcf -o worlds/",
+    ),
+    "report": ("lirs-wct report out/ -o report.html --markdown report.md",),
+    "compare": (
+        "lirs-wct compare out/a out/b",
+        "lirs-wct compare out/ out/ --across mapper --only-a mapper=hector --only-b mapper=gmapping",
+    ),
+    "score": ("lirs-wct score out/RUN --trajectory est.tum --map map.yaml -o score.json",),
+    "export": ("lirs-wct export out/RUN --to bag,csv -o exported/",),
+    "bench": (
+        "lirs-wct bench straight go_to_goal astar --set lirs --task navigation -o out/",
+        "lirs-wct bench my_policy:MyPolicy --set hills -o out/",
+    ),
+    "collide": ("lirs-wct collide simple advanced --robot husky,turtlebot2 --seconds 60 -o out/",),
+    "view": ("lirs-wct view examples/data/dunes.png -o dunes-view.png",),
+    "info": ("lirs-wct info examples/data/office.yaml --robot turtlebot2",),
+    "convert": ("lirs-wct convert terrain.stl terrain.dae",),
+    "robot": ("lirs-wct robot husky",),
+    "gui": ("lirs-wct gui medium --port 8080",),
+    "validate": (
+        "lirs-wct validate examples/data/dunes.png --mapper hector --seconds 60 --seed 1 -o out/",
+        "lirs-wct validate simple medium --robot husky,jackal --mapper hector,gmapping --seeds 1-5 -o out/",
+    ),
+    "record": ("lirs-wct record simple --seconds 60 -o run",),
+    "map": ("lirs-wct map examples/data/office.clf.gz --mapper gmapping -o out/",),
+}
+"""Command lines by command."""
+
+
+def epilog(command: str) -> str:
+    """Return the examples of a command as its help shows them: one a line."""
+    return "\n\n".join(("Examples:", *EXAMPLES[command]))
