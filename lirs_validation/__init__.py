@@ -4,12 +4,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from lirs_validation.analysis.result_folders import read_results
     from lirs_validation.config import RunConfig
     from lirs_validation.experiment.run import Run, validate
     from lirs_validation.logs.log_source import resolve_source
     from lirs_validation.logs.map_log import map_log
     from lirs_validation.logs.mapped_log import MappedLog
     from lirs_validation.record.run_record import RunRecord, read_record
+    from lirs_validation.report.contents import report_of
 
 __all__ = [
     "MappedLog",
@@ -18,6 +20,8 @@ __all__ = [
     "RunRecord",
     "map_log",
     "read_record",
+    "read_results",
+    "report_of",
     "resolve_source",
     "validate",
 ]
@@ -31,6 +35,8 @@ _HOMES = {
     "RunConfig": "config",
     "RunRecord": "record.run_record",
     "read_record": "record.run_record",
+    "read_results": "analysis.result_folders",
+    "report_of": "report.contents",
 }
 
 

@@ -1,22 +1,66 @@
-"""The notebooks run from top to bottom."""
+"""The notebooks run from top to bottom, show their pictures, and print little."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import nbformat
 import pytest
 from nbclient import NotebookClient
+from nbformat import NotebookNode
 
-FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
+ROOT = Path(__file__).resolve().parents[1]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+MOST_TEXT = 2000
+"""Characters that a cell may print."""
+MOST_BYTES = 500_000
+"""Of a notebook with its outputs."""
 
 
-@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.ipynb")), ids=lambda path: path.stem)
-def test_notebook_runs(path: Path, tmp_path: Path) -> None:
+@pytest.fixture
+def beside_examples(tmp_path: Path) -> Path:
+    """A folder that lies beside `examples` and `docs`, as `notebooks` does."""
+    for name in ("examples", "docs"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    folder = tmp_path / "notebooks"
+    folder.mkdir()
+    return folder
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs(path: Path, beside_examples: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LIRS_QUICK", "1")
+    # Runs of other tests beside it do not count as sharing the processor: their lock lies elsewhere.
+    monkeypatch.setenv("TMPDIR", str(beside_examples.parent))
     notebook = nbformat.read(path, as_version=4)
-    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
-    assert any(cell.get("outputs") for cell in notebook.cells)
+    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(beside_examples)}}).execute()
+    check_outputs(notebook)
 
 
-def test_there_is_a_notebook() -> None:
-    assert list(FOLDER.glob("*.ipynb"))
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_outputs_are_committed(path: Path) -> None:
+    notebook = nbformat.read(path, as_version=4)
+    check_outputs(notebook)
+    assert path.stat().st_size < MOST_BYTES
+
+
+def check_outputs(notebook: NotebookNode) -> None:
+    """Check that the cells with the tag `picture` show one, the last one among them, and none prints much."""
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert "picture" in cells[-1].metadata.get("tags", ())
+    for cell in cells:
+        if "picture" in cell.metadata.get("tags", ()):
+            assert any("image/png" in output.get("data", {}) for output in cell.outputs), cell.source
+        assert sum(map(len, texts(cell))) < MOST_TEXT, cell.source
+
+
+def texts(cell: NotebookNode) -> Iterator[str]:
+    """Yield what a cell prints, and the text of what it shows."""
+    for output in cell.outputs:
+        yield output.get("text", "")
+        yield output.get("data", {}).get("text/plain", "")
+
+
+def test_there_are_notebooks() -> None:
+    assert len(NOTEBOOKS) >= 6

@@ -19,6 +19,7 @@ from lirs_validation.record.metric_catalog import Metric, rtf_counts
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.svg import INK, SMALL, as_svg, color_of, plain
 from lirs_wct.arrays import FloatArray
+from lirs_wct.drawing.style import Drawing
 
 ACROSS = 3
 AROUND = 4
@@ -29,7 +30,17 @@ WIDE = 20.0
 
 
 def rtf_chart(entries: Sequence[Entry]) -> tuple[str, int] | None:
-    """Return RTF over simulated time as SVG, and how many panels were left out; None without any RTF.
+    """Return RTF over simulated time as SVG, and how many panels were left out; None without any RTF."""
+    drawn = rtf_figure(entries)
+    if drawn is None:
+        return None
+    figure, left_out = drawn
+    label = "Real-time factor over simulated time, one panel a world and representation, one line a mapper"
+    return as_svg(figure, label, "rtf"), left_out
+
+
+def rtf_figure(entries: Sequence[Entry]) -> tuple[Drawing, int] | None:
+    """Draw RTF over simulated time (see `rtf_chart`).
 
     A panel for each world, robot and representation; in it the methods, each with mean and a band of one
     standard deviation (see `series_band`).
@@ -44,7 +55,7 @@ def rtf_chart(entries: Sequence[Entry]) -> tuple[str, int] | None:
     shown = dict(list(panels.items())[:MOST_PANELS])
     across = min(ACROSS, len(shown))
     rows = math.ceil(len(shown) / across)
-    figure = Figure(figsize=(3.4 * across + 0.3, 2.1 * rows + 0.5), layout="constrained")
+    figure = Drawing(figsize=(3.4 * across + 0.3, 2.1 * rows + 0.5), layout="constrained")
     mappers = sorted({mapper for held in shown.values() for mapper in held})
     for k, (group, methods) in enumerate(shown.items()):
         axes = figure.add_subplot(rows, across, k + 1)
@@ -55,8 +66,7 @@ def rtf_chart(entries: Sequence[Entry]) -> tuple[str, int] | None:
         if k + across >= len(shown):
             axes.set_xlabel("simulated time [s]")
     _legend(figure, mappers)
-    label = "Real-time factor over simulated time, one panel a world and representation, one line a mapper"
-    return as_svg(figure, label, "rtf"), len(panels) - len(shown)
+    return figure, len(panels) - len(shown)
 
 
 def series_band(runs: Sequence[Entry]) -> tuple[FloatArray, FloatArray]:

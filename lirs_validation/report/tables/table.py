@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from html import escape
 
 from lirs_validation.analysis.repeats import Repeats
 from lirs_validation.record.formatting import NOTHING
@@ -77,6 +78,15 @@ class ReportTable:
     def is_text(self, column: int) -> bool:
         """Whether a column, counted from 0, holds text."""
         return column < self.text_columns or (self.remarks and column == len(self.headings) - 1)
+
+    def __repr__(self) -> str:
+        return f"ReportTable({self.title!r}, {len(self.rows)} rows)"
+
+    def _repr_html_(self) -> str:
+        head = "".join(f"<th>{escape(heading)}</th>" for heading in self.headings)
+        rows = ("".join(f"<td>{escape(text)}</td>" for text in row) for row in self.texts())
+        body = "".join(f"<tr>{cells}</tr>" for cells in rows)
+        return f"<b>{escape(self.title)}</b><table><tr>{head}</tr>{body}</table><p>{escape(self.caption)}</p>"
 
     def texts(self) -> list[list[str]]:
         """Return the rows as they are read."""
