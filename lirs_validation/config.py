@@ -23,6 +23,8 @@ ATTITUDES: tuple[Attitude, ...] = get_args(Attitude)
 TOUR = "tour"
 DRIVERS = {TOUR: "", "frontier": "", "waypoints": "FILE", "replay": "RUN"}
 """Who drives, and what each needs: a file of waypoints, the folder of a finished run."""
+MANUAL = "manual"
+"""What records say where a person drove in the live page; such a drive is repeated as `replay:RUN`."""
 LATER: dict[str, Any] = {"attitude": "imu", "driver": TOUR, "actors": 0}
 """Options of a run that came later: with these values they are in no digest, and folders keep their names."""
 OUTSIDE_DIGEST = ("wall_limit", "bag", "sensors_only")
@@ -55,11 +57,13 @@ class SourceOptions(BuildOptions):
 
 
 def driver_parts(text: str) -> tuple[str, str]:
-    """Return kind and path of a driver: `tour`, `frontier`, `waypoints:FILE` or `replay:RUN`.
+    """Return kind and path of a driver: `tour`, `frontier`, `waypoints:FILE`, `replay:RUN` or `manual`.
 
     Raises:
         ConfigError: it is none of these.
     """
+    if text == MANUAL:
+        return MANUAL, ""
     kind, colon, path = text.partition(":")
     if kind not in DRIVERS or bool(DRIVERS[kind]) != bool(path) or (colon and not path):
         legal = ", ".join(f"{name}:{what}" if what else name for name, what in DRIVERS.items())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -14,6 +15,9 @@ from lirs_wct.errors import ConfigError
 
 def gui(
     source: Annotated[str | None, typer.Argument(help=f"Shown first: {SOURCE_HELP}")] = None,
+    runs: Annotated[
+        Path, typer.Option(help="Folder of finished runs, or one run's, that pages may replay.")
+    ] = Path("out"),
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen at; 0 = any free one.")] = 8080,
     host: Annotated[
         str, typer.Option(help="Address to listen at; 0.0.0.0 = every network that this machine is in.")
@@ -28,6 +32,6 @@ def gui(
 
     if source is not None:
         find_source(source, BuildOptions())
-    server = Server(source, host=host, port=port)
+    server = Server(source, runs=runs if runs.is_dir() else None, host=host, port=port)
     out.print(f"{server.address}: open it in a browser, Ctrl-C ends it", soft_wrap=True, highlight=False)
     server.serve()

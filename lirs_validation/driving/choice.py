@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from lirs_envs.robots.robot import Robot
-from lirs_validation.config import RunConfig, driver_parts
+from lirs_validation.config import MANUAL, RunConfig, driver_parts
 from lirs_validation.driving.driver import Driver
 from lirs_validation.driving.frontier_route import FrontierRoute
 from lirs_validation.driving.pace import driver_config
@@ -48,7 +48,7 @@ def make_driver(
         ConfigError: the robot fits nowhere in this world, or a replay is of another world, robot or lidar.
         SourceError: waypoints or recorded commands cannot be used.
     """
-    kind, path = driver_parts(config.driver)
+    kind, path = _automatic(config)
     if kind == "replay":
         return replay(Path(path), config, world.name)
     free = world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope)
@@ -72,10 +72,10 @@ def check_driver(config: RunConfig) -> None:
     """Look at the file that a driver needs before the world is built.
 
     Raises:
-        ConfigError: a replay is of another robot.
+        ConfigError: a replay is of another robot, or a person drove.
         SourceError: waypoints or recorded commands cannot be read.
     """
-    kind, path = driver_parts(config.driver)
+    kind, path = _automatic(config)
     if kind == "waypoints":
         read_waypoints(Path(path))
     if kind == "replay":
@@ -86,6 +86,18 @@ def driver_files(config: RunConfig) -> list[Path]:
     """Return the files that a driver reads."""
     kind, path = driver_parts(config.driver)
     return {"waypoints": [Path(path)], "replay": [Path(path) / COMMANDS]}.get(kind, [])
+
+
+def _automatic(config: RunConfig) -> tuple[str, str]:
+    """Return kind and path of a driver that drives by itself.
+
+    Raises:
+        ConfigError: it is `manual`.
+    """
+    kind, path = driver_parts(config.driver)
+    if kind == MANUAL:
+        raise ConfigError("manual: a person drove in the live page; replay:RUN drives the same again")
+    return kind, path
 
 
 def _start(free: OccupancyGrid, robot: Robot, config: RunConfig) -> Pose2:

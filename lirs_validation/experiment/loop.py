@@ -57,11 +57,6 @@ class DriveLog:
     start: Pose2 = field(default_factory=Pose2)
     commands: list[Twist] = field(default_factory=list)
 
-    def end(self, status: Status, reason: str) -> DriveLog:
-        """Note how the drive ended, and return the log."""
-        self.status, self.reason = status, reason
-        return self
-
     @property
     def stamps(self) -> list[float]:
         """Seconds since the start, one a scan."""
@@ -94,6 +89,97 @@ class DriveLog:
         )
 
 
+class Drive:
+    """A drive that is taken tick by tick, until its time is over, something fails or its driver is done.
+
+    Attributes:
+        log: of what has happened so far; it says how the drive ended.
+        over: whether it has ended.
+
+    Args:
+        simulation: that is driven, from the driver's start on.
+        driver: that drives.
+        mapper: that maps.
+        seconds: simulated time to drive.
+        wall_limit: wall seconds after which the drive is stopped; None = never.
+        recorder: is shown every scan once it is mapped; its time counts.
+
+    Raises:
+        MapperError: the mapper failed (see `GuardedMapper`).
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        driver: Driver,
+        mapper: Mapper,
+        seconds: float,
+        *,
+        wall_limit: float | None = None,
+        recorder: Recorder | None = None,
+    ) -> None:
+        self._simulation, self._driver, self._mapper = simulation, driver, mapper
+        self._seconds, self._wall_limit, self._recorder = seconds, wall_limit, recorder
+        self._ticks = max(1, math.ceil(seconds / simulation.period - 1e-9))
+        self._tracking = LostRule()
+        self._spent = 0.0
+        self.log, self.over = DriveLog(start=driver.start), False
+        _map(self.log, simulation.reset(driver.start), simulation, mapper, time.perf_counter(), recorder)
+        # The first scan comes before anything moves: no simulated time passes, so none is counted.
+        self.log.walls.clear()
+        self.log.mapper_seconds.clear()
+
+    @property
+    def time(self) -> float:
+        """Simulated seconds since the start."""
+        return len(self.log.walls) * self._simulation.period
+
+    def step(self) -> None:
+        """Drive for one tick.
+
+        Raises:
+            MapperError: the mapper failed.
+        """
+        log, simulation, driver = self.log, self._simulation, self._driver
+        begun = time.perf_counter()
+        pose = simulation.T_world_base.to_pose2() if driver.frame == "world" else log.estimates[-1]
+        command = driver.command(pose, self.time)
+        log.commands.append(command)
+        try:
+            observation = simulation.advance(command)
+        except SimulationError as error:
+            self._end("diverged", str(error))
+            return
+        _map(log, observation, simulation, self._mapper, begun, self._recorder)
+        self._tracking.observe(observation.scan.stamp, self._mapper.lost)
+        self._spent += log.walls[-1]
+        self._judge()
+
+    def stop(self, reason: str) -> None:
+        """End the drive before its time; a place that was lost for long is still said."""
+        self._finish("ok", reason)
+
+    def _judge(self) -> None:
+        """End the drive where a tick gave reason to."""
+        before_its_time = self.time < self._seconds
+        failure = _failure(self._simulation, self._driver, self._tracking)
+        if failure is not None:
+            self._end(*failure)
+        elif self._driver.finished and before_its_time:
+            self._finish("ok", f"{self._driver.finished} at {self._simulation.time:.1f} s")
+        elif self._wall_limit is not None and self._spent >= self._wall_limit and before_its_time:
+            self._finish("wall limit", _over(self._spent, self._simulation.time, self._seconds))
+        elif len(self.log.walls) >= self._ticks:
+            self._finish(self.log.status, self.log.reason)
+
+    def _finish(self, status: Status, reason: str) -> None:
+        lost = self._tracking.reason()
+        self._end(*(status, reason) if lost is None else ("lost", lost))
+
+    def _end(self, status: Status, reason: str) -> None:
+        self.log.status, self.log.reason, self.over = status, reason, True
+
+
 def drive(
     simulation: Simulation,
     driver: Driver,
@@ -118,41 +204,14 @@ def drive(
     Raises:
         MapperError: the mapper failed (see `GuardedMapper`).
     """
-    log = DriveLog(start=driver.start)
-    _map(log, simulation.reset(driver.start), simulation, mapper, time.perf_counter(), recorder)
-    # The first scan comes before anything moves: no simulated time passes, so none is counted.
-    log.walls.clear()
-    log.mapper_seconds.clear()
-    period = simulation.period
+    taken = Drive(simulation, driver, mapper, seconds, wall_limit=wall_limit, recorder=recorder)
     next_report = 1.0
-    tracking = LostRule()
-    spent = 0.0
-    for tick in range(max(1, math.ceil(seconds / period - 1e-9))):
-        begun = time.perf_counter()
-        pose = simulation.T_world_base.to_pose2() if driver.frame == "world" else log.estimates[-1]
-        command = driver.command(pose, tick * period)
-        log.commands.append(command)
-        try:
-            observation = simulation.advance(command)
-        except SimulationError as error:
-            return log.end("diverged", str(error))
-        _map(log, observation, simulation, mapper, begun, recorder)
-        tracking.observe(observation.scan.stamp, mapper.lost)
-        failure = _failure(simulation, driver, tracking)
-        if failure is not None:
-            return log.end(*failure)
-        if driver.finished and (tick + 1) * period < seconds:
-            log.end("ok", f"{driver.finished} at {simulation.time:.1f} s")
-            break
-        spent += log.walls[-1]
-        if wall_limit is not None and spent >= wall_limit and (tick + 1) * period < seconds:
-            log.end("wall limit", _over(spent, simulation.time, seconds))
-            break
-        if (tick + 1) * period >= next_report:
-            progress("drive", (tick + 1) * period / seconds)
+    while not taken.over:
+        taken.step()
+        if taken.time >= next_report:
+            progress("drive", taken.time / seconds)
             next_report += 1.0
-    lost = tracking.reason()
-    return log if lost is None else log.end("lost", lost)
+    return taken.log
 
 
 def _map(

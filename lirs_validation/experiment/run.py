@@ -19,9 +19,9 @@ from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
 from lirs_validation.experiment.loop import DriveLog, Recorder, drive
 from lirs_validation.experiment.mapper_guard import GuardedMapper
 from lirs_validation.experiment.mapper_loading import mapper_named
-from lirs_validation.experiment.recording import recording
+from lirs_validation.experiment.recording import Recording, recording
 from lirs_validation.experiment.results import write_results
-from lirs_validation.experiment.scenario import ScenarioCache
+from lirs_validation.experiment.scenario import Scenario, ScenarioCache
 from lirs_validation.experiment.warm_up import warm_up
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.contact.contact_geometry import ContactGeometry
@@ -31,7 +31,6 @@ from lirs_wct.formats.rosbag.library import Storage, require_rosbags
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.world import World
-from slam_baselines.mapper import Mapper
 
 
 @dataclass(frozen=True)
@@ -150,6 +149,40 @@ def run(
         require_rosbags(config.source)
         if out is None:
             raise ConfigError(f"{config.source}: a bag needs a folder to be written to: give out")
+    ready = prepare(config, progress, scenarios)
+    with recording(config, out, ready.simulation.period) as recorded:
+        log, cost = _timed_drive(ready, progress, recorded.add)
+        log.concurrent = log.concurrent or concurrent
+        return conclude(ready, log, cost, out, progress, name=name, recorded=recorded)
+
+
+@dataclass(frozen=True)
+class ReadyRun:
+    """Everything that a drive needs, its kernels compiled.
+
+    Attributes:
+        scenario: where it takes place.
+        simulation: of the robot there.
+        driver: that will drive.
+        mapper: that will map, guarded.
+        compile_seconds: wall seconds that the compiler took.
+    """
+
+    scenario: Scenario
+    simulation: Simulation
+    driver: Driver
+    mapper: GuardedMapper
+    compile_seconds: float
+
+
+def prepare(
+    config: RunConfig, progress: Progress = no_progress, scenarios: ScenarioCache | None = None
+) -> ReadyRun:
+    """Build the world of a config, plan its drive, compile.
+
+    Raises:
+        WctError: the source, a name or an option cannot be used.
+    """
     robot = make_robot(config.robot)
     mapper = GuardedMapper(
         with_attitude(mapper_named(config.mapper, config.seed), config.attitude), config.mapper
@@ -162,40 +195,63 @@ def run(
         progress("compile", 0.0)
         warm_up(scenario, robot)
     simulation = scenario.simulation(robot)
-    with recording(config, out, simulation.period) as recorded:
-        log, cost = _timed_drive(simulation, driver, mapper, config, progress, recorded.add)
-        log.concurrent = log.concurrent or concurrent
-        progress("evaluate", 1.0)
-        maps = evaluate_maps(scenario.world, log, mapper)
-        cost |= {"compile_seconds": compile_seconds()}
-        record = evaluate(scenario, simulation, mapper, log, maps, cost)
-        folder = None if out is None else out / (name or record.name)
-        if folder is not None:
-            bag = recorded.finished(maps.built.moved(log.truth[0].to_pose2().inverse()))
-            record = write_results(folder, record, log, maps, scenario.world, bag)
-    return Run(record, log, maps, scenario.world, folder)
+    return ReadyRun(scenario, simulation, driver, mapper, compile_seconds())
 
 
-def _timed_drive(
-    simulation: Simulation,
-    driver: Driver,
-    mapper: Mapper,
-    config: RunConfig,
-    progress: Progress,
-    recorder: Recorder,
-) -> tuple[DriveLog, dict[str, Any]]:
-    """Drive; return the log and what the drive cost.
+def conclude(
+    ready: ReadyRun,
+    log: DriveLog,
+    cost: dict[str, Any],
+    out: Path | None = None,
+    progress: Progress = no_progress,
+    *,
+    name: str | None = None,
+    recorded: Recording | None = None,
+) -> Run:
+    """Evaluate a drive that has ended, and write its folder.
+
+    Args:
+        ready: what was driven.
+        log: of the drive.
+        cost: of the drive: `cpu_seconds`, `peak_memory`.
+        out: folder that receives the run's folder; None = nothing is written.
+        progress: of the work.
+        name: of the run's folder; None = the record's.
+        recorded: the drive's bag, whose files are moved into the folder; None = there is none.
 
     Raises:
         SimulationError: not a single scan was driven.
     """
+    scenario, mapper = ready.scenario, ready.mapper
+    if not log.walls:
+        raise SimulationError(f"{scenario.config.source}: nothing was driven: {log.reason}")
+    log.final = mapper.trajectory()
+    progress("evaluate", 1.0)
+    maps = evaluate_maps(scenario.world, log, mapper)
+    cost = cost | {"compile_seconds": ready.compile_seconds}
+    record = evaluate(scenario, ready.simulation, mapper, log, maps, cost)
+    folder = None if out is None else out / (name or record.name)
+    if folder is not None:
+        built = maps.built.moved(log.truth[0].to_pose2().inverse())
+        bag = (recorded or Recording()).finished(built)
+        record = write_results(folder, record, log, maps, scenario.world, bag)
+    return Run(record, log, maps, scenario.world, folder)
+
+
+def _timed_drive(ready: ReadyRun, progress: Progress, recorder: Recorder) -> tuple[DriveLog, dict[str, Any]]:
+    """Drive; return the log and what the drive cost."""
+    config = ready.scenario.config
     with cpu_contention() as others:
         meter = CostMeter()
-        limit = config.wall_limit
-        log = drive(simulation, driver, mapper, config.seconds, progress, wall_limit=limit, recorder=recorder)
+        log = drive(
+            ready.simulation,
+            ready.driver,
+            ready.mapper,
+            config.seconds,
+            progress,
+            wall_limit=config.wall_limit,
+            recorder=recorder,
+        )
         cost = {"cpu_seconds": meter.cpu_seconds(), "peak_memory": meter.peak_memory()}
-    if not log.walls:
-        raise SimulationError(f"{config.source}: nothing was driven: {log.reason}")
     log.concurrent = others.found
-    log.final = mapper.trajectory()
     return log, cost

@@ -5,6 +5,8 @@ from __future__ import annotations
 import socket
 import threading
 import time
+import warnings
+from pathlib import Path
 from typing import Any
 
 import rich
@@ -21,6 +23,7 @@ class Server:
 
     Args:
         source: shown first; None = the first bundled world.
+        runs: folder of finished runs that pages may open; None = there is none.
         host: address to listen at.
         port: to listen at; 0 = any free one.
         limits: of uploads.
@@ -34,15 +37,22 @@ class Server:
         self,
         source: str | None = None,
         *,
+        runs: Path | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
         limits: Limits | None = None,
         detail: Detail | None = None,
     ) -> None:
-        self._source, self._limits, self._detail = source, limits or Limits(), detail or Detail()
+        self._source, self._runs = source, runs
+        self._limits, self._detail = limits or Limits(), detail or Detail()
         self._pages: dict[int, Page] = {}
         self._lock = threading.Lock()
         _check_free(host, port)
+        self._show_warning = warnings.showwarning
+        warnings.showwarning = self._warn
+        warnings.filterwarnings("always", category=UserWarning, module="lirs_")
+        # A page may go while it is spoken to.
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         rich.get_console().quiet = True  # viser's own announcements; ours have a console of their own
         self._viser = viser.ViserServer(host=host, port=port, label="LIRS-WCT", verbose=False)
         gui = self._viser.gui
@@ -82,10 +92,19 @@ class Server:
             page.close()
         for page in pages:
             page.worker.join(5.0)
+        warnings.showwarning = self._show_warning
         self._viser.stop()
 
+    def _warn(self, message: Warning | str, *where: Any, **more: Any) -> None:
+        """Show a warning in the page whose work it came from."""
+        page = next((page for page in self.pages if page.worker.here), None)
+        if page is None:
+            self._show_warning(message, *where, **more)
+        else:
+            page.guard.note(str(message))
+
     def _open(self, client: Any) -> None:
-        page = Page(client, self._source, self._limits, self._detail)
+        page = Page(client, self._source, self._runs, self._limits, self._detail)
         with self._lock:
             self._pages[client.client_id] = page
         if client.client_id not in self._viser.get_clients():  # gone while its page was made

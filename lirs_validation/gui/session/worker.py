@@ -53,9 +53,9 @@ class Worker:
         return not self._thread.is_alive()
 
     @property
-    def closing(self) -> bool:
-        """Whether the page was closed: long work may look, and stop."""
-        return self._closing
+    def here(self) -> bool:
+        """Whether it is the worker's own thread that asks."""
+        return threading.current_thread() is self._thread
 
     def _run(self) -> None:
         while (job := self._next()) is not None:

@@ -26,6 +26,7 @@ class Guard:
     def __init__(self, client: viser.ClientHandle, folder: Path) -> None:
         self._client, self._folder = client, folder
         self._shown: viser.NotificationHandle | None = None
+        self._notes: list[str] = []
 
     def __call__(self, callback: Callback) -> Callback:
         """Return a callback whose errors are shown."""
@@ -40,24 +41,32 @@ class Guard:
 
     def show(self, error: Exception) -> None:
         """Show an error in place of the one before; what is no user's mistake is logged, too."""
+        self._notes.clear()
         if isinstance(error, WctError):
             self._say("This does not work", str(error), "red")
             return
         _LOG.error("a page failed", exc_info=error)
         self._say("The program failed", f"{type(error).__name__}: {error}", "red")
 
-    def warn(self, message: str) -> None:
-        """Show a hint."""
-        self._say("Note", message, "yellow")
+    def note(self, message: str) -> None:
+        """Keep a hint until the present work is done."""
+        self._notes.append(message)
 
-    def clear(self) -> None:
-        """Take the message away: what was wrong is mended."""
+    def done(self) -> None:
+        """Take the error before away, since it is mended; show the hints that came instead."""
+        notes, self._notes = self._notes, []
+        if notes:
+            self._say("Note", "; ".join(dict.fromkeys(notes)), "yellow")
+        else:
+            self._clear()
+
+    def _clear(self) -> None:
         if self._shown is not None:
             self._shown.remove()
             self._shown = None
 
     def _say(self, title: str, message: str, color: Any) -> None:
-        self.clear()
+        self._clear()
         for folder in (f"{self._folder}/maps/", f"{self._folder}/worlds/", f"{self._folder}/"):
             message = message.replace(folder, "")
         self._shown = self._client.add_notification(title, message, color=color)

@@ -35,6 +35,7 @@ class Scene:
     def __init__(self, client: viser.ClientHandle, detail: Detail) -> None:
         self._client, self._detail = client, detail
         self._bounds: tuple[float, ...] | None = None
+        self._world: viser.GlbHandle | None = None
         client.scene.set_up_direction("+z")
         client.scene.configure_default_lights(True, cast_shadow=False)
 
@@ -43,9 +44,15 @@ class Scene:
         detail = self._detail
         most, texture = (detail.preview, PREVIEW_TEXTURE) if coarse else (detail.built, TEXTURE)
         content, triangles = world_glb(world, most, texture)
-        self._client.scene.add_glb("/world", content)
+        self._world = self._client.scene.add_glb("/world", content)
         self._look_at(world)
         return triangles
+
+    def clear(self) -> None:
+        """Show no world."""
+        if self._world is not None:
+            self._world.remove()
+        self._world = self._bounds = None
 
     def _look_at(self, world: World) -> None:
         """Move the camera to where another extent is seen as a whole; the user's own view stays."""

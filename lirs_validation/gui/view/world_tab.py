@@ -15,6 +15,7 @@ from lirs_validation.gui.session.worker import Worker
 from lirs_validation.gui.session.world_facts import Facts
 from lirs_validation.gui.view.guard import Guard
 from lirs_validation.gui.view.option_controls import OptionControls
+from lirs_validation.gui.view.player import as_table
 from lirs_validation.gui.view.progress import ProgressLine
 from lirs_validation.gui.view.scene import Scene
 from lirs_wct.errors import ConfigError
@@ -60,7 +61,6 @@ class WorldTab:
         self._add_results(client.gui)
         self._options = OptionControls(client.gui, guard, self.preview, self._keep)
         self._add_files(client.gui)
-        self.preview()
 
     def _add_source(self, gui: viser.GuiApi) -> None:
         self._source = gui.add_dropdown(
@@ -143,10 +143,8 @@ class WorldTab:
 
     def _show(self, shown: Shown, more: Facts) -> None:
         self.shown = shown
-        self._facts.content = "\n".join(
-            ("| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in (*shown.facts, *more)))
-        )
-        self._guard.clear()
+        self._facts.content = as_table((*shown.facts, *more))
+        self._guard.done()
         self._tell(shown)
 
     def _send(self) -> None:

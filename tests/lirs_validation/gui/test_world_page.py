@@ -7,44 +7,27 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
+
 from lirs_wct.world import World
+from tests.lirs_validation.gui.pages import field, upload, wait_for
 
 Open = Callable[[], Any]
-
-
-def _upload(page: Any, path: Path) -> None:
-    with page.expect_file_chooser() as chooser:
-        page.get_by_role("button", name="Open a file").click()
-    chooser.value.set_files(path)
-
-
-def _field(page: Any, label: str) -> Any:
-    """Return the field beside a label: viser puts them into one row."""
-    row = page.locator("label", has_text=label).locator(
-        "xpath=ancestor::div[contains(@class,'Flex-root')][1]"
-    )
-    return row.locator("input").last
-
-
-def _wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:
-    until = time.monotonic() + seconds
-    while not condition() and time.monotonic() < until:
-        time.sleep(0.1)
-    assert condition()
 
 
 def test_a_picture_is_opened_changed_built_and_downloaded(
     open_page: Open, picture: Path, tmp_path: Path
 ) -> None:
     page = open_page()
-    _upload(page, picture)
+    upload(page, "Open a file", picture)
     page.get_by_text("hill (terrain)").wait_for()
     page.get_by_text("0.00 to 6.00 m").wait_for()
     begun = time.monotonic()
-    _field(page, "z axis scale").fill("2")
+    field(page, "z axis scale").fill("2")
     page.get_by_text("0.00 to 12.00 m").wait_for()
     assert time.monotonic() - begun < 10
-    _field(page, "height").fill("3")
+    field(page, "height").fill("3")
     page.get_by_text("0.00 to 6.00 m").wait_for()
     page.get_by_role("button", name="Build").click()
     page.get_by_text("watertight").wait_for()
@@ -65,24 +48,29 @@ def test_what_is_wrong_is_said_once_and_the_page_lives_on(
     open_page: Open, picture: Path, tmp_path: Path
 ) -> None:
     page = open_page()
-    _upload(page, picture)
+    upload(page, "Open a file", picture)
     page.get_by_text("hill (terrain)").wait_for()
-    _field(page, "height").fill("tall")
+    field(page, "height").fill("tall")
     page.get_by_text("height must be a number, got 'tall'").wait_for()
-    _field(page, "height").fill("-3")
+    field(page, "height").fill("-3")
     page.get_by_text("height must be a finite number above 0, got -3").wait_for()
-    _wait_for(lambda: page.get_by_text("This does not work").count() == 1)
-    _field(page, "height").fill("4")
+    wait_for(lambda: page.get_by_text("This does not work").count() == 1)
+    field(page, "height").fill("4")
     page.get_by_text("0.00 to 4.00 m").wait_for()
     page.get_by_text("This does not work").wait_for(state="detached")
+    holes = np.linspace(0, 9, 64 * 64, dtype=np.float32).reshape(64, 64)
+    holes[20:30, 20:30] = np.nan
+    cv2.imwrite(str(tmp_path / "holes.tif"), holes)
+    upload(page, "Open a file", tmp_path / "holes.tif")
+    page.get_by_text("holes.tif: 100 of 4096 pixels have no height").wait_for()
     broken = tmp_path / "broken.png"
     broken.write_bytes(picture.read_bytes()[:200])
-    _upload(page, broken)
+    upload(page, "Open a file", broken)
     page.get_by_text("broken.png:").wait_for()
     assert str(tmp_path) not in page.content()
     text = tmp_path / "notes.txt"
     text.write_text("hello")
-    _upload(page, text)
+    upload(page, "Open a file", text)
     page.get_by_text("notes.txt: not a file that is read").wait_for()
 
 
@@ -90,7 +78,7 @@ def test_uploads_are_capped(open_page: Open, server: Any, tmp_path: Path) -> Non
     page = open_page()
     large = tmp_path / "large.png"
     large.write_bytes(bytes(3 * 2**20))
-    _upload(page, large)
+    upload(page, "Open a file", large)
     page.get_by_text("large.png: 3.0 MiB are too many").wait_for()
     assert not list(server.pages[0].uploads.folder.glob("large*"))
 
@@ -99,7 +87,7 @@ def test_two_pages_do_not_disturb_each_other_and_leave_nothing_behind(
     open_page: Open, server: Any, picture: Path
 ) -> None:
     first, second = open_page(), open_page()
-    _upload(first, picture)
+    upload(first, "Open a file", picture)
     first.get_by_text("hill (terrain)").wait_for()
     assert second.get_by_text("simple (terrain)").is_visible()
     assert not second.get_by_text("hill").count()
@@ -110,6 +98,6 @@ def test_two_pages_do_not_disturb_each_other_and_leave_nothing_behind(
     assert all(folder.is_dir() for folder in folders)
     first.close()
     second.close()
-    _wait_for(lambda: not server.pages)
+    wait_for(lambda: not server.pages)
     assert all(page.worker.join(20) for page in pages)
     assert not any(folder.exists() for folder in folders)

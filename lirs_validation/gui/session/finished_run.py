@@ -1,0 +1,149 @@
+"""A finished run, read from its folder to be looked at again."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from lirs_envs.robots.catalog import make_robot
+from lirs_validation.analysis.recorded_run import recorded_truth, recorded_world_config
+from lirs_validation.experiment.scenario import ScenarioCache
+from lirs_validation.gui.session.playback import MapSnapshot, Moment, ate, scan_points
+from lirs_validation.gui.session.uploads import Limits
+from lirs_validation.gui.session.world_facts import Facts
+from lirs_validation.record.run_record import read_record
+from lirs_wct.errors import SourceError, WctError
+from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.map_server import read_map
+from lirs_wct.formats.tum import read_tum
+from lirs_wct.geometry.pose import Pose3
+from lirs_wct.sources.bundled import RECIPES
+from lirs_wct.world import World
+
+FILES = ("record.json", "truth.tum", "estimate.tum", "scans.clf.gz", "map.yaml", "map.pgm")
+"""What of a run's folder is looked at."""
+
+
+class FinishedRun:
+    """The drive of a run's folder.
+
+    Attributes:
+        record: of the run, nested dicts.
+        robot: its name.
+        world: where it took place; None where its source is not there any more, as `missing` says.
+        missing: why there is no world.
+
+    Args:
+        folder: of the run.
+        scenarios: worlds that the page built before.
+        uploaded: whether a browser sent it: its record then names no file of this machine.
+
+    Raises:
+        SourceError: it is no run's folder, damaged, or of a run that came to nothing.
+    """
+
+    def __init__(
+        self, folder: Path, scenarios: ScenarioCache | None = None, *, uploaded: bool = False
+    ) -> None:
+        self.record = read_record(folder)
+        if not self.record.get("trajectory"):
+            raise SourceError(f"{folder}: this run came to nothing ({self.record['reason']})")
+        self.robot = str(self.record["config"]["robot"])
+        self._truth, self._estimate = recorded_truth(folder), read_tum(folder / "estimate.tum")
+        mount = make_robot(self.robot).T_base_laser
+        self._scans = [replace(s, T_base_laser=mount) for s in read_carmen(folder / "scans.clf.gz").scans]
+        if len(self._scans) != len(self._truth) or len(self._estimate) < 2:
+            raise SourceError(
+                f"{folder}: not one drive: {len(self._scans)} scans, {len(self._truth)} true and "
+                f"{len(self._estimate)} estimated poses"
+            )
+        self._map = MapSnapshot.of(read_map(folder / "map.yaml"), float(self._truth.stamps[-1]))
+        self.world, self.missing = self._find_world(scenarios or ScenarioCache(), uploaded)
+
+    def _find_world(self, scenarios: ScenarioCache, uploaded: bool) -> tuple[World | None, str]:
+        try:
+            config = recorded_world_config(self.record)
+            if uploaded and (config.source not in RECIPES or config.build.texture is not None):
+                return None, f"{config.source}: not looked for on this machine, as the run was uploaded"
+            return scenarios.scenario(config).world, ""
+        except WctError as error:
+            return None, str(error)
+
+    @property
+    def scans(self) -> int:
+        """How many scans there are."""
+        return len(self._scans)
+
+    def scan_at(self, time: float) -> int:
+        """Return the last scan until a time, seconds since the start."""
+        return max(0, int(np.searchsorted(self._truth.stamps, time, side="right")) - 1)
+
+    def moment(self, scan: int) -> Moment:
+        """Return the drive at a scan, 0 being the one before anything moves; the map is the final one."""
+        stamp = float(self._truth.stamps[scan])
+        T_world_base = Pose3.from_arrays(self._truth.positions[scan], self._truth.quaternions[scan])
+        truth = self._truth.positions[: scan + 1]
+        stamps = self._truth.stamps[: scan + 1]
+        estimate = self._estimate.planar_at(stamps)[:, :2]
+        return Moment(
+            time=stamp,
+            T_world_base=T_world_base,
+            scan=scan_points(self._scans[scan], T_world_base),
+            truth=truth,
+            estimate=estimate,
+            map=self._map,
+            facts=self._facts(stamp, ate(truth[:, :2], estimate)),
+        )
+
+    def _facts(self, stamp: float, error: float) -> Facts:
+        held: dict[str, Any] = self.record
+        series, second = held["rtf"]["series"], int(stamp)
+        now = series[min(second, len(series) - 1)] if series else np.nan
+        c, final = held["config"], held["trajectory"].get("ate_rmse")
+        return (
+            ("run", f"{held['world']['name']}, {c['robot']}, {c['mapper']}, seed {held['seed']}"),
+            ("time", f"{stamp:.1f} of {self._truth.stamps[-1]:.1f} s"),
+            ("RTF", f"{now:.1f} (mean {held['rtf']['mean']:.1f})"),
+            ("ATE", f"{error:.3f} m" + ("" if final is None else f" (in all {final:.3f} m)")),
+            ("map F1", "-" if held["map"].get("f1") is None else f"{held['map']['f1']:.2f}"),
+            ("status", held["status"] + (f": {held['reason']}" if held["reason"] else "")),
+        )
+
+
+def unpacked_run(content: bytes, folder: Path, limits: Limits) -> Path:
+    """Write what is looked at of a run's zipped folder; no name in the archive becomes a path.
+
+    Raises:
+        SourceError: it is no such archive, holds no run, or unpacks to more than the limit.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            entries = {PurePosixPath(e.filename).name: e for e in archive.infolist() if not e.is_dir()}
+            missing = [name for name in FILES if name not in entries]
+            if missing:
+                raise SourceError(f"the archive holds no run: {', '.join(missing)} is not in it")
+            if sum(entries[name].file_size for name in FILES) > limits.upload:
+                raise SourceError(f"the archive unpacks to more than {limits.upload / 2**20:g} MiB")
+            for name in FILES:
+                (folder / name).write_bytes(archive.read(entries[name]))
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError) as error:
+        raise SourceError(f"the archive cannot be read: {error}") from error
+    # A map's YAML names its picture: only the one beside it is meant.
+    lines = (folder / "map.yaml").read_text(encoding="utf-8", errors="replace").splitlines()
+    kept = [line for line in lines if not line.startswith("image:")]
+    (folder / "map.yaml").write_text("\n".join(["image: map.pgm", *kept]) + "\n", encoding="utf-8")
+    return folder
+
+
+def runs_in(folder: Path) -> dict[str, Path]:
+    """Return the runs in a folder of results by name, the newest first; of a run's own folder, itself."""
+    if (folder / "record.json").is_file():
+        return {folder.name: folder}
+    records = sorted(folder.glob("*/record.json"), key=lambda path: path.stat().st_mtime, reverse=True)
+    return {path.parent.name: path.parent for path in records}

@@ -1,0 +1,164 @@
+"""A drive that goes on under a page's eyes, scan by scan, with the parts that `validate` is made of."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from lirs_validation.config import MANUAL, RunConfig
+from lirs_validation.experiment.cost import CostMeter
+from lirs_validation.experiment.cpu_contention import cpu_contention
+from lirs_validation.experiment.loop import Drive
+from lirs_validation.experiment.run import Run, conclude, prepare
+from lirs_validation.experiment.scenario import ScenarioCache
+from lirs_validation.gui.session.hand_over import HandOverDriver
+from lirs_validation.gui.session.playback import MapSnapshot, Moment, ate, latest, scan_points
+from lirs_validation.gui.session.world_facts import Facts
+from lirs_wct.arrays import FloatArray
+from lirs_wct.progress import Progress, no_progress
+
+MAP_SECONDS, MAP_WALL_SECONDS = 1.0, 0.5
+"""A map is drawn and kept as often as this, simulated and real, at most."""
+
+
+class LiveDrive:
+    """One drive of a page, from its first scan on.
+
+    Attributes:
+        config: of the run.
+        world: where it takes place.
+        robot: its name.
+        driver: the config's, from which a person can take over.
+
+    Args:
+        config: of the run, as `validate` takes it.
+        scenarios: worlds that the page built before.
+        progress: of the preparation.
+
+    Raises:
+        WctError: the config cannot be run.
+    """
+
+    def __init__(
+        self, config: RunConfig, scenarios: ScenarioCache | None = None, progress: Progress = no_progress
+    ) -> None:
+        ready = prepare(config, progress, scenarios)
+        self.config, self.robot = config, config.robot
+        self.driver = HandOverDriver(ready.driver, ready.simulation.robot)
+        self._ready = replace(ready, driver=self.driver)
+        self.world = ready.scenario.world
+        self._meter = CostMeter()
+        self._drive = Drive(
+            ready.simulation, self.driver, ready.mapper, config.seconds, wall_limit=config.wall_limit
+        )
+        self._T_world_map = self._drive.log.truth[0].to_pose2()
+        self._maps: list[MapSnapshot] = []
+        self._drawn_at = 0.0
+        self._keep_map()
+
+    @property
+    def over(self) -> bool:
+        """Whether the drive has ended."""
+        return self._drive.over
+
+    @property
+    def time(self) -> float:
+        """Simulated seconds since the start."""
+        return self._drive.time
+
+    @property
+    def scans(self) -> int:
+        """How many scans there are so far."""
+        return len(self._drive.log.truth)
+
+    def step(self) -> None:
+        """Drive until the next scan; nothing more once the drive is over.
+
+        Raises:
+            MapperError: the mapper failed.
+        """
+        if self.over:
+            return
+        self._drive.step()
+        apart = self.time - (self._maps[-1].time if self._maps else 0.0)
+        waited = time.monotonic() - self._drawn_at
+        if self.over or (apart >= MAP_SECONDS and waited >= MAP_WALL_SECONDS):
+            self._keep_map()
+
+    def go_on(self, until: float, time_limit: float) -> bool:
+        """Drive on; return whether the drive has come to its limit, and waits for it to move.
+
+        Args:
+            until: reading of `time.monotonic` at which to come back.
+            time_limit: simulated time beyond which not to drive now, seconds.
+
+        Raises:
+            MapperError: the mapper failed.
+        """
+        with cpu_contention():  # other runs on this machine notice, and say so in their records
+            while not self.over and time.monotonic() < until:
+                if self.time >= time_limit:
+                    return True
+                self.step()
+        return False
+
+    def moment(self, scan: int) -> Moment:
+        """Return the drive at a scan, 0 being the one before anything moves."""
+        log, until = self._drive.log, scan + 1
+        observation, T_world_base = log.observations[scan], log.truth[scan]
+        truth = np.array([(p.x, p.y, p.z) for p in log.truth[:until]])
+        estimate = self._T_world_map.apply([(p.x, p.y) for p in log.estimates[:until]])
+        stamp = observation.scan.stamp
+        return Moment(
+            time=stamp,
+            T_world_base=T_world_base,
+            scan=scan_points(observation.scan, T_world_base),
+            truth=truth,
+            estimate=estimate,
+            map=latest(self._maps, stamp),
+            facts=self._facts(scan, truth[:, :2], estimate),
+        )
+
+    def save(self, out: Path, progress: Progress = no_progress) -> Run:
+        """Evaluate and write the drive so far, as `validate` would have; it can go on afterwards.
+
+        The processor was shared with the page: the record says so of its real-time factor. Where a person
+        drove, the record's driver is `manual`.
+
+        Raises:
+            WctError: nothing was driven yet, or the folder cannot be written.
+        """
+        log = self._drive.log
+        status, reason, concurrent = log.status, log.reason, log.concurrent
+        if not self.over:
+            log.reason = f"stopped by hand at {self.time:.1f} s"
+        log.concurrent = True
+        ready = self._ready
+        if self.driver.touched:
+            driven = replace(self.config, driver=MANUAL)
+            ready = replace(ready, scenario=replace(ready.scenario, config=driven))
+        cost = {"cpu_seconds": self._meter.cpu_seconds(), "peak_memory": self._meter.peak_memory()}
+        try:
+            return conclude(ready, log, cost, out, progress)
+        finally:
+            log.status, log.reason, log.concurrent, log.final = status, reason, concurrent, None
+
+    def _keep_map(self) -> None:
+        grid = self._ready.mapper.map()
+        self._maps.append(MapSnapshot.of(grid.moved(self._T_world_map), self.time))
+        self._drawn_at = time.monotonic()
+
+    def _facts(self, scan: int, truth: FloatArray, estimate: FloatArray) -> Facts:
+        log = self._drive.log
+        walls = sum(log.walls[:scan])
+        speed = f"{scan * self._ready.simulation.period / walls:.1f}" if walls > 0 else "-"
+        ended = f"{log.status}{': ' if log.reason else ''}{log.reason}" if self.over else "on its way"
+        return (
+            ("time", f"{log.observations[scan].scan.stamp:.1f} of {self.config.seconds:g} s"),
+            ("RTF", speed),
+            ("ATE", f"{ate(truth, estimate):.3f} m"),
+            ("status", ended),
+        )

@@ -1,0 +1,137 @@
+"""A drive as a page shows it: at any of its moments, while it goes on or long after."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from lirs_validation.gui.session.world_facts import Facts
+from lirs_validation.metrics.planar import rigid_alignment, rms
+from lirs_wct.arrays import ByteArray, Float32Array, FloatArray
+from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.world import World
+
+BLACK, WHITE, UNKNOWN = 0, 254, 205
+"""Pixels of occupied, free and unknown cells, as in a map's file."""
+
+
+@dataclass(frozen=True)
+class MapSnapshot:
+    """A map at one moment, packed: a drive has many.
+
+    Attributes:
+        time: seconds since the start.
+        shape: rows and columns.
+        resolution: edge of a cell, metres.
+        origin: of the cells in the world frame.
+        packed: (rows, cols) pixels of the part that is known, row 0 = south.
+    """
+
+    time: float
+    shape: tuple[int, int]
+    resolution: float
+    origin: Pose2
+    packed: bytes
+
+    @staticmethod
+    def of(grid: OccupancyGrid, time: float) -> MapSnapshot:
+        """Pack what is known of a map of the world frame."""
+        pixels = np.full(grid.shape, UNKNOWN, np.uint8)
+        p = grid.probability
+        pixels[p > OCCUPIED] = BLACK
+        pixels[p < FREE] = WHITE
+        rows, cols = (np.flatnonzero((pixels != UNKNOWN).any(axis=axis)) for axis in (1, 0))
+        if len(rows) == 0:
+            return MapSnapshot(time, (0, 0), grid.resolution, grid.origin, zlib.compress(b""))
+        known = pixels[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+        corner = Pose2(float(cols[0]) * grid.resolution, float(rows[0]) * grid.resolution)
+        shape = known.shape[0], known.shape[1]
+        return MapSnapshot(
+            time, shape, grid.resolution, grid.origin @ corner, zlib.compress(known.tobytes(), 1)
+        )
+
+    @property
+    def pixels(self) -> ByteArray:
+        """(rows, cols) pixels as in a map's file, row 0 = south."""
+        return np.frombuffer(zlib.decompress(self.packed), np.uint8).reshape(self.shape)
+
+    @property
+    def walls(self) -> FloatArray:
+        """(n, 2) centers of the occupied cells, world frame, metres."""
+        cells = np.argwhere(self.pixels == BLACK)
+        return self.origin.apply((cells[:, ::-1] + 0.5) * self.resolution)
+
+    @property
+    def known(self) -> int:
+        """Number of cells about which something is known."""
+        return int((self.pixels != UNKNOWN).sum())
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What is seen of a drive at one scan.
+
+    Attributes:
+        time: seconds since the start.
+        T_world_base: true pose.
+        scan: (n, 3) points that the scan hit, world frame, metres.
+        truth: (k, 3) true positions until then, world frame, metres.
+        estimate: (k, 2) estimated positions until then, world frame.
+        map: the latest one; None before the first.
+        facts: figures until then.
+    """
+
+    time: float
+    T_world_base: Pose3
+    scan: Float32Array
+    truth: FloatArray
+    estimate: FloatArray
+    map: MapSnapshot | None
+    facts: Facts
+
+
+class Playback(Protocol):
+    """A drive that can be looked at."""
+
+    @property
+    def robot(self) -> str:
+        """Name of the robot."""
+        ...
+
+    @property
+    def world(self) -> World | None:
+        """Where it took place; None where that is not known any more."""
+        ...
+
+    @property
+    def scans(self) -> int:
+        """How many scans there are."""
+        ...
+
+    def moment(self, scan: int) -> Moment:
+        """Return the drive at a scan, 0 being the one before anything moves."""
+        ...
+
+
+def scan_points(scan: LaserScan, T_world_base: Pose3) -> Float32Array:
+    """Return (n, 3) where the beams of a scan hit something, world frame, metres."""
+    hits = scan.hits
+    r, angle = scan.ranges[hits].astype(np.float64), scan.angles[hits]
+    points = np.stack((r * np.cos(angle), r * np.sin(angle), np.zeros_like(r)), axis=-1)
+    return (T_world_base @ scan.T_base_laser).apply(points).astype(np.float32)
+
+
+def latest(maps: list[MapSnapshot], time: float) -> MapSnapshot | None:
+    """Return the last map that was there at a time."""
+    return next((found for found in reversed(maps) if found.time <= time + 1e-9), None)
+
+
+def ate(true: FloatArray, estimated: FloatArray) -> float:
+    """Return the root mean square error of positions (n, 2) after rigid alignment, metres."""
+    aligned = rigid_alignment(estimated, true).apply(estimated)
+    return rms(np.linalg.norm(aligned - true, axis=1))

@@ -1,0 +1,86 @@
+"""Drive and replay in a real browser: the map grows, hands steer, a run is saved, opened again, and goes."""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from tests.lirs_validation.gui.pages import field, figure, upload, wait_for
+
+Open = Callable[[], Any]
+
+
+def _time(page: Any) -> float:
+    return float(figure(page, "time").split()[0])
+
+
+def test_drive_steer_save_and_replay(open_page: Open, server: Any, tmp_path: Path) -> None:
+    page = open_page()
+    page.get_by_role("tab", name="Drive").click()
+    page.get_by_role("button", name="Start").click()
+    page.get_by_text("on its way").wait_for()
+    drive = server.pages[0].drive.drive
+    first = drive.moment(0).map
+    wait_for(lambda: drive.time > 4.0)
+    page.get_by_role("button", name="Pause").click()
+    page.get_by_role("button", name="Go on").wait_for()
+    assert drive.moment(drive.scans - 1).map.known > first.known
+    stood = drive.scans
+    page.get_by_role("button", name="Step one scan").click()
+    wait_for(lambda: drive.scans == stood + 1)
+    assert figure(page, "ATE").endswith(" m")
+
+    field(page, "timeline").fill("1")
+    wait_for(lambda: figure(page, "time").startswith("1.0 "))
+    assert drive.scans == stood + 1
+
+    field(page, "drive by hand").click()
+    page.get_by_text("drag, or hold").wait_for()
+    page.get_by_role("button", name="Go on").click()
+    page.keyboard.down("KeyW")
+    page.keyboard.down("KeyA")
+    wait_for(lambda: field(page, "stick").input_value() == "1.00 0.60")
+    wait_for(lambda: drive.driver.touched)
+    page.keyboard.up("KeyA")
+    page.keyboard.up("KeyW")
+    wait_for(lambda: field(page, "stick").input_value() == "0.00 0.00")
+    box = page.locator(".lirs-stick").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x, y - box["height"] / 6, steps=3)
+    wait_for(lambda: field(page, "stick").input_value() == "0.50 0.00")
+    page.mouse.up()
+    wait_for(lambda: field(page, "stick").input_value() == "0.00 0.00")
+    page.get_by_role("button", name="Pause").click()
+
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save the run").click()
+    assert "-manual-" in download.value.suggested_filename
+    archive = tmp_path / "run.zip"
+    download.value.save_as(archive)
+    driven = drive.time
+
+    page.get_by_role("tab", name="Replay").click()
+    upload(page, "Open a zipped run", archive)
+    page.get_by_text("map F1").wait_for()
+    page.get_by_role("button", name="Play").click()
+    wait_for(lambda: _time(page) > 1.0)
+    page.get_by_role("button", name="Play").wait_for()
+    assert abs(_time(page) - driven) < 0.11
+    assert server.pages[0].drive.drive is None
+
+
+def test_closing_the_page_frees_its_simulation(open_page: Open, server: Any) -> None:
+    page = open_page()
+    page.get_by_role("tab", name="Drive").click()
+    page.get_by_role("button", name="Start").click()
+    page.get_by_text("on its way").wait_for()
+    served = server.pages[0]
+    assert served.drive.drive is not None
+    page.close()
+    wait_for(lambda: not server.pages)
+    assert served.worker.join(30)
+    assert served.drive.drive is None
+    assert not served.uploads.folder.exists()
+    assert f"page {served.client_id}" not in {thread.name for thread in threading.enumerate()}

@@ -1,0 +1,196 @@
+"""A drive in a page is the drive of `validate`: same record, whatever is looked at in between."""
+
+import json
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lirs_validation.config import MANUAL, RunConfig
+from lirs_validation.experiment.run import run
+from lirs_validation.experiment.scenario import ScenarioCache
+from lirs_validation.gui.session.construction import zipped
+from lirs_validation.gui.session.finished_run import FinishedRun, runs_in, unpacked_run
+from lirs_validation.gui.session.live_drive import LiveDrive
+from lirs_validation.gui.session.uploads import Limits
+from lirs_validation.record.run_record import read_record
+from lirs_validation.record.schema import schema_error
+from lirs_wct.errors import ConfigError, SimulationError, SourceError
+
+TIMED = {"rtf", "cost", "machine", "versions", "file_sizes", "mapper"}
+"""What is measured by the clock, or names the machine."""
+
+
+@pytest.fixture(scope="module")
+def scenarios() -> ScenarioCache:
+    return ScenarioCache()
+
+
+def results(folder: Path) -> dict[str, Any]:
+    entry = read_record(folder)
+    counts = {key: value for key, value in entry["mapper"].items() if "ms" not in key and "milli" not in key}
+    return {key: value for key, value in entry.items() if key not in TIMED} | {"mapper": counts}
+
+
+def driven(config: RunConfig, scenarios: ScenarioCache, ticks: int | None = None) -> LiveDrive:
+    drive = LiveDrive(config, scenarios)
+    while not drive.over and (ticks is None or drive.scans <= ticks):
+        drive.step()
+        if drive.scans % 50 == 0:
+            drive.moment(drive.scans // 2)  # somebody looks back
+    return drive
+
+
+@pytest.mark.parametrize(
+    ("mapper", "driver"),
+    [("hector", "tour"), ("gmapping", "tour"), ("cartographer", "tour"), ("hector", "frontier")],
+)
+def test_a_saved_drive_is_validates_run(
+    tmp_path: Path, scenarios: ScenarioCache, mapper: str, driver: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lirs_validation.gui.session.live_drive.MAP_WALL_SECONDS", 0.0)
+    config = RunConfig(source="simple", mapper=mapper, driver=driver, seconds=3.0, seed=2)
+    by_validate = run(config, out=tmp_path / "validate", scenarios=scenarios).folder
+    by_page = driven(config, scenarios).save(tmp_path / "page").folder
+    assert by_validate is not None
+    assert by_page is not None
+    assert by_page.name == by_validate.name
+    assert results(by_page) == results(by_validate)
+    for name in ("truth.tum", "estimate.tum", "odometry.tum", "commands.csv", "map.pgm", "map.yaml"):
+        assert (by_page / name).read_bytes() == (by_validate / name).read_bytes(), name
+    assert schema_error(json.loads((by_page / "record.json").read_text())) is None
+    assert read_record(by_page)["rtf"]["concurrent"] is True
+
+
+def test_a_drive_goes_on_after_it_was_saved(tmp_path: Path, scenarios: ScenarioCache) -> None:
+    config = RunConfig(source="simple", seconds=3.0)
+    once = driven(config, scenarios).save(tmp_path / "once").record
+    drive = driven(config, scenarios, ticks=60)
+    early = drive.save(tmp_path / "twice").record
+    assert early.status == "ok"
+    assert early.reason.startswith("stopped by hand at 2.4")
+    while not drive.over:
+        drive.step()
+    late = drive.save(tmp_path / "twice").record
+    assert (late.status, late.reason) == ("ok", "")
+    assert late.trajectory == once.trajectory
+    assert late.map == once.map
+
+
+def test_a_person_takes_over_and_the_record_says_so(tmp_path: Path, scenarios: ScenarioCache) -> None:
+    config = RunConfig(source="simple", seconds=4.0)
+    drive = driven(config, scenarios, ticks=25)
+    drive.driver.by_hand = True
+    drive.driver.steer(1.0, 5.0)  # beyond its limits
+    for _ in range(50):
+        drive.step()
+    drive.driver.by_hand = False
+    for _ in range(25):
+        drive.step()
+    saved = drive.save(tmp_path)
+    assert saved.record.config.driver == MANUAL
+    commands = saved.log.commands
+    assert {(c.v, c.omega) for c in commands[25:75]} == {(1.0, 2.0)}
+    assert saved.folder is not None
+    assert schema_error(json.loads((saved.folder / "record.json").read_text())) is None
+    again = run(RunConfig(source="simple", seconds=2.0, driver=f"replay:{saved.folder}"), scenarios=scenarios)
+    assert [p.position.tolist() for p in again.log.truth] == [
+        p.position.tolist() for p in saved.log.truth[: len(again.log.truth)]
+    ]
+    with pytest.raises(ConfigError, match="replay:RUN drives the same again"):
+        run(RunConfig(source="simple", driver=MANUAL), scenarios=scenarios)
+
+
+def test_moments_are_the_drive(scenarios: ScenarioCache) -> None:
+    drive = driven(RunConfig(source="simple", seconds=3.0), scenarios)
+    assert drive.scans == 76  # 25 Hz
+    begin, middle, end = (drive.moment(k) for k in (0, 25, 75))
+    assert (begin.time, middle.time, end.time) == pytest.approx((0.0, 1.0, 3.0))
+    assert len(middle.truth) == len(middle.estimate) == 26
+    np.testing.assert_array_equal(end.truth[:26], middle.truth)
+    assert begin.map is not None
+    assert end.map is not None
+    assert end.map.known > begin.map.known
+    assert np.linalg.norm(end.truth[-1, :2] - end.estimate[-1]) < 0.1
+    # The scan lies on the ground or on what stands there.
+    x, y, z = end.scan.T
+    around = [drive.world.surface.height_at(x + dx, y + dy) for dx in (-0.15, 0.15) for dy in (-0.15, 0.15)]
+    met = (np.min(around, axis=0) < z + 0.1) & (z - 0.1 < np.max(around, axis=0))
+    assert len(z) > 50
+    assert met.mean() > 0.98
+    assert dict(end.facts)["status"] == "ok"
+    assert dict(begin.facts)["time"] == "0.0 of 3 s"
+
+
+def test_nothing_driven_is_nothing_to_save(tmp_path: Path, scenarios: ScenarioCache) -> None:
+    drive = LiveDrive(RunConfig(source="simple", seconds=3.0), scenarios)
+    with pytest.raises(SimulationError, match="nothing was driven"):
+        drive.save(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_two_drives_at_a_time_do_not_disturb_each_other(tmp_path: Path, scenarios: ScenarioCache) -> None:
+    configs = [RunConfig(source="simple", seconds=3.0, seed=seed) for seed in (1, 2)]
+    alone = [driven(config, scenarios).save(tmp_path / "alone").record for config in configs]
+    together: dict[int, Any] = {}
+
+    def drive(config: RunConfig) -> None:
+        together[config.seed] = driven(config, scenarios).save(tmp_path / "together").record
+
+    threads = [threading.Thread(target=drive, args=(config,)) for config in configs]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for record in alone:
+        assert together[record.config.seed].trajectory == record.trajectory
+        assert together[record.config.seed].map == record.map
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, scenarios: ScenarioCache) -> Path:
+    """A finished run."""
+    out = tmp_path_factory.mktemp("out")
+    found = run(RunConfig(source="simple", seconds=3.0), out=out, scenarios=scenarios).folder
+    assert found is not None
+    return found
+
+
+def test_a_finished_run_shows_what_the_drive_showed(folder: Path, scenarios: ScenarioCache) -> None:
+    live = driven(RunConfig(source="simple", seconds=3.0), scenarios)
+    found = FinishedRun(folder, scenarios)
+    assert found.scans == live.scans
+    assert found.world is not None
+    for k in (0, 25, 75):
+        seen, replayed = live.moment(k), found.moment(k)
+        assert replayed.time == pytest.approx(seen.time, abs=1e-4)
+        np.testing.assert_allclose(replayed.truth, seen.truth, atol=1e-4)
+        np.testing.assert_allclose(replayed.scan, seen.scan, atol=0.02)
+    assert "simple, husky, hector, seed 1" in dict(found.moment(3).facts)["run"]
+
+
+def test_an_uploaded_run_opens_no_file_of_the_server(folder: Path, tmp_path: Path, picture: Path) -> None:
+    unpacked = unpacked_run(zipped(folder), tmp_path / "run", Limits())
+    record = json.loads((unpacked / "record.json").read_text())
+    record["config"]["source"] = str(picture)
+    (unpacked / "record.json").write_text(json.dumps(record))
+    assert FinishedRun(unpacked).world is not None
+    sent = FinishedRun(unpacked, uploaded=True)
+    assert sent.world is None
+    assert "not looked for" in sent.missing
+    assert sent.moment(10).map is not None
+
+
+def test_a_run_is_sent_as_a_zip(folder: Path, tmp_path: Path, scenarios: ScenarioCache) -> None:
+    unpacked = unpacked_run(zipped(folder), tmp_path / "run", Limits())
+    assert FinishedRun(unpacked, scenarios).scans == 76
+    assert runs_in(folder.parent) == {folder.name: folder}
+    assert runs_in(folder) == {folder.name: folder}
+    with pytest.raises(SourceError, match="unpacks to more"):
+        unpacked_run(zipped(folder), tmp_path / "small", Limits(upload=1000))
+    with pytest.raises(SourceError, match="cannot be read"):
+        unpacked_run(b"no zip", tmp_path / "none", Limits())
+    with pytest.raises(SourceError, match="holds no run"):
+        unpacked_run(zipped(unpacked.parent / "none"), tmp_path / "none", Limits())
