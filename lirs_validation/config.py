@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from lirs_wct.errors import ConfigError, unknown_name
@@ -146,6 +147,14 @@ class RunConfig:
         return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
+def _sha256(content: bytes | Path) -> str:
+    """Return the digest of bytes, or of a file, which may be larger than the memory."""
+    if isinstance(content, bytes):
+        return hashlib.sha256(content).hexdigest()
+    with content.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def _without(later: dict[str, Any], entry: dict[str, Any]) -> dict[str, Any]:
     """Return a config's fields without those that came later and are as they would be without."""
     return {key: value for key, value in entry.items() if key not in later or value != later[key]}
@@ -172,12 +181,13 @@ class MapConfig:
         fov: field of view of the laser, degrees; None = as the log says.
         range_max: ranges from here on are no return, metres; None = as the log says.
         relations: path of relative-pose constraints that are known to be true.
-        reference: path of a reference trajectory: TUM, or a CARMEN log of corrected poses.
+        reference: path of a reference trajectory: TUM, a bag, or a CARMEN log of corrected poses.
         imu: path of inertial readings, as a run records them (`imu.csv.gz`); None = the log has none.
         attitude: what the mapper is told of them: `imu`, or `none`.
         scan_topic: of a bag: where the scans are; None = the only topic of scans.
         odom_topic: of a bag: where the odometry is; None = the only topic of odometry, else /tf.
         imu_topic: of a bag: where inertial readings are; None = they are left alone.
+        reference_topic: of a reference that is a bag: where its poses are; None = /tf, else the only topic.
 
     Raises:
         ConfigError: a value is not legal.
@@ -197,6 +207,7 @@ class MapConfig:
     scan_topic: str | None = None
     odom_topic: str | None = None
     imu_topic: str | None = None
+    reference_topic: str | None = None
 
     def __post_init__(self) -> None:
         require_at_least(self, 0, "seed")
@@ -208,16 +219,22 @@ class MapConfig:
             require_above(self, 0, "range_max", unit="m", finite=True)
         if self.attitude not in ATTITUDES:
             raise unknown_name("attitude", self.attitude, ATTITUDES)
+        if self.reference_topic is not None and self.reference is None:
+            raise ConfigError("--reference-topic is of a --reference, which is not given")
 
-    def digest(self, content: bytes, readings: bytes | None = None) -> str:
+    def digest(self, content: bytes | Path, readings: bytes | None = None) -> str:
         """Return eight hex digits that distinguish this map from others.
 
         Args:
-            content: of the log. Its path is left out, and what the map is only evaluated by.
+            content: of the log, or its file. Its path is left out, and what the map is only evaluated by.
             readings: content of the file of inertial readings, if any.
+
+        Raises:
+            OSError: the file cannot be read.
         """
-        entry = asdict(self) | {"log": hashlib.sha256(content).hexdigest()}
-        del entry["relations"], entry["reference"], entry["imu"]
+        entry = asdict(self) | {"log": _sha256(content)}
+        for name in ("relations", "reference", "reference_topic", "imu"):
+            del entry[name]
         if readings is not None:
             entry["imu"] = hashlib.sha256(readings).hexdigest()
         entry = _without(LATER_OF_MAPS, entry)

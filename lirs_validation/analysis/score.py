@@ -12,6 +12,7 @@ import numpy as np
 from lirs_validation.analysis.recorded_run import recorded_truth, recorded_world_config, true_pose_map
 from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.experiment.scenario import build_scenario
+from lirs_validation.logs.reference import read_trajectory
 from lirs_validation.metrics import StartAlignment, map_scores, start_alignment, trajectory_errors
 from lirs_validation.metrics.agreement import agreement, decided, sampled
 from lirs_validation.metrics.association import MAX_GAP, associated
@@ -56,22 +57,29 @@ class Score:
 
 
 def score(
-    run: RunFolder, *, trajectory: Path | None = None, map_yaml: Path | None = None, frame: Frame = "auto"
+    run: RunFolder,
+    *,
+    trajectory: Path | None = None,
+    topic: str | None = None,
+    map_yaml: Path | None = None,
+    frame: Frame = "auto",
 ) -> Score:
-    """Score a trajectory and a map that were made from a run's `scans.clf.gz`.
+    """Score a trajectory and a map that were made from a run's `scans.clf.gz` or bag.
 
     Args:
         run: the run.
-        trajectory: TUM file, poses of base_link at stamps of the run.
+        trajectory: TUM file or ROS bag, poses of base_link at stamps of the run.
+        topic: of a bag: where its poses are; None = transforms from map to base_link, else the only topic.
         map_yaml: ROS map.
         frame: of both: `map`, whose origin is the first base pose; `world`, as the run's own files; `auto`:
             found by where the trajectory begins; without one, by the true-pose map.
 
     Raises:
         SourceError: a file cannot be read, or does not fit the run: stamps, frame, place.
+        ConfigError: a topic is given, and the trajectory is no bag.
     """
     truth = recorded_truth(run.folder)
-    estimate = None if trajectory is None else read_tum(trajectory)
+    estimate = None if trajectory is None else read_trajectory(trajectory, topic)
     if estimate is not None and trajectory is not None:
         _check_stamps(trajectory, estimate, truth)
         frame = frame_of(trajectory, estimate, truth, frame)

@@ -29,7 +29,16 @@ Relations = Annotated[
 ]
 Reference = Annotated[
     str | None,
-    typer.Option(metavar="FILE", help="Reference trajectory (TUM, or CARMEN of corrected poses); the same."),
+    typer.Option(
+        metavar="FILE", help="Reference trajectory (TUM, ROS bag, or CARMEN of corrected poses); the same."
+    ),
+]
+ReferenceTopic = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TOPIC",
+        help="Of a reference that is a bag: its poses; default: /tf, else the only such topic.",
+    ),
 ]
 ImuFile = Annotated[
     str | None,
@@ -75,6 +84,7 @@ def map_log(
     scan_topic: ScanTopic = None,
     odom_topic: OdomTopic = None,
     imu_topic: ImuTopic = None,
+    reference_topic: ReferenceTopic = None,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the map's folder.")] = Path(
         "out"
     ),
@@ -99,6 +109,7 @@ def map_log(
         scan_topic=scan_topic,
         odom_topic=odom_topic,
         imu_topic=imu_topic,
+        reference_topic=reference_topic,
     )
     with progress_bar(log, err) as progress:
         mapped = run_mapping(config, out=output, progress=progress)

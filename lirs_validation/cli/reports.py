@@ -107,7 +107,16 @@ def compare(
 def score(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
     trajectory: Annotated[
-        Path | None, typer.Option(help="TUM file: poses of base_link, at stamps of the run's scans.")
+        Path | None,
+        typer.Option(help="TUM file or ROS bag: poses of base_link, at stamps of the run's scans."),
+    ] = None,
+    topic: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TOPIC",
+            help="Of a bag: odometry, stamped poses, a path or /tf; default: map -> base_link on /tf, else "
+            "the only topic of poses.",
+        ),
     ] = None,
     map_yaml: Annotated[Path | None, typer.Option("--map", help="ROS map: a YAML with its picture.")] = None,
     frame: Annotated[
@@ -120,7 +129,7 @@ def score(
     ] = "auto",
     output: Annotated[Path, typer.Option("-o", "--output", help="JSON to write.")] = Path("score.json"),
 ) -> None:
-    """Score what another program made of a run's recorded scans (scans.clf.gz)."""
+    """Score what another program made of a run's recorded scans (scans.clf.gz, or its bag)."""
     from lirs_validation.analysis.result_folders import read_run
     from lirs_validation.analysis.score import check_frame
     from lirs_validation.analysis.score import score as scored
@@ -128,8 +137,11 @@ def score(
 
     if trajectory is None and map_yaml is None:
         raise ConfigError("nothing to score: give --trajectory, --map or both")
+    if topic is not None and trajectory is None:
+        raise ConfigError("--topic is of a bag that --trajectory names, which is not given")
     recorded = read_run(run)
-    result = scored(recorded, trajectory=trajectory, map_yaml=map_yaml, frame=check_frame(frame))
+    named = check_frame(frame)
+    result = scored(recorded, trajectory=trajectory, topic=topic, map_yaml=map_yaml, frame=named)
     out.print(score_table(result, recorded.entry))
     write_score(output, result, trajectory, map_yaml)
     out.print(f"{output}", soft_wrap=True, highlight=False)

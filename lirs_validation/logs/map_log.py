@@ -25,7 +25,8 @@ from lirs_validation.record.verdict import LostRule, incompleteness
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
-from lirs_wct.formats.rosbag.library import require_rosbags
+from lirs_wct.formats.rosbag.library import METADATA, require_rosbags
+from lirs_wct.formats.suffixes import is_bag_file
 from lirs_wct.geometry.scan import Imu
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.options import BuildOptions
@@ -46,13 +47,17 @@ def map_log(
     reference: str | Path | None = None,
     imu: str | Path | None = None,
     attitude: Attitude = "imu",
+    scan_topic: str | None = None,
+    odom_topic: str | None = None,
+    imu_topic: str | None = None,
+    reference_topic: str | None = None,
     out: str | Path | None = None,
     progress: Progress = no_progress,
 ) -> MappedLog:
-    """Map a CARMEN log.
+    """Map a CARMEN log or a ROS bag.
 
     Args:
-        log: path of a .clf or .log file, gzipped or not.
+        log: path of a .clf or .log file, gzipped or not, or of a bag.
         mapper: name of the mapper, or `module:name` of your own.
         seed: of its random numbers; same seed, same bytes.
         particles: of gmapping; None = its own number.
@@ -60,9 +65,13 @@ def map_log(
         fov: field of view of the laser, degrees; None = as the log says.
         range_max: ranges from here on are no return, metres; None = as the log says.
         relations: file of relations that are known to be true; the record then holds the accuracy.
-        reference: file of a reference trajectory (TUM, or a CARMEN log of corrected poses); the same.
+        reference: a reference trajectory (TUM, bag, or CARMEN log of corrected poses); the same.
         imu: file of inertial readings at the scans, as a run records them; None = there are none.
         attitude: what the mapper is told of them: `imu`, or `none`.
+        scan_topic: of a bag: where the scans are; None = the only topic of scans.
+        odom_topic: of a bag: where the odometry is; None = the only topic of odometry, else /tf.
+        imu_topic: of a bag: where inertial readings are; None = they are left alone.
+        reference_topic: of a reference that is a bag: where its poses are.
         out: folder that receives the map's folder; None = nothing is written.
         progress: of the mapping.
 
@@ -81,6 +90,10 @@ def map_log(
         reference=None if reference is None else str(reference),
         imu=None if imu is None else str(imu),
         attitude=attitude,
+        scan_topic=scan_topic,
+        odom_topic=odom_topic,
+        imu_topic=imu_topic,
+        reference_topic=reference_topic,
     )
     return run_mapping(config, out=None if out is None else Path(out), progress=progress)
 
@@ -156,18 +169,18 @@ def folder_name(config: MapConfig) -> str:
     """
     path = Path(config.log)
     try:
-        content = _digest(path) if path.is_dir() else path.read_bytes()
         readings = None if config.imu is None else Path(config.imu).read_bytes()
+        digest = config.digest(_digests(path) if path.is_dir() else path, readings)
     except OSError as error:
         raise SourceError(f"{error.filename}: cannot be read: {error.strerror or error}") from error
     stem = find_source(path, BuildOptions()).name
-    return f"{stem}-{config.mapper.rpartition(':')[2]}-s{config.seed}-{config.digest(content, readings)}"
+    return f"{stem}-{config.mapper.rpartition(':')[2]}-s{config.seed}-{digest}"
 
 
-def _digest(folder: Path) -> bytes:
-    """Return digests of the files of a bag's folder, in the order of their names."""
+def _digests(folder: Path) -> bytes:
+    """Return digests of the files of a bag, whose folder may hold others too, in the order of their names."""
     digests = []
-    for path in sorted(p for p in folder.iterdir() if p.is_file()):
+    for path in sorted(p for p in folder.iterdir() if p.name == METADATA or is_bag_file(p)):
         with path.open("rb") as file:
             digests.append(hashlib.file_digest(file, "sha256").digest())
     return b"".join(digests)

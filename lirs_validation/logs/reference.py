@@ -1,4 +1,4 @@
-"""A reference trajectory, in either of the formats that the data sets use."""
+"""A trajectory that was made elsewhere: a reference, or another program's estimate."""
 
 from __future__ import annotations
 
@@ -6,18 +6,45 @@ import gzip
 import zlib
 from pathlib import Path
 
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.rosbag.library import require_rosbags
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.sources.source import is_bag
 
 
-def read_reference(path: Path) -> Trajectory:
-    """Read a TUM file, or a CARMEN log whose poses were corrected (as of a pose graph's nodes).
+def read_trajectory(path: Path, topic: str | None = None, flag: str = "--topic") -> Trajectory:
+    """Read a TUM file, or a bag with transforms from map to base_link or a topic of poses.
+
+    Args:
+        path: of file or bag.
+        topic: of a bag, which holds the poses; None = see `read_poses`.
+        flag: what the user says the topic with.
 
     Raises:
-        SourceError: it is neither, or holds no poses.
+        SourceError: it is neither, or has no such topic, or holds no poses.
+        ConfigError: a topic is given, and it is no bag.
     """
+    if is_bag(path):
+        require_rosbags(path)
+        from lirs_wct.formats.rosbag.poses import read_poses
+
+        return read_poses(path, topic, flag)
+    if topic is not None:
+        raise ConfigError(f"{path}: {flag} can be given for a ROS bag only, this is none")
+    return read_tum(path)
+
+
+def read_reference(path: Path, topic: str | None = None) -> Trajectory:
+    """Read a TUM file, a bag, or a CARMEN log whose poses were corrected (as of a pose graph's nodes).
+
+    Raises:
+        SourceError: it is none of these, or holds no poses.
+        ConfigError: a topic is given, and it is no bag.
+    """
+    if is_bag(path) or topic is not None:
+        return read_trajectory(path, topic, "--reference-topic")
     if _begins_with_a_number(path):
         return read_tum(path)
     track = read_carmen(path).track

@@ -26,7 +26,7 @@ def read_truth(config: MapConfig) -> tuple[tuple[RelativePoseConstraint, ...] | 
     c = config
     return (
         None if c.relations is None else read_constraints(Path(c.relations)),
-        None if c.reference is None else read_reference(Path(c.reference)),
+        None if c.reference is None else read_reference(Path(c.reference), c.reference_topic),
     )
 
 

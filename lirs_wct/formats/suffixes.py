@@ -1,5 +1,7 @@
 """Suffixes by which a file's format is recognized."""
 
+from pathlib import Path
+
 MESHES = (".stl", ".dae", ".obj", ".ply", ".glb")
 """Mesh files."""
 LOGS = (".clf", ".log")
@@ -8,3 +10,10 @@ BAGS = (".mcap", ".db3", ".bag")
 """Files of ROS 2 bags, and ROS 1 bags."""
 MAPS = (".yaml", ".yml")
 """Metadata of ROS maps."""
+ZSTD = ".zstd"
+"""Ends the names of a ROS 2 bag's files that were compressed as a whole."""
+
+
+def is_bag_file(path: Path) -> bool:
+    """Return whether a file's name is that of a ROS bag, or of a part of one."""
+    return path.name.lower().removesuffix(ZSTD).endswith(BAGS)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.suffixes import BAGS, LOGS, MAPS, MESHES
+from lirs_wct.formats.suffixes import LOGS, MAPS, MESHES, ZSTD, is_bag_file
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.options import BuildOptions, without_effect
 from lirs_wct.sources.source_kind import SourceKind
@@ -47,8 +47,10 @@ def is_log(path: Path) -> bool:
 def is_bag(path: Path) -> bool:
     """Return whether a path is that of a ROS bag: a file, or a folder with files of one."""
     if path.is_dir():
-        return not (path / "world.json").exists() and any(p.suffix in BAGS[:2] for p in path.iterdir())
-    return path.suffix.lower() in BAGS
+        return not (path / "world.json").exists() and any(
+            is_bag_file(p) and p.suffix != ".bag" for p in path.iterdir()
+        )
+    return is_bag_file(path)
 
 
 def warn_of_useless(source: Source, options: BuildOptions) -> None:
@@ -78,7 +80,7 @@ def _kind(path: Path, options: BuildOptions) -> SourceKind:
 
 
 def _unzipped(path: Path) -> Path:
-    return path.with_suffix("") if path.suffix.lower() == ".gz" else path
+    return path.with_suffix("") if path.suffix.lower() in (".gz", ZSTD) else path
 
 
 def _stem(path: Path) -> str:

@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
+import numpy as np
+
 from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry.trajectory import Trajectory
+
+SAME = 1e-6
+"""Metres, and parts of a quaternion, within which a transform on /tf never changes."""
 
 
 def pose_of(position: Any, rotation: Any) -> Pose3:
-    """Return the pose of a message's position and quaternion."""
+    """Return the pose of a message's position and quaternion; a quaternion of zeros turns nothing."""
     p, q = position, rotation
-    return Pose3.from_arrays((p.x, p.y, p.z), (q.w, q.x, q.y, q.z))
+    n = math.sqrt(q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z)
+    if n == 0.0:
+        return Pose3(p.x, p.y, p.z)
+    return Pose3(p.x, p.y, p.z, q.w / n, q.x / n, q.y / n, q.z / n)
+
+
+def seconds(stamp: Any) -> float:
+    """Return a message's stamp."""
+    return float((stamp.sec * 1_000_000_000 + stamp.nanosec) / 1e9)
 
 
 class Frames:
@@ -19,37 +34,113 @@ class Frames:
     def __init__(self) -> None:
         self._fixed: dict[str, tuple[str, Pose3]] = {}
         self._moving: dict[str, list[tuple[int, float, Pose3]]] = {}
+        self._parents: dict[str, str] = {}
 
     def add(self, line: int, message: Any, *, static: bool) -> None:
         """Take in a TFMessage, the line-th message of the bag."""
         for t in message.transforms:
-            child, T = t.child_frame_id.lstrip("/"), pose_of(t.transform.translation, t.transform.rotation)
+            parent, child = t.header.frame_id.lstrip("/"), t.child_frame_id.lstrip("/")
+            T = pose_of(t.transform.translation, t.transform.rotation)
             if static:
-                self._fixed[child] = (t.header.frame_id.lstrip("/"), T)
+                self._fixed[child] = (parent, T)
             else:
-                stamp = t.header.stamp
-                seconds = (stamp.sec * 1_000_000_000 + stamp.nanosec) / 1e9
-                self._moving.setdefault(child, []).append((line, seconds, T))
+                self._parents[child] = parent
+                self._moving.setdefault(child, []).append((line, seconds(t.header.stamp), T))
+
+    @property
+    def names(self) -> set[str]:
+        """Frames of both kinds, parents and children."""
+        fixed = {name for child, (parent, _) in self._fixed.items() for name in (child, parent)}
+        return fixed | set(self._parents) | set(self._parents.values())
 
     def moving_base(self, frame: str) -> str:
-        """Return the nearest frame above a sensor's that moves in another; empty where none does."""
-        name = frame.lstrip("/")
-        while name not in self._moving and name in self._fixed:
-            name = self._fixed[name][0]
-        return name if name in self._moving else ""
+        """Return the nearest frame above a sensor's that moves in another; empty where none does.
+
+        Of a robot that stands, that is the nearest that could move.
+        """
+        on_tf = [name for name in self.chain(frame.lstrip("/")) if name in self._moving]
+        return next((name for name in on_tf if not self._constant(name)), on_tf[0] if on_tf else "")
 
     def odometry(self, base: str) -> list[tuple[int, float, Pose3]]:
         """Return line, stamp and pose of a moving frame in its parent; empty where it does not move."""
         return self._moving.get(base, [])
 
     def mount(self, base: str, frame: str) -> Pose3 | None:
-        """Return `T_base_frame` along fixed transforms; None where they do not lead there."""
-        name, T = frame.lstrip("/"), Pose3()
-        for _ in range(len(self._fixed) + 1):
-            if name == base:
-                return T
-            if name not in self._fixed:
-                return None
-            name, step = self._fixed[name]
-            T = step @ T
-        return None
+        """Return `T_base_frame` along transforms that never change; None where they do not lead there."""
+        top_of_base, T_top_base = self._climbed(base)
+        top, T_top_frame = self._climbed(frame.lstrip("/"))
+        return T_top_base.inverse() @ T_top_frame if top == top_of_base else None
+
+    def chain(self, frame: str) -> list[str]:
+        """Return a frame and all above it, the topmost last."""
+        names = [frame]
+        while (above := self._above(names[-1])) and above not in names:
+            names.append(above)
+        return names
+
+    def trajectory(self, frame: str) -> Trajectory:
+        """Return `T_top_frame` in the topmost frame above, whenever the lowest moving frame's pose is known.
+
+        Above that frame, poses are interpolated, as tf2 does.
+        """
+        chain = self.chain(frame)[:-1]
+        edges = [self._edge(name) for name in chain]
+        moving = [stamps for stamps, _ in edges if len(stamps) > 1]
+        if not moving:
+            return Trajectory.from_poses([], list[Pose3]())
+        first, last = max(s[0] for s in moving), min(s[-1] for s in moving)
+        stamps = moving[0][(moving[0] >= first) & (moving[0] <= last)]
+        poses = []
+        for t in stamps.tolist():
+            T = Pose3()
+            for held, steps in edges:
+                T = _interpolated(held, steps, t) @ T
+            poses.append(T)
+        return Trajectory.from_poses(stamps.tolist(), poses)
+
+    def _edge(self, name: str) -> tuple[np.ndarray[Any, np.dtype[np.float64]], list[Pose3]]:
+        """Return stamps, rising, and poses of a frame in its parent; of a fixed one, one at no time."""
+        if name in self._fixed and name not in self._moving:
+            return np.zeros(1), [self._fixed[name][1]]
+        found = {stamp: T for _, stamp, T in self._moving[name]}
+        stamps = sorted(found)
+        return np.array(stamps), [found[t] for t in stamps]
+
+    def _above(self, name: str) -> str:
+        return self._parents.get(name) or self._fixed.get(name, ("",))[0]
+
+    def _climbed(self, name: str) -> tuple[str, Pose3]:
+        """Return the topmost frame that transforms without change lead to, and the pose in it."""
+        T, seen = Pose3(), {name}
+        while True:
+            if name in self._fixed:
+                above, step = self._fixed[name]
+            elif self._constant(name):
+                above, step = self._parents[name], self._moving[name][0][2]
+            else:
+                return name, T
+            if above in seen:
+                return name, T
+            seen.add(above)
+            name, T = above, step @ T
+
+    def _constant(self, name: str) -> bool:
+        """Whether a frame of /tf never moves: who publishes sensors' mounts there repeats them."""
+        held = self._moving.get(name, [])
+        if len(held) < 2:
+            return False
+        values = np.array([(*T.position, *T.quaternion) for _, _, T in held])
+        return bool((np.ptp(values, axis=0) <= SAME).all())
+
+
+def _interpolated(stamps: np.ndarray[Any, np.dtype[np.float64]], poses: list[Pose3], t: float) -> Pose3:
+    """Return the pose at a stamp between two of them: position and quaternion linearly."""
+    k = int(np.searchsorted(stamps, t))
+    if k == len(poses) or stamps[k] == t or k == 0:
+        return poses[min(k, len(poses) - 1)]
+    a, b = poses[k - 1], poses[k]
+    share = float((t - stamps[k - 1]) / (stamps[k] - stamps[k - 1]))
+    q = b.quaternion if float(a.quaternion @ b.quaternion) >= 0 else -b.quaternion
+    return Pose3.from_arrays(
+        a.position + share * (b.position - a.position), a.quaternion + share * (q - a.quaternion)
+    )

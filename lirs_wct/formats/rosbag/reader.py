@@ -5,67 +5,126 @@ from __future__ import annotations
 import math
 import warnings
 from collections import Counter
-from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen.lines import Message
 from lirs_wct.formats.carmen.log import CarmenLog
 from lirs_wct.formats.carmen.odometry import odometry_of
 from lirs_wct.formats.carmen.stamps import in_file_order
-from lirs_wct.formats.rosbag.frames import Frames, pose_of
-from lirs_wct.formats.rosbag.salvage import completed, is_cut
-from lirs_wct.formats.rosbag.topics import Topics
+from lirs_wct.formats.rosbag.frames import Frames, pose_of, seconds
+from lirs_wct.formats.rosbag.opened import Bag, open_bag
+from lirs_wct.formats.rosbag.topics import TRANSFORMS, Topics, of_kinds
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 
+Vector = tuple[float, float, float]
 SAME_ANGLE = 1e-4
 """Radians within which angle_max agrees with the increment, both float32."""
 
 
+class _Beams(NamedTuple):
+    """The geometry of a scan's beams, as float32 hold it."""
+
+    first: float
+    step: float
+    last: float
+    range_min: float
+    range_max: float
+    time_increment: float
+
+
+class _Reading(NamedTuple):
+    """An inertial reading in its sensor's axes; the attitude is wxyz."""
+
+    frame: str
+    stamp: float
+    attitude: tuple[float, float, float, float]
+    rates: Vector
+    force: Vector
+
+
 @dataclass
 class _Contents:
-    """Messages as the bag holds them."""
+    """What the messages say, in the order of the bag.
 
+    Of a scan and an inertial reading numbers are kept, not the messages: a hundred thousand of these slow
+    down Python's collector of garbage more than all the reading takes.
+    """
+
+    laser: str = ""
     scans: list[Message] = field(default_factory=list)
-    raw: list[Any] = field(default_factory=list)
+    beams: list[_Beams] = field(default_factory=list)
     odometry: list[Message] = field(default_factory=list)
     base: str = ""
-    imu: list[Any] = field(default_factory=list)
+    imu: list[_Reading] = field(default_factory=list)
+    without_attitude: int = 0
     frames: Frames = field(default_factory=Frames)
     skipped: Counter[str] = field(default_factory=Counter)
-    cut: str = ""
 
 
 def read_bag(path: Path, topics: Topics) -> CarmenLog:
-    """Read a bag; of one that ends in the middle what is there, with a warning.
+    """Read a bag; of one that is damaged what is there, with a warning.
 
     Args:
-        path: folder of a ROS 2 bag, one of its files (.mcap, .db3), or a ROS 1 bag (.bag).
+        path: folder of a ROS 2 bag, one of its files (.mcap, .db3, also .zstd), or a ROS 1 bag (.bag).
         topics: where scans, odometry and inertial readings are.
 
     Raises:
         SourceError: it cannot be read, or has no such topic or no scan.
     """
-    contents = _contents(path, topics)
-    if contents.cut:
-        warnings.warn(
-            f"{path}: damaged ({contents.cut}): {len(contents.scans)} scans could be read", stacklevel=2
-        )
+    with open_bag(path) as bag:
+        try:
+            contents = _contents(bag, topics)
+        except SourceError as error:
+            damaged = f" (damaged: {'; '.join(bag.faults)})" if bag.faults else ""
+            raise SourceError(f"{error}{damaged}") from None
+    for topic, count in bag.undecoded.items():
+        contents.skipped[f"message on {topic} that cannot be decoded"] = count
+    if bag.faults:
+        said = f"{len(contents.scans)} scans could be read"
+        warnings.warn(f"{path}: damaged ({'; '.join(bag.faults)}): {said}", stacklevel=2)
     if not contents.scans:
-        raise SourceError(f"{path}: holds no laser scan of one size")
+        raise SourceError(f"{path}: holds no laser scan")
     return _log(path, contents)
 
 
+def _contents(bag: Bag, topics: Topics) -> _Contents:
+    """Return the messages of the topics, in the order of the bag."""
+    contents = _Contents()
+    scan, odometry, imu = topics.found(bag.path, bag.kinds)
+    transforms = of_kinds(bag.kinds, TRANSFORMS)
+    static = {name for name in transforms if name.endswith("tf_static")}
+    wanted = {scan, odometry, imu, *(static if odometry else transforms)} - {None}
+    for line, (topic, message) in enumerate(bag.messages(wanted)):
+        if topic == scan:
+            _add_scan(contents, line, message)
+        elif topic == odometry:
+            contents.base = message.child_frame_id.lstrip("/")
+            contents.odometry.append(_odometry(line, message))
+        elif topic == imu:
+            _add_reading(contents, message)
+        else:
+            contents.frames.add(line, message, static=topic in static)
+    if odometry and contents.scans and _needs_transforms(contents):
+        for line, (_, message) in enumerate(bag.messages(set(transforms) - static)):
+            contents.frames.add(line, message, static=False)
+    return contents
+
+
+def _needs_transforms(c: _Contents) -> bool:
+    """Whether what the odometry is of, or where the laser sits on it, is to be found on /tf."""
+    return not c.base or c.frames.mount(c.base, c.laser) is None
+
+
 def _log(path: Path, c: _Contents) -> CarmenLog:
-    laser = c.raw[0].header.frame_id
+    laser = c.laser
     base = c.base or c.frames.moving_base(laser)
     odometry = c.odometry or [
         Message(line, stamp, T.to_pose2()) for line, stamp, T in c.frames.odometry(base)
@@ -80,10 +139,10 @@ def _log(path: Path, c: _Contents) -> CarmenLog:
         repaired[
             f"no transform from {base or 'the base'} to {laser}: the laser is taken to be at the base"
         ] = 1
-    found = [_scan(raw, m.stamp, mount or Pose3()) for raw, m in zip(c.raw, scans, strict=True)]
-    readings = [reading for raw in c.imu if (reading := _imu(raw, c.frames, base)) is not None]
-    if len(readings) < len(c.imu):
-        skipped["inertial reading without an attitude"] = len(c.imu) - len(readings)
+    found = [_scan(beams, m, mount or Pose3()) for beams, m in zip(c.beams, scans, strict=True)]
+    mounts = {frame: c.frames.mount(base, frame) or Pose3() for frame in {reading.frame for reading in c.imu}}
+    if c.without_attitude:
+        skipped["inertial reading without an attitude"] = c.without_attitude
     return CarmenLog(
         tuple(found),
         tuple(poses),
@@ -91,69 +150,37 @@ def _log(path: Path, c: _Contents) -> CarmenLog:
         stamps,
         skipped=dict(skipped),
         repaired=dict(repaired),
-        laser=c.raw[0].__msgtype__.rpartition("/")[2],
-        imu=tuple(readings),
+        laser="LaserScan",
+        imu=tuple(_imu(reading, mounts[reading.frame]) for reading in c.imu),
     )
 
 
-def _contents(path: Path, topics: Topics) -> _Contents:
-    """Return the messages of the topics, in the order of the bag."""
-    contents = _Contents()
-    begun = False
-    # The parsers of damaged binary data raise whatever the bytes lead to.
-    try:
-        with ExitStack() as stack:
-            files = _files(path, stack, contents)
-            reader = stack.enter_context(AnyReader(files, default_typestore=get_typestore(Stores.ROS2_JAZZY)))
-            kinds = {name: info.msgtype or "" for name, info in reader.topics.items()}
-            scan, odometry, imu = topics.found(path, kinds)
-            wanted = {scan, odometry, imu, "/tf", "/tf_static"}
-            connections = [c for c in reader.connections if c.topic in wanted]
-            begun = True
-            for line, (connection, _, data) in enumerate(reader.messages(connections)):
-                message = reader.deserialize(data, connection.msgtype)
-                if connection.topic == scan:
-                    _add_scan(contents, line, message)
-                elif connection.topic == odometry:
-                    contents.base = message.child_frame_id.lstrip("/")
-                    contents.odometry.append(_odometry(line, message))
-                elif connection.topic == imu:
-                    contents.imu.append(message)
-                else:
-                    contents.frames.add(line, message, static=connection.topic == "/tf_static")
-    except SourceError as error:
-        raise (SourceError(f"{error} (damaged: {contents.cut})") if contents.cut else error) from None
-    except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        if not begun:
-            raise SourceError(f"{path}: not a bag that can be read: {reason}") from error
-        contents.cut = reason
-    return contents
-
-
-def _files(path: Path, stack: ExitStack, contents: _Contents) -> list[Path]:
-    """Return what the library opens: a folder with metadata; its files where it or an end is missing."""
-    files = sorted(p for p in path.iterdir() if p.suffix in (".mcap", ".db3")) if path.is_dir() else [path]
-    cut = [p for p in files if p.suffix == ".mcap" and is_cut(p)]
-    if not cut:
-        return [path] if (path / "metadata.yaml").is_file() else files
-    contents.cut = f"{', '.join(p.name for p in cut)}: its end is missing"
-    return [stack.enter_context(completed(p)) if p in cut else p for p in files]
-
-
-def _add_scan(contents: _Contents, line: int, message: Any) -> None:
+def _add_scan(contents: _Contents, line: int, m: Any) -> None:
     """Keep a scan of as many beams as the first; count another."""
-    ranges = np.asarray(message.ranges, np.float32)
-    if contents.raw and len(ranges) != len(contents.raw[0].ranges):
+    ranges = np.asarray(m.ranges, np.float32)
+    if contents.scans and len(ranges) != len(contents.scans[0].ranges):
         contents.skipped["scan of another number of beams than the first"] += 1
         return
-    contents.scans.append(Message(line, _stamp(message), None, None, ranges))
-    contents.raw.append(message)
+    contents.laser = contents.laser or m.header.frame_id
+    contents.scans.append(Message(line, seconds(m.header.stamp), None, None, ranges))
+    contents.beams.append(
+        _Beams(m.angle_min, m.angle_increment, m.angle_max, m.range_min, m.range_max, m.time_increment)
+    )
+
+
+def _add_reading(contents: _Contents, m: Any) -> None:
+    """Keep an inertial reading; count one that has no attitude."""
+    if m.orientation_covariance[0] == -1:
+        contents.without_attitude += 1
+        return
+    q, w, a = m.orientation, m.angular_velocity, m.linear_acceleration
+    attitude, stamp = (q.w, q.x, q.y, q.z), seconds(m.header.stamp)
+    contents.imu.append(_Reading(m.header.frame_id, stamp, attitude, (w.x, w.y, w.z), (a.x, a.y, a.z)))
 
 
 def _odometry(line: int, message: Any) -> Message:
     pose = message.pose.pose
-    return Message(line, _stamp(message), pose_of(pose.position, pose.orientation).to_pose2())
+    return Message(line, seconds(message.header.stamp), pose_of(pose.position, pose.orientation).to_pose2())
 
 
 def _merged(scans: list[Message], odoms: list[Message]) -> tuple[list[Message], list[Message]]:
@@ -165,27 +192,32 @@ def _merged(scans: list[Message], odoms: list[Message]) -> tuple[list[Message], 
     if not (rises(scans) and rises(odoms)):
         return scans, odoms
     order = sorted([*odoms, *scans], key=lambda m: m.stamp)
-    numbered = [replace(m, line=k) for k, m in enumerate(order)]
+    numbered = [Message(k, m.stamp, m.base, m.laser, m.ranges, m.config) for k, m in enumerate(order)]
     return [m for m in numbered if len(m.ranges)], [m for m in numbered if not len(m.ranges)]
 
 
-def _scan(raw: Any, stamp: float, mount: Pose3) -> LaserScan:
-    n = len(raw.ranges)
-    first, step, last = _angle(raw.angle_min), _angle(raw.angle_increment), _angle(raw.angle_max)
+def _scan(beams: _Beams, message: Message, mount: Pose3) -> LaserScan:
+    first, step, range_min, range_max = _beams(beams, len(message.ranges))
+    return LaserScan(
+        message.ranges,
+        first,
+        step,
+        range_min,
+        range_max,
+        message.stamp,
+        mount,
+        beams.time_increment,
+    )
+
+
+@lru_cache
+def _beams(beams: _Beams, n: int) -> tuple[float, float, float, float]:
+    """Return the first angle, the increment, and the limits of ranges, as n beams were made."""
+    first, step, last = _angle(beams.first), _angle(beams.step), _angle(beams.last)
     if n > 1 and abs(first + step * (n - 1) - last) < SAME_ANGLE:
         # Rounding of the increment would add up over the beams.
         step = (last - first) / (n - 1)
-    ranges = np.asarray(raw.ranges, np.float32)
-    return LaserScan(
-        ranges,
-        first,
-        step,
-        _decimal(raw.range_min),
-        _decimal(raw.range_max),
-        stamp,
-        mount,
-        float(raw.time_increment),
-    )
+    return first, step, _decimal(beams.range_min), _decimal(beams.range_max)
 
 
 def _decimal(value: float) -> float:
@@ -202,27 +234,21 @@ def _angle(value: float) -> float:
     return exact if np.float32(exact) == np.float32(value) else float(value)
 
 
-def _imu(raw: Any, frames: Frames, base: str) -> Imu | None:
-    """Return a reading in the base's axes; None where it has no attitude."""
-    if raw.orientation_covariance[0] == -1:
-        return None
-    q = raw.orientation
-    sensor = Pose3(0.0, 0.0, 0.0, q.w, q.x, q.y, q.z)
-    mounted = frames.mount(base, raw.header.frame_id) or Pose3()
-    turn = mounted.rotation
-    attitude = sensor @ Pose3(0, 0, 0, mounted.qw, mounted.qx, mounted.qy, mounted.qz).inverse()
-    w, a = raw.angular_velocity, raw.linear_acceleration
-    rates = (turn @ np.array((w.x, w.y, w.z))).tolist()
-    force = (turn @ np.array((a.x, a.y, a.z))).tolist()
-    return Imu(
-        attitude.roll,
-        attitude.pitch,
-        (rates[0], rates[1], rates[2]),
-        (force[0], force[1], force[2]),
-        _stamp(raw),
-    )
+def _imu(reading: _Reading, mounted: Pose3) -> Imu:
+    """Return a reading in the base's axes, of a sensor mounted so."""
+    attitude, rates, force = _unit(reading.attitude), reading.rates, reading.force
+    if mounted.qw != 1.0:
+        unmounted = Pose3(0, 0, 0, mounted.qw, mounted.qx, mounted.qy, mounted.qz).inverse()
+        attitude = attitude @ unmounted
+        rates, force = _turned(mounted, rates), _turned(mounted, force)
+    return Imu(attitude.roll, attitude.pitch, rates, force, reading.stamp)
 
 
-def _stamp(message: Any) -> float:
-    stamp = message.header.stamp
-    return float((stamp.sec * 1_000_000_000 + stamp.nanosec) / 1e9)
+def _unit(q: tuple[float, float, float, float]) -> Pose3:
+    n = math.sqrt(sum(part * part for part in q)) or 1.0
+    return Pose3(0.0, 0.0, 0.0, q[0] / n, q[1] / n, q[2] / n, q[3] / n)
+
+
+def _turned(mounted: Pose3, vector: Vector) -> Vector:
+    x, y, z = (mounted.rotation @ vector).tolist()
+    return x, y, z

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from lirs_wct.errors import SourceError
 
 SCAN, ODOMETRY, IMU = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
-"""Types of the messages that are read."""
+"""Types of the messages that are read as a log."""
+PATH = "nav_msgs/msg/Path"
+POSES = (
+    ODOMETRY,
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    PATH,
+)
+"""Types of the messages that hold poses."""
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+"""Types of the messages that hold transforms; the second is of old ROS 1."""
 
 
 @dataclass(frozen=True)
@@ -36,28 +46,36 @@ class Topics:
         Raises:
             SourceError: one is not there, or is of another type, or several could be meant.
         """
-        scans, odometry = _of(kinds, SCAN), _of(kinds, ODOMETRY)
+        scans, odometry = of_kinds(kinds, (SCAN,)), of_kinds(kinds, (ODOMETRY,))
         if self.scan is None and len(scans) != 1:
-            raise SourceError(f"{path}: --scan-topic must say which; {_listed(kinds)}")
-        scan = _checked(path, "--scan-topic", self.scan or scans[0], SCAN, kinds)
+            raise SourceError(f"{path}: --scan-topic must say which; {listed(kinds)}")
+        scan = checked(path, "--scan-topic", self.scan or scans[0], (SCAN,), kinds)
         given = self.odometry or (odometry[0] if len(odometry) == 1 else None)
         return (
             scan,
-            None if given is None else _checked(path, "--odom-topic", given, ODOMETRY, kinds),
-            None if self.imu is None else _checked(path, "--imu-topic", self.imu, IMU, kinds),
+            None if given is None else checked(path, "--odom-topic", given, (ODOMETRY,), kinds),
+            None if self.imu is None else checked(path, "--imu-topic", self.imu, (IMU,), kinds),
         )
 
 
-def _of(kinds: Mapping[str, str], kind: str) -> list[str]:
-    return [name for name, held in kinds.items() if held == kind]
+def of_kinds(kinds: Mapping[str, str], wanted: Collection[str]) -> list[str]:
+    """Return the topics of some types."""
+    return [name for name, held in kinds.items() if held in wanted]
 
 
-def _checked(path: Path, flag: str, name: str, kind: str, kinds: Mapping[str, str]) -> str:
-    if kinds.get(name) != kind:
-        raise SourceError(f"{path}: {flag} {name}: no topic of {kind} has that name; {_listed(kinds)}")
+def checked(path: Path, flag: str, name: str, wanted: Collection[str], kinds: Mapping[str, str]) -> str:
+    """Return a topic's name.
+
+    Raises:
+        SourceError: there is none of that name and one of the types; the error lists those that are there.
+    """
+    if kinds.get(name) not in wanted:
+        types = " or ".join(wanted)
+        raise SourceError(f"{path}: {flag} {name}: no topic of {types} has that name; {listed(kinds)}")
     return name
 
 
-def _listed(kinds: Mapping[str, str]) -> str:
-    listed = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items()))
-    return f"there are: {listed}" if listed else "it holds no message"
+def listed(kinds: Mapping[str, str]) -> str:
+    """Return what a bag holds, to be read."""
+    found = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items()))
+    return f"there are: {found}" if found else "it holds no message"

@@ -13,10 +13,11 @@ import pytest
 from lirs_validation import cli, validate
 from lirs_validation.analysis.recorded_run import recorded_config, true_pose_map
 from lirs_validation.analysis.result_folders import RunFolder, read_run
+from lirs_validation.analysis.run_export import export_run
 from lirs_validation.analysis.score import score
 from lirs_validation.config import SourceOptions
 from lirs_validation.metrics import agreement, iou
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.geometry.pose import Pose2
@@ -42,6 +43,23 @@ def foreign(run: RunFolder, tmp_path_factory: pytest.TempPathFactory) -> tuple[P
     write_tum(folder / "est.tum", thinned)
     write_map(folder / "map", read_map(run.folder / "map.yaml").moved(T_map_world))
     return folder / "est.tum", folder / "map.yaml"
+
+
+def test_a_bag_scores_as_the_poses_in_it(run: RunFolder, tmp_path: Path) -> None:
+    pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
+    export_run(run, tmp_path, ("bag",))
+    recorded = run.entry["trajectory"]
+    found = score(run, trajectory=tmp_path / "bag")
+    assert found.frame == "map"
+    for name in ("ate_rmse", "yaw_rmse", "final_drift", "scan_coverage", "poses"):
+        assert found.trajectory[name] == pytest.approx(recorded[name], abs=1e-6), name
+    assert score(run, trajectory=tmp_path / "bag", topic="/ground_truth").trajectory["ate_rmse"] < 1e-6
+    odometry = score(run, trajectory=tmp_path / "bag", topic="/odom").trajectory
+    assert odometry["ate_rmse"] == pytest.approx(recorded["odometry_ate_rmse"], abs=1e-6)
+    with pytest.raises(SourceError, match="--topic /pose: no topic of"):
+        score(run, trajectory=tmp_path / "bag", topic="/pose")
+    with pytest.raises(ConfigError, match=r"estimate\.tum: --topic can be given for a ROS bag only"):
+        score(run, trajectory=run.folder / "estimate.tum", topic="/pose")
 
 
 def test_its_own_files_score_its_own_figures(run: RunFolder) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,3 +49,31 @@ def test_options_of_the_other_kind_of_log_are_refused(run: Path) -> None:
         read_log(MapConfig(log=str(run / "export" / "bag"), fov=180.0))
     with pytest.raises(ConfigError, match=r"scans\.clf\.gz: topics can be given for a ROS bag only"):
         read_log(MapConfig(log=str(run / "scans.clf.gz"), scan_topic="/scan"))
+
+
+def test_the_reference_may_be_a_bag_and_topics_are_arguments(run: Path) -> None:
+    bag = run / "export" / "bag"
+    mapped = map_log(
+        bag,
+        mapper="hector",
+        scan_topic="/scan",
+        imu_topic="/imu",
+        reference=bag,
+        reference_topic="/ground_truth",
+    )
+    own = read_run(run).entry["trajectory"]["ate_rmse"]
+    assert mapped.record.accuracy["reference"]["ate_rmse"] == pytest.approx(own, abs=1e-3)
+    with pytest.raises(ConfigError, match="--reference-topic is of a --reference, which is not given"):
+        map_log(bag, reference_topic="/ground_truth")
+    with pytest.raises(ConfigError, match=r"truth\.tum: --reference-topic can be given for a ROS bag only"):
+        map_log(bag, reference=run / "truth.tum", reference_topic="/ground_truth")
+
+
+def test_the_name_of_a_map_depends_on_the_bag_alone(run: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "bag"
+    shutil.copytree(run / "export" / "bag", copy)
+    before = folder_name(MapConfig(log=str(copy)))
+    (copy / "notes.txt").write_text("mine")
+    assert folder_name(MapConfig(log=str(copy))) == before
+    (copy / "metadata.yaml").write_text("")
+    assert folder_name(MapConfig(log=str(copy))) != before

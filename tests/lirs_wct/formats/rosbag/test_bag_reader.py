@@ -78,20 +78,6 @@ def test_a_bag_without_metadata_is_read_from_its_files(bag: Path, given: Drive, 
     check(read_bag(tmp_path / "run", IMU), given)
 
 
-def test_the_scans_before_a_crash_are_read(bag: Path, given: Drive, tmp_path: Path) -> None:
-    # The drive fits into one chunk; what follows its records is the summary.
-    whole = (bag / "run.mcap").read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) - 2000])
-    with pytest.warns(UserWarning, match=r"cut\.mcap: damaged .* 400 scans could be read"):
-        check(read_bag(tmp_path / "cut.mcap", IMU), given)
-
-
-def test_a_bag_cut_in_its_first_chunk_is_said_to_be_damaged(bag: Path, tmp_path: Path) -> None:
-    (tmp_path / "cut.mcap").write_bytes((bag / "run.mcap").read_bytes()[:5000])
-    with pytest.raises(SourceError, match=r"holds no message \(damaged: cut\.mcap: its end is missing\)"):
-        read_bag(tmp_path / "cut.mcap", Topics())
-
-
 def test_missing_topics_list_those_that_are_there(bag: Path) -> None:
     with pytest.raises(SourceError, match=r"--scan-topic /laser: .*/scan \(sensor_msgs/msg/LaserScan\), /tf"):
         read_bag(bag, Topics(scan="/laser"))

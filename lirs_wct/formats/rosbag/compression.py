@@ -1,0 +1,51 @@
+"""Compressed bags: files and messages by zstd, chunks by zstd and lz4; of what is cut off, what there is."""
+
+from __future__ import annotations
+
+import bz2
+import sys
+from pathlib import Path
+from typing import Any
+
+import lz4.frame
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+MAGIC = b"\x28\xb5\x2f\xfd"
+"""Begins what zstd compressed; no message in CDR begins so."""
+PIECE = 1 << 20
+
+
+def inflated_message(data: bytes | memoryview) -> bytes | memoryview:
+    """Return a message, decompressed where its recorder compressed messages."""
+    return zstd.decompress(data) if data[: len(MAGIC)] == MAGIC else data
+
+
+def inflated_file(path: Path, target: Path) -> str:
+    """Decompress a file as far as it goes; return what is wrong with it, empty = nothing."""
+    inflater = zstd.ZstdDecompressor()
+    with path.open("rb") as source, target.open("wb") as sink:
+        while piece := source.read(PIECE):
+            try:
+                sink.write(inflater.decompress(piece))
+            except (zstd.ZstdError, EOFError) as error:
+                return "" if inflater.eof else str(error)
+    return "" if inflater.eof else "its end is missing"
+
+
+def inflated(data: bytes, compression: str) -> bytes:
+    """Return a chunk's records, as far as its data go; nothing of a compression that is not known."""
+    inflaters: dict[str, Any] = {
+        "zstd": zstd.ZstdDecompressor,
+        "lz4": lz4.frame.LZ4FrameDecompressor,
+        "bz2": bz2.BZ2Decompressor,
+    }
+    if compression in ("", "none"):
+        return data
+    try:
+        return bytes(inflaters[compression]().decompress(data))
+    except (KeyError, RuntimeError, OSError, EOFError, zstd.ZstdError):
+        return b""

@@ -1,0 +1,104 @@
+"""Trajectories in bags: on topics of poses, or as transforms, which is how SLAM systems publish them."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+from lirs_wct.errors import SourceError
+from lirs_wct.formats.rosbag.frames import Frames, pose_of, seconds
+from lirs_wct.formats.rosbag.messages import BASE, MAP
+from lirs_wct.formats.rosbag.opened import Bag, open_bag
+from lirs_wct.formats.rosbag.topics import PATH, POSES, TRANSFORMS, checked, listed, of_kinds
+from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry.trajectory import Trajectory
+
+BASES = (BASE, "base_footprint")
+"""Frames that a robot's pose is that of; the first that is there."""
+
+
+def read_poses(path: Path, topic: str | None = None, flag: str = "--topic") -> Trajectory:
+    """Read the trajectory that a bag holds.
+
+    Args:
+        path: of the bag.
+        topic: of odometry, stamped poses or paths, of which the last counts, or of transforms, whose map ->
+            base_link is taken; None = transforms if they lead to a frame `map`, else the only topic of poses.
+        flag: what the user says the topic with.
+
+    Raises:
+        SourceError: the bag cannot be read, or has no such topic, or several could be meant.
+    """
+    with open_bag(path) as bag:
+        trajectory = _poses(bag, topic, flag)
+    if bag.faults:
+        said = f"{len(trajectory)} poses could be read"
+        warnings.warn(f"{path}: damaged ({'; '.join(bag.faults)}): {said}", stacklevel=2)
+    if len(trajectory) == 0:
+        raise SourceError(f"{path}: {topic or 'it'} holds no pose")
+    return trajectory
+
+
+def _poses(bag: Bag, topic: str | None, flag: str) -> Trajectory:
+    if topic is not None:
+        checked(bag.path, flag, topic, (*POSES, *TRANSFORMS), bag.kinds)
+        if bag.kinds[topic] in TRANSFORMS:
+            return _transformed(bag, required=True) or _nothing()
+        return _published(bag, topic)
+    found = of_kinds(bag.kinds, POSES)
+    in_map = _transformed(bag, required=not found)
+    if in_map is not None:
+        return in_map
+    if len(found) != 1:
+        raise SourceError(f"{bag.path}: {flag} must say where its poses are; {listed(bag.kinds)}")
+    return _published(bag, found[0])
+
+
+def _transformed(bag: Bag, *, required: bool) -> Trajectory | None:
+    """Return `T_map_base` along the bag's transforms; None where they do not lead there.
+
+    Raises:
+        SourceError: they do not, and must.
+    """
+    frames = Frames()
+    topics = of_kinds(bag.kinds, TRANSFORMS)
+    for line, (topic, message) in enumerate(bag.messages(topics)):
+        frames.add(line, message, static=topic.endswith("tf_static"))
+    for base in (name for wanted in BASES for name in sorted(frames.names) if _is(name, wanted)):
+        if _is(frames.chain(base)[-1], MAP):
+            return frames.trajectory(base)
+    if required:
+        held = ", ".join(sorted(frames.names)) or "none"
+        raise SourceError(
+            f"{bag.path}: its transforms do not lead from {MAP} to {' or '.join(BASES)}: its frames are "
+            f"{held}; {listed(bag.kinds)}"
+        )
+    return None
+
+
+def _is(frame: str, wanted: str) -> bool:
+    """Whether a frame has a name, with or without a robot's before it."""
+    return frame.rpartition("/")[2] == wanted
+
+
+def _published(bag: Bag, topic: str) -> Trajectory:
+    """Return the poses of a topic by stamp; of two with one stamp the later."""
+    found: dict[float, Pose3] = {}
+    for _, message in bag.messages((topic,)):
+        if bag.kinds[topic] == PATH:
+            found = {}
+        for each in message.poses if bag.kinds[topic] == PATH else (message,):
+            pose = _innermost(each.pose)
+            found[seconds(each.header.stamp)] = pose_of(pose.position, pose.orientation)
+    stamps = sorted(found)
+    return Trajectory.from_poses(stamps, [found[t] for t in stamps]) if stamps else _nothing()
+
+
+def _innermost(pose: Any) -> Any:
+    """Return the pose of a PoseWithCovariance; a pose itself."""
+    return getattr(pose, "pose", pose)
+
+
+def _nothing() -> Trajectory:
+    return Trajectory.from_poses([], list[Pose3]())

@@ -1,0 +1,242 @@
+"""Bags as recorders leave them: split, compressed, without index, cut off; what is there is read."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
+
+from rosbags.convert.converter import convert
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from lirs_wct.errors import SourceError
+from lirs_wct.formats.carmen.log import CarmenLog
+from lirs_wct.formats.rosbag.reader import read_bag
+from lirs_wct.formats.rosbag.topics import Topics
+from lirs_wct.formats.rosbag.writer import Drive, write_bag
+from lirs_wct.sources.source import is_bag
+from tests.lirs_wct.formats.rosbag import drives
+
+SCANS = 1500
+IMU = Topics(imu="/imu")
+
+
+@pytest.fixture(scope="module")
+def given() -> Drive:
+    return drives.drive(SCANS)
+
+
+@pytest.fixture(scope="module")
+def bag(given: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bags") / "run"
+    write_bag(folder, given)
+    return folder
+
+
+def check(log: CarmenLog, given: Drive, count: int = SCANS, first: int = 0) -> None:
+    assert len(log.scans) == count
+    for scan, tick in zip(log.scans, given.ticks[first : first + count], strict=True):
+        np.testing.assert_array_equal(scan.ranges, tick.scan.ranges)
+        assert scan.stamp == pytest.approx(tick.scan.stamp, abs=1e-9)
+
+
+def copied(bag: Path, writer: Any, keep: Callable[[int], bool] = lambda _: True) -> None:
+    """Copy what a bag holds through a writer of ROS 2, but for scans that are not to be kept."""
+    scans = -1
+    with AnyReader([bag]) as reader:
+        made = {
+            c.topic: writer.add_connection(c.topic, c.msgtype, typestore=reader.typestore)
+            for c in reader.connections
+        }
+        for connection, stamp, data in reader.messages():
+            scans += connection.topic == "/clock"  # begins what belongs to a scan
+            if keep(scans) or connection.topic == "/tf_static":
+                writer.write(made[connection.topic], stamp, data)
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE, CompressionMode.STORAGE])
+def test_what_zstd_compressed_is_read(
+    bag: Path, given: Drive, tmp_path: Path, plugin: StoragePlugin, mode: CompressionMode
+) -> None:
+    if (plugin, mode) == (StoragePlugin.SQLITE3, CompressionMode.STORAGE):
+        return  # databases have no chunks
+    writer = Writer(tmp_path / "run", version=8, storage_plugin=plugin)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        copied(bag, writer)
+    (file,) = (p for p in (tmp_path / "run").iterdir() if p.suffix != ".yaml")
+    for path in (tmp_path / "run", file):
+        assert is_bag(path)
+        check(read_bag(path, IMU), given)
+
+
+def test_chunks_of_lz4_are_read(bag: Path, given: Drive, tmp_path: Path) -> None:
+    mcap = pytest.importorskip("mcap.writer", reason="mcap is not installed")
+    with (tmp_path / "run.mcap").open("wb") as file:
+        writer = mcap.Writer(file, compression=mcap.CompressionType.LZ4)
+        writer.start(profile="ros2")
+        with AnyReader([bag]) as reader:
+            channels = {}
+            for c in reader.connections:
+                schema = writer.register_schema(c.msgtype, "ros2msg", c.msgdef.data.encode())
+                channels[c.topic] = writer.register_channel(c.topic, "cdr", schema)
+            for c, stamp, data in reader.messages():
+                writer.add_message(channels[c.topic], stamp, bytes(data), stamp)
+        writer.finish()
+    check(read_bag(tmp_path / "run.mcap", IMU), given)
+
+
+def unindexed(bag: Path) -> bytes:
+    """Return a bag's file without its summary, as the recorder's fast preset leaves it."""
+    data = (bag / "run.mcap").read_bytes()
+    (start,) = struct.unpack("<Q", data[-28:-20])
+    end = data[:start]
+    return end + b"\x02" + struct.pack("<QQQI", 20, 0, 0, 0) + data[-8:]
+
+
+def test_a_file_without_index_is_whole(bag: Path, given: Drive, tmp_path: Path, recwarn: Any) -> None:
+    (tmp_path / "run.mcap").write_bytes(unindexed(bag))
+    check(read_bag(tmp_path / "run.mcap", IMU), given)
+    assert not recwarn.list
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.97])
+def test_the_scans_before_a_crash_are_read(bag: Path, given: Drive, tmp_path: Path, share: float) -> None:
+    whole = unindexed(bag)
+    data = whole[: round(share * len(whole))]
+    (tmp_path / "cut.mcap").write_bytes(data)
+    with pytest.warns(
+        UserWarning, match=r"damaged \(cut\.mcap: its end is missing\): \d+ scans could be read"
+    ):
+        log = read_bag(tmp_path / "cut.mcap", IMU)
+    # The map's million cells are the end of the bag; scans are lost where their bytes are, not by chunks.
+    before_map = (len(whole) - 1_100_000) / SCANS
+    count = len(log.scans)
+    assert count == pytest.approx(min(SCANS, len(data) / before_map), rel=0.08)
+    check(log, given, count)
+
+
+@pytest.fixture
+def database(given: Drive, tmp_path: Path) -> bytes:
+    write_bag(tmp_path / "whole", Drive(ticks=given.ticks), "sqlite3")
+    return (tmp_path / "whole" / "whole.db3").read_bytes()
+
+
+def test_a_database_is_read_up_to_where_it_is_cut(database: bytes, given: Drive, tmp_path: Path) -> None:
+    (tmp_path / "cut.db3").write_bytes(database[: round(0.9 * len(database))])
+    with pytest.warns(UserWarning, match=r"cut\.db3: its end is missing\): \d+ scans could be read"):
+        log = read_bag(tmp_path / "cut.db3", IMU)
+    assert len(log.scans) > 0.8 * SCANS
+    check(log, given, len(log.scans))
+
+
+def test_of_a_database_cut_before_its_tree_of_rows_it_is_said(database: bytes, tmp_path: Path) -> None:
+    (tmp_path / "cut.db3").write_bytes(database[: len(database) // 3])
+    with pytest.raises(
+        SourceError, match=r"cut\.db3: .*holds no message \(damaged: cut\.db3: its end is missing"
+    ):
+        read_bag(tmp_path / "cut.db3", IMU)
+
+
+@pytest.mark.parametrize("compression", [None, Writer1.CompressionFormat.BZ2, Writer1.CompressionFormat.LZ4])
+@pytest.mark.parametrize("share", [0.4, 0.99])
+def test_a_ros_1_bag_is_read_up_to_where_it_is_cut(
+    bag: Path, given: Drive, tmp_path: Path, share: float, compression: Any
+) -> None:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    plain = tmp_path / "plain.bag"
+    convert([bag], plain, "", 0, None, "none", None, store, (), (), (), ())
+    writer = Writer1(tmp_path / "whole.bag")
+    if compression is not None:
+        writer.set_compression(compression)
+    with writer, AnyReader([plain]) as reader:
+        made = {
+            c.topic: writer.add_connection(c.topic, c.msgtype, msgdef=c.msgdef.data, md5sum=c.digest)
+            for c in reader.connections
+        }
+        for c, stamp, data in reader.messages():
+            writer.write(made[c.topic], stamp, data)
+    check(read_bag(tmp_path / "whole.bag", IMU), given)
+    data = (tmp_path / "whole.bag").read_bytes()
+    (tmp_path / "cut.bag").write_bytes(data[: round(share * len(data))])
+    with pytest.warns(UserWarning, match=r"cut\.bag: its end is missing\): \d+ scans could be read"):
+        log = read_bag(tmp_path / "cut.bag", IMU)
+    assert len(log.scans) > 0.5 * share * SCANS
+    check(log, given, len(log.scans))
+    np.testing.assert_allclose(log.scans[0].T_base_laser.position, drives.MOUNT.position)
+
+
+@pytest.fixture
+def split(bag: Path, tmp_path: Path) -> Path:
+    """A bag of three files, as `ros2 bag record --max-bag-size` splits them."""
+    folder = tmp_path / "split"
+    folder.mkdir()
+    for k in range(3):
+        with Writer(tmp_path / f"part{k}", version=8, storage_plugin=StoragePlugin.MCAP) as writer:
+            copied(bag, writer, lambda scan, k=k: 500 * k <= scan < 500 * (k + 1))  # type: ignore[misc]
+        shutil.move(tmp_path / f"part{k}" / f"part{k}.mcap", folder / f"run_{k}.mcap")
+    held = yaml.safe_load((bag / "metadata.yaml").read_text())
+    held["rosbag2_bagfile_information"]["relative_file_paths"] = [f"run_{k}.mcap" for k in range(3)]
+    (folder / "metadata.yaml").write_text(yaml.safe_dump(held))
+    return folder
+
+
+def test_a_split_bag_is_one_log(split: Path, given: Drive) -> None:
+    check(read_bag(split, IMU), given)
+
+
+def test_of_a_split_bag_a_missing_file_is_said(split: Path, given: Drive) -> None:
+    (split / "run_1.mcap").unlink()
+    with pytest.warns(UserWarning, match=r"damaged \(run_1\.mcap is missing\): 1000 scans could be read"):
+        log = read_bag(split, IMU)
+    assert [scan.stamp for scan in log.scans] == pytest.approx(
+        [tick.scan.stamp for k, tick in enumerate(given.ticks) if not 500 <= k < 1000], abs=1e-9
+    )
+
+
+def test_of_a_split_bag_the_last_file_may_be_cut(split: Path, given: Drive) -> None:
+    data = (split / "run_2.mcap").read_bytes()
+    (split / "run_2.mcap").write_bytes(data[:300_000])
+    (split / "metadata.yaml").unlink()  # the recorder writes it last
+    with pytest.warns(UserWarning, match=r"damaged \(run_2\.mcap: its end is missing\): 1\d+ scans"):
+        log = read_bag(split, IMU)
+    check(log, given, len(log.scans))
+
+
+def test_a_bag_cut_in_its_first_messages_is_said_to_be_damaged(bag: Path, tmp_path: Path) -> None:
+    (tmp_path / "cut.mcap").write_bytes((bag / "run.mcap").read_bytes()[:900])
+    with pytest.raises(SourceError, match=r"holds no message \(damaged: cut\.mcap: its end is missing\)"):
+        read_bag(tmp_path / "cut.mcap", Topics())
+
+
+def test_a_message_that_cannot_be_decoded_is_left_out_and_counted(
+    bag: Path, given: Drive, tmp_path: Path
+) -> None:
+    scans = 0
+    with (
+        AnyReader([bag]) as reader,
+        Writer(tmp_path / "run", version=8, storage_plugin=StoragePlugin.MCAP) as writer,
+    ):
+        made = {
+            c.topic: writer.add_connection(c.topic, c.msgtype, typestore=reader.typestore)
+            for c in reader.connections
+        }
+        for connection, stamp, data in reader.messages():
+            scans += connection.topic == "/scan"
+            broken = connection.topic == "/scan" and scans == SCANS
+            writer.write(made[connection.topic], stamp, data[:30] if broken else data)
+    log = read_bag(tmp_path / "run", IMU)
+    check(log, given, SCANS - 1)
+    assert log.skipped == {"message on /scan that cannot be decoded": 1}
