@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
 from typing import Any
 
@@ -58,90 +58,103 @@ def _check(one: RobotVectorEnv, first: RobotVectorEnv) -> None:
 
 def _adapter(base: Any) -> Any:
     """Return the adapter as a subclass of `VecEnv`, which is not there where the package is missing."""
-
-    class RobotVecEnv(base):
-        """N robots as Stable-Baselines3 steps them."""
-
-        def __init__(self, vectors: Sequence[RobotVectorEnv]) -> None:
-            self.vectors = tuple(vectors)
-            self._views = [view for one in vectors for view in one.views]
-            self._ends = np.cumsum([one.num_envs for one in vectors])[:-1].tolist()
-            self._actions: Any = None
-            first = vectors[0]
-            super().__init__(len(self._views), first.single_observation_space, first.single_action_space)
-
-        def reset(self) -> Any:
-            observed = []
-            self.reset_infos = []
-            for one, rows in zip(self.vectors, self._split(np.arange(self.num_envs)), strict=True):
-                seeds = [self._seeds[i] for i in rows]
-                known = any(seed is not None for seed in seeds)
-                options = self._common_options(rows)
-                observation, infos = one.reset(seed=seeds if known else None, options=options)
-                observed.append(observation)
-                self.reset_infos += split_infos(infos, one.num_envs)
-            self._reset_seeds()
-            self._reset_options()
-            return _joined(observed)
-
-        def _split(self, rows: Any) -> list[Any]:
-            return np.split(rows, self._ends)
-
-        def _common_options(self, rows: Any) -> Any:
-            options = self._options[rows[0]]
-            if any(self._options[i] != options for i in rows):
-                raise ConfigError("all environments of a vector take the same options of a reset")
-            return options or None
-
-        def step_async(self, actions: Any) -> None:
-            self._actions = actions
-
-        def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
-            observed, rewards, dones = [], [], []
-            rows: list[dict[str, Any]] = []
-            for one, actions in zip(self.vectors, self._split(self._actions), strict=True):
-                observation, reward, terminated, truncated, infos = one.step(actions)
-                observed.append(observation)
-                rewards.append(reward)
-                dones.append(terminated | truncated)
-                parts = split_infos(infos, one.num_envs)
-                for k, row in enumerate(parts):
-                    if dones[-1][k]:
-                        began = {name: value for name, value in row.items() if not name.startswith("final_")}
-                        self.reset_infos[len(rows) + k] = began
-                        parts[k] = row["final_info"] | {"terminal_observation": row["final_obs"]}
-                    parts[k]["TimeLimit.truncated"] = bool(truncated[k] and not terminated[k])
-                rows += parts
-            return _joined(observed), np.concatenate(rewards).astype(np.float32), np.concatenate(dones), rows
-
-        def close(self) -> None:
-            for one in self.vectors:
-                one.close()
-
-        def get_images(self) -> Sequence[ByteArray | None]:
-            return [image for one in self.vectors for image in one.render() or [None] * one.num_envs]
-
-        def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-            rows = self._get_indices(indices)
-            if attr_name == "render_mode":
-                return [PICTURES[self.vectors[0].render_mode] for _ in rows]
-            return [getattr(self._views[i], attr_name) for i in rows]
-
-        def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-            for i in self._get_indices(indices):
-                setattr(self._views[i], attr_name, value)
-
-        def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-            rows = self._get_indices(indices)
-            return [getattr(self._views[i], method_name)(*args, **kwargs) for i in rows]
-
-        def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-            return [False for _ in self._get_indices(indices)]
-
-    return RobotVecEnv
+    return type("RobotVecEnv", (_RobotVecEnv, base), {})
 
 
-def _joined(observations: list[dict[str, Any]]) -> dict[str, Any]:
+class _RobotVecEnv:
+    """N robots as Stable-Baselines3 steps them; what it lacks is its `VecEnv`'s.
+
+    Attributes:
+        vectors: whose environments it numbers one after the other.
+        reset_infos: of each environment's last reset.
+    """
+
+    num_envs: int
+    _seeds: list[int | None]
+    _options: list[dict[str, Any]]
+    _get_indices: Callable[[Any], Iterable[int]]
+    _reset_seeds: Callable[[], None]
+    _reset_options: Callable[[], None]
+
+    def __init__(self, vectors: Sequence[RobotVectorEnv]) -> None:
+        self.vectors = tuple(vectors)
+        self.reset_infos: list[dict[str, Any]] = []
+        self._views = [view for one in vectors for view in one.views]
+        self._ends = np.cumsum([one.num_envs for one in vectors])[:-1].tolist()
+        self._actions: Any = None
+        spaces = vectors[0].single_observation_space, vectors[0].single_action_space
+        super().__init__(len(self._views), *spaces)  # type: ignore[call-arg]
+
+    def reset(self) -> Any:
+        observed = []
+        self.reset_infos = []
+        for one, rows in zip(self.vectors, self._split(np.arange(self.num_envs)), strict=True):
+            seeds = [self._seeds[i] for i in rows]
+            known = any(seed is not None for seed in seeds)
+            options = self._common_options(rows)
+            observation, infos = one.reset(seed=seeds if known else None, options=options)
+            observed.append(observation)
+            self.reset_infos += split_infos(infos, one.num_envs)
+        self._reset_seeds()
+        self._reset_options()
+        return _joined(observed)
+
+    def _split(self, rows: Any) -> list[Any]:
+        return np.split(rows, self._ends)
+
+    def _common_options(self, rows: Any) -> Any:
+        options = self._options[rows[0]]
+        if any(self._options[i] != options for i in rows):
+            raise ConfigError("all environments of a vector take the same options of a reset")
+        return options or None
+
+    def step_async(self, actions: Any) -> None:
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
+        steps = [
+            one.step(actions) for one, actions in zip(self.vectors, self._split(self._actions), strict=True)
+        ]
+        observed, rewards, terminated, truncated, infos = zip(*steps, strict=True)
+        rows = [
+            row
+            for one, found in zip(self.vectors, infos, strict=True)
+            for row in split_infos(found, one.num_envs)
+        ]
+        done, late = np.concatenate(terminated), np.concatenate(truncated)
+        for i, row in enumerate(rows):
+            if done[i] or late[i]:
+                self.reset_infos[i] = {k: value for k, value in row.items() if not k.startswith("final_")}
+                rows[i] = row["final_info"] | {"terminal_observation": row["final_obs"]}
+            rows[i]["TimeLimit.truncated"] = bool(late[i] and not done[i])
+        return _joined(observed), np.concatenate(rewards).astype(np.float32), done | late, rows
+
+    def close(self) -> None:
+        for one in self.vectors:
+            one.close()
+
+    def get_images(self) -> Sequence[ByteArray | None]:
+        return [image for one in self.vectors for image in one.render() or [None] * one.num_envs]
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        rows = self._get_indices(indices)
+        if attr_name == "render_mode":
+            return [PICTURES[self.vectors[0].render_mode] for _ in rows]
+        return [getattr(self._views[i], attr_name) for i in rows]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        for i in self._get_indices(indices):
+            setattr(self._views[i], attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        rows = self._get_indices(indices)
+        return [getattr(self._views[i], method_name)(*args, **kwargs) for i in rows]
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        return [False for _ in self._get_indices(indices)]
+
+
+def _joined(observations: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Return the observations of several vectors as those of one."""
     if len(observations) == 1:
         return observations[0]

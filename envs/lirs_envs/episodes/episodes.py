@@ -92,16 +92,7 @@ class Episodes:
             height_range=scaled_height_range(*scale) if crossing else None,
         )
         names = TASKS[task].observe if config.observe is None else config.observe
-        sees = task == "mapping" or "seen_map" in names
-        site = make_site(world, robot)
-        self.stage = Stage(
-            simulation=self.simulation,
-            site=site,
-            seen=self._make_seen(count, site.seen.height.shape) if sees else None,
-            difficulty=np.full(count, float(config.difficulty)),
-            randomize_start="start" in factors,
-            randomize_terrain="terrain" in factors,
-        )
+        self.stage = self._make_stage(factors, sees=task == "mapping" or "seen_map" in names)
         self.task = TraverseTask(self.stage, kind, scale) if crossing else TASKS[task](self.stage)
         if {"goal", "goal_direction"} & set(names) and not self.task.has_goal:
             raise ConfigError(f"the {task} task has no goal to observe")
@@ -112,6 +103,17 @@ class Episodes:
         limit = TASKS[task].time_limit if config.time_limit is None else config.time_limit
         self._last_step = min(max(1, round(limit * config.control_hz)), max_steps or 2**62)
         self._make_rows(count)
+
+    def _make_stage(self, factors: Factors, *, sees: bool) -> Stage:
+        site = make_site(self.simulation.worlds[0], self.config.simulation.robot)
+        return Stage(
+            simulation=self.simulation,
+            site=site,
+            seen=self._make_seen(self.count, site.seen.height.shape) if sees else None,
+            difficulty=np.full(self.count, float(self.config.difficulty)),
+            randomize_start="start" in factors,
+            randomize_terrain="terrain" in factors,
+        )
 
     def _make_seen(self, count: int, shape: tuple[int, int]) -> SeenGround:
         robot, preset = self.config.simulation.robot, self.config.simulation.preset

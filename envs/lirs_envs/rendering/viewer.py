@@ -59,7 +59,7 @@ class Viewer:
             self._window.opt.geomgroup[group] = 0
 
     def close(self) -> None:
-        """Close the window and wait for its thread, whose drawing at the end of the program would crash it."""
+        """Close the window and wait for its thread, which would crash the program if it drew at its end."""
         if self._window is not None:
             self._window.close()
             for thread in self._threads:
