@@ -89,9 +89,9 @@ def craters(difficulty: float, rng: np.random.Generator) -> Obstacles:
     largest = at_difficulty(difficulty, 1.8, 2.4, 2.8)
     count = round(at_difficulty(difficulty, 16, 60, 70))
     bowls = rng.uniform((-HALF, -HALF, 0.9), (HALF, HALF, largest), (count, 3))
-    bowl, rim = np.zeros((NODES, NODES)), np.zeros((NODES, NODES))
-    _dig(bowls, steepness, (X[0], Y[:, 0]), bowl, rim)
-    z = bowl + rim
+    bowl, log_rim = np.zeros((NODES, NODES)), np.full((NODES, NODES), -np.inf)
+    _dig(bowls, steepness, (X[0], Y[:, 0]), bowl, log_rim)
+    z = bowl + np.exp(log_rim)
     return z, z * min(1.0, GENTLE / (2 * steepness))
 
 
@@ -101,20 +101,24 @@ def _dig(
     steepness: float,
     nodes: tuple[FloatArray, FloatArray],
     bowl: FloatArray,
-    rim: FloatArray,
+    log_rim: FloatArray,
 ) -> None:
-    """Dig bowls (n, 3), x, y, radius, with rims, at nodes of x and y; of two that meet the larger counts."""
+    """Dig bowls (n, 3), x, y, radius, with rims, at nodes of x and y; of two that meet the larger counts.
+
+    Rims are compared by logarithms: an exponential for each would take most of the time.
+    """
     x, y = nodes
     south = -y
     for east, north, radius in bowls:
         reach, depth = 1.6 * radius, steepness * radius
+        log_top = math.log(0.15 * depth)
         top, bottom = np.searchsorted(south, -north - reach), np.searchsorted(south, -north + reach)
         left, right = np.searchsorted(x, east - reach), np.searchsorted(x, east + reach)
         for i in range(top, bottom):
             for j in range(left, right):
                 distance = math.sqrt((x[j] - east) ** 2 + (y[i] - north) ** 2) / radius
                 bowl[i, j] = min(bowl[i, j], -depth * max(1 - distance**2, 0.0))
-                rim[i, j] = max(rim[i, j], 0.15 * depth * math.exp(-(((distance - 1) / 0.2) ** 2)))
+                log_rim[i, j] = max(log_rim[i, j], log_top - ((distance - 1) / 0.2) ** 2)
 
 
 def nodes_within(middle: float, reach: float) -> slice:

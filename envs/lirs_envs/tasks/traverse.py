@@ -18,8 +18,8 @@ from lirs_wct.geometry.pose import Pose2
 
 SUCCESS = 10.0
 """Reward at the goal."""
-HUSKY_RADIUS, HUSKY_SLOPE = 0.58, math.radians(25)
-"""What courses are made for: the radius of a robot, metres, and the steepest ground that it plans over."""
+HUSKY_RADIUS, HUSKY_FRICTION = 0.58, 0.7
+"""What courses are made for: a robot's radius, metres, and the tangent of the slope on which it slides."""
 MIXED = "mixed"
 """Kind of course that is any of the kinds, drawn anew for each episode."""
 
@@ -35,7 +35,7 @@ def course_scale(robot: Robot) -> CourseScale:
     """Return the scale at which a course is as hard for a robot as it is for a Husky."""
     if robot.flies:
         return CourseScale(1.0, 1.0)
-    return CourseScale(robot.radius / HUSKY_RADIUS, math.tan(robot.max_slope) / math.tan(HUSKY_SLOPE))
+    return CourseScale(robot.radius / HUSKY_RADIUS, robot.friction / HUSKY_FRICTION)
 
 
 class TraverseTask(Task):
@@ -91,9 +91,14 @@ class TraverseTask(Task):
 
     def goal(self, i: int) -> tuple[float, float]:
         """Return x, y of the goal, metres."""
+        goal = self.course(i).goal
+        return goal.x, goal.y
+
+    def course(self, i: int) -> GeneratedTerrain:
+        """Return the course of robot `i`."""
         course = self._courses[i]
         assert course is not None, "draw comes first"
-        return course.goal.x, course.goal.y
+        return course
 
     def infos(self) -> dict[str, Any]:
         """Return success, kind and difficulty of the course, distance to the goal and metres gained on it."""

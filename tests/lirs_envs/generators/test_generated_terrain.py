@@ -106,7 +106,7 @@ def test_steepness_scales_slopes_and_leaves_lengths() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("scale", "steepness"), [(0.24, 0.38), (0.53, 1.24)])
+@pytest.mark.parametrize(("scale", "steepness"), [(0.24, 0.71), (0.53, 1.79)])
 def test_courses_of_any_scale_fit_their_height_range(kind: str, scale: float, steepness: float) -> None:
     low, high = scaled_height_range(scale, steepness)
     for seed in range(3):

@@ -9,10 +9,12 @@ import pytest
 
 from lirs_envs.env import RobotEnv
 from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import Robot
 from lirs_envs.tasks.site import SEEN_CELL
 from lirs_envs.tasks.task import CONTACT_COST, EFFORT_COST
-from lirs_envs.tasks.traverse import course_scale
-from lirs_wct.geometry.pose import Pose2
+from lirs_envs.tasks.traverse import TraverseTask, course_scale
+from lirs_wct.arrays import FloatArray
+from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.world import World
 
 AHEAD = np.array((1.0, 0.0), np.float32)
@@ -175,3 +177,35 @@ def test_height_map_is_the_ground_around(rough: World) -> None:
             if rough.surface.contains(x, y):
                 expected = float(rough.surface.height_at(x, y)) - T.z
                 assert heights[row, col] == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["steps", "waves"])
+def test_a_course_of_medium_difficulty_is_not_passed_straight_ahead_by_a_small_robot(kind: str) -> None:
+    """Straight ahead gains less than 40 % of the distance; the gentle way leads to the goal."""
+    robot, straight = make_robot("turtlebot2"), []
+    env = RobotEnv(
+        "traverse", kind=kind, robot=robot.name, difficulty=0.5, observe=["goal"], control_hz=5, time_limit=45
+    )
+    for seed, along in ((1, False), (2, False), (3, False), (3, True)):
+        _, info = env.reset(seed=seed)
+        assert isinstance(env.episodes.task, TraverseTask)
+        whole, route = info["distance"], env.episodes.task.course(0).route
+        done = False
+        while not done:
+            action = along_route(route, env.view.T_world_base, robot) if along else (1.0, 0.0)
+            _, _, terminated, truncated, info = env.step(np.array(action, np.float32))
+            done = terminated or truncated
+        if not along:
+            straight.append(max(info["progress"], 0.0) / whole)
+    assert info["success"]
+    assert np.mean(straight) < 0.4, straight
+
+
+def along_route(route: FloatArray, pose: Pose3, robot: Robot) -> tuple[float, float]:
+    """Return the action towards a point of a way (n, 2) two radii ahead of the nearest."""
+    nearest = int(np.argmin(np.hypot(*(route - (pose.x, pose.y)).T)))
+    far = np.hypot(*(route[nearest:] - route[nearest]).T) >= 2 * robot.radius
+    x, y = route[nearest + int(np.argmax(far))] if far.any() else route[-1]
+    bearing = math.remainder(math.atan2(y - pose.y, x - pose.x) - pose.yaw, math.tau)
+    ahead, turn = 0.5 * max(0.0, math.cos(2 * bearing)), float(np.clip(1.2 * bearing, -0.8, 0.8))
+    return ahead, turn / robot.max_turn_rate
