@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import viser
 
@@ -23,6 +25,10 @@ FOOT = 0.5
 WALLS = 20_000
 """Cells of the map that are drawn in the scene, at most."""
 SCAN = (220, 30, 60)
+BEHIND = np.array((0.0, -9.0, 7.0))
+"""From the robot to the camera at first, metres."""
+TURNING = 2.0
+"""Seconds for which the browser may still say where its camera was before it was turned."""
 
 
 class DriveScene:
@@ -47,7 +53,7 @@ class DriveScene:
                 "<b style='color:#D55E00'>estimated path</b>"
             )
         self._panel.dock_left()
-        self.follow = False
+        self.follow, self._turning_until = False, 0.0
 
     def begin(self, robot: str, world: World | None) -> None:
         """Show another drive."""
@@ -67,11 +73,9 @@ class DriveScene:
         self._panel.visible = False
 
     def approach(self, position: FloatArray) -> None:
-        """Look at a place from behind and above."""
-        camera = self._client.camera
-        with self._client.atomic():
-            camera.position = position + np.array((-5.0, -9.0, 8.0))
-            camera.look_at = position
+        """Look at a place from the south and above, so that north is up as in the map."""
+        self._turning_until = time.monotonic() + TURNING
+        self._look_at(position, BEHIND)
 
     def show(self, moment: Moment) -> None:
         """Show a moment."""
@@ -120,9 +124,13 @@ class DriveScene:
         """Look at the robot from as far, and from the side, as the user has chosen to."""
         if not self.follow:
             return
+        camera, turning = self._client.camera, time.monotonic() < self._turning_until
+        self._look_at(position, BEHIND if turning else camera.position - camera.look_at)
+
+    def _look_at(self, position: FloatArray, away: FloatArray) -> None:
         camera = self._client.camera
-        away = camera.position - camera.look_at
-        camera.position, camera.look_at = position + away, position
+        with self._client.atomic():
+            camera.position, camera.look_at = position + away, position
 
 
 def _add_path(scene: viser.SceneApi, name: str, points: FloatArray, color: str) -> None:

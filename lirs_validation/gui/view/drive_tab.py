@@ -63,9 +63,9 @@ class DriveTab:
         gui = client.gui
         self._controls = RunControls(gui)
         self._add_buttons(gui)
-        self._add_by_hand(gui)
         self._progress = ProgressLine(gui)
         self._player = Player(gui, guard, drive_scene, self.pause, worker.submit)
+        self._add_by_hand(gui)
 
     def _add_buttons(self, gui: viser.GuiApi) -> None:
         start = gui.add_button(
@@ -78,10 +78,10 @@ class DriveTab:
         self._step.on_click(self._guard(lambda _: self._step_one()))
         self._save = gui.add_button("Save the run", icon=viser.Icon.DOWNLOAD, disabled=True)
         self._save.on_click(self._guard(lambda _: self._worker.submit("save", self._save_now)))
-        self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="2 x")
-        self._speed.on_update(self._guard(lambda _: self._wind()))
 
     def _add_by_hand(self, gui: viser.GuiApi) -> None:
+        self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="2 x")
+        self._speed.on_update(self._guard(lambda _: self._wind()))
         self._follow = gui.add_checkbox("follow robot", True)
         self._follow.on_update(self._guard(lambda _: self._apply()))
         self._by_hand = gui.add_checkbox("drive by hand", False)
@@ -189,5 +189,6 @@ class DriveTab:
         drive = self.drive
         idle: Any = drive is None or drive.over
         self._go.label = "Pause" if self._running else "Go on"
+        self._go.icon = viser.Icon.PLAYER_PAUSE if self._running else viser.Icon.PLAYER_PLAY
         self._go.disabled = self._step.disabled = idle
         self._save.disabled = drive is None

@@ -133,14 +133,14 @@ class ReplayTab:
             self._player.scan = 0
         self._playing = True
         self._wind()
-        self._play.label = "Pause"
+        self._play.label, self._play.icon = "Pause", viser.Icon.PLAYER_PAUSE
         self._worker.repeat(self._play_slice)
 
     def pause(self) -> None:
         """Stand still at the moment that is shown."""
         self._playing = False
         self._worker.repeat(None)
-        self._play.label = "Play"
+        self._play.label, self._play.icon = "Play", viser.Icon.PLAYER_PLAY
 
     def forget(self) -> None:
         """Drop the run: the page shows something else."""

@@ -1,4 +1,4 @@
-"""The three-dimensional part of a page: the world, seen from the south-west at first."""
+"""The three-dimensional part of a page: the world, seen from the south at first, as on a map."""
 
 from __future__ import annotations
 
@@ -66,5 +66,5 @@ class Scene:
         camera = self._client.camera
         with self._client.atomic():
             camera.near, camera.far = span / 2000, 20 * span
-            camera.position = tuple(middle + span * np.array((-0.35, -0.95, 0.75)))
+            camera.position = tuple(middle + span * np.array((0.0, -0.85, 0.65)))
             camera.look_at = tuple(middle)

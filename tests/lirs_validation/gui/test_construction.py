@@ -12,6 +12,7 @@ import trimesh
 
 from lirs_validation.config import SourceOptions
 from lirs_validation.gui.session.construction import Construction, zipped
+from lirs_validation.gui.session.uploads import Limits, Uploads
 from lirs_validation.gui.session.world_glb import world_glb
 from lirs_wct import build_world, write_package
 from lirs_wct.errors import ConfigError, WctError
@@ -104,3 +105,23 @@ def test_a_budget_of_triangles_is_shown_as_it_is(tmp_path: Path, dunes: str) -> 
     assert triangles == len(world.mesh.faces) <= 900
     with pytest.raises(ConfigError):
         Construction(tmp_path).build(dunes, SourceOptions(), formats=())
+
+
+def test_an_uploaded_map_is_its_yaml_and_its_picture() -> None:
+    uploads = Uploads(Limits())
+    pixels = np.full((60, 80), 254, np.uint8)
+    pixels[:2] = pixels[-2:] = pixels[:, :2] = pixels[:, -2:] = 0
+    yaml = b"image: /home/me/maps/my room.pgm\nresolution: 0.1\norigin: [1, 2, 0]\n"
+    try:
+        path = uploads.add("room.yaml", yaml)
+        construction = Construction(uploads.folder, NODES)
+        with pytest.raises(WctError, match=r"my_room\.pgm is not there"):
+            construction.preview(str(path), SourceOptions())
+        uploads.add("my room.pgm", cv2.imencode(".pgm", pixels)[1].tobytes())
+        shown = construction.preview(str(path), SourceOptions(wall_height=1.5))
+        assert shown.world.walls is not None
+        assert shown.world.walls.height == 1.5
+        assert shown.world.surface.bounds == pytest.approx((1.0, 2.0, 9.0, 8.0))
+        assert dict(shown.facts)["walls"] == "544 cells of 0.1 m, 1.5 m high"
+    finally:
+        uploads.close()
