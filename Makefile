@@ -1,10 +1,11 @@
 # make demo   sets up .venv, drives a robot through the three bundled worlds, prints a table; pictures in out/demo/
 # make test   sets up .venv, runs every check
+# make docs   sets up .venv, builds the site into out/docs/; opens with out/docs/index.html
 PYTHON ?= python3
 BIN := .venv/bin
 PYTEST_ARGS ?= -n auto
 
-.PHONY: demo test clean
+.PHONY: demo test docs clean
 
 demo: .venv/installed
 	$(BIN)/lirs-wct validate simple medium advanced --robot husky --mapper hector --seconds 120 --seed 1 -o out/demo
@@ -16,6 +17,9 @@ test: .venv/installed-dev
 	$(BIN)/lint-imports
 	$(BIN)/pytest $(PYTEST_ARGS)
 
+docs: .venv/installed-docs
+	$(BIN)/python -m sphinx -b html -W --keep-going -q docs out/docs
+
 clean:
 	rm -rf .venv out worlds dist
 
@@ -25,6 +29,10 @@ clean:
 .venv/installed: pyproject.toml | .venv/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable .
 	@touch $@
+
+.venv/installed-docs: pyproject.toml | .venv/bin/python
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	@touch $@ .venv/installed
 
 .venv/installed-dev: pyproject.toml | .venv/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'

@@ -5,6 +5,7 @@ A command line is made from the fields (`declared`), as are checks and warnings:
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
@@ -118,7 +119,7 @@ Declared = TypeVar("Declared", bound=type[Options])
 def documented(options: Declared) -> Declared:
     """Return a class of options with the help of each in its docstring."""
     lines = (f"    {name}: {found.help}" for name, found in declared(options))
-    options.__doc__ = "\n".join((options.__doc__ or "", "Attributes:", *lines))
+    options.__doc__ = "\n".join((inspect.cleandoc(options.__doc__ or ""), "", "Attributes:", *lines))
     return options
 
 

@@ -1,7 +1,7 @@
 """Draw the picture of docs/from_log_to_world.md: log -> map -> world -> simulated run in it.
 
-python docs/make_log_picture.py intel.clf.gz                              # writes out/log_to_world.png
-python docs/make_log_picture.py intel.clf.gz -o docs/log_to_world.png     # in place of the tracked one
+python docs/pictures/make_log_picture.py LOG  # writes out/log_to_world.png
+python docs/pictures/make_log_picture.py LOG -o docs/pictures/log_to_world.png  # in place of the tracked one
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Examples that the help of each command ends with; they run as they stand in a checkout of the repository."""
+"""Examples that the help of each command ends with; their inputs ship with the repository."""
 
 from __future__ import annotations
 

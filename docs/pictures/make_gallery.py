@@ -1,0 +1,78 @@
+"""Draw the pictures of the gallery and the tutorial: worlds, robots, one run; each below 150 kB.
+
+python docs/pictures/make_gallery.py                       # writes worlds.png, robots.png, run.jpg to out/
+python docs/pictures/make_gallery.py -o docs/pictures      # in place of the tracked ones
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+
+from lirs_envs.robots.catalog import ROBOTS
+from lirs_validation import validate
+from lirs_validation.cli.robot_card import draw
+from lirs_wct import BuildOptions, World, build_world
+from lirs_wct.drawing.canvas import Canvas
+from lirs_wct.drawing.style import new_figure, title
+from lirs_wct.drawing.world_view import block_picture
+
+DATA = Path(__file__).resolve().parents[2] / "examples" / "data"
+DUNES = BuildOptions(size=30, height=2.5)
+RUN_WIDTH = 1000
+"""Pixels of the run's page."""
+
+
+def main() -> None:
+    """Draw all of them."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-o", "--output", type=Path, default=Path("out"))
+    output: Path = parser.parse_args().output
+    output.mkdir(parents=True, exist_ok=True)
+    draw_worlds(output / "worlds.png")
+    draw_robots(output / "robots.png")
+    draw_run(output / "run.jpg")
+
+
+def draw_worlds(path: Path) -> None:
+    """Draw the bundled worlds and those of the examples' inputs, as blocks."""
+    worlds: dict[str, World] = {name: build_world(name) for name in ("simple", "medium", "advanced")}
+    worlds["examples/data/dunes.png"] = build_world(DATA / "dunes.png", DUNES)
+    worlds["examples/data/office.yaml"] = build_world(DATA / "office.yaml")
+    figure = new_figure(10.0, 5.0)
+    panels = figure.subplots(2, 3).ravel()
+    for axes in panels:
+        axes.set_axis_off()
+    for axes, (name, world) in zip(panels, worlds.items(), strict=False):
+        axes.imshow(block_picture(world, Canvas.over(world.surface.bounds)), interpolation="antialiased")
+        title(axes, name)
+    figure.savefig(path, dpi=68)
+
+
+def draw_robots(path: Path) -> None:
+    """Draw every robot as `lirs-wct robot` does."""
+    figure = new_figure(10.0, 5.4)
+    with TemporaryDirectory() as folder:
+        for axes, (name, robot) in zip(figure.subplots(2, 3).ravel(), ROBOTS.items(), strict=False):
+            draw(robot, Path(folder) / "robot.png")
+            axes.imshow(cv2.imread(f"{folder}/robot.png")[..., ::-1])
+            axes.set_axis_off()
+            title(axes, name)
+    figure.savefig(path, dpi=68)
+
+
+def draw_run(path: Path) -> None:
+    """Draw the page of the tutorial's run."""
+    with TemporaryDirectory() as folder:
+        run = validate("medium", mapper="hector", seconds=60, seed=1, out=folder)
+        page = cv2.imread(f"{run.folder}/overview.png")
+    rows, cols = page.shape[:2]
+    smaller = cv2.resize(page, (RUN_WIDTH, rows * RUN_WIDTH // cols), interpolation=cv2.INTER_AREA)
+    cv2.imwrite(str(path), smaller, [cv2.IMWRITE_JPEG_QUALITY, 82])
+
+
+if __name__ == "__main__":
+    main()

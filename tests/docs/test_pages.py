@@ -1,0 +1,68 @@
+"""What the pages name exists: files, commands, options of environments."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+import typer
+
+from lirs_envs.episodes.config import RANDOMIZED, EnvConfig
+from lirs_envs.episodes.observations import GROUPS
+from lirs_validation.cli.app import app
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted((ROOT / "docs").rglob("*.md"))
+COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+COMMAND = re.compile(r"^ *(?:\$ )?(lirs-wct [a-z].*)$|`(lirs-wct [a-z][^`]* [^`]*)`", re.MULTILINE)
+ENVIRONMENTS = (ROOT / "docs" / "reference" / "environments.md").read_text()
+
+
+def commands() -> Iterator[tuple[str, str]]:
+    """Yield page and command of each line that shows one; `\\` at the end goes on in the next."""
+    for page in PAGES:
+        for in_block, in_text in COMMAND.findall(page.read_text().replace("\\\n", " ")):
+            if "--help" not in in_text:
+                yield page.name, in_block or in_text
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: page.name)
+def test_links_lead_to_files_as_github_reads_them(page: Path) -> None:
+    for target in re.findall(r"\]\((?!\w+:|#)([^)#\s]+)", page.read_text()):
+        assert (page.parent / target).exists(), target
+
+
+def test_commands_are_found() -> None:
+    assert len(list(commands())) > 50
+
+
+@pytest.mark.parametrize(("page", "line"), list(commands()))
+def test_the_parser_takes_the_commands(page: str, line: str) -> None:
+    words = shlex.split(line.replace("...", "X"), comments=True)
+    name, *arguments = words[1:]
+    with COMMANDS[name].make_context(name, arguments) as context:
+        assert not context.args
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(EnvConfig) if field.init])
+def test_every_option_of_the_environments_is_explained(name: str) -> None:
+    assert f"| `{name}` |" in ENVIRONMENTS
+
+
+@pytest.mark.parametrize("name", GROUPS)
+def test_every_group_of_observations_is_explained(name: str) -> None:
+    assert f"| `{name}` |" in ENVIRONMENTS
+
+
+@pytest.mark.parametrize("name", RANDOMIZED)
+def test_everything_that_is_randomized_is_named(name: str) -> None:
+    assert f"`{name}`" in ENVIRONMENTS.split("| `randomize` |")[1].splitlines()[0]
+
+
+def test_pictures_of_the_gallery_are_small() -> None:
+    for picture in (ROOT / "docs" / "pictures").glob("*.png"):
+        assert picture.stat().st_size <= 180_000, picture.name
