@@ -20,7 +20,9 @@ from sphinx.util import logging
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAGES = {f"{name}.md": f"project/{name.lower()}.md" for name in ("README", "CONTRIBUTING", "CHANGELOG")} | {
-    "examples": "reference/examples.md"
+    "examples": "reference/examples.md",
+    "examples/data": "reference/examples.md",
+    "notebooks": "tutorial/notebooks.md",
 }
 """What the site shows on a page of its own."""
 FENCE = re.compile(r"^( *)(`{3,}|~{3,}).*?^\1\2 *$", re.MULTILINE | re.DOTALL)

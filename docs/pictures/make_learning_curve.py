@@ -1,7 +1,7 @@
 """Draw the learning curves of examples/train_navigation.py: share of episodes that reach the goal.
 
 python docs/pictures/make_learning_curve.py out/navigation  # writes out/learning_curve.png
-python docs/pictures/make_learning_curve.py out/seed-* -o docs/learning_curve.png  # in place of the tracked one
+python docs/pictures/make_learning_curve.py out/seed-* -o docs/learning_curve.png  # the tracked one
 """
 
 from __future__ import annotations
