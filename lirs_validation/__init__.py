@@ -7,6 +7,7 @@ if TYPE_CHECKING:
     from lirs_validation.analysis.result_folders import read_results
     from lirs_validation.config import RunConfig
     from lirs_validation.experiment.run import Run, validate
+    from lirs_validation.gui.notebook import EmbeddedPage, show
     from lirs_validation.logs.log_source import resolve_source
     from lirs_validation.logs.map_log import map_log
     from lirs_validation.logs.mapped_log import MappedLog
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from lirs_validation.report.contents import report_of
 
 __all__ = [
+    "EmbeddedPage",
     "MappedLog",
     "Run",
     "RunConfig",
@@ -23,10 +25,13 @@ __all__ = [
     "read_results",
     "report_of",
     "resolve_source",
+    "show",
     "validate",
 ]
 
 _HOMES = {
+    "EmbeddedPage": "gui.notebook",
+    "show": "gui.notebook",
     "MappedLog": "logs.mapped_log",
     "map_log": "logs.map_log",
     "resolve_source": "logs.log_source",
