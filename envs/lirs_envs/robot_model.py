@@ -102,13 +102,17 @@ class RobotModel:
         self.wheel_geoms = _wheel_geoms(self.model, robot)
         self.own_geoms = _own_geoms(self.model) if props else None
         self._flies = robot.flies
+        self._find_drives(robot)
+        self._make_views()
+
+    def _find_drives(self, robot: Robot) -> None:
+        """Find the actuators, and the angles of the driven wheels."""
         wheel_sides: list[tuple[str, ...]] = [robot.left_wheels, robot.right_wheels]
         sides = [(rotor,) for rotor in robot.rotors] or wheel_sides
         self.actuators = [[int(self.model.actuator(name).id) for name in side] for side in sides]
         self.left_angles, self.right_angles = (
             [int(self.model.joint(name).qposadr[0]) for name in side] for side in wheel_sides
         )
-        self._make_views()
 
     def _make_views(self) -> None:
         """Make views into the data once: making one costs as much as reading it."""
