@@ -17,6 +17,7 @@ from typer.exceptions import TyperException
 from lirs_validation.cli.bench import bench
 from lirs_validation.cli.collide import collide
 from lirs_validation.cli.console import BAD_INPUT, INTERRUPTED, RUN_FAILED, err, out
+from lirs_validation.cli.doctor import doctor
 from lirs_validation.cli.examples import epilog
 from lirs_validation.cli.export import export
 from lirs_validation.cli.gui import gui
@@ -38,7 +39,21 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, evaluate.",
 )
-for command in (build, report, compare, score, export, bench, collide, view, info, convert, robot, gui):
+for command in (
+    build,
+    report,
+    compare,
+    score,
+    export,
+    bench,
+    collide,
+    view,
+    info,
+    convert,
+    robot,
+    gui,
+    doctor,
+):
     app.command(epilog=epilog(command.__name__))(command)
 app.command("validate", epilog=epilog("validate"))(validate)
 app.command("record", epilog=epilog("record"))(record)

@@ -25,6 +25,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "info": ("lirs-wct info examples/data/office.yaml --robot turtlebot2",),
     "convert": ("lirs-wct convert terrain.stl terrain.dae",),
     "robot": ("lirs-wct robot husky",),
+    "doctor": ("lirs-wct doctor",),
     "gui": ("lirs-wct gui medium --port 8080",),
     "validate": (
         "lirs-wct validate examples/data/dunes.png --mapper hector --seconds 60 --seed 1 -o out/",

@@ -1,0 +1,164 @@
+"""The command `doctor`: whether the installation is whole, and how to mend what is missing."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from lirs_validation.cli.console import RUN_FAILED, out
+
+REQUIRED = (
+    "mujoco",
+    "gymnasium",
+    "numpy",
+    "scipy",
+    "numba",
+    "trimesh",
+    "opencv-python-headless",
+    "matplotlib",
+)
+EXTRAS = {
+    "gui": ("viser", "pillow"),
+    "mesh": ("coacd", "embreex"),
+    "ros": ("rosbags",),
+    "rl": ("stable-baselines3",),
+    "dist": ("ray",),
+    "notebooks": ("ipykernel", "nbclient"),
+}
+"""What each extra brings that is looked for."""
+BACKENDS = {
+    "egl": "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0",
+    "osmesa": "apt-get install libosmesa6",
+    "glfw": "needs a screen (DISPLAY)",
+}
+"""Ways to OpenGL that MuJoCo knows, and what brings them."""
+_RENDER = (
+    'import mujoco as m; model = m.MjModel.from_xml_string(\'<mujoco><worldbody><geom size=".1"/>'
+    "</worldbody></mujoco>'); r = m.Renderer(model, 16, 16); d = m.MjData(model); m.mj_forward(model, d); "
+    "r.update_scene(d); assert r.render().any(); r.close()"
+)
+PATIENCE = 60
+"""Seconds that a backend may take for a picture."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was looked at.
+
+    Attributes:
+        name: of the thing.
+        found: what there is.
+        mend: how to get it; empty = it is there.
+        needed: whether nothing works without it.
+    """
+
+    name: str
+    found: str
+    mend: str = ""
+    needed: bool = False
+
+
+def doctor() -> None:
+    """Check the installation: versions, OpenGL, caches, extras; say how to mend what is missing."""
+    checks = list(_checks())
+    table = Table(show_header=True, title="lirs-wct doctor", title_justify="left")
+    for heading in ("", "what", "found", "how to mend it"):
+        table.add_column(heading)
+    for check in checks:
+        mark = "[green]ok" if not check.mend else "[red]missing" if check.needed else "[yellow]optional"
+        table.add_row(mark, escape(check.name), escape(check.found), escape(check.mend))
+    out.print(table)
+    if any(check.mend and check.needed for check in checks):
+        raise typer.Exit(RUN_FAILED)
+
+
+def _checks() -> Iterator[Check]:
+    yield Check("python", f"{platform.python_version()}, {sys.executable}")
+    for name in ("lirs-wct", *REQUIRED):
+        version = _version(name)
+        yield Check(name, version or "-", "" if version else "pip install lirs-wct", needed=True)
+    yield from _opengl()
+    yield _numba_cache()
+    yield _world_cache()
+    for extra, packages in EXTRAS.items():
+        found = {name: _version(name) for name in packages}
+        text = ", ".join(f"{name} {version or '-'}" for name, version in found.items())
+        yield Check(f"[{extra}]", text, "" if all(found.values()) else f"pip install 'lirs-wct[{extra}]'")
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _opengl() -> Iterator[Check]:
+    """Draw a picture with each backend, in processes of their own: MuJoCo chooses one for its life.
+
+    Only pictures of the simulation need one.
+    """
+    for backend, mend in BACKENDS.items():
+        works = _draws(backend)
+        yield Check(f"OpenGL by {backend}", "draws" if works else "no picture", "" if works else mend)
+
+
+def _draws(backend: str) -> bool:
+    environment = os.environ | {"MUJOCO_GL": backend}
+    try:
+        drawn = subprocess.run(
+            [sys.executable, "-c", _RENDER],
+            env=environment,
+            capture_output=True,
+            timeout=PATIENCE,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return drawn.returncode == 0
+
+
+def _numba_cache() -> Check:
+    """Look where compiled kernels are kept: without such a place each start compiles for a minute."""
+    import lirs_wct
+
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    package = Path(lirs_wct.__file__).parent / "__pycache__"
+    places = [Path(given)] if given else [package, Path.home() / ".cache" / "numba"]
+    usable = next((place for place in places if _writable(place)), None)
+    if usable is None:
+        mend = "set NUMBA_CACHE_DIR to a folder that can be written"
+        return Check("numba cache", f"{places[0]}: cannot be written", mend)
+    return Check("numba cache", str(usable))
+
+
+def _world_cache() -> Check:
+    from lirs_envs.episodes.world_cache import cache_folder
+
+    folder = cache_folder()
+    if folder is None:
+        return Check("world cache", "switched off (LIRS_WCT_CACHE is empty)")
+    if _writable(folder):
+        return Check("world cache", str(folder))
+    return Check("world cache", f"{folder}: cannot be written", "set LIRS_WCT_CACHE to a folder that can be")
+
+
+def _writable(folder: Path) -> bool:
+    """Whether a file can be made in a folder, or in the nearest one above it that exists."""
+    there = next((place for place in (folder, *folder.parents) if place.exists()), folder)
+    try:
+        with tempfile.TemporaryFile(dir=there):
+            return True
+    except OSError:
+        return False
