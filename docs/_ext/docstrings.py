@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.domains.python import PyObject
 from sphinx.util.inspect import TypeAliasForwardRef
@@ -16,6 +17,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     """Register with Sphinx."""
     app.connect("autodoc-process-docstring", _keep_first_sentence, priority=AFTER_NAPOLEON)
     app.connect("autodoc-process-signature", _show_factories)
+    app.connect("doctree-read", _write_dashes)
     for field in PyObject.doc_field_types:
         if field.name == "variable":
             field.label = "Attributes"
@@ -41,3 +43,10 @@ def _show_factories(
 ) -> tuple[str | None, str | None]:
     """Write `...` for a default that a factory makes: its repr is no Python, which Sphinx would not parse."""
     return signature and signature.replace("<factory>", "..."), returned
+
+
+def _write_dashes(_: Sphinx, page: nodes.document) -> None:
+    """Write a dash between a name and what it means; smart quotes, which would, spoil `--option`."""
+    for text in list(page.findall(nodes.Text)):
+        if text == " -- ":
+            text.parent.replace(text, nodes.Text(" – "))

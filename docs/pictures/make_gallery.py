@@ -23,7 +23,9 @@ from lirs_wct.drawing.world_view import block_picture
 DATA = Path(__file__).resolve().parents[2] / "examples" / "data"
 DUNES = BuildOptions(size=30, height=2.5)
 RUN_WIDTH = 1000
-"""Pixels of the run's page."""
+"""Pixels of the run's picture."""
+MAPS = 0.535
+"""Share of the run's page above its maps: what is there is the machine's speed and the table."""
 
 
 def main() -> None:
@@ -65,12 +67,13 @@ def draw_robots(path: Path) -> None:
 
 
 def draw_run(path: Path) -> None:
-    """Draw the page of the tutorial's run."""
+    """Draw the maps of the tutorial's run."""
     with TemporaryDirectory() as folder:
         run = validate("medium", mapper="hector", seconds=60, seed=1, out=folder)
         page = cv2.imread(f"{run.folder}/overview.png")
-    rows, cols = page.shape[:2]
-    smaller = cv2.resize(page, (RUN_WIDTH, rows * RUN_WIDTH // cols), interpolation=cv2.INTER_AREA)
+    maps = page[round(MAPS * len(page)) :]
+    rows, cols = maps.shape[:2]
+    smaller = cv2.resize(maps, (RUN_WIDTH, rows * RUN_WIDTH // cols), interpolation=cv2.INTER_AREA)
     cv2.imwrite(str(path), smaller, [cv2.IMWRITE_JPEG_QUALITY, 82])
 
 

@@ -1,7 +1,7 @@
-"""Draw the README's picture: image -> world -> map, all of it made by the project itself.
+"""Draw the picture of the gallery: image -> world -> map, all of it made by the project itself.
 
-python docs/pictures/make_picture.py                           # writes out/overview.png
-python docs/pictures/make_picture.py -o docs/overview.png      # in place of the tracked one
+python docs/pictures/make_picture.py                                 # writes out/overview.png
+python docs/pictures/make_picture.py -o docs/pictures/overview.png  # in place of the tracked one
 """
 
 from __future__ import annotations
