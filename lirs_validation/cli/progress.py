@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -31,16 +32,41 @@ STEPS = {
 """Steps as they are shown; any other stands as it is."""
 LONG = 3600.0
 """The time left is estimated from the last so many seconds: experiments take minutes, and differ."""
+EVERY = 10.0
+"""Seconds between two lines of progress where no terminal shows a bar."""
+
+
+class ProgressLines:
+    """Lines of progress in a log file; none in a terminal, which has the bar.
+
+    Args:
+        console: that the lines are written to.
+        clock: seconds that pass.
+    """
+
+    def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic) -> None:
+        self._console, self._clock = console, clock
+        self._due = clock() + EVERY
+
+    def note(self, work: str, share: float) -> None:
+        """Write a line if the last one is long ago."""
+        if self._console.is_terminal or self._clock() < self._due:
+            return
+        self._due = self._clock() + EVERY
+        self._console.print(f"{work}, {share:.0%}", highlight=False, markup=False, soft_wrap=True)
 
 
 @contextmanager
 def progress_bar(work: str, console: Console) -> Iterator[Progress]:
     """Show a bar with the time left while a piece of work goes on."""
+    lines = ProgressLines(console)
     with _bar(console) as bar:
         task = bar.add_task(work, total=None)
 
         def progress(step: str, share: float) -> None:
-            bar.update(task, description=f"{work}: {STEPS.get(step, step)}", total=1.0, completed=share)
+            description = f"{work}: {STEPS.get(step, step)}"
+            bar.update(task, description=description, total=1.0, completed=share)
+            lines.note(description, share)
 
         yield progress
 
@@ -54,17 +80,16 @@ def run_with_progress(sweep: Sweep, executor: Executor, console: Console) -> Ite
     many = len(sweep.pending) > 1
     running: dict[str, float] = {}
     done = 0
+    lines, total = ProgressLines(console), len(sweep.pending)
     with _bar(console, TextColumn("{task.fields[done]}/{task.total:.0f}" if many else "")) as bar:
         task = bar.add_task("", total=float(len(sweep.pending)), done=0)
 
         def progress_of(name: str) -> Progress:
             def progress(step: str, share: float) -> None:
                 running[name] = share
-                bar.update(
-                    task,
-                    description=f"{name}: {STEPS.get(step, step)}",
-                    completed=done + sum(running.values()),
-                )
+                description, completed = f"{name}: {STEPS.get(step, step)}", done + sum(running.values())
+                bar.update(task, description=description, completed=completed)
+                lines.note(f"{done}/{total} {description}" if many else description, completed / total)
 
             return progress
 

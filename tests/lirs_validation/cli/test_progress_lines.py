@@ -1,0 +1,44 @@
+"""Progress in a log file: a line every ten seconds, none in a terminal."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from rich.console import Console
+
+from lirs_validation.cli import progress as module
+from lirs_validation.cli.progress import EVERY, ProgressLines, progress_bar
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_a_line_every_ten_seconds() -> None:
+    clock, file = Clock(), io.StringIO()
+    lines = ProgressLines(Console(file=file), clock)
+    for second in range(35):
+        clock.now = float(second)
+        lines.note("dunes: [building]", second / 35)
+    assert file.getvalue().splitlines() == [f"dunes: [building], {k / 35:.0%}" for k in (10, 20, 30)]
+
+
+def test_a_terminal_gets_none() -> None:
+    clock, file = Clock(), io.StringIO()
+    lines = ProgressLines(Console(file=file, force_terminal=True), clock)
+    clock.now = 2 * EVERY
+    lines.note("dunes", 0.5)
+    assert file.getvalue() == ""
+
+
+def test_a_bar_without_terminal_writes_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "EVERY", 0.0)
+    file = io.StringIO()
+    with progress_bar("dunes", Console(file=file)) as progress:
+        progress("drive", 0.25)
+    assert file.getvalue() == "dunes: driving, 25%\n"
