@@ -16,10 +16,10 @@ from lirs_validation.gui.session.worker import Worker
 from lirs_validation.gui.view.drive_scene import DriveScene
 from lirs_validation.gui.view.guard import Guard
 from lirs_validation.gui.view.player import Player
-from lirs_validation.gui.view.progress import ProgressLine
-from lirs_validation.gui.view.run_controls import RunControls
 from lirs_validation.gui.view.scene import Scene
-from lirs_validation.gui.view.stick import Stick
+from lirs_validation.gui.view.widgets.progress import ProgressLine
+from lirs_validation.gui.view.widgets.run_controls import RunControls
+from lirs_validation.gui.view.widgets.stick import Stick
 from lirs_wct.errors import ConfigError
 
 SPEEDS = {"1 x real time": 1.0, "2 x": 2.0, "5 x": 5.0, "10 x": 10.0, "as fast as it goes": float("inf")}

@@ -17,8 +17,9 @@ from lirs_validation.gui.view.drive_scene import DriveScene
 from lirs_validation.gui.view.drive_tab import SPEEDS
 from lirs_validation.gui.view.guard import Guard
 from lirs_validation.gui.view.player import PERIOD, Player
-from lirs_validation.gui.view.progress import ProgressLine
 from lirs_validation.gui.view.scene import Scene
+from lirs_validation.gui.view.widgets.drop_zone import add_drop_zone
+from lirs_validation.gui.view.widgets.progress import ProgressLine
 
 NONE = "choose a run"
 
@@ -78,6 +79,7 @@ class ReplayTab:
             hint="A run's folder as a zip archive, as Save the run gives it.",
         )
         upload.on_upload(self._guard(lambda _: self._open_archive(upload.value.content)))
+        add_drop_zone(gui, "Open a zipped run")
         self._look()
 
     def _add_buttons(self, gui: viser.GuiApi) -> None:

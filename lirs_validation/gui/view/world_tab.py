@@ -14,10 +14,11 @@ from lirs_validation.gui.session.uploads import Limits, Uploads
 from lirs_validation.gui.session.worker import Worker
 from lirs_validation.gui.session.world_facts import Facts
 from lirs_validation.gui.view.guard import Guard
-from lirs_validation.gui.view.option_controls import OptionControls
 from lirs_validation.gui.view.player import as_table
-from lirs_validation.gui.view.progress import ProgressLine
 from lirs_validation.gui.view.scene import Scene
+from lirs_validation.gui.view.widgets.drop_zone import add_drop_zone
+from lirs_validation.gui.view.widgets.option_controls import OptionControls
+from lirs_validation.gui.view.widgets.progress import ProgressLine
 from lirs_wct.errors import ConfigError
 from lirs_wct.export.package import DEFAULT_FORMATS, FORMATS, GazeboTerrain
 from lirs_wct.sources.bundled import RECIPES
@@ -75,6 +76,7 @@ class WorldTab:
             hint="Picture of heights, laser map (first its picture, then its YAML), mesh, laser log or bag.",
         )
         upload.on_upload(self._guard(lambda _: self._open(upload.value.name, upload.value.content)))
+        add_drop_zone(gui, "Open a file")
 
     def _add_results(self, gui: viser.GuiApi) -> None:
         self._build = gui.add_button("Build", color="green", icon=viser.Icon.HAMMER)

@@ -13,6 +13,21 @@ def upload(page: Any, button: str, path: Path) -> None:
     chooser.value.set_files(path)
 
 
+def drop(page: Any, *paths: Path) -> None:
+    """Drop files onto the page."""
+    files = [{"name": path.name, "bytes": list(path.read_bytes())} for path in paths]
+    page.evaluate(
+        """files => {
+          const dropped = new DataTransfer();
+          files.forEach(f => dropped.items.add(new File([new Uint8Array(f.bytes)], f.name)));
+          const target = document.querySelector('canvas');
+          ['dragover', 'drop'].forEach(kind => target.dispatchEvent(
+            new DragEvent(kind, {dataTransfer: dropped, bubbles: true, cancelable: true})));
+        }""",
+        files,
+    )
+
+
 def field(page: Any, label: str) -> Any:
     """Return the field beside a label: viser puts them into one row."""
     row = page.locator("label", has_text=label).locator(

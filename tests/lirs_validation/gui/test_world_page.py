@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from lirs_wct.world import World
-from tests.lirs_validation.gui.pages import field, upload, wait_for
+from tests.lirs_validation.gui.pages import drop, field, upload, wait_for
 
 Open = Callable[[], Any]
 
@@ -72,6 +72,19 @@ def test_what_is_wrong_is_said_once_and_the_page_lives_on(
     text.write_text("hello")
     upload(page, "Open a file", text)
     page.get_by_text("notes.txt: not a file that is read").wait_for()
+
+
+def test_a_map_and_its_picture_are_dropped_together(open_page: Open, tmp_path: Path) -> None:
+    pixels = np.full((60, 80), 254, np.uint8)
+    pixels[:2] = pixels[-2:] = pixels[:, :2] = pixels[:, -2:] = 0
+    cv2.imwrite(str(tmp_path / "room.pgm"), pixels)
+    (tmp_path / "room.yaml").write_text("image: room.pgm\nresolution: 0.1\norigin: [0, 0, 0]\n")
+    page = open_page()
+    drop(page, tmp_path / "room.yaml", tmp_path / "room.pgm")
+    page.get_by_text("room (map)").wait_for()
+    page.get_by_text("8 x 6 m").wait_for()
+    page.locator("label", has_text="wall height").wait_for()
+    assert not page.locator("label", has_text="smoothing").count()
 
 
 def test_uploads_are_capped(open_page: Open, server: Any, tmp_path: Path) -> None:

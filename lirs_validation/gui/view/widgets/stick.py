@@ -13,6 +13,7 @@ from typing import Any
 import viser
 
 from lirs_validation.gui.view.guard import Guard
+from lirs_validation.gui.view.widgets.html import with_script
 from lirs_wct.errors import ConfigError
 
 LABEL = "stick"
@@ -23,7 +24,7 @@ _HTML = """
  cursor:grab;outline:none">
  <div class="lirs-knob" style="position:absolute;left:50%;top:50%;width:3em;height:3em;margin:-1.5em;
   border-radius:50%;background:#0072B2;box-shadow:0 2px 5px #0006;pointer-events:none"></div>
- <img src="data:," style="display:none" onerror="(SCRIPT)(this.parentElement)">
+ SCRIPT
 </div>
 <div style="text-align:center;font-size:.8em;opacity:.7">drag, or hold W A S D / arrow keys</div>
 """
@@ -91,8 +92,7 @@ class Stick:
     """
 
     def __init__(self, gui: viser.GuiApi, guard: Guard, steer: Callable[[float, float], None]) -> None:
-        script = _SCRIPT.replace("LABEL", LABEL).replace('"', "&quot;").replace("\n", " ")
-        self._html = gui.add_html(_HTML.replace("SCRIPT", script), visible=False)
+        self._html = gui.add_html(with_script(_HTML, _SCRIPT.replace("LABEL", LABEL)), visible=False)
         self._field = gui.add_text(LABEL, "0.00 0.00", hint=HINT, visible=False)
         self._field.on_update(guard(lambda _: steer(*read_stick(self._field.value))))
 

@@ -1,0 +1,1 @@
+"""Controls that viser lacks, and groups of controls."""
