@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 
 from lirs_wct.formats.rosbag.cdr import Layout, Zeros
+from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
@@ -29,6 +30,19 @@ _IMU = Layout(
 _SCAN = Layout(TIME, LASER.encode(), "fffffff", "I")
 _MAP = Layout(TIME, MAP.encode(), TIME, "fII", POSE, "I")
 _NO_INTENSITIES = bytes(4)
+POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("time", "<f4")], align=True)
+"""A point, with the fields' names and types that Velodyne's driver gives them and KISS-ICP looks for."""
+_POINT_TYPES = {np.dtype("<u2"): 4, np.dtype("<f4"): 7}
+_POINTS = Layout(
+    TIME,
+    LASER.encode(),
+    "III",
+    *(part for name in POINT.names or () for part in (name.encode(), "IBI")),
+    "BIII",
+)
+_POINT_FIELDS = [
+    value for field in (POINT.fields or {}).values() for value in (field[1], _POINT_TYPES[field[0]], 1)
+]
 
 
 def nanoseconds(stamp: float) -> int:
@@ -62,6 +76,17 @@ def laser_scan(scan: LaserScan, period: float) -> bytearray:
         n,
     )
     return message + scan.ranges.astype("<f4", copy=False).tobytes() + _NO_INTENSITIES
+
+
+def point_cloud(cloud: PointCloud) -> bytearray:
+    """Return `sensor_msgs/PointCloud2` of one row, in the frame of the laser; times count from the stamp."""
+    n, step = len(cloud), POINT.itemsize
+    points = np.zeros(n, POINT)
+    points["x"], points["y"], points["z"] = cloud.xyz.T
+    points["ring"], points["time"] = cloud.ring, cloud.time
+    fields = (len(_POINT_FIELDS) // 3, *_POINT_FIELDS)
+    message = _POINTS.pack(*_time(cloud.stamp), 1, n, *fields, 0, step, n * step, n * step)
+    return message + points.tobytes() + b"\x01"
 
 
 def imu(reading: Imu, stamp: float) -> bytearray:

@@ -31,6 +31,7 @@ from lirs_wct.files import atomic_folder
 from lirs_wct.formats.rosbag import messages
 from lirs_wct.formats.rosbag.library import Storage
 from lirs_wct.formats.rosbag.messages import BASE, LASER, MAP, ODOM, nanoseconds
+from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
@@ -42,10 +43,11 @@ TOPICS = {
     "/odom": "nav_msgs/msg/Odometry",
     "/imu": "sensor_msgs/msg/Imu",
     "/scan": "sensor_msgs/msg/LaserScan",
+    "/points": "sensor_msgs/msg/PointCloud2",
     "/ground_truth": "geometry_msgs/msg/PoseStamped",
     "/map": "nav_msgs/msg/OccupancyGrid",
 }
-"""Topics and their types."""
+"""Topics and their types; those of which there is nothing to say are in no bag."""
 MAP_TOPIC = "/map"
 LATCHED = ("/tf_static", MAP_TOPIC)
 """Topics whose last message is for who comes later, too."""
@@ -69,6 +71,7 @@ class Tick:
         imu: reading of the inertial unit.
         truth: `T_map_base`, from the simulator; the map frame is the first base pose in the plane.
         estimate: `T_map_base`, a mapper's answer; None = none, then nothing ties odom to a map.
+        cloud: of a lidar with rings, in the same place; None of a planar one.
     """
 
     scan: LaserScan
@@ -76,6 +79,7 @@ class Tick:
     imu: Imu
     truth: Pose3
     estimate: Pose2 | None = None
+    cloud: PointCloud | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,11 +121,11 @@ class BagWriter:
         self._writer = Writer(folder, version=VERSION, storage_plugin=plugin)
         self._store = get_typestore(Stores.ROS2_JAZZY)
         self._period = period
+        self._connections: dict[str, Connection] = {}
         self._last: Tick | None = None
         self._waiting: list[Tick] = []
         try:
             self._writer.open()
-            self._connections = {topic: self._connection(topic) for topic in TOPICS if topic != MAP_TOPIC}
         except FAILURES as error:
             raise self._failed(error) from error
 
@@ -148,7 +152,6 @@ class BagWriter:
         try:
             self._write_waiting()
             if grid is not None and self._last is not None:
-                self._connections[MAP_TOPIC] = self._connection(MAP_TOPIC)
                 stamp = self._last.scan.stamp
                 self._write(MAP_TOPIC, stamp, messages.occupancy_grid(stamp, grid))
             self._writer.close()
@@ -160,10 +163,14 @@ class BagWriter:
         self._writer.abort()
 
     def _connection(self, topic: str) -> Connection:
-        qos = [_qos(topic in LATCHED)]
-        return self._writer.add_connection(
-            topic, TOPICS[topic], typestore=self._store, offered_qos_profiles=qos
-        )
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(
+                topic,
+                TOPICS[topic],
+                typestore=self._store,
+                offered_qos_profiles=[_qos(topic in LATCHED)],
+            )
+        return self._connections[topic]
 
     def _write_waiting(self) -> None:
         for tick in self._waiting:
@@ -182,10 +189,12 @@ class BagWriter:
         self._write("/odom", t, messages.odometry(t, odometry, self._velocity(tick)))
         self._write("/imu", t, messages.imu(tick.imu, t))
         self._write("/scan", t, messages.laser_scan(scan, self._period))
+        if tick.cloud is not None:
+            self._write("/points", tick.cloud.stamp, messages.point_cloud(tick.cloud))
         self._write("/ground_truth", t, messages.pose(t, tick.truth))
 
     def _write(self, topic: str, stamp: float, message: bytearray) -> None:
-        self._writer.write(self._connections[topic], nanoseconds(stamp), memoryview(message))
+        self._writer.write(self._connection(topic), nanoseconds(stamp), memoryview(message))
 
     def _velocity(self, tick: Tick) -> tuple[float, float, float]:
         """Return the velocity of the base since the scan before, by odometry; at first it stands."""

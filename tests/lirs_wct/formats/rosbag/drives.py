@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lirs_wct.formats.rosbag.writer import Drive, Tick
+from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
@@ -17,6 +18,9 @@ def drive(scans: int = 5) -> Drive:
     stamps = [1.0 + 0.02 * k for k in range(scans)]
     ranges = rng.uniform(0.2, 20.0, (scans, 31)).astype(np.float32)
     ranges[:, 0], ranges[:, 1], ranges[:, 2] = np.inf, -np.inf, np.nan
+    xyz = rng.uniform(-20, 20, (scans, 8, 3)).astype(np.float32)
+    ring = np.repeat(np.arange(4, dtype=np.uint16), 2)
+    time = np.tile(np.array((0, 0.05), np.float32), 4)
     p = rng.uniform(0, 1, (1100, 1000))
     p[0, :10] = np.nan
     ticks = [
@@ -25,6 +29,7 @@ def drive(scans: int = 5) -> Drive:
             odometry=Pose2(0.01 * k, -0.002 * k, 0.005 * k),
             imu=Imu(0.001 * k, -0.002 * k, (0.1, 0.2, 0.25), (0.3, 0.4, 9.7), t),
             truth=Pose3.from_rpy(0.011 * k, 0.0, 0.5, 0.01, 0.02, 0.005 * k),
+            cloud=PointCloud(xyz[k], ring, time, t, MOUNT),
             estimate=Pose2(0.0105 * k, -0.001 * k, 0.0052 * k),
         )
         for k, t in enumerate(stamps)

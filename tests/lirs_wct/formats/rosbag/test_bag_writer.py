@@ -81,6 +81,32 @@ def test_scans_are_those_given(read: dict[str, list[Any]], given: Drive) -> None
         assert len(message.intensities) == 0
 
 
+def test_clouds_are_those_given(read: dict[str, list[Any]], given: Drive) -> None:
+    # What KISS-ICP and the tools of ROS make of the fields.
+    types = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+    for message, tick in zip(read["/points"], given.ticks, strict=True):
+        cloud = tick.cloud
+        assert cloud is not None
+        assert message.header.frame_id == "laser"
+        assert seconds(message.header.stamp) == pytest.approx(cloud.stamp, abs=1e-9)
+        assert (message.height, message.width, message.is_bigendian, message.is_dense) == (1, 8, False, True)
+        assert [field.name for field in message.fields] == ["x", "y", "z", "ring", "time"]
+        assert {field.count for field in message.fields} == {1}
+        kind = np.dtype(
+            {
+                "names": [field.name for field in message.fields],
+                "formats": [types[field.datatype] for field in message.fields],
+                "offsets": [field.offset for field in message.fields],
+                "itemsize": message.point_step,
+            }
+        )
+        assert message.row_step == message.width * message.point_step
+        points = np.frombuffer(bytes(message.data), kind)
+        np.testing.assert_array_equal(np.column_stack([points[axis] for axis in "xyz"]), cloud.xyz)
+        np.testing.assert_array_equal(points["ring"], cloud.ring)
+        np.testing.assert_array_equal(points["time"], cloud.time)
+
+
 def test_frames_are_those_of_rep_105(read: dict[str, list[Any]], given: Drive) -> None:
     (static,) = read["/tf_static"][0].transforms
     assert (static.header.frame_id, static.child_frame_id) == ("base_link", "laser")
