@@ -92,3 +92,7 @@ class ScenarioCache:
         self._kept[(scenario.config.source, scenario.config.build)] = scenario
         while len(self._kept) > KEPT:
             self._kept.popitem(last=False)
+
+    def clear(self) -> None:
+        """Forget the worlds: files that they were made of have changed."""
+        self._kept.clear()

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lirs_validation.config import SourceOptions
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.world_facts import Facts, built_facts, preview_facts
 from lirs_validation.logs.log_source import resolve_source
 from lirs_wct.export.package import DEFAULT_FORMATS, GazeboTerrain, write_package
@@ -53,10 +54,14 @@ class Construction:
     Args:
         folder: of the page, for packages and the maps of logs.
         nodes: of a preview along its longer side, at most.
+        scenarios: worlds that the page's drives keep.
     """
 
-    def __init__(self, folder: Path, nodes: int = PREVIEW_NODES) -> None:
+    def __init__(
+        self, folder: Path, nodes: int = PREVIEW_NODES, scenarios: ScenarioCache | None = None
+    ) -> None:
         self._folder, self._nodes = folder, nodes
+        self._scenarios = scenarios or ScenarioCache()
         self._opened: tuple[Source, TerrainPicture] | None = None
 
     def kind(self, source: str, options: SourceOptions) -> SourceKind:
@@ -130,8 +135,9 @@ class Construction:
         return self._opened[1]
 
     def forget(self) -> None:
-        """Decode the picture anew next time: another file has its name now."""
+        """Read all files anew next time: another one may have the name of one before."""
         self._opened = None
+        self._scenarios.clear()
 
 
 def zipped(folder: Path) -> bytes:

@@ -53,6 +53,7 @@ class Page:
                 self.guard,
                 scene,
                 self.uploads,
+                scenarios,
                 limits,
                 first_sources(source),
                 self._world_changed,

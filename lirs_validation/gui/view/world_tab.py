@@ -8,6 +8,7 @@ from typing import Any
 
 import viser
 
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Construction, Shown, zipped
 from lirs_validation.gui.session.controls import read_controls
 from lirs_validation.gui.session.uploads import Limits, Uploads
@@ -38,6 +39,7 @@ class WorldTab:
         guard: shows its errors.
         scene: shows its world.
         uploads: keeps its files.
+        scenarios: the worlds of its drives.
         limits: of the server.
         sources: names and what they stand for, the first one is shown.
         changed: called with each world that is shown.
@@ -50,13 +52,14 @@ class WorldTab:
         guard: Guard,
         scene: Scene,
         uploads: Uploads,
+        scenarios: ScenarioCache,
         limits: Limits,
         sources: dict[str, str],
         changed: Callable[[Shown], None],
     ) -> None:
         self._client, self._worker, self._guard, self._scene = client, worker, guard, scene
         self._uploads, self._limits, self._sources, self._tell = uploads, limits, dict(sources), changed
-        self._construction = Construction(uploads.folder)
+        self._construction = Construction(uploads.folder, scenarios=scenarios)
         self.shown: Shown | None = None
         self._add_source(client.gui)
         self._add_results(client.gui)

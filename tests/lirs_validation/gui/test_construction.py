@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from lirs_validation.config import SourceOptions
+from lirs_validation.config import RunConfig, SourceOptions
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Construction, zipped
 from lirs_validation.gui.session.uploads import Limits, Uploads
 from lirs_validation.gui.session.world_glb import world_glb
@@ -74,13 +75,17 @@ def test_the_package_is_that_of_the_command_line(tmp_path: Path, picture: Path) 
 
 
 def test_another_file_of_the_same_name_is_read_anew(tmp_path: Path, picture: Path) -> None:
-    construction = Construction(tmp_path, NODES)
-    before = construction.preview(str(picture), SourceOptions()).world.surface
-    picture.write_bytes(picture.read_bytes())
+    scenarios, config = ScenarioCache(), RunConfig(source=str(picture))
+    construction = Construction(tmp_path, NODES, scenarios)
+    before = construction.preview(str(picture), SourceOptions()).world.surface.z
+    driven = scenarios.scenario(config).world.surface.z
+    pixels = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE)
+    assert pixels is not None
+    cv2.imwrite(str(picture), 255 - pixels)
     construction.forget()
-    np.testing.assert_array_equal(
-        construction.preview(str(picture), SourceOptions()).world.surface.z, before.z
-    )
+    after = construction.preview(str(picture), SourceOptions()).world.surface.z
+    np.testing.assert_allclose(after, 6.0 - before, atol=0.05)
+    np.testing.assert_allclose(scenarios.scenario(config).world.surface.z, 6.0 - driven, atol=0.05)
 
 
 def test_an_impossible_crop_is_refused_by_a_preview_too(tmp_path: Path, picture: Path) -> None:
