@@ -1,15 +1,17 @@
-"""Protocols of mappers and localizers, and how to make one by its name."""
+"""Protocols of mappers, planar and in space, and of localizers, and how to make one by its name."""
 
 from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from importlib.util import find_spec
+from typing import Any, NamedTuple, Protocol, TypeGuard
 
 from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 
@@ -21,13 +23,32 @@ class Method(NamedTuple):
         module: of its mapper.
         config: name of the class of its configuration.
         factory: name of what makes a mapper of a configuration.
-        resolution: field of the configuration that is the edge of the map's cell, metres.
+        resolution: field of the configuration that is the edge of the map's cell, metres; empty = none.
+        package: that it needs and only an extra installs, as it is imported.
+        extra: of this package that installs it.
     """
 
     module: str
     config: str
     factory: str
-    resolution: str
+    resolution: str = ""
+    package: str = ""
+    extra: str = ""
+
+    @property
+    def install(self) -> str:
+        """The command that installs what it needs."""
+        return f"pip install 'lirs-wct[{self.extra}]'"
+
+    @property
+    def distribution(self) -> str:
+        """The package as pip calls it."""
+        return self.package.replace("_", "-")
+
+    @property
+    def installed(self) -> bool:
+        """Whether what it needs is there."""
+        return not self.package or find_spec(self.package) is not None
 
 
 MAPPERS: Mapping[str, Method] = {
@@ -49,7 +70,24 @@ MAPPERS: Mapping[str, Method] = {
         "map_resolution",
     ),
 }
-"""The methods by name."""
+"""The planar methods by name."""
+
+CLOUD_MAPPERS: Mapping[str, Method] = {
+    "kiss-icp": Method(
+        "slam_baselines.external.kiss_icp", "KissIcpConfig", "make_kiss_icp", package="kiss_icp", extra="slam"
+    ),
+    "genz-icp": Method(
+        "slam_baselines.external.genz_icp", "GenzIcpConfig", "make_genz_icp", package="genz_icp", extra="slam"
+    ),
+    "kiss-slam": Method(
+        "slam_baselines.external.kiss_slam",
+        "KissSlamConfig",
+        "KissSlamMapper",
+        package="kiss_slam",
+        extra="slam-loop",
+    ),
+}
+"""Other people's systems that read point clouds, by name; none of them is among our dependencies."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,6 +166,47 @@ class Localizer(PoseEstimator, Protocol):
         ...
 
 
+class CloudMapper(Protocol):
+    """Localization and mapping in space from the clouds of a lidar with rings.
+
+    The map frame is the first base pose, tilted as the robot stood. What it maps is what its trajectory makes
+    of the clouds: it need not have a map.
+    """
+
+    @property
+    def reads_clouds(self) -> bool:
+        """True: `update` takes clouds, and not planar scans."""
+        ...
+
+    def update(self, cloud: PointCloud, imu: Imu | None) -> Pose3:
+        """Take in a sweep and return `T_map_base` at its stamp.
+
+        Args:
+            cloud: as the sensor gave it, in the sensor's frame.
+            imu: inertial reading at the cloud's stamp, if there is one.
+        """
+        ...
+
+    def trajectory(self) -> Trajectory:
+        """Return the final pose of every cloud."""
+        ...
+
+    @property
+    def stats(self) -> MapperStats:
+        """What was done so far; a cloud counts as a scan."""
+        ...
+
+    @property
+    def lost(self) -> bool:
+        """Whether the pose is unknown at present."""
+        ...
+
+
+def reads_clouds(mapper: object) -> TypeGuard[CloudMapper]:
+    """Return whether a mapper takes point clouds; False where it does not say."""
+    return bool(getattr(mapper, "reads_clouds", False))
+
+
 def requires_odometry(mapper: PoseEstimator) -> bool:
     """Return whether a mapper refuses scans without odometry; False where it does not say."""
     return bool(getattr(mapper, "requires_odometry", False))
@@ -156,7 +235,7 @@ def parameters(name: str) -> tuple[str, ...]:
 def make_mapper(
     name: str, *, seed: int | None = None, resolution: float | None = None, **config: Any
 ) -> Mapper:
-    """Make a mapper by its name; a `map` in cartographer's configuration makes it a Localizer as well.
+    """Make a planar mapper by its name; a `map` in cartographer's configuration makes it a Localizer as well.
 
     Args:
         name: one of MAPPERS.
@@ -167,21 +246,50 @@ def make_mapper(
     Raises:
         ConfigError: no mapper has that name, or its configuration no such field or not that value.
     """
+    if name in CLOUD_MAPPERS:
+        raise ConfigError(f"{name} reads point clouds, planar mappers are {', '.join(MAPPERS)}")
+    if resolution is not None and name in MAPPERS:
+        config[MAPPERS[name].resolution] = resolution
+    mapper: Mapper = _made(name, seed, config)
+    return mapper
+
+
+def make_cloud_mapper(name: str, *, seed: int | None = None, **config: Any) -> CloudMapper:
+    """Make a mapper that reads point clouds by its name.
+
+    Args:
+        name: one of CLOUD_MAPPERS.
+        seed: of the random numbers, for a method that draws any.
+        **config: fields of the method's configuration.
+
+    Raises:
+        ConfigError: no such mapper has that name, what it needs is not installed, or its configuration has no
+            such field or not that value.
+    """
+    if name not in CLOUD_MAPPERS:
+        raise unknown_name("mapper of point clouds", name, CLOUD_MAPPERS)
+    method = CLOUD_MAPPERS[name]
+    if not method.installed:
+        raise ConfigError(f"mapper {name} needs the package {method.distribution}: {method.install}")
+    mapper: CloudMapper = _made(name, seed, config)
+    return mapper
+
+
+def _made(name: str, seed: int | None, config: dict[str, Any]) -> Any:
     config_class = _config_class(name)
-    method = MAPPERS[name]
+    method = _METHODS[name]
     if seed is not None and "seed" in config_class.__dataclass_fields__:
         config["seed"] = seed
-    if resolution is not None:
-        config[method.resolution] = resolution
     for key in config:
         if key not in config_class.__dataclass_fields__:
             raise unknown_name(f"parameter of {name}", key, config_class.__dataclass_fields__)
     try:
-        factory = getattr(importlib.import_module(method.module), method.factory)
-        mapper: Mapper = factory(config_class(**config))
+        return getattr(importlib.import_module(method.module), method.factory)(config_class(**config))
     except TypeError as error:
         raise ConfigError(f"configuration of {name}: {error}") from error
-    return mapper
+
+
+_METHODS = {**MAPPERS, **CLOUD_MAPPERS}
 
 
 def _config_class(name: str) -> Any:
@@ -190,7 +298,7 @@ def _config_class(name: str) -> Any:
     Raises:
         ConfigError: no mapper has that name.
     """
-    if name not in MAPPERS:
-        raise unknown_name("mapper", name, MAPPERS)
-    method = MAPPERS[name]
+    if name not in _METHODS:
+        raise unknown_name("mapper", name, _METHODS)
+    method = _METHODS[name]
     return getattr(importlib.import_module(method.module), method.config)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from lirs_envs.lidar.presets import planar_directions
+from lirs_envs.lidar.presets import ring_directions
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose3
@@ -42,7 +42,7 @@ class CoverageGrid:
         ranges = np.where(np.isposinf(scan.ranges), np.float32(scan.range_max), scan.ranges)
         ranges = np.where(np.isfinite(ranges), ranges, np.float32(0)).astype(np.float64)
         T = T_world_base @ scan.T_base_laser
-        beams = planar_directions(scan.angles) @ T.rotation.T
+        beams = ring_directions(scan.angles) @ T.rotation.T
         start = (T.x - self._corner[0], T.y - self._corner[1])
         new = _mark(self.observed, beams, ranges, start, self.resolution)
         return float(new) * self.resolution**2

@@ -206,7 +206,15 @@ class Simulation:
     @property
     def walker_beams(self) -> BoolArray | None:
         """(beams,) which beams of the last scan met a walker; None = there are no walkers."""
-        return self.caster.met.copy() if isinstance(self.caster, WalkerCaster) else None
+        met = self.caster.met if isinstance(self.caster, WalkerCaster) else None
+        return None if met is None else met[self.preset.horizon_beams].copy()
+
+    @property
+    def walker_points(self) -> BoolArray | None:
+        """(n,) which points of the last cloud lie on a walker; None = there are no walkers, or no cloud."""
+        if not isinstance(self.caster, WalkerCaster) or self.preset.rings == 1:
+            return None
+        return self.caster.met[self._sensors.returned]
 
     @property
     def contact(self) -> ContactGrid:

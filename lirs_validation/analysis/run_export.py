@@ -15,6 +15,7 @@ from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.analysis.recorded_run import SAME_STAMP, recorded_config, recorded_truth
 from lirs_validation.analysis.result_folders import RunFolder
+from lirs_validation.record.result_files import maps_clouds
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError, unknown_name
 from lirs_wct.files import atomic_write
@@ -95,7 +96,8 @@ def recorded_drive(run: RunFolder, *, slam: bool = True) -> Drive:
         )
         for k, scan in enumerate(log.scans)
     ]
-    return Drive(ticks=ticks, grid=read_map(run.folder / "map.yaml").moved(T_map_world) if slam else None)
+    mapped = slam and not maps_clouds(run.entry)
+    return Drive(ticks=ticks, grid=read_map(run.folder / "map.yaml").moved(T_map_world) if mapped else None)
 
 
 def _export_bag(run: RunFolder, out: Path, *, storage: Storage, slam: bool) -> Path:

@@ -22,6 +22,7 @@ from lirs_validation.cli.examples import epilog
 from lirs_validation.cli.export import export
 from lirs_validation.cli.gui import gui
 from lirs_validation.cli.map import map_log
+from lirs_validation.cli.mappers import mappers
 from lirs_validation.cli.reports import compare, report, score
 from lirs_validation.cli.robot_card import robot
 from lirs_validation.cli.validate import record, validate
@@ -50,6 +51,7 @@ for command in (
     info,
     convert,
     robot,
+    mappers,
     gui,
     doctor,
 ):

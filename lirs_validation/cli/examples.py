@@ -25,11 +25,13 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "info": ("lirs-wct info examples/data/office.yaml --robot turtlebot2",),
     "convert": ("lirs-wct convert terrain.stl terrain.dae",),
     "robot": ("lirs-wct robot husky",),
+    "mappers": ("lirs-wct mappers",),
     "doctor": ("lirs-wct doctor",),
     "gui": ("lirs-wct gui medium --port 8080",),
     "validate": (
         "lirs-wct validate examples/data/dunes.png --mapper hector --seconds 60 --seed 1 -o out/",
         "lirs-wct validate simple medium --robot husky,jackal --mapper hector,gmapping --seeds 1-5 -o out/",
+        "lirs-wct validate medium --lidar vlp16 --mapper kiss-icp,genz-icp,hector --seeds 1-3 -o out/",
     ),
     "record": ("lirs-wct record simple --seconds 60 -o run",),
     "map": ("lirs-wct map examples/data/office.clf.gz --mapper gmapping -o out/",),

@@ -32,14 +32,14 @@ Mappers = Annotated[
         "--mapper",
         metavar="M,M,...",
         show_default="hector",
-        help="SLAM methods; module:Class for your own.",
+        help="SLAM methods (lirs-wct mappers lists them); module:Class for your own.",
         rich_help_panel=AXES,
     ),
 ]
 Lidars = Annotated[
     str | None,
     typer.Option(
-        "--lidar", metavar="L,L,...", show_default="the robot's own", help="LRFs.", rich_help_panel=AXES
+        "--lidar", metavar="L,L,...", show_default="the robot's own", help="Lidars.", rich_help_panel=AXES
     ),
 ]
 Terrains = Annotated[

@@ -1,4 +1,7 @@
-"""The picture of a run: terrain and paths, speed, metrics; true-pose map, built map as it is and aligned."""
+"""The picture of a run: terrain and paths, speed, metrics; true-pose map, built map as it is and aligned.
+
+Of a mapper of point clouds its elevation map stands there instead.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,9 @@ from matplotlib.patches import Patch
 from scipy.ndimage import binary_dilation
 
 from lirs_validation.config import TOUR, driver_parts
+from lirs_validation.drawing.elevation_view import elevation_panels
 from lirs_validation.metrics.agreement import contradicted
+from lirs_validation.metrics.spatial.elevation import ElevationMap
 from lirs_validation.record.metric_catalog import picture_lines
 from lirs_validation.record.odometry import WORSE, worse_than_odometry
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord
@@ -49,8 +54,9 @@ def overview_figure(
     truth: Trajectory,
     estimate: Trajectory,
     true_pose: OccupancyGrid,
-    built: OccupancyGrid,
+    built: OccupancyGrid | None,
     aligned: OccupancyGrid | None = None,
+    elevation: ElevationMap | None = None,
 ) -> Drawing:
     """Draw a run on one page.
 
@@ -60,8 +66,9 @@ def overview_figure(
         truth: true poses, world frame.
         estimate: estimated poses, world frame (moved by the true start pose).
         true_pose: map made with the true poses, world frame.
-        built: the mapper's map, world frame (moved by the true start pose).
+        built: the mapper's map, world frame (moved by the true start pose); None where there is none.
         aligned: the same after the trajectory's alignment; None where there is none.
+        elevation: what the clouds make by the mapper's poses, world frame; None of a planar mapper.
     """
     canvas = Canvas.over(shown_bounds(world, truth, true_pose))
     rows, cols = canvas.shape
@@ -74,7 +81,11 @@ def overview_figure(
     _rtf(figure.add_subplot(grid[0, 1]), record.rtf)
     value_list(figure.add_subplot(grid[0, 2]), picture_lines(record))
     _reference(figure.add_subplot(grid[1, 0]), canvas, true_pose)
-    _built(figure.add_subplot(grid[1, 1]), canvas, built, true_pose, record.map.get("f1"))
+    if elevation is not None:
+        panels = figure.add_subplot(grid[1, 1]), figure.add_subplot(grid[1, 2])
+        elevation_panels(panels, canvas, world, elevation)
+    if built is not None:
+        _built(figure.add_subplot(grid[1, 1]), canvas, built, true_pose, record.map.get("f1"))
     if aligned is not None:
         axes = figure.add_subplot(grid[1, 2])
         _built(axes, canvas, aligned, true_pose, record.map.get("f1_aligned"))

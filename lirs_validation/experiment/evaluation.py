@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from lirs_envs.simulation import Simulation
+from lirs_validation.experiment.clouds.elevation import Elevations, evaluate_elevation
+from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
 from lirs_validation.experiment.loop import DriveLog, per_second
 from lirs_validation.experiment.mapper_guard import imu_copy, scan_copy
+from lirs_validation.experiment.mapper_loading import RESOLUTION
 from lirs_validation.experiment.scenario import Scenario
 from lirs_validation.metrics import (
+    MapScores,
     StartAlignment,
     map_scores,
     scan_coverage,
@@ -19,6 +23,7 @@ from lirs_validation.metrics import (
     trajectory_errors,
 )
 from lirs_validation.metrics.association import associated
+from lirs_validation.metrics.spatial.trajectory import spatial_errors
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status
 from lirs_validation.record.verdict import incompleteness
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -29,30 +34,34 @@ from slam_baselines.mapping.known_pose import KnownPoseMapper
 
 @dataclass(frozen=True)
 class Maps:
-    """The two maps of a run, both in the world frame, and what comparing them gave.
+    """The maps of a run, all in the world frame, and what comparing them gave.
 
     Attributes:
-        built: moved by the true start pose.
+        built: moved by the true start pose; None of a mapper of point clouds.
         true_pose: made at the true poses.
         scores: metrics of the comparison.
         alignment: of the trajectory that belongs to the built map; None where there is none.
+        elevation: made of point clouds; None of a planar mapper, and in a world with overhangs.
     """
 
-    built: OccupancyGrid
+    built: OccupancyGrid | None
     true_pose: OccupancyGrid
     scores: dict[str, Any]
     alignment: StartAlignment | None = None
+    elevation: Elevations | None = None
 
     @property
     def aligned(self) -> OccupancyGrid | None:
         """The built map after the alignment of its trajectory."""
-        return None if self.alignment is None else self.built.moved(self.alignment.T_world_aligned)
+        if self.built is None or self.alignment is None:
+            return None
+        return self.built.moved(self.alignment.T_world_aligned)
 
 
 def evaluate(
     scenario: Scenario,
     simulation: Simulation,
-    mapper: Mapper,
+    mapper: Mapper | GuardedCloudMapper,
     log: DriveLog,
     maps: Maps,
     cost: dict[str, Any],
@@ -92,24 +101,21 @@ def evaluate_status(log: DriveLog, coverage: float) -> tuple[Status, str]:
     return "incomplete", lacking
 
 
-def evaluate_maps(world: World, log: DriveLog, mapper: Mapper) -> Maps:
-    """Compare the mapper's map with the one that the true poses give.
+def evaluate_maps(world: World, log: DriveLog, mapper: Mapper | GuardedCloudMapper) -> Maps:
+    """Compare what the mapper mapped with what the true poses give.
 
-    It is moved by the true start pose alone; the aligned metrics by the trajectory's alignment as well.
-    Walkers are no part of the world: the beams that met one are left out of the map of the true poses.
+    A built map is moved by the true start pose alone; the aligned metrics by the trajectory's alignment as
+    well. A mapper of point clouds has no occupancy map: its clouds make an elevation map.
     """
-    T_world_map = log.truth[0].to_pose2()
-    built = mapper.map()
-    reference = KnownPoseMapper(resolution=built.resolution)
-    for k, (observation, T_world_base) in enumerate(zip(log.observations, log.truth, strict=True)):
-        T_map_base = T_world_map.inverse() @ T_world_base.to_pose2()
-        scan = scan_copy(observation.scan, observation.scan.T_base_laser)
-        if log.walker_beams:
-            scan = replace(scan, ranges=np.where(log.walker_beams[k], np.float32(np.nan), scan.ranges))
-        reference.update(scan, T_map_base, imu_copy(observation.imu))
-    built, true_pose = built.moved(T_world_map), reference.map().moved(T_world_map)
     truth, estimate, _ = log.trajectories()
     alignment = start_alignment(truth, estimate)
+    if isinstance(mapper, GuardedCloudMapper):
+        elevation, found = evaluate_elevation(world, log.clouds, truth, estimate)
+        no_scores = dict.fromkeys(field.name for field in fields(MapScores))
+        return Maps(None, true_pose_map(log, RESOLUTION), no_scores | asdict(found), alignment, elevation)
+    T_world_map = log.truth[0].to_pose2()
+    built = mapper.map()
+    true_pose, built = true_pose_map(log, built.resolution), built.moved(T_world_map)
     scores = map_scores(
         built,
         true_pose,
@@ -121,6 +127,22 @@ def evaluate_maps(world: World, log: DriveLog, mapper: Mapper) -> Maps:
     return Maps(built, true_pose, asdict(scores), alignment)
 
 
+def true_pose_map(log: DriveLog, resolution: float) -> OccupancyGrid:
+    """Return the map, world frame, that our update makes of a drive's scans at the true poses.
+
+    Walkers are no part of the world: the beams that met one are left out.
+    """
+    T_world_map = log.truth[0].to_pose2()
+    reference = KnownPoseMapper(resolution=resolution)
+    for k, (observation, T_world_base) in enumerate(zip(log.observations, log.truth, strict=True)):
+        T_map_base = T_world_map.inverse() @ T_world_base.to_pose2()
+        scan = scan_copy(observation.scan, observation.scan.T_base_laser)
+        if log.walker_beams:
+            scan = replace(scan, ranges=np.where(log.walker_beams[k], np.float32(np.nan), scan.ranges))
+        reference.update(scan, T_map_base, imu_copy(observation.imu))
+    return reference.map().moved(T_world_map)
+
+
 def evaluate_trajectory(log: DriveLog) -> dict[str, Any]:
     """Compare the estimate, and the odometry beside it, with the truth."""
     truth, estimate, odometry = log.trajectories()
@@ -129,7 +151,9 @@ def evaluate_trajectory(log: DriveLog) -> dict[str, Any]:
         coverage = scan_coverage(truth.stamps, estimate.stamps)
         return {"length": truth.length, "poses": common, "scan_coverage": coverage}
     errors = asdict(trajectory_errors(truth, estimate))
-    online = log.online().moved(log.truth[0].to_pose2())
+    if log.spatial:
+        errors |= asdict(spatial_errors(truth, estimate))
+    online = log.online().moved(log.T_world_map)
     return errors | {
         "ate_rmse_online": trajectory_errors(truth, online).ate_rmse,
         "odometry_ate_rmse": trajectory_errors(truth, odometry).ate_rmse,

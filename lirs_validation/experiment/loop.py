@@ -1,11 +1,11 @@
-"""The online loop: driver, simulation and mapper, one LRF period at a time, on the clock."""
+"""The online loop: driver, simulation and mapper, one lidar period at a time, on the clock."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,17 +13,20 @@ from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.sensors import Observation
 from lirs_envs.simulation import Simulation
 from lirs_validation.driving.driver import Driver
+from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
+from lirs_validation.experiment.clouds.sample import CloudSample
 from lirs_validation.record.run_record import Status
 from lirs_validation.record.verdict import LostRule
 from lirs_wct.arrays import BoolArray
-from lirs_wct.errors import SimulationError
+from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.progress import Progress, no_progress
 from slam_baselines.mapper import Mapper
 
 Recorder = Callable[[Observation, Pose3, Pose2], None]
-"""Is shown what was sensed, the true pose `T_world_base` and the mapper's answer `T_map_base`."""
+"""Is shown what was sensed, the cloud included, the true pose `T_world_base` and the mapper's answer
+`T_map_base`, in the plane."""
 
 
 @dataclass
@@ -31,10 +34,11 @@ class DriveLog:
     """Everything that a run leaves behind; grows by one entry a scan.
 
     Attributes:
-        observations: what the mapper was fed.
+        observations: what the mapper was fed, less the clouds.
+        clouds: some of these, of a mapper that reads them.
         walker_beams: which beams of each scan met a walker; empty where there are none.
         truth: `T_world_base`, from the simulator.
-        estimates: `T_map_base`, the mapper's online answers.
+        estimates: `T_map_base`, the mapper's online answers, in the plane or in space.
         final: the mapper's trajectory in the map frame after the drive; None while it lasts.
         walls: wall-clock seconds of each tick.
         mapper_seconds: of these, spent in the mapper.
@@ -45,9 +49,10 @@ class DriveLog:
     """
 
     observations: list[Observation] = field(default_factory=list)
+    clouds: CloudSample = field(default_factory=CloudSample)
     walker_beams: list[BoolArray] = field(default_factory=list)
     truth: list[Pose3] = field(default_factory=list)
-    estimates: list[Pose2] = field(default_factory=list)
+    estimates: list[Pose2 | Pose3] = field(default_factory=list)
     final: Trajectory | None = None
     walls: list[float] = field(default_factory=list)
     mapper_seconds: list[float] = field(default_factory=list)
@@ -61,6 +66,23 @@ class DriveLog:
     def stamps(self) -> list[float]:
         """Seconds since the start, one a scan."""
         return [o.scan.stamp for o in self.observations]
+
+    @property
+    def spatial(self) -> bool:
+        """Whether the mapper estimates poses in space."""
+        return isinstance(self.estimates[0], Pose3)
+
+    @property
+    def T_world_map(self) -> Pose2 | Pose3:  # noqa: N802  a frame pair
+        """The true start pose: in space as the robot stood, or in the plane, as the mapper's map frame is."""
+        return self.truth[0] if self.spatial else self.truth[0].to_pose2()
+
+    def in_plane(self, T_map_base: Pose2 | Pose3) -> Pose2:
+        """Return an estimate in the level map frame at the true start pose, projected on the plane."""
+        if isinstance(T_map_base, Pose2):
+            return T_map_base
+        T_level_world = Pose3.from_pose2(self.truth[0].to_pose2().inverse())
+        return (T_level_world @ self.truth[0] @ T_map_base).to_pose2()
 
     def online(self) -> Trajectory:
         """Return the mapper's answers as it gave them, in the map frame."""
@@ -78,13 +100,12 @@ class DriveLog:
 
         The final estimate is the mapper's own, with all that it learnt later; see `online`.
         """
-        T_world_map = self.truth[0].to_pose2()
         T_odom_base = self.observations[0].odometry
-        T_world_odom = T_world_map @ T_odom_base.inverse()
+        T_world_odom = self.truth[0].to_pose2() @ T_odom_base.inverse()
         odometry = [o.odometry for o in self.observations]
         return (
             Trajectory.from_poses(self.stamps, self.truth),
-            (self.online() if self.final is None else self.final).moved(T_world_map),
+            (self.online() if self.final is None else self.final).moved(self.T_world_map),
             Trajectory.from_poses(self.stamps, odometry).moved(T_world_odom),
         )
 
@@ -112,7 +133,7 @@ class Drive:
         self,
         simulation: Simulation,
         driver: Driver,
-        mapper: Mapper,
+        mapper: Mapper | GuardedCloudMapper,
         seconds: float,
         *,
         wall_limit: float | None = None,
@@ -142,7 +163,7 @@ class Drive:
         """
         log, simulation, driver = self.log, self._simulation, self._driver
         begun = time.perf_counter()
-        pose = simulation.T_world_base.to_pose2() if driver.frame == "world" else log.estimates[-1]
+        pose = planar(simulation.T_world_base if driver.frame == "world" else log.estimates[-1])
         command = driver.command(pose, self.time)
         log.commands.append(command)
         try:
@@ -183,7 +204,7 @@ class Drive:
 def drive(
     simulation: Simulation,
     driver: Driver,
-    mapper: Mapper,
+    mapper: Mapper | GuardedCloudMapper,
     seconds: float,
     progress: Progress = no_progress,
     *,
@@ -218,15 +239,17 @@ def _map(
     log: DriveLog,
     observation: Observation,
     simulation: Simulation,
-    mapper: Mapper,
+    mapper: Mapper | GuardedCloudMapper,
     begun: float,
     recorder: Recorder | None,
 ) -> None:
     """Feed the mapper, and nothing but sensors; then note what happened and how long it took."""
     handed = time.perf_counter()
-    estimate = mapper.update(observation.scan, observation.odometry, observation.imu)
+    estimate = fed(mapper, observation)
     done = time.perf_counter()
-    log.observations.append(observation)
+    if observation.cloud is not None and isinstance(mapper, GuardedCloudMapper):
+        log.clouds.offer(len(log.observations), observation.cloud, simulation.walker_points)
+    log.observations.append(replace(observation, cloud=None))
     walker_beams = simulation.walker_beams
     if walker_beams is not None:
         log.walker_beams.append(walker_beams)
@@ -234,8 +257,26 @@ def _map(
     log.estimates.append(estimate)
     log.mapper_seconds.append(done - handed)
     if recorder is not None:
-        recorder(observation, log.truth[-1], estimate)
+        recorder(observation, log.truth[-1], log.in_plane(estimate))
     log.walls.append(time.perf_counter() - begun)
+
+
+def fed(mapper: Mapper | GuardedCloudMapper, observation: Observation) -> Pose2 | Pose3:
+    """Give a mapper what it reads of an observation; return its answer.
+
+    Raises:
+        ConfigError: it reads point clouds, and the lidar has no rings.
+    """
+    if not isinstance(mapper, GuardedCloudMapper):
+        return mapper.update(observation.scan, observation.odometry, observation.imu)
+    if observation.cloud is None:
+        raise ConfigError("a mapper of point clouds needs a lidar with rings")
+    return mapper.update(observation.cloud, observation.imu)
+
+
+def planar(pose: Pose2 | Pose3) -> Pose2:
+    """Return a pose projected on the plane."""
+    return pose.to_pose2() if isinstance(pose, Pose3) else pose
 
 
 def _failure(simulation: Simulation, driver: Driver, tracking: LostRule) -> tuple[Status, str] | None:

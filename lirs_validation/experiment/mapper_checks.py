@@ -10,7 +10,7 @@ from lirs_wct.errors import MapperError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.mapper import Mapper, MapperStats
+from slam_baselines.mapper import CloudMapper, Mapper, MapperStats
 
 
 def check_pose(estimate: object, stamp: float) -> None:
@@ -21,7 +21,7 @@ def check_pose(estimate: object, stamp: float) -> None:
     """
     if not isinstance(estimate, Pose2):
         raise MapperError(
-            f"update() must return a Pose2, got {_kind(estimate)} for the scan at {stamp:.3f} s"
+            f"update() must return a Pose2, got {kind_of(estimate)} for the scan at {stamp:.3f} s"
         )
     if not (math.isfinite(estimate.x) and math.isfinite(estimate.y) and math.isfinite(estimate.yaw)):
         raise MapperError(
@@ -30,7 +30,7 @@ def check_pose(estimate: object, stamp: float) -> None:
         )
 
 
-def final_trajectory(mapper: Mapper) -> Trajectory:
+def final_trajectory(mapper: Mapper | CloudMapper) -> Trajectory:
     """Return the mapper's trajectory after the drive.
 
     Raises:
@@ -38,7 +38,7 @@ def final_trajectory(mapper: Mapper) -> Trajectory:
     """
     trajectory: object = mapper.trajectory()
     if not isinstance(trajectory, Trajectory):
-        raise MapperError(f"trajectory() must return a Trajectory, got {_kind(trajectory)}")
+        raise MapperError(f"trajectory() must return a Trajectory, got {kind_of(trajectory)}")
     wrong = ~(np.isfinite(trajectory.positions).all(axis=1) & np.isfinite(trajectory.quaternions).all(axis=1))
     if wrong.any():
         raise MapperError(f"trajectory() is not finite at {trajectory.stamps[wrong.argmax()]:.3f} s")
@@ -53,11 +53,11 @@ def final_map(mapper: Mapper) -> OccupancyGrid:
     """
     grid: object = mapper.map()
     if not isinstance(grid, OccupancyGrid):
-        raise MapperError(f"map() must return an OccupancyGrid, got {_kind(grid)}")
+        raise MapperError(f"map() must return an OccupancyGrid, got {kind_of(grid)}")
     return grid
 
 
-def final_stats(mapper: Mapper) -> MapperStats:
+def final_stats(mapper: Mapper | CloudMapper) -> MapperStats:
     """Return what the mapper counted.
 
     Raises:
@@ -65,9 +65,10 @@ def final_stats(mapper: Mapper) -> MapperStats:
     """
     stats: object = mapper.stats
     if not isinstance(stats, MapperStats):
-        raise MapperError(f"stats must be a MapperStats, got {_kind(stats)}")
+        raise MapperError(f"stats must be a MapperStats, got {kind_of(stats)}")
     return stats
 
 
-def _kind(value: object) -> str:
+def kind_of(value: object) -> str:
+    """Return the name of a value's type."""
     return type(value).__name__

@@ -45,7 +45,7 @@ class GuardedMapper:
             copy = scan_copy(scan, self._mount_copy)
             estimate = self._mapper.update(copy, pose_copy(odometry), imu_copy(imu))
         except BaseException as error:
-            self._fail("update()", error, f" for the scan at {stamp:.3f} s")
+            mapper_failure(self._name, "update()", error, f" for the scan at {stamp:.3f} s")
         check_pose(estimate, stamp)
         return estimate
 
@@ -58,7 +58,7 @@ class GuardedMapper:
         try:
             return final_map(self._mapper)
         except BaseException as error:
-            self._fail("map()", error)
+            mapper_failure(self._name, "map()", error)
 
     def trajectory(self) -> Trajectory:
         """Return the mapper's trajectory.
@@ -69,7 +69,7 @@ class GuardedMapper:
         try:
             return final_trajectory(self._mapper)
         except BaseException as error:
-            self._fail("trajectory()", error)
+            mapper_failure(self._name, "trajectory()", error)
 
     @property
     def stats(self) -> MapperStats:
@@ -81,7 +81,7 @@ class GuardedMapper:
         try:
             return final_stats(self._mapper)
         except BaseException as error:
-            self._fail("stats", error)
+            mapper_failure(self._name, "stats", error)
 
     @property
     def lost(self) -> bool:
@@ -93,21 +93,22 @@ class GuardedMapper:
         try:
             return bool(self._mapper.lost)
         except BaseException as error:
-            self._fail("lost", error)
+            mapper_failure(self._name, "lost", error)
 
-    def _fail(self, part: str, error: BaseException, where: str = "") -> NoReturn:
-        """Raise what a failure of the mapper means: a Ctrl-C and our own errors remain what they are."""
-        if is_interrupt(error):
-            raise KeyboardInterrupt from error
-        if isinstance(error, WctError):
-            raise error
-        kind = ": ".join(filter(None, (type(error).__name__, str(error))))
-        if isinstance(error, FrozenInstanceError) or READ_ONLY.search(str(error)):
-            raise MapperError(
-                f"mapper {self._name!r}: {part} writes into what it was given{where} ({kind}); "
-                "scan, odometry and imu are read-only, change a copy"
-            ) from error
-        raise MapperError(f"mapper {self._name!r}: {part} failed{where}: {kind}") from error
+
+def mapper_failure(name: str, part: str, error: BaseException, where: str = "") -> NoReturn:
+    """Raise what a failure of a mapper means: a Ctrl-C and our own errors remain what they are."""
+    if is_interrupt(error):
+        raise KeyboardInterrupt from error
+    if isinstance(error, WctError):
+        raise error
+    kind = ": ".join(filter(None, (type(error).__name__, str(error))))
+    if isinstance(error, FrozenInstanceError) or READ_ONLY.search(str(error)):
+        raise MapperError(
+            f"mapper {name!r}: {part} writes into what it was given{where} ({kind}); "
+            "what it is given is read-only, change a copy"
+        ) from error
+    raise MapperError(f"mapper {name!r}: {part} failed{where}: {kind}") from error
 
 
 def scan_copy(scan: LaserScan, mount: Pose3) -> LaserScan:

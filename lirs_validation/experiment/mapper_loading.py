@@ -3,34 +3,60 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from lirs_validation.experiment.own_code import make_own, own_class, own_source_file
 from lirs_wct.errors import ConfigError, unknown_name
-from slam_baselines.mapper import MAPPERS, Mapper, make_mapper
+from slam_baselines.mapper import (
+    CLOUD_MAPPERS,
+    MAPPERS,
+    CloudMapper,
+    Mapper,
+    make_cloud_mapper,
+    make_mapper,
+    reads_clouds,
+)
 from slam_baselines.warm_up import warm_up
 
 RESOLUTION = 0.05
 """Edge of a map's cell for a mapper of your own that takes it, metres; ours use the same."""
 METHODS, PROPERTIES = ("update", "map", "trajectory"), ("stats", "lost")
+CLOUD_METHODS = ("update", "trajectory")
 
 
-def mapper_named(name: str, seed: int) -> Mapper:
+def mapper_named(name: str, seed: int) -> Mapper | CloudMapper:
     """Make a mapper by its name, or by `module:name` of a class (or function) that makes one.
 
     A class of your own gets `seed` and `resolution` as keywords where it takes them. Its module is looked
     for in the current folder too, which is on `sys.path` only while the module is imported.
 
     Raises:
-        ConfigError: nothing has that name, it cannot be imported or made, or it is no mapper.
+        ConfigError: nothing has that name, it cannot be imported or made, what it needs is not installed, or
+            it is no mapper.
     """
+    if name in CLOUD_MAPPERS:
+        return make_cloud_mapper(name, seed=seed)
     if ":" not in name:
         if name not in MAPPERS:
-            raise unknown_name("mapper", name, [*MAPPERS, "module:name of your own"])
+            raise unknown_name("mapper", name, [*MAPPERS, *CLOUD_MAPPERS, "module:name of your own"])
         return make_mapper(name, seed=seed)
     maker = own_class(name, "mapper", "update")
     mapper = make_own(maker, {"seed": seed, "resolution": RESOLUTION}, name, "mapper")
     return _checked(mapper, name)
+
+
+def planar_mapper_named(name: str, seed: int) -> Mapper:
+    """Make a planar mapper by its name (see `mapper_named`).
+
+    Raises:
+        ConfigError: nothing has that name, or it reads point clouds.
+    """
+    mapper = mapper_named(name, seed)
+    if reads_clouds(mapper):
+        raise ConfigError(
+            f"mapper {name} reads point clouds, a log holds planar scans; legal: {', '.join(MAPPERS)}"
+        )
+    return cast("Mapper", mapper)
 
 
 def warm_up_mapper(name: str) -> None:
@@ -44,11 +70,12 @@ def source_file(name: str) -> Path | None:
     return own_source_file(name, "mapper")
 
 
-def _checked(mapper: Any, name: str) -> Mapper:
-    lacking = [f"{m}()" for m in METHODS if not callable(getattr(mapper, m, None))]
+def _checked(mapper: Any, name: str) -> Mapper | CloudMapper:
+    methods = CLOUD_METHODS if reads_clouds(mapper) else METHODS
+    lacking = [f"{m}()" for m in methods if not callable(getattr(mapper, m, None))]
     lacking += [p for p in PROPERTIES if p not in dir(mapper)]
     if lacking:
-        needed = ", ".join((*(f"{m}()" for m in METHODS), *PROPERTIES))
+        needed = ", ".join((*(f"{m}()" for m in methods), *PROPERTIES))
         raise ConfigError(f"mapper {name!r}: lacks {', '.join(lacking)}; a mapper has {needed}")
-    checked: Mapper = mapper
+    checked: Mapper | CloudMapper = mapper
     return checked

@@ -57,8 +57,8 @@ class Recording:
         )
         self._writer.add(tick)
 
-    def finished(self, grid: OccupancyGrid) -> Sequence[Path]:
-        """Write the map, in the map frame, and the end; return the bag's files.
+    def finished(self, grid: OccupancyGrid | None) -> Sequence[Path]:
+        """Write the map, in the map frame, if there is one, and the end; return the bag's files.
 
         Raises:
             OutputError: they cannot be written.

@@ -13,6 +13,7 @@ from lirs_validation.drawing.run_overview import overview_figure
 from lirs_validation.driving.replay import COMMANDS
 from lirs_validation.experiment.evaluation import Maps
 from lirs_validation.experiment.loop import DriveLog
+from lirs_validation.metrics.spatial.elevation_file import ELEVATION, write_elevation
 from lirs_validation.record.result_files import file_sizes
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.files import atomic_folder
@@ -43,7 +44,10 @@ def write_results(
     truth, estimate, odometry = log.trajectories()
     period = record.rtf["simulated_seconds"] / len(log.walls)
     with atomic_folder(folder) as temporary:
-        write_map(temporary / "map", maps.built)
+        if maps.built is not None:
+            write_map(temporary / "map", maps.built)
+        if maps.elevation is not None:
+            write_elevation(temporary / ELEVATION, maps.elevation.built, maps.elevation.true_pose)
         write_map(temporary / "map_true_pose", maps.true_pose)
         for name, trajectory in (("truth", truth), ("estimate", estimate), ("odometry", odometry)):
             write_tum(temporary / f"{name}.tum", trajectory)
@@ -53,7 +57,9 @@ def write_results(
         write_imu(temporary / "imu.csv.gz", [o.imu for o in log.observations])
         lines = [f"{second},{rtf:.4f}" for second, rtf in enumerate(record.rtf["series"], start=1)]
         (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *lines]) + "\n", encoding="utf-8")
-        overview = overview_figure(world, record, truth, estimate, maps.true_pose, maps.built, maps.aligned)
+        elevation = None if maps.elevation is None else maps.elevation.built
+        drawn = (maps.true_pose, maps.built, maps.aligned, elevation)
+        overview = overview_figure(world, record, truth, estimate, *drawn)
         overview.savefig(temporary / "overview.png")
         for file in bag:
             shutil.move(file, temporary / file.name)

@@ -12,7 +12,12 @@ from lirs_validation.config import TOUR, Attitude, RunConfig
 from lirs_validation.drawing.run_overview import overview_figure
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.driving.driver import Driver
-from lirs_validation.experiment.attitude import with_attitude
+from lirs_validation.experiment.clouds.guard import (
+    GuardedCloudMapper,
+    check_sensors,
+    guarded,
+    occupancy_map,
+)
 from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.cpu_contention import cpu_contention
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
@@ -47,9 +52,9 @@ class Run:
         """Draw the run on one page."""
         truth, estimate, _ = self.log.trajectories()
         maps = self.maps
-        return overview_figure(
-            self.world, self.record, truth, estimate, maps.true_pose, maps.built, maps.aligned
-        )
+        elevation = None if maps.elevation is None else maps.elevation.built
+        drawn = (maps.true_pose, maps.built, maps.aligned, elevation)
+        return overview_figure(self.world, self.record, truth, estimate, *drawn)
 
     def __repr__(self) -> str:
         return f"Run({self.record!r}, folder={self.folder})"
@@ -171,7 +176,7 @@ class ReadyRun:
     scenario: Scenario
     simulation: Simulation
     driver: Driver
-    mapper: GuardedMapper
+    mapper: GuardedMapper | GuardedCloudMapper
     compile_seconds: float
 
 
@@ -184,14 +189,13 @@ def prepare(
         WctError: the source, a name or an option cannot be used.
     """
     robot = make_robot(config.robot)
-    mapper = GuardedMapper(
-        with_attitude(mapper_named(config.mapper, config.seed), config.attitude), config.mapper
-    )
+    mapper = guarded(loaded := mapper_named(config.mapper, config.seed), config)
+    check_sensors(loaded, config)
     progress("build", 0.0)
     scenario = (scenarios or ScenarioCache()).scenario(config)
     with compile_timer() as compile_seconds:
         progress("plan", 0.0)
-        driver = make_driver(scenario.world, robot, config, mapper.map)
+        driver = make_driver(scenario.world, robot, config, occupancy_map(mapper))
         progress("compile", 0.0)
         warm_up(scenario, robot)
     simulation = scenario.simulation(robot)
@@ -232,7 +236,8 @@ def conclude(
     record = evaluate(scenario, ready.simulation, mapper, log, maps, cost)
     folder = None if out is None else out / (name or record.name)
     if folder is not None:
-        built = maps.built.moved(log.truth[0].to_pose2().inverse())
+        T_map_world = log.truth[0].to_pose2().inverse()
+        built = None if maps.built is None else maps.built.moved(T_map_world)
         bag = (recorded or Recording()).finished(built)
         record = write_results(folder, record, log, maps, scenario.world, bag)
     return Run(record, log, maps, scenario.world, folder)

@@ -7,9 +7,8 @@ from dataclasses import replace
 from lirs_envs.robots.robot import Robot
 from lirs_validation.config import driver_parts
 from lirs_validation.driving.choice import make_driver
-from lirs_validation.experiment.attitude import with_attitude
+from lirs_validation.experiment.clouds.guard import guarded, occupancy_map
 from lirs_validation.experiment.loop import drive
-from lirs_validation.experiment.mapper_guard import GuardedMapper
 from lirs_validation.experiment.mapper_loading import mapper_named, warm_up_mapper
 from lirs_validation.experiment.scenario import Scenario
 
@@ -35,7 +34,7 @@ def warm_up(scenario: Scenario, robot: Robot) -> None:
     warm_up_mapper(c.mapper)
     slow = c.rays == "mujoco" and c.terrain == "hfield"
     config = replace(c, seconds=BRIEF if slow else WARM_UP)
-    mapper = GuardedMapper(with_attitude(mapper_named(c.mapper, c.seed), c.attitude), c.mapper)
-    driver = make_driver(scenario.world, robot, config, mapper.map)
+    mapper = guarded(mapper_named(c.mapper, c.seed), c)
+    driver = make_driver(scenario.world, robot, config, occupancy_map(mapper))
     drive(scenario.simulation(robot), driver, mapper, config.seconds)
     _WARM.add(kind)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from lirs_validation.config import MapConfig
-from lirs_validation.experiment.mapper_loading import mapper_named
+from lirs_validation.experiment.mapper_loading import planar_mapper_named
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.log import CarmenLog
-from slam_baselines.mapper import MAPPERS, Mapper, make_mapper, parameters, requires_odometry
+from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS, Mapper, make_mapper, parameters, requires_odometry
 from slam_baselines.warm_up import warm_up
 
 WARM_UP_CONFIG = {"gmapping": {"particles": 4}}
@@ -31,9 +31,9 @@ def make_log_mapper(config: MapConfig) -> Mapper:
             takers = ", ".join(name for name in MAPPERS if "particles" in parameters(name))
             raise ConfigError(f"{config.mapper} has no particles: --particles can be given for {takers}")
         return make_mapper(config.mapper, seed=config.seed, **given)
-    if given:
+    if given and config.mapper not in CLOUD_MAPPERS:
         raise ConfigError(f"{', '.join(given)} can be given for {', '.join(MAPPERS)} only")
-    return mapper_named(config.mapper, config.seed)
+    return planar_mapper_named(config.mapper, config.seed)
 
 
 def check_log(config: MapConfig, mapper: Mapper, log: CarmenLog) -> None:

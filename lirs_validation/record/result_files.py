@@ -27,6 +27,8 @@ WITH_RESULTS = (
     "commands.csv",
 )
 """Of a run that drove."""
+OF_PLANAR_MAPPERS = ("map.pgm", "map.yaml")
+"""Of these, what mappers of point clouds do not write."""
 WITHOUT = (RECORD, "error.txt")
 """Of a run that came to nothing."""
 
@@ -54,12 +56,20 @@ def damaged_files(folder: Path, entry: Mapping[str, Any]) -> list[str]:
     expected: tuple[str, ...] = WITHOUT if entry["status"] in ("error", "timeout") else WITH_RESULTS
     if expected is WITH_RESULTS:
         expected += bag_files(entry["config"])
+    if maps_clouds(entry):
+        expected = tuple(name for name in expected if name not in OF_PLANAR_MAPPERS)
+        expected += tuple(name for name in entry.get("file_sizes", {}) if name == "elevation.npz")
     written: Mapping[str, int] = entry.get("file_sizes", {})
     return [
         name
         for name in expected
         if not (size := _size(folder / name)) or (name != RECORD and size != written.get(name))
     ]
+
+
+def maps_clouds(entry: Mapping[str, Any]) -> bool:
+    """Whether a run's mapper read point clouds: it has no occupancy map, but an elevation."""
+    return "elevation_rmse" in entry["map"]
 
 
 def _size(path: Path) -> int:

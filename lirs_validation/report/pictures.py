@@ -1,4 +1,7 @@
-"""The picture of a run in a report: paths over the hillshade, the true-pose map, the built map; few bytes."""
+"""The picture of a run in a report: paths over the hillshade, the true-pose map, the built map; few bytes.
+
+Of a mapper of point clouds, its elevation map less the true surface stands in the built map's place.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +14,14 @@ import numpy as np
 
 from lirs_validation.analysis.recorded_run import recorded_world_config
 from lirs_validation.analysis.result_folders import RunFolder
+from lirs_validation.drawing.elevation_view import error_picture
 from lirs_validation.drawing.run_overview import shown_bounds
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.agreement import contradicted
-from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
+from lirs_validation.metrics.spatial.elevation import ElevationMap
+from lirs_validation.metrics.spatial.elevation_file import ELEVATION, read_elevation
+from lirs_validation.record.result_files import maps_clouds
+from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.drawing.canvas import Canvas, bounds_shown
 from lirs_wct.drawing.hillshade import shaded_heights
 from lirs_wct.drawing.style import BLUE, VERMILLION, rgb
@@ -56,14 +63,13 @@ class Painter:
         """Return the run's picture."""
         try:
             truth, estimate = (read_tum(run.folder / f"{name}.tum") for name in ("truth", "estimate"))
-            true_pose, built = (read_map(run.folder / f"{name}.yaml") for name in ("map_true_pose", "map"))
+            true_pose, built = read_map(run.folder / "map_true_pose.yaml"), _built(run)
         except WctError as error:
             return RunPicture("", str(error))
         if not true_pose.known.any():
             return RunPicture("", "nothing was mapped")
-        wrong = contradicted(built, true_pose)
         for tile in TILES:
-            picture, note = self._panels(run, (truth, estimate), (true_pose, built), wrong, tile)
+            picture, note = self._panels(run, (truth, estimate), true_pose, built, tile)
             url = _webp(picture)
             if len(url) <= self._budget:
                 return RunPicture(url, note)
@@ -73,13 +79,13 @@ class Painter:
         self,
         run: RunFolder,
         tracks: tuple[Trajectory, Trajectory],
-        maps: tuple[OccupancyGrid, OccupancyGrid],
-        wrong: BoolArray,
+        true_pose: OccupancyGrid,
+        built: OccupancyGrid | ElevationMap | None,
         tile: int,
     ) -> tuple[FloatArray, str]:
-        """Return the three panels side by side, and what is not in them; the truth comes first."""
-        (truth, estimate), (true_pose, built) = tracks, maps
-        note = ""
+        """Return the panels side by side, and what is not in them; the truth comes first."""
+        truth, estimate = tracks
+        world, note = None, ""
         try:
             world = self._scenarios.scenario(recorded_world_config(run.entry)).world
             canvas = Canvas.over(shown_bounds(world, truth, true_pose), tile)
@@ -87,11 +93,28 @@ class Painter:
         except WctError as error:
             canvas, note = Canvas.over(bounds_shown(truth, true_pose), tile), f"without its terrain: {error}"
             ground = canvas.grid_picture(true_pose)
-        reference = canvas.grid_picture(true_pose)
-        made = canvas.grid_picture(built)
-        made[canvas.marked(wrong, built.resolution, built.origin)] = rgb(VERMILLION)
-        paths = _with_paths(ground, canvas, truth, estimate)
-        return _beside((paths, reference, made)), note
+        panels = [_with_paths(ground, canvas, truth, estimate), canvas.grid_picture(true_pose)]
+        if isinstance(built, OccupancyGrid):
+            made = canvas.grid_picture(built)
+            wrong = contradicted(built, true_pose)
+            made[canvas.marked(wrong, built.resolution, built.origin)] = rgb(VERMILLION)
+            panels.append(made)
+        elif built is not None and world is not None:
+            panels.append(error_picture(canvas, world, built))
+        return _beside(panels), note
+
+
+def _built(run: RunFolder) -> OccupancyGrid | ElevationMap | None:
+    """Read what the mapper mapped; None of a mapper of point clouds in a world with overhangs.
+
+    Raises:
+        SourceError: it is missing or damaged.
+    """
+    if not maps_clouds(run.entry):
+        return read_map(run.folder / "map.yaml")
+    if ELEVATION not in run.entry.get("file_sizes", {}):
+        return None
+    return read_elevation(run.folder / ELEVATION)[0]
 
 
 def _with_paths(picture: FloatArray, canvas: Canvas, truth: Trajectory, estimate: Trajectory) -> FloatArray:

@@ -11,8 +11,9 @@ from typing import Any
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
-from lirs_validation.config import RunConfig, run_name
+from lirs_validation.config import TOUR, RunConfig, driver_parts, run_name
 from lirs_validation.driving.choice import check_driver, driver_files
+from lirs_validation.experiment.clouds.guard import check_sensors
 from lirs_validation.experiment.mapper_loading import mapper_named, source_file
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
@@ -61,7 +62,8 @@ class SlamExperiment:
 
     def check(self) -> None:
         """Look for source, robot, LRF and mapper, and at the file that the driver needs."""
-        _check_names(self.config.robot, self.config.lidar, self.config.mapper)
+        c = self.config
+        _check_names(c.robot, c.lidar, c.mapper, driver_parts(c.driver)[0] == "frontier")
         check_driver(self.config)
         if self.config.bag is not None:
             require_rosbags(self.config.source)
@@ -124,9 +126,12 @@ def _recorded(record: Mapping[str, Any], config: RunConfig) -> bool:
 
 
 @cache
-def _check_names(robot: str, lidar: str | None, mapper: str) -> None:
+def _check_names(robot: str, lidar: str | None, mapper: str, frontier: bool) -> None:
     make_lidar_preset(lidar or make_robot(robot).lidar)
-    mapper_named(mapper, 0)
+    asked = RunConfig(
+        source="", robot=robot, lidar=lidar, mapper=mapper, driver="frontier" if frontier else TOUR
+    )
+    check_sensors(mapper_named(mapper, 0), asked)
 
 
 def world_name(config: RunConfig) -> str:

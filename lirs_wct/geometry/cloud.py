@@ -41,8 +41,9 @@ class PointCloud:
 
     def __post_init__(self) -> None:
         n = len(self.xyz)
-        found = tuple((a.dtype, a.shape) for a in (self.xyz, self.ring, self.time))
-        if found != ((np.float32, (n, 3)), (np.uint16, (n,)), (np.float32, (n,))):
+        required = ("float32", (n, 3)), ("uint16", (n,)), ("float32", (n,))
+        found = tuple((str(a.dtype), a.shape) for a in (self.xyz, self.ring, self.time))
+        if found != required:
             got = ", ".join(f"{dtype} {shape}" for dtype, shape in found)
             raise ConfigError(f"a cloud needs float32 (n, 3), uint16 (n,), float32 (n,), got {got}")
 
@@ -52,4 +53,4 @@ class PointCloud:
     @property
     def rolling(self) -> bool:
         """Whether the points were measured one column after the other, and not all at once."""
-        return bool(self.time.any())
+        return len(self) > 0 and bool(self.time.max() > self.time.min())

@@ -45,7 +45,7 @@ class Trajectory(ShownAsPicture):
         return f"Trajectory({len(self.stamps)} poses, {seconds:.4g} s, {self.length:.4g} m)"
 
     @staticmethod
-    def from_poses(stamps: Sequence[float], poses: Sequence[Pose2] | Sequence[Pose3]) -> Trajectory:
+    def from_poses(stamps: Sequence[float], poses: Sequence[Pose2 | Pose3]) -> Trajectory:
         """Build from poses; planar ones lie upright at z = 0."""
         lifted = [Pose3.from_pose2(p) if isinstance(p, Pose2) else p for p in poses]
         return Trajectory(
@@ -86,9 +86,9 @@ class Trajectory(ShownAsPicture):
         columns = (self.positions[:, 0], self.positions[:, 1], yaw)
         return np.column_stack([np.interp(stamps, self.stamps, column) for column in columns])
 
-    def moved(self, T_new_frame: Pose2) -> Trajectory:
-        """Return the same motion expressed in another frame (planar move)."""
-        T = Pose3.from_pose2(T_new_frame)
+    def moved(self, T_new_frame: Pose2 | Pose3) -> Trajectory:
+        """Return the same motion expressed in another frame."""
+        T = Pose3.from_pose2(T_new_frame) if isinstance(T_new_frame, Pose2) else T_new_frame
         poses = [
             T @ Pose3(*map(float, p), *map(float, q))
             for p, q in zip(self.positions, self.quaternions, strict=True)

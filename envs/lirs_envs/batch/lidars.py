@@ -20,6 +20,8 @@ from lirs_wct.geometry.pose import Pose3
 class Lidars:
     """Lidars of N robots, each with noise and a random stream of its own (see `lidar.lidar.Lidar`).
 
+    Of a lidar with rings there is the planar scan alone.
+
     Attributes:
         ranges: (N, beams) float32 of the last scans (see `LaserScan`).
         time_increment: between two beams of a rolling scan, seconds; else 0.
@@ -43,7 +45,7 @@ class Lidars:
         """Begin with lidar `i`, whose beams meet what `caster` knows."""
         config = self._config
         lidar = Lidar(
-            config.preset,
+            config.preset.planar,
             caster,
             config.robot.T_base_laser,
             rng,

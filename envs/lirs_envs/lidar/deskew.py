@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lirs_envs.lidar.presets import planar_directions
+from lirs_envs.lidar.presets import ring_directions
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.scan import LaserScan
@@ -57,7 +57,7 @@ def deskewed_points(scan: LaserScan, velocity: ArrayLike, rates: ArrayLike) -> F
     """
     angles = scan.angles
     ranges = np.where(scan.hits, scan.ranges, np.nan).astype(np.float64)
-    beams = ranges[:, None] * planar_directions(angles)
+    beams = ranges[:, None] * ring_directions(angles)
     R, p = moved_frames(scan.time_increment * np.arange(len(angles)), velocity, rates)
     points: FloatArray = np.einsum("nij,nj->ni", R, scan.T_base_laser.apply(beams)) + p
     return points

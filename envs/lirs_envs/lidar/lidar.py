@@ -1,4 +1,4 @@
-"""The planar lidar: a preset, a mount, and noise on the ranges."""
+"""The lidar, planar or with rings: a preset, a mount, and noise on the ranges."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from lirs_envs.lidar.deskew import moved_frames
 from lirs_envs.lidar.noise import LidarNoise, draw_noise, lidar_noise, measure
 from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.lidar.ray_casting import Caster
-from lirs_wct.arrays import Float32Array, FloatArray
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.errors import SimulationError
+from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import LaserScan
 
@@ -32,7 +33,10 @@ class BaseVelocity:
 
 
 class Lidar:
-    """A planar lidar on a robot in a world.
+    """A lidar on a robot in a world: `scan` of a planar one, `sweep` of one with rings.
+
+    Attributes:
+        returned: (rings * beams,) which beams of the last sweep have a point in its cloud.
 
     Args:
         preset: specification of the device.
@@ -42,7 +46,7 @@ class Lidar:
         noise: default: Gaussian with the preset's deviation.
         rolling_scan: whether the beams are cast one after the other while the mirror turns, once a period;
             else all at once. The first beam is cast at the stamp, the others while the robot goes on at the
-            velocity that it has then.
+            velocity that it has then. The rings' beams of one angle, a column, are cast together.
     """
 
     def __init__(
@@ -61,7 +65,11 @@ class Lidar:
         self.noise = lidar_noise(preset) if noise is None else noise
         self.time_increment = preset.angle_increment / math.tau * preset.period if rolling_scan else 0.0
         self._rng = rng
-        self._beams = preset.directions @ T_base_laser.rotation.T
+        self._directions = preset.all_directions
+        self._beams = self._directions @ T_base_laser.rotation.T
+        self._times = np.tile(self.time_increment * np.arange(preset.beams), preset.rings)
+        self.returned: BoolArray = np.zeros(0, np.bool_)
+        self._ring = np.repeat(np.arange(preset.rings, dtype=np.uint16), preset.beams)
         self._mount = T_base_laser.position
         self._limits, self._noise = (preset.range_min, preset.range_max), self.noise.parameters
 
@@ -76,9 +84,22 @@ class Lidar:
         Raises:
             SimulationError: the pose is not finite.
         """
+        return self._scan(self.ranges(T_world_base, velocity), stamp)
+
+    def sweep(
+        self, T_world_base: Pose3, stamp: float, velocity: BaseVelocity | None = None
+    ) -> tuple[LaserScan, PointCloud]:
+        """Return planar scan and cloud of one sweep (see `scan`); the scan is a ring of the cloud."""
+        ranges = self.ranges(T_world_base, velocity)
+        met = self.returned = np.isfinite(ranges)
+        xyz = (ranges[met, None] * self._directions[met]).astype(np.float32)
+        time = self._times[met].astype(np.float32)
+        return self._scan(ranges, stamp), PointCloud(xyz, self._ring[met], time, stamp, self.T_base_laser)
+
+    def _scan(self, ranges: Float32Array, stamp: float) -> LaserScan:
         preset = self.preset
         return LaserScan(
-            self.ranges(T_world_base, velocity),
+            ranges[preset.horizon_beams],
             preset.angle_min,
             preset.angle_increment,
             preset.range_min,
@@ -89,14 +110,14 @@ class Lidar:
         )
 
     def ranges(self, T_world_base: Pose3, velocity: BaseVelocity | None = None) -> Float32Array:
-        """Return (beams,) ranges of a scan (see `scan`)."""
+        """Return (rings * beams,) ranges of a sweep, ring by ring from below (see `scan`)."""
         preset, T = self.preset, T_world_base
         if not all(map(math.isfinite, (T.x, T.y, T.z, T.qw, T.qx, T.qy, T.qz))):
             raise SimulationError(f"the lidar's pose must be finite, got {T_world_base}")
         origin, directions = self._rays(T_world_base, velocity)
         exact = self.caster.ranges(origin, directions, preset.range_max)
-        normal, uniform = draw_noise(self.noise, preset.beams, self._rng)
-        ranges = np.empty(preset.beams, np.float32)
+        normal, uniform = draw_noise(self.noise, len(exact), self._rng)
+        ranges = np.empty(len(exact), np.float32)
         measure(exact, normal, uniform, self._limits, self._noise, ranges)
         return ranges
 
@@ -108,8 +129,7 @@ class Lidar:
             origin, directions = np.empty((1, 3)), np.empty_like(self._beams)
             transform_rays(quaternion, position, self._mount[None], self._beams, origin, directions)
             return origin[0], directions
-        times = self.time_increment * np.arange(self.preset.beams)
-        R, p = moved_frames(times, velocity.linear, velocity.angular)
+        R, p = moved_frames(self._times, velocity.linear, velocity.angular)
         origins, directions = p + R @ self._mount, np.einsum("nij,nj->ni", R, self._beams)
         transform_rays(quaternion, position, origins, directions, origins, directions)
         return origins, directions

@@ -74,10 +74,13 @@ DATASHEET: dict[str, LidarNoise] = {
     "urg04lx": LidarNoise(sigma_relative=0.01, quantization=0.001, dropout=0.002, mixed_pixels=0.5),
     "rplidar_a1": LidarNoise(sigma_relative=0.01, quantization=0.0005, dropout=0.01, mixed_pixels=0.3),
     "lds01": LidarNoise(sigma=0.01, quantization=0.001, dropout=0.01, mixed_pixels=0.3),
+    "vlp16": LidarNoise(sigma=0.03, quantization=0.002, dropout=0.001, mixed_pixels=0.5),
+    "os1_32": LidarNoise(sigma=0.03, quantization=0.001, dropout=0.001, mixed_pixels=0.5),
 }
 """Deviation and quantization are the makers'. No data sheet says how many beams are lost or mixed: both are
-assumed, from nearly none for the SICK to one in a hundred for the cheap ones; a beam as wide as the gap to
-the next one lies on an edge whenever there is one, half of them on enough of both sides to be mixed."""
+assumed, from nearly none for SICK, Velodyne and Ouster to one in a hundred for the cheap ones; a beam as wide
+as the gap to the next one lies on an edge whenever there is one, half of them on enough of both sides to be
+mixed."""
 
 
 def lidar_noise(preset: LidarPreset, level: NoiseLevel = "simulated") -> LidarNoise:

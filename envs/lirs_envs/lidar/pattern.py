@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lirs_envs.lidar.noise import LidarNoise, draw_noise, measure
+from lirs_envs.lidar.presets import ring_directions
 from lirs_envs.lidar.ray_casting import Caster
 from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.errors import ConfigError
@@ -32,11 +33,8 @@ def rings(count: int, beams: int, elevation: tuple[float, float]) -> FloatArray:
             "rings need at least 1 ring of 1 beam between -pi/2 and pi/2, "
             f"got {count} of {beams} in {elevation}"
         )
-    up, around = np.meshgrid(
-        np.linspace(low, high, count), math.tau * np.arange(beams) / beams - math.pi, indexing="ij"
-    )
-    beam = (np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up))
-    return np.stack(beam, axis=-1).reshape(-1, 3)
+    around = math.tau * np.arange(beams) / beams - math.pi
+    return np.concatenate([ring_directions(around, up) for up in np.linspace(low, high, count).tolist()])
 
 
 @dataclass(frozen=True, kw_only=True)

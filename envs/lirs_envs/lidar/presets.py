@@ -1,9 +1,9 @@
-"""Planar lidars (laser range finders) as data: one row for each device."""
+"""Lidars as data, planar ones (laser range finders) and such with rings: one row for each device."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,11 +14,14 @@ from lirs_wct.field_validators import require_above, require_at_least, require_w
 
 @dataclass(frozen=True, kw_only=True)
 class LidarPreset:
-    """Specification of a planar lidar.
+    """Specification of a lidar.
+
+    A lidar with rings has a planar scan as well: its ring nearest the horizon, of two as near the upper one,
+    as ROS `velodyne_laserscan` takes it.
 
     Attributes:
         name: how users call it.
-        beams: number of beams in a scan.
+        beams: number of beams in a ring; a planar lidar is one ring.
         fov: angle from the first beam to the last, radians; for a full circle the last beam is one
             increment short of the first.
         rate: scans a second, Hz.
@@ -26,6 +29,7 @@ class LidarPreset:
         range_max: largest range, metres.
         sigma: standard deviation of the range noise, metres.
         sigma_relative: the part of it that grows with the range, metres a metre; both add.
+        elevations: of the rings above the sensor's x-y plane, radians, from the lowest up.
 
     Raises:
         ConfigError: a value is not legal.
@@ -39,6 +43,7 @@ class LidarPreset:
     range_max: float
     sigma: float = 0.0
     sigma_relative: float = 0.0
+    elevations: tuple[float, ...] = (0.0,)
 
     def __post_init__(self) -> None:
         of = f"lidar {self.name!r}"
@@ -51,6 +56,29 @@ class LidarPreset:
             raise ConfigError(
                 f"range_min of {of} must be below range_max, got {self.range_min} and {self.range_max} m"
             )
+        e = self.elevations
+        if not e or not all(-math.pi / 2 < a < math.pi / 2 for a in e) or list(e) != sorted(set(e)):
+            raise ConfigError(f"elevations of {of} must rise from above -pi/2 to below pi/2 rad, got {e}")
+
+    @property
+    def rings(self) -> int:
+        """Number of rings; 1 = a planar lidar."""
+        return len(self.elevations)
+
+    @property
+    def horizon(self) -> int:
+        """Ring nearest the horizon, of two as near the upper one: the planar scan."""
+        return min(range(self.rings), key=lambda ring: (round(abs(self.elevations[ring]), 9), -ring))
+
+    @property
+    def horizon_beams(self) -> slice:
+        """Which of all beams, ring by ring from below, are the planar scan."""
+        return slice(self.horizon * self.beams, (self.horizon + 1) * self.beams)
+
+    @property
+    def planar(self) -> LidarPreset:
+        """The lidar's planar scan alone: one ring."""
+        return replace(self, elevations=(self.elevations[self.horizon],))
 
     @property
     def angle_min(self) -> float:
@@ -64,11 +92,19 @@ class LidarPreset:
         return self.fov / gaps
 
     @property
+    def angles(self) -> FloatArray:
+        """(beams,) angles of a ring's beams about the sensor's z, radians."""
+        return self.angle_min + self.angle_increment * np.arange(self.beams, dtype=np.float64)
+
+    @property
     def directions(self) -> FloatArray:
-        """(beams, 3) unit vectors of the beams in the sensor's frame."""
-        return planar_directions(
-            self.angle_min + self.angle_increment * np.arange(self.beams, dtype=np.float64)
-        )
+        """(beams, 3) unit vectors of the planar scan's beams in the sensor's frame."""
+        return ring_directions(self.angles, self.elevations[self.horizon])
+
+    @property
+    def all_directions(self) -> FloatArray:
+        """(rings * beams, 3) unit vectors of all beams in the sensor's frame, ring by ring from below."""
+        return np.concatenate([ring_directions(self.angles, elevation) for elevation in self.elevations])
 
     @property
     def period(self) -> float:
@@ -76,17 +112,47 @@ class LidarPreset:
         return 1 / self.rate
 
 
-def planar_directions(angles: FloatArray) -> FloatArray:
-    """Return (n, 3) unit vectors in the sensor's x-y plane at angles (n,) from x, radians."""
-    return np.stack((np.cos(angles), np.sin(angles), np.zeros_like(angles)), axis=1)
+def ring_directions(angles: FloatArray, elevation: float = 0.0) -> FloatArray:
+    """Return (n, 3) unit vectors at angles (n,) about the sensor's z from x, radians.
+
+    Args:
+        angles: (n,) radians, counter-clockwise.
+        elevation: of all of them above the sensor's x-y plane, radians.
+    """
+    c, s = math.cos(elevation), math.sin(elevation)
+    return np.stack((c * np.cos(angles), c * np.sin(angles), np.full_like(angles, s)), axis=1)
 
 
 def _preset(
-    name: str, beams: int, fov: float, rate: float, limits: tuple[float, float], **noise: float
+    name: str,
+    beams: int,
+    fov: float,
+    rate: float,
+    limits: tuple[float, float],
+    *,
+    sigma: float = 0.0,
+    sigma_relative: float = 0.0,
 ) -> LidarPreset:
     low, high = limits
-    angle = math.radians(fov)
-    return LidarPreset(name=name, beams=beams, fov=angle, rate=rate, range_min=low, range_max=high, **noise)
+    return LidarPreset(
+        name=name,
+        beams=beams,
+        fov=math.radians(fov),
+        rate=rate,
+        range_min=low,
+        range_max=high,
+        sigma=sigma,
+        sigma_relative=sigma_relative,
+    )
+
+
+def _ring_preset(
+    name: str, rings: int, lowest: float, beams: int, limits: tuple[float, float], sigma: float
+) -> LidarPreset:
+    """Return a preset of 10 Hz whose rings are spread evenly from the lowest (degrees) to as far above."""
+    planar = _preset(name, beams, 360.0, 10.0, limits, sigma=sigma)
+    elevations = np.radians(np.linspace(lowest, -lowest, rings))
+    return replace(planar, elevations=tuple(elevations.tolist()))
 
 
 LIDARS: dict[str, LidarPreset] = {
@@ -100,9 +166,15 @@ LIDARS: dict[str, LidarPreset] = {
         _preset("urg04lx", 682, 239.77, 10.0, (0.02, 5.6), sigma_relative=0.01),
         _preset("rplidar_a1", 360, 360.0, 5.5, (0.15, 12.0), sigma_relative=0.01),
         _preset("lds01", 360, 360.0, 5.0, (0.12, 3.5), sigma=0.01),
+        # Velodyne VLP-16: a ring every 2 deg, a column every 0.2 deg.
+        _ring_preset("vlp16", 16, -15.0, 1800, (0.5, 100.0), 0.03),
+        # Ouster OS1-32, Rev 6 and 7, in its mode 1024 x 10; the deviation is that of a bright target.
+        _ring_preset("os1_32", 32, -22.5, 1024, (0.5, 120.0), 0.015),
     )
 }
 """Presets by name."""
+RING_LIDARS = tuple(name for name, preset in LIDARS.items() if preset.rings > 1)
+"""Names of the presets with rings."""
 
 
 def make_lidar_preset(name: str) -> LidarPreset:

@@ -16,8 +16,9 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.ekf import EkfOdometry
 from lirs_envs.sensing.imu import ImuConfig, ImuSensor
 from lirs_envs.sensing.odometry import FlowOdometry, OdometryConfig, WheelOdometry
-from lirs_wct.arrays import Vector3
+from lirs_wct.arrays import BoolArray, Vector3
 from lirs_wct.field_validators import require_type
+from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 
@@ -30,14 +31,16 @@ class Observation:
     """Sensor readings at a scan's stamp.
 
     Attributes:
-        scan: of the lidar.
+        scan: of the lidar; of one with rings, the ring nearest the horizon.
         odometry: `T_odom_base`.
         imu: of the inertial unit.
+        cloud: of a lidar with rings; None of a planar one.
     """
 
     scan: LaserScan
     odometry: Pose2
     imu: Imu
+    cloud: PointCloud | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +114,11 @@ class Sensors:
         """The gyro's last reading about z, rad/s."""
         return self._rates[2]
 
+    @property
+    def returned(self) -> BoolArray:
+        """(rings * beams,) which beams have a point in the last cloud."""
+        return self._lidar.returned
+
     def integrate_odometry(self, dt: float) -> None:
         """Read gyro and wheels, or gyro and optical flow, after `dt` seconds."""
         body = self._body
@@ -125,8 +133,10 @@ class Sensors:
         imu = self._imu.read(T_world_base, self._rates, body.specific_force(), stamp, dt)
         self._attitude = (imu.roll, imu.pitch)
         velocity = BaseVelocity(body.velocity(), body.rates()) if self._lidar.time_increment else None
-        scan = self._lidar.scan(T_world_base, stamp, velocity)
-        return Observation(scan, self._odometry.read(), imu)
+        if self._lidar.preset.rings == 1:
+            return Observation(self._lidar.scan(T_world_base, stamp, velocity), self._odometry.read(), imu)
+        scan, cloud = self._lidar.sweep(T_world_base, stamp, velocity)
+        return Observation(scan, self._odometry.read(), imu, cloud)
 
 
 def make_odometry(robot: Robot, noise: SensorNoise, rng: np.random.Generator) -> WheelOdometry | FlowOdometry:

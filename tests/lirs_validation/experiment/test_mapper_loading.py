@@ -91,8 +91,8 @@ def test_a_library_call_leaves_the_import_path_as_it_was(monkeypatch: pytest.Mon
         ("their_slam:Greedy", r"cannot be made: TypeError: .*'weights'"),
         (
             "hektor",
-            r"unknown mapper 'hektor'; legal: cartographer, cartographer_original, gmapping, "
-            r"gmapping_original, hector, hector_original, module:name",
+            r"unknown mapper 'hektor'; legal: cartographer, cartographer_original, genz-icp, gmapping, "
+            r"gmapping_original, hector, hector_original, kiss-icp, kiss-slam, module:name",
         ),
     ],
 )
@@ -131,7 +131,7 @@ def test_what_a_mapper_hands_over_is_looked_at() -> None:
 
 def test_the_documented_mapper_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = (ROOT / "docs" / "bring_your_own_mapper.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0]
     (tmp_path / "my_slam.py").write_text(code)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.path", list(__import__("sys").path))

@@ -1,0 +1,96 @@
+"""The elevation that a drive's clouds make, by the mapper's poses and by the true ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from lirs_validation.experiment.clouds.sample import CloudSample
+from lirs_validation.metrics.association import associated
+from lirs_validation.metrics.spatial.elevation import (
+    ElevationMap,
+    ElevationScores,
+    elevation_map,
+    elevation_scores,
+)
+from lirs_validation.metrics.spatial.trajectory import spatial_alignment
+from lirs_wct.arrays import FloatArray
+from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.world import World
+
+NARROW = 0.1
+"""A path whose width is a smaller share of its length does not say how it is turned about itself."""
+
+
+@dataclass(frozen=True)
+class Elevations:
+    """Elevation maps of a run in the world frame, on one grid.
+
+    Attributes:
+        built: by the mapper's poses, moved by the true start pose.
+        true_pose: by the true poses.
+    """
+
+    built: ElevationMap
+    true_pose: ElevationMap
+
+
+def evaluate_elevation(
+    world: World, sample: CloudSample, truth: Trajectory, estimate: Trajectory
+) -> tuple[Elevations | None, ElevationScores]:
+    """Return the elevation maps of a run and their metrics; of a world with overhangs there are none.
+
+    Args:
+        world: where it took place.
+        sample: clouds that were kept.
+        truth: true poses of all scans, world frame.
+        estimate: the mapper's final poses, world frame (moved by the true start pose).
+    """
+    if world.overhangs:
+        return None, ElevationScores(
+            elevation_rmse=None,
+            elevation_rmse_aligned=None,
+            elevation_seen=None,
+            reference_elevation_rmse=None,
+        )
+    bounds = _bounds(world, sample, truth)
+    made = Elevations(
+        elevation_map(_placed(sample, truth, estimate), bounds),
+        elevation_map(_placed(sample, truth, truth), bounds),
+    )
+    T = _alignment(truth, estimate)
+    aligned = None if T is None else elevation_map(_placed(sample, truth, estimate.moved(T)), bounds)
+    scores = elevation_scores(made.built, made.true_pose, aligned, surface=world.surface, walls=world.walls)
+    return made, scores
+
+
+def _placed(sample: CloudSample, truth: Trajectory, poses: Trajectory) -> Iterator[FloatArray]:
+    """Yield the points (n, 3) of each cloud by the pose at its stamp; clouds without one are left out."""
+    i, j = associated(truth.stamps[sample.scans], poses.stamps)
+    for k, pose in zip(i.tolist(), j.tolist(), strict=True):
+        cloud = sample.clouds[k]
+        T_world_base = Pose3.from_arrays(poses.positions[pose], poses.quaternions[pose])
+        yield (T_world_base @ cloud.T_base_laser).apply(cloud.xyz)
+
+
+def _bounds(world: World, sample: CloudSample, truth: Trajectory) -> tuple[float, float, float, float]:
+    """Return west, south, east, north of what of the world the clouds can reach, metres."""
+    reach = max((float(np.linalg.norm(c.xyz, axis=1).max()) for c in sample.clouds if len(c)), default=0.0)
+    west, south, east, north = world.surface.bounds
+    low, high = truth.xy.min(axis=0) - reach, truth.xy.max(axis=0) + reach
+    return max(west, low[0]), max(south, low[1]), min(east, high[0]), min(north, high[1])
+
+
+def _alignment(truth: Trajectory, estimate: Trajectory) -> Pose3 | None:
+    """Return what aligns the estimate with the truth in space; None where the path leaves a turn open."""
+    i, j = associated(truth.stamps, estimate.stamps)
+    if len(i) < 3:
+        return None
+    true = truth.positions[i]
+    spread = np.linalg.svd(true - true.mean(axis=0), compute_uv=False)
+    if spread[1] < NARROW * spread[0]:
+        return None
+    return spatial_alignment(estimate.positions[j], true)

@@ -1,0 +1,70 @@
+"""KISS-ICP: Vizzo et al., "KISS-ICP: In Defense of Point-to-Point ICP" (RA-L 2023), the authors' package."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lirs_wct.arrays import FloatArray
+from lirs_wct.field_validators import require_above, require_at_least
+from slam_baselines.external.cloud_odometry import CloudOdometry
+
+
+@dataclass(frozen=True, kw_only=True)
+class KissIcpConfig:
+    """What of KISS-ICP's configuration can be set; the defaults are the authors'.
+
+    Attributes:
+        max_range: points beyond are left out, metres.
+        min_range: points nearer are left out, metres.
+        voxel_size: edge of the map's voxels, metres; None = `max_range` / 100, as the authors do.
+        threads: of the registration; 1 = as every other mapper here, 0 = all.
+
+    Raises:
+        ConfigError: a value is not legal.
+    """
+
+    max_range: float = 100.0
+    min_range: float = 0.0
+    voxel_size: float | None = None
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        require_above(self, 0, "max_range", of="kiss-icp", unit="m", finite=True)
+        require_at_least(self, 0, "min_range", "threads", of="kiss-icp")
+        if self.voxel_size is not None:
+            require_above(self, 0, "voxel_size", of="kiss-icp", unit="m", finite=True)
+
+
+def make_kiss_icp(config: KissIcpConfig) -> CloudOdometry:
+    """Return KISS-ICP as a mapper."""
+    from kiss_icp.config import KISSConfig
+    from kiss_icp.kiss_icp import KissICP
+
+    settings = KISSConfig()
+    configure(settings.data, settings.mapping, settings.registration, config)
+    odometry = KissICP(settings)
+
+    def register(points: FloatArray, times: FloatArray) -> FloatArray:
+        odometry.register_frame(points, times)
+        return pose_at_start(odometry, times)
+
+    return CloudOdometry(register)
+
+
+def configure(data: Any, mapping: Any, registration: Any, config: KissIcpConfig) -> None:
+    """Fill in the parts of KISS-ICP's configuration, in place."""
+    data.max_range, data.min_range = config.max_range, config.min_range
+    mapping.voxel_size = config.max_range / 100 if config.voxel_size is None else config.voxel_size
+    registration.max_num_threads = config.threads
+
+
+def pose_at_start(odometry: Any, times: FloatArray) -> FloatArray:
+    """Return the (4, 4) pose of the sensor when the last sweep began.
+
+    KISS-ICP's pose is that of the last point: a rolling sweep began one motion earlier.
+    """
+    pose: FloatArray = odometry.last_pose
+    return pose if len(times) == 0 else pose @ np.linalg.inv(odometry.last_delta)

@@ -1,0 +1,251 @@
+"""Runs of mappers that read point clouds, ours or anybody's, from the drive to the report."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lirs_validation import Run, validate
+from lirs_validation.analysis.result_folders import read_results
+from lirs_validation.config import RunConfig
+from lirs_validation.drawing.elevation_view import FULL, error_picture
+from lirs_validation.experiment.clouds.guard import GuardedCloudMapper, check_sensors, guarded
+from lirs_validation.experiment.mapper_guard import GuardedMapper
+from lirs_validation.experiment.mapper_loading import mapper_named
+from lirs_validation.metrics.spatial.elevation import ElevationMap
+from lirs_validation.metrics.spatial.elevation_file import read_elevation
+from lirs_validation.record.result_files import damaged_files
+from lirs_validation.record.run_record import read_record
+from lirs_validation.record.schema import schema_error
+from lirs_validation.report.contents import report_of
+from lirs_validation.report.page import page
+from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_wct.drawing.canvas import Canvas
+from lirs_wct.drawing.style import BLUE, VERMILLION, rgb
+from lirs_wct.errors import ConfigError, MapperError
+from lirs_wct.formats.tum import read_tum
+from lirs_wct.geometry.cloud import PointCloud
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import Imu
+from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.mapper import MapperStats, make_mapper
+
+ROOT = Path(__file__).resolve().parents[4]
+MODULE = """
+from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.mapper import MapperStats
+
+class Still:
+    '''Says that the robot never moves, and where that is: a drift of 1 cm a sweep, upward.'''
+    reads_clouds = True
+    lost = False
+    def __init__(self): self.stamps, self.poses, self.imus = [], [], []
+    def update(self, cloud, imu):
+        self.imus.append(imu)
+        self.stamps.append(cloud.stamp)
+        self.poses.append(Pose3(0.0, 0.0, 0.01 * len(self.poses)))
+        return self.poses[-1]
+    def trajectory(self): return Trajectory.from_poses(self.stamps, self.poses)
+    @property
+    def stats(self): return MapperStats(received=len(self.poses), used=len(self.poses))
+
+class Half:
+    reads_clouds = True
+    def update(self, cloud, imu): ...
+"""
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """A folder with a user's module, as the current one."""
+    folder = tmp_path_factory.mktemp("clouds")
+    (folder / "still_slam.py").write_text(MODULE)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.delitem(__import__("sys").modules, "still_slam", raising=False)
+        yield folder
+
+
+@pytest.fixture(scope="module")
+def still(here: Path) -> Run:
+    return validate("medium", mapper="still_slam:Still", lidar="vlp16", seconds=4, out=here / "out")
+
+
+def test_the_figures_are_those_of_a_mapper_that_stands_still(still: Run) -> None:
+    record, log = still.record, still.log
+    assert (record.status, record.reason) == ("ok", "")
+    truth = read_tum(still.folder / "truth.tum")  # type: ignore[operator]
+    estimate = read_tum(still.folder / "estimate.tum")  # type: ignore[operator]
+    start = log.truth[0]
+    rises = (start @ Pose3(0, 0, 0.01 * (len(estimate) - 1))).position
+    np.testing.assert_allclose(estimate.positions[-1], rises, atol=1e-5)
+    gone = np.linalg.norm(truth.positions - estimate.positions, axis=1)
+    unaligned = record.trajectory["ate_rmse_3d_unaligned"]
+    assert unaligned == pytest.approx(math.sqrt((gone**2).mean()), rel=1e-3)
+    assert record.trajectory["ate_rmse_3d"] < unaligned
+    flat = truth.xy - start.position[:2]
+    expected = estimate.xy - start.position[:2]
+    raw = np.linalg.norm(flat - expected, axis=1)
+    assert record.trajectory["ate_rmse_unaligned"] == pytest.approx(math.sqrt((raw**2).mean()), rel=1e-3)
+    assert record.trajectory["length"] > 1.0
+
+
+def test_elevation_stands_in_the_place_of_an_occupancy_map(still: Run) -> None:
+    scores = still.record.map
+    assert still.maps.built is None
+    assert scores["f1"] is scores["false_occupied"] is scores["occupied_cells"] is None
+    assert scores["reference_elevation_rmse"] < 0.1
+    assert scores["elevation_rmse"] > scores["reference_elevation_rmse"] + 0.05
+    assert 0.3 < scores["elevation_seen"] < 1.0
+    assert len(still.log.clouds.clouds) == 5, "one a second"
+    assert all(observation.cloud is None for observation in still.log.observations)
+
+
+def test_the_folder_holds_what_there_is(still: Run) -> None:
+    assert still.folder is not None
+    names = {path.name for path in still.folder.iterdir()}
+    assert "elevation.npz" in names
+    assert not {"map.pgm", "map.yaml"} & names
+    entry = read_record(still.folder)
+    assert schema_error(entry) is None
+    assert damaged_files(still.folder, entry) == []
+    built, true_pose = read_elevation(still.folder / "elevation.npz")
+    assert built.mean.shape == true_pose.mean.shape
+    (still.folder / "elevation.npz").rename(still.folder / "kept")
+    try:
+        assert damaged_files(still.folder, entry) == ["elevation.npz"]
+    finally:
+        (still.folder / "kept").rename(still.folder / "elevation.npz")
+
+
+def test_one_table_and_one_page_hold_planar_and_cloud_mappers(still: Run, here: Path) -> None:
+    validate("medium", mapper="hector", lidar="vlp16", seconds=4, out=here / "out")
+    report = report_of(read_results(here / "out"))
+    assert {entry["config"]["mapper"] for entry in report.entries} == {"hector", "still_slam:Still"}
+    headings = report.summary.headings
+    assert {"ATE [m]", "ATE in space [m]", "elevation RMSE [m]"} <= set(headings)
+    text = page(report, "lirs-wct report out")
+    assert text.count("data:image/webp") == 2
+    assert "maps of medium, husky, still_slam:Still" in text
+
+
+def test_a_planar_mapper_maps_the_ring_nearest_the_horizon(here: Path) -> None:
+    run = validate("medium", mapper="hector", lidar="vlp16", seconds=4, out=here / "planar")
+    assert run.log.clouds.clouds == []
+    assert len(run.log.observations[0].scan.ranges) == 1800
+    assert "ate_rmse_3d" not in run.record.trajectory
+    assert run.record.trajectory["ate_rmse"] < 0.2
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({}, r"mapper still_slam:Still needs a lidar with rings, got lms111; legal: --lidar vlp16 or os1_32"),
+        ({"lidar": "utm30lx"}, r"needs a lidar with rings, got utm30lx"),
+        (
+            {"lidar": "vlp16", "driver": "frontier"},
+            r"driver frontier plans on the mapper's occupancy map, and still_slam:Still has none; legal: t",
+        ),
+        (
+            {"lidar": "vlp16", "mapper": "still_slam:Half"},
+            r"lacks trajectory\(\), stats, lost; a mapper has update",
+        ),
+    ],
+)
+@pytest.mark.usefixtures("here")
+def test_what_cannot_work_is_refused_before_the_world_is_built(change: dict[str, Any], message: str) -> None:
+    config = replace(RunConfig(source="medium", mapper="still_slam:Still"), **change)
+    with pytest.raises(ConfigError, match=message) as error:
+        SlamExperiment(config).check()
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.usefixtures("here")
+def test_any_lidar_suits_a_planar_mapper() -> None:
+    for lidar in (None, "vlp16", "lds01"):
+        check_sensors(make_mapper("hector"), RunConfig(source="medium", lidar=lidar))
+    assert isinstance(guarded(make_mapper("hector"), RunConfig(source="medium")), GuardedMapper)
+
+
+@pytest.mark.usefixtures("here")
+def test_without_attitude_there_is_no_inertial_reading() -> None:
+    readings = []
+    for attitude in ("imu", "none"):
+        mapper = mapper_named("still_slam:Still", 1)
+        config = RunConfig(source="medium", mapper="still_slam:Still", attitude=attitude)  # type: ignore[arg-type]
+        guarded(mapper, config).update(a_cloud(), Imu(stamp=1.0))  # type: ignore[call-arg, arg-type]
+        readings += mapper.imus  # type: ignore[union-attr]
+    assert readings == [Imu(stamp=1.0), None]
+
+
+def a_cloud() -> PointCloud:
+    return PointCloud(np.ones((4, 3), np.float32), np.zeros(4, np.uint16), np.zeros(4, np.float32), 1.24)
+
+
+class Wrong:
+    reads_clouds, lost, stats = True, False, MapperStats()
+
+    def __init__(self, answer: Any) -> None:
+        self.answer = answer
+
+    def update(self, cloud: PointCloud, imu: Imu | None) -> Any:
+        if self.answer == "writes":
+            cloud.xyz[0] = 0
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+    def trajectory(self) -> Any:
+        return Trajectory.from_poses([0.0], [Pose3(math.nan)])
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (Pose2(), r"must return a Pose3, got Pose2 for the scan at 1\.240 s"),
+        (Pose3(z=math.inf), r"must return a finite pose, got Pose3.*inf.* for the scan at 1\.240 s"),
+        ("writes", r"update\(\) writes into what it was given for the scan at 1\.240 s .*read-only"),
+        (ValueError("no"), r"mapper 'wrong': update\(\) failed for the scan at 1\.240 s: ValueError: no"),
+    ],
+)
+def test_a_wrong_answer_costs_the_run_and_names_the_scan(answer: Any, message: str) -> None:
+    cloud = a_cloud()
+    with pytest.raises(MapperError, match=message):
+        GuardedCloudMapper(Wrong(answer), "wrong").update(cloud, Imu())
+    assert (cloud.xyz == 1).all()
+    with pytest.raises(MapperError, match=r"trajectory\(\) is not finite"):
+        GuardedCloudMapper(Wrong(None), "wrong").trajectory()
+
+
+def test_heights_that_are_off_stand_out_in_color(still: Run) -> None:
+    world = still.world
+    canvas = Canvas.over((-1.0, -1.0, 1.0, 1.0), 40)
+    centers = canvas.centers[::-1].reshape(-1, 2)
+    z = world.surface.height_at(centers[:, 0], centers[:, 1]).reshape(canvas.shape)
+    for lift, color in ((2 * FULL, VERMILLION), (-2 * FULL, BLUE), (0.0, "#ffffff")):
+        grid = ElevationMap(z + lift, canvas.pixel, (-1.0, -1.0))
+        picture = error_picture(canvas, world, grid)
+        judged = ~np.isnan(grid.error(world.surface, world.walls))[::-1]
+        assert judged.mean() > 0.5
+        np.testing.assert_allclose(
+            picture[judged], np.broadcast_to(rgb(color), picture[judged].shape), atol=0.02
+        )
+
+
+def test_the_documented_cloud_mapper_follows_a_drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (ROOT / "docs" / "bring_your_own_mapper.md").read_text(encoding="utf-8")
+    code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[1]
+    (tmp_path / "my_icp.py").write_text(code)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(__import__("sys").modules, "my_icp", raising=False)
+    record = validate("medium", mapper="my_icp:SweepToSweep", lidar="vlp16", seconds=5).record
+    assert record.status == "ok"
+    assert record.trajectory["length"] > 2.0
+    assert record.trajectory["ate_rmse_3d_unaligned"] < 0.4

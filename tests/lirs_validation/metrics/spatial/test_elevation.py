@@ -1,0 +1,130 @@
+"""Elevation maps of points on surfaces that are known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lirs_validation.metrics.spatial.elevation import CELL, ElevationMap, elevation_map, elevation_scores
+from lirs_validation.metrics.spatial.elevation_file import read_elevation, write_elevation
+from lirs_wct.errors import SourceError
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.walls import WallGrid
+
+BOUNDS = (-5.0, -4.0, 5.0, 4.0)
+
+
+def hill() -> HeightField:
+    x, y = np.meshgrid(np.linspace(-6, 6, 241), np.linspace(6, -6, 241))
+    return HeightField.centered((0.1 * x + np.sin(x) * np.cos(y / 2)).astype(np.float32), (0.05, 0.05))
+
+
+def on(surface: HeightField, n: int = 60_000, seed: int = 0) -> np.ndarray:
+    xy = np.random.default_rng(seed).uniform((-5, -4), (5, 4), (n, 2))
+    return np.column_stack((xy, surface.height_at(xy[:, 0], xy[:, 1])))
+
+
+def test_a_cell_holds_the_mean_of_its_points() -> None:
+    points = np.array([(0.01, 0.02, 1.0), (0.09, 0.09, 3.0), (0.11, 0.0, 7.0), (50.0, 0.0, 9.0)])
+    grid = elevation_map([points[:2], points[2:]], (0.0, 0.0, 1.0, 0.5))
+    assert grid.mean.shape == (5, 10)
+    assert grid.mean[0, 0] == 2.0
+    assert grid.mean[0, 1] == 7.0
+    assert grid.seen.sum() == 2, "points beyond the map are left out"
+    assert grid.centers[1].tolist() == pytest.approx([0.15, 0.05])
+
+
+def test_rows_run_from_the_south() -> None:
+    grid = elevation_map([np.array([(0.05, 0.45, 2.0)])], (0.0, 0.0, 1.0, 0.5))
+    assert grid.mean[4, 0] == 2.0
+    error = grid.error(HeightField.centered(np.zeros((3, 3), np.float32), (2.0, 2.0)), None)
+    assert error[4, 0] == 2.0
+
+
+def test_points_on_the_surface_leave_the_cells_own_error_only() -> None:
+    surface = hill()
+    reference = elevation_map([on(surface)], BOUNDS)
+    scores = elevation_scores(reference, reference, None, surface=surface)
+    assert scores.elevation_seen == 1.0
+    assert scores.elevation_rmse_aligned is None
+    assert scores.reference_elevation_rmse == scores.elevation_rmse
+    assert scores.elevation_rmse is not None
+    assert scores.elevation_rmse < 0.03
+
+
+@pytest.mark.parametrize("lift", [-0.5, 0.25])
+def test_a_lifted_map_is_off_by_the_lift(lift: float) -> None:
+    surface = hill()
+    points = on(surface)
+    built = elevation_map([points + np.array((0, 0, lift))], BOUNDS)
+    scores = elevation_scores(built, elevation_map([points], BOUNDS), None, surface=surface)
+    assert scores.elevation_rmse == pytest.approx(abs(lift), abs=0.01)
+
+
+def test_what_is_not_seen_is_no_error_but_is_missed() -> None:
+    surface = hill()
+    points = on(surface)
+    west = points[points[:, 0] < 0]
+    reference, built = (elevation_map([p], BOUNDS) for p in (points, west))
+    scores = elevation_scores(built, reference, built, surface=surface)
+    assert scores.elevation_seen == pytest.approx(0.5, abs=0.01)
+    assert scores.elevation_rmse is not None
+    assert scores.elevation_rmse < 0.03
+    assert scores.elevation_rmse_aligned == scores.elevation_rmse
+    nothing = elevation_scores(elevation_map([], BOUNDS), reference, None, surface=surface)
+    assert (nothing.elevation_rmse, nothing.elevation_seen) == (None, 0.0)
+    blind = elevation_scores(built, elevation_map([], BOUNDS), None, surface=surface)
+    assert (blind.elevation_seen, blind.reference_elevation_rmse) == (None, None)
+
+
+def test_walls_and_steep_faces_are_not_judged() -> None:
+    flat = HeightField.centered(np.zeros((2, 2), np.float32), (20.0, 20.0))
+    solid = np.zeros((40, 40), np.bool_)
+    solid[20] = True
+    walls = WallGrid(solid, 0.1, Pose2(-2.0, -2.0, 0.0), 2.0)
+    y = np.linspace(-1, 1, 81)
+    points = np.column_stack((np.zeros_like(y), y, np.where(np.abs(y - 0.05) < 0.15, 1.0, 0.0)))
+    grid = elevation_map([points], BOUNDS)
+    assert elevation_scores(grid, grid, None, surface=flat, walls=walls).elevation_rmse == 0.0
+    assert elevation_scores(grid, grid, None, surface=flat).elevation_rmse > 0.3  # type: ignore[operator]
+    z = np.zeros((41, 41), np.float32)
+    z[:, 20:] = 3.0
+    cliff = HeightField.centered(z, (0.25, 0.25))
+    x = np.linspace(-2, 2, 161)
+    face = np.column_stack(
+        (x, np.zeros_like(x), np.where(np.abs(x + 0.125) < 0.2, 1.5, np.where(x < 0, 0, 3)))
+    )
+    grid = elevation_map([face], BOUNDS)
+    assert elevation_scores(grid, grid, None, surface=cliff).elevation_rmse == pytest.approx(0, abs=1e-6)
+
+
+def test_a_map_moves_with_its_points() -> None:
+    """Moving all points by whole cells moves the map, and nothing else."""
+    points = on(hill(), 5000)
+    T = Pose3(3 * CELL, -2 * CELL, 0.4)
+    still, moved = elevation_map([points], (-9, -9, 9, 9)), elevation_map([T.apply(points)], (-9, -9, 9, 9))
+    rolled = np.roll(still.mean, (-2, 3), axis=(0, 1)) + 0.4
+    same = np.isclose(rolled, moved.mean, atol=1e-9) | (np.isnan(rolled) & np.isnan(moved.mean))
+    assert same.mean() > 0.999, "but for points that rounding moves over a border"
+
+
+def test_the_file_gives_the_maps_back(tmp_path: Path) -> None:
+    first = elevation_map([on(hill(), 2000)], BOUNDS)
+    second = ElevationMap(first.mean + 1, first.cell, first.origin)
+    write_elevation(tmp_path / "elevation.npz", first, second)
+    built, true_pose = read_elevation(tmp_path / "elevation.npz")
+    np.testing.assert_allclose(built.mean, first.mean, rtol=1e-6)
+    np.testing.assert_allclose(true_pose.mean, second.mean, rtol=1e-6)
+    assert (built.cell, built.origin) == (first.cell, first.origin)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"PK\x03\x04 and no more", b"text"])
+def test_a_damaged_file_is_named(tmp_path: Path, content: bytes | None) -> None:
+    path = tmp_path / "elevation.npz"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(SourceError, match=r"elevation\.npz: no elevation maps, or damaged"):
+        read_elevation(path)
