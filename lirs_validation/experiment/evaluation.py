@@ -12,7 +12,7 @@ from lirs_validation.experiment.clouds.elevation import Elevations, evaluate_ele
 from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
 from lirs_validation.experiment.loop import DriveLog, per_second
 from lirs_validation.experiment.mapper_guard import imu_copy, scan_copy
-from lirs_validation.experiment.mapper_loading import RESOLUTION
+from lirs_validation.experiment.mapper_loading import RESOLUTION, package_versions
 from lirs_validation.experiment.scenario import Scenario
 from lirs_validation.metrics import (
     MapScores,
@@ -24,6 +24,7 @@ from lirs_validation.metrics import (
 )
 from lirs_validation.metrics.association import associated
 from lirs_validation.metrics.spatial.trajectory import spatial_errors
+from lirs_validation.record.provenance import versions
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status
 from lirs_validation.record.verdict import incompleteness
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -90,6 +91,7 @@ def evaluate(
         collisions=evaluate_collisions(simulation),
         mapper=asdict(stats),
         cost=cost | {"scans_dropped": log.scans_dropped(stats.received)},
+        versions=versions() | package_versions(scenario.config.mapper),
     )
 
 

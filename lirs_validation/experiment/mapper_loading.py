@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 from pathlib import Path
 from typing import Any, cast
 
@@ -57,6 +58,14 @@ def planar_mapper_named(name: str, seed: int) -> Mapper:
             f"mapper {name} reads point clouds, a log holds planar scans; legal: {', '.join(MAPPERS)}"
         )
     return cast("Mapper", mapper)
+
+
+def package_versions(name: str) -> dict[str, str]:
+    """Return the versions of what a mapper is made of beside this package, by pip's names; none of ours."""
+    method = CLOUD_MAPPERS.get(name)
+    if method is None or not method.installed:
+        return {}
+    return {method.distribution: importlib.metadata.version(method.distribution)}
 
 
 def warm_up_mapper(name: str) -> None:

@@ -14,9 +14,10 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import TOUR, RunConfig, driver_parts, run_name
 from lirs_validation.driving.choice import check_driver, driver_files
 from lirs_validation.experiment.clouds.guard import check_sensors
-from lirs_validation.experiment.mapper_loading import mapper_named, source_file
+from lirs_validation.experiment.mapper_loading import mapper_named, package_versions, source_file
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
+from lirs_validation.record.provenance import versions
 from lirs_validation.record.result_files import damaged_files, file_sizes
 from lirs_validation.record.run_record import RunRecord
 from lirs_validation.record.schema import read_whole_record
@@ -86,7 +87,11 @@ class SlamExperiment:
     def write_failure(self, out: Path, outcome: Outcome) -> None:
         """Write a record without metrics, and where the run failed."""
         record = RunRecord(
-            config=self.config, world={"name": self.world}, status=outcome.status, reason=outcome.reason
+            config=self.config,
+            world={"name": self.world},
+            status=outcome.status,
+            reason=outcome.reason,
+            versions=versions() | package_versions(self.config.mapper),
         )
         with atomic_folder(out / self.name) as folder:
             (folder / "error.txt").write_text(outcome.trace or outcome.reason, encoding="utf-8")
@@ -106,6 +111,8 @@ class SlamExperiment:
         if is_stale(folder / "record.json", record.get("versions"), inputs):
             return None
         if record["name"] != run_name(self.config, self.world) or not _recorded(record, self.config):
+            return None
+        if not package_versions(self.config.mapper).items() <= record["versions"].items():
             return None
         if status == "wall limit" and limit != self.config.wall_limit:
             return None

@@ -17,7 +17,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.drawing.elevation_view import FULL, error_picture
 from lirs_validation.experiment.clouds.guard import GuardedCloudMapper, check_sensors, guarded
 from lirs_validation.experiment.mapper_guard import GuardedMapper
-from lirs_validation.experiment.mapper_loading import mapper_named
+from lirs_validation.experiment.mapper_loading import mapper_named, package_versions
 from lirs_validation.metrics.spatial.elevation import ElevationMap
 from lirs_validation.metrics.spatial.elevation_file import read_elevation
 from lirs_validation.record.result_files import damaged_files
@@ -25,6 +25,7 @@ from lirs_validation.record.run_record import read_record
 from lirs_validation.record.schema import schema_error
 from lirs_validation.report.contents import report_of
 from lirs_validation.report.page import page
+from lirs_validation.sweep import slam_experiment
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.drawing.canvas import Canvas
 from lirs_wct.drawing.style import BLUE, VERMILLION, rgb
@@ -34,7 +35,7 @@ from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.mapper import MapperStats, make_mapper
+from slam_baselines.mapper import CLOUD_MAPPERS, MapperStats, make_mapper
 
 ROOT = Path(__file__).resolve().parents[4]
 MODULE = """
@@ -123,6 +124,18 @@ def test_the_folder_holds_what_there_is(still: Run) -> None:
         assert damaged_files(still.folder, entry) == ["elevation.npz"]
     finally:
         (still.folder / "kept").rename(still.folder / "elevation.npz")
+
+
+def test_a_run_by_another_version_of_the_mapper_is_run_again(
+    still: Run, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = SlamExperiment(still.record.config)
+    assert experiment.finished(here / "out") is not None
+    monkeypatch.setattr(slam_experiment, "package_versions", lambda name: {"kiss-icp": "0.0.1"})
+    assert experiment.finished(here / "out") is None
+    assert package_versions("hector") == package_versions("still_slam:Still") == {}
+    if CLOUD_MAPPERS["kiss-icp"].installed:
+        assert list(package_versions("kiss-icp")) == ["kiss-icp"]
 
 
 def test_one_table_and_one_page_hold_planar_and_cloud_mappers(still: Run, here: Path) -> None:
