@@ -16,6 +16,7 @@ from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.playback import MapSnapshot, Moment, ate, scan_points
 from lirs_validation.gui.session.uploads import Limits
 from lirs_validation.gui.session.world_facts import Facts
+from lirs_validation.record.result_files import maps_clouds
 from lirs_validation.record.run_record import read_record
 from lirs_wct.errors import SourceError, WctError
 from lirs_wct.formats.carmen.log import read_carmen
@@ -25,8 +26,10 @@ from lirs_wct.geometry.pose import Pose3
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.world import World
 
-FILES = ("record.json", "truth.tum", "estimate.tum", "scans.clf.gz", "map.yaml", "map.pgm")
+FILES = ("record.json", "truth.tum", "estimate.tum", "scans.clf.gz")
 """What of a run's folder is looked at."""
+MAP_FILES = ("map.yaml", "map.pgm")
+"""The same, of planar mappers alone."""
 
 
 class FinishedRun:
@@ -62,7 +65,9 @@ class FinishedRun:
                 f"{folder}: not one drive: {len(self._scans)} scans, {len(self._truth)} true and "
                 f"{len(self._estimate)} estimated poses"
             )
-        self._map = MapSnapshot.of(read_map(folder / "map.yaml"), float(self._truth.stamps[-1]))
+        self._map = None
+        if not maps_clouds(self.record):
+            self._map = MapSnapshot.of(read_map(folder / "map.yaml"), float(self._truth.stamps[-1]))
         self.world, self.missing = self._find_world(scenarios or ScenarioCache(), uploaded)
 
     def _find_world(self, scenarios: ScenarioCache, uploaded: bool) -> tuple[World | None, str]:
@@ -128,17 +133,23 @@ def unpacked_run(content: bytes, folder: Path, limits: Limits) -> Path:
             missing = [name for name in FILES if name not in entries]
             if missing:
                 raise SourceError(f"the archive holds no run: {', '.join(missing)} is not in it")
-            if sum(entries[name].file_size for name in FILES) > limits.upload:
+            taken = [name for name in (*FILES, *MAP_FILES) if name in entries]
+            if sum(entries[name].file_size for name in taken) > limits.upload:
                 raise SourceError(f"the archive unpacks to more than {limits.upload / 2**20:g} MiB")
-            for name in FILES:
+            for name in taken:
                 (folder / name).write_bytes(archive.read(entries[name]))
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError) as error:
         raise SourceError(f"the archive cannot be read: {error}") from error
-    # A map's YAML names its picture: only the one beside it is meant.
+    if "map.yaml" in taken:
+        _name_picture(folder)
+    return folder
+
+
+def _name_picture(folder: Path) -> None:
+    """Let a map's YAML mean the picture beside it, whatever picture it names."""
     lines = (folder / "map.yaml").read_text(encoding="utf-8", errors="replace").splitlines()
     kept = [line for line in lines if not line.startswith("image:")]
     (folder / "map.yaml").write_text("\n".join(["image: map.pgm", *kept]) + "\n", encoding="utf-8")
-    return folder
 
 
 def runs_in(folder: Path) -> dict[str, Path]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from lirs_validation.config import MANUAL, RunConfig
+from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
 from lirs_validation.experiment.cost import CostMeter
 from lirs_validation.experiment.cpu_contention import cpu_contention
 from lirs_validation.experiment.loop import Drive
@@ -110,7 +111,8 @@ class LiveDrive:
         log, until = self._drive.log, scan + 1
         observation, T_world_base = log.observations[scan], log.truth[scan]
         truth = np.array([(p.x, p.y, p.z) for p in log.truth[:until]])
-        estimate = self._T_world_map.apply([(p.x, p.y) for p in log.estimates[:until]])
+        estimates = [log.in_plane(pose) for pose in log.estimates[:until]]
+        estimate = self._T_world_map.apply([(p.x, p.y) for p in estimates])
         stamp = observation.scan.stamp
         return Moment(
             time=stamp,
@@ -147,7 +149,10 @@ class LiveDrive:
             log.status, log.reason, log.concurrent, log.final = status, reason, concurrent, None
 
     def _keep_map(self) -> None:
-        grid = self._ready.mapper.map()
+        mapper = self._ready.mapper
+        if isinstance(mapper, GuardedCloudMapper):  # has no occupancy map
+            return
+        grid = mapper.map()
         self._maps.append(MapSnapshot.of(grid.moved(self._T_world_map), self.time))
         self._drawn_at = time.monotonic()
 

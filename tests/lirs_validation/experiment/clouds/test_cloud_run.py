@@ -18,6 +18,7 @@ from lirs_validation.drawing.elevation_view import FULL, error_picture
 from lirs_validation.experiment.clouds.guard import GuardedCloudMapper, check_sensors, guarded
 from lirs_validation.experiment.mapper_guard import GuardedMapper
 from lirs_validation.experiment.mapper_loading import mapper_named, package_versions
+from lirs_validation.gui.session.finished_run import FinishedRun
 from lirs_validation.metrics.spatial.elevation import ElevationMap
 from lirs_validation.metrics.spatial.elevation_file import read_elevation
 from lirs_validation.record.result_files import damaged_files
@@ -124,6 +125,14 @@ def test_the_folder_holds_what_there_is(still: Run) -> None:
         assert damaged_files(still.folder, entry) == ["elevation.npz"]
     finally:
         (still.folder / "kept").rename(still.folder / "elevation.npz")
+
+
+def test_the_live_page_shows_the_run_without_a_map(still: Run) -> None:
+    assert still.folder is not None
+    shown = FinishedRun(still.folder)
+    moment = shown.moment(shown.scans - 1)
+    assert moment.map is None
+    assert ("map F1", "-") in moment.facts
 
 
 def test_a_run_by_another_version_of_the_mapper_is_run_again(
