@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -26,16 +26,17 @@ class KissIcpConfig:
         ConfigError: a value is not legal.
     """
 
+    mapper: ClassVar[str] = "kiss-icp"
     max_range: float = 100.0
     min_range: float = 0.0
     voxel_size: float | None = None
     threads: int = 1
 
     def __post_init__(self) -> None:
-        require_above(self, 0, "max_range", of="kiss-icp", unit="m", finite=True)
-        require_at_least(self, 0, "min_range", "threads", of="kiss-icp")
+        require_above(self, 0, "max_range", of=self.mapper, unit="m", finite=True)
+        require_at_least(self, 0, "min_range", "threads", of=self.mapper)
         if self.voxel_size is not None:
-            require_above(self, 0, "voxel_size", of="kiss-icp", unit="m", finite=True)
+            require_above(self, 0, "voxel_size", of=self.mapper, unit="m", finite=True)
 
 
 def make_kiss_icp(config: KissIcpConfig) -> CloudOdometry:

@@ -8,6 +8,7 @@ import io
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -35,11 +36,12 @@ class KissSlamConfig(KissIcpConfig):
         ConfigError: a value is not legal.
     """
 
+    mapper: ClassVar[str] = "kiss-slam"
     splitting_distance: float = 100.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_above(self, 0, "splitting_distance", of="kiss-slam", unit="m", finite=True)
+        require_above(self, 0, "splitting_distance", of=self.mapper, unit="m", finite=True)
 
 
 class KissSlamMapper:
