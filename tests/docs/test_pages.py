@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shlex
 from collections.abc import Iterator
 from dataclasses import fields
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -16,10 +18,11 @@ from lirs_envs.episodes.observations import GROUPS
 from lirs_validation.cli.app import app
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted((ROOT / "docs").rglob("*.md"))
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.rglob("*.md"))
 COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 COMMAND = re.compile(r"^ *(?:\$ )?(lirs-wct [a-z].*)$|`(lirs-wct [a-z][^`]* [^`]*)`", re.MULTILINE)
-ENVIRONMENTS = (ROOT / "docs" / "reference" / "environments.md").read_text()
+ENVIRONMENTS = (DOCS / "reference" / "environments.md").read_text()
 
 
 def commands() -> Iterator[tuple[str, str]]:
@@ -34,6 +37,22 @@ def commands() -> Iterator[tuple[str, str]]:
 def test_links_lead_to_files_as_github_reads_them(page: Path) -> None:
     for target in re.findall(r"\]\((?!\w+:|#)([^)#\s]+)", page.read_text()):
         assert (page.parent / target).exists(), target
+
+
+def test_every_page_is_in_the_index() -> None:
+    toctrees = re.findall(
+        r"^```{toctree}\n(.*?)^```", (DOCS / "index.md").read_text(), re.MULTILINE | re.DOTALL
+    )
+    listed = re.findall(r"^(?:.*<)?([a-z_/]+\*?)>?$", "".join(toctrees), re.MULTILINE)
+    pages = {page.relative_to(DOCS).with_suffix("").as_posix() for page in PAGES} - {"index"}
+    assert {page for page in pages if not any(fnmatch(page, name) for name in listed)} == set()
+
+
+@pytest.mark.parametrize("package", ["lirs_wct", "lirs_validation"])
+def test_every_public_name_is_in_the_reference(package: str) -> None:
+    page = (DOCS / "reference" / f"{package}.md").read_text()
+    names = set(importlib.import_module(package).__all__) - {"WctError"}  # all of lirs_wct.errors is there
+    assert names - set(re.findall(r"^\.\. auto\w+:: (\w+)$", page, re.MULTILINE)) == set()
 
 
 def test_commands_are_found() -> None:
@@ -65,4 +84,4 @@ def test_everything_that_is_randomized_is_named(name: str) -> None:
 
 @pytest.mark.parametrize("picture", ["worlds.png", "robots.png", "run.jpg"])
 def test_pictures_of_the_gallery_are_small(picture: str) -> None:
-    assert (ROOT / "docs" / "pictures" / picture).stat().st_size <= 150_000
+    assert (DOCS / "pictures" / picture).stat().st_size <= 150_000
