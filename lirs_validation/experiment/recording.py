@@ -54,6 +54,7 @@ class Recording:
             imu=observation.imu,
             truth=self._T_map_world @ T_world_base,
             estimate=T_map_base if self._slam else None,
+            cloud=observation.cloud,
         )
         self._writer.add(tick)
 

@@ -178,3 +178,11 @@ def test_a_finished_run_counts_where_its_bag_is_what_is_asked_for(made: Run) -> 
     file.write_bytes(whole)
     record = folder_of(made) / "record.json"
     assert json.loads(record.read_text())["config"]["bag"] == "mcap"
+
+
+def test_a_ring_lidars_clouds_are_in_the_bag(tmp_path: Path) -> None:
+    made = recorded(tmp_path, lidar="vlp16", seconds=1.0)
+    points = messages(folder_of(made))["/points"]
+    assert len(points) == len(made.log.observations) == 11
+    assert {field.name for field in points[0].fields} == {"x", "y", "z", "ring", "time"}
+    assert points[0].width * points[0].height > 10_000
