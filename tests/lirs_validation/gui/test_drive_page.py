@@ -5,8 +5,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from tests.lirs_validation.gui.pages import field, figure, upload, wait_for
 
+pytestmark = pytest.mark.slow
 Open = Callable[[], Any]
 
 

@@ -9,10 +9,12 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 
 from lirs_wct.world import World
 from tests.lirs_validation.gui.pages import drop, field, upload, wait_for
 
+pytestmark = pytest.mark.slow
 Open = Callable[[], Any]
 
 
