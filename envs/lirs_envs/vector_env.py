@@ -29,7 +29,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
     `set_attr` reach the attributes of each `EpisodeView`, such as `difficulty`.
 
     Args:
-        num_envs: N.
+        num_envs: number of robots, N.
         task: `mapping`, `navigation` or `traverse`.
         kind: of the course, where the task is to cross one.
         autoreset_mode: `NextStep`, `SameStep` or `Disabled` (see Gymnasium's `AutoresetMode`).
