@@ -21,8 +21,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 import lirs_envs  # noqa: F401  registers
 
@@ -47,16 +45,17 @@ def main() -> None:
     given = parser.parse_args()
     resets, steps = (50, 5_000) if given.quick else (1_000, 100_000)
     found: dict[str, float] = {}
+
+    def add(key: str, value: float) -> None:
+        found[key] = value
+        print(f"{key}: {value:.2f}", flush=True)
+
     for name in IDS:
         start_seconds(name)  # builds the world, and compiles
-        found[f"{name} start_s"] = start_seconds(name)
-        found[f"{name} grown_mb"] = grown(gym.make(name, time_limit=20.0), 1, resets, steps)
+        add(f"{name} start_s", start_seconds(name))
+        add(f"{name} grown_mb", grown(gym.make(name, time_limit=20.0), 1, resets, steps))
         vector = gym.make_vec(name, num_envs=N, vectorization_mode="vector_entry_point", time_limit=20.0)
-        found[f"{name} x {N} grown_mb"] = grown(vector, N, resets, steps)
-    table = Table("environment", "figure")
-    for key, value in found.items():
-        table.add_row(key, f"{value:.2f}")
-    Console().print(table)
+        add(f"{name} x {N} grown_mb", grown(vector, N, resets, steps))
     if given.json:
         given.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
