@@ -16,9 +16,7 @@ from lirs_validation.cli.app import app
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-COMMANDS = [
-    line.split("  #")[0].strip() for line in README.splitlines() if line.startswith("    lirs-wct ")
-]
+COMMANDS = [line.split("  #")[0].strip() for line in README.splitlines() if line.startswith("    lirs-wct ")]
 PROGRAMS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 FEWER = {"0,5,20": "5", "gmapping,hector,cartographer": "hector", "husky,jackal": "husky"}
 """Values in place of lists of them."""
