@@ -18,6 +18,8 @@ from lirs_wct.world import World
 
 POSES = 300
 """Places at which a scan is cast."""
+CELLS = 8000
+"""Cells along the longer side, at most, of the grid on which drivable ground is looked for."""
 STREAM = 31
 """Which of the seed's random streams they are drawn from."""
 NEAR = 0.10
@@ -118,7 +120,8 @@ def standing_on(world: World, robot: Robot, pose: Pose2) -> Pose3:
 
 def _poses(world: World, robot: Robot, rng: np.random.Generator) -> list[Pose2]:
     """Return poses drawn evenly over the drivable ground, facing anywhere."""
-    free = world.traversable(clearance=robot.radius, max_slope=robot.max_slope)
+    resolution = max(0.1, max(world.surface.size) / CELLS)
+    free = world.traversable(clearance=robot.radius, max_slope=robot.max_slope, resolution=resolution)
     cells = np.argwhere(free.free)
     if not len(cells):
         return []

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.errors import SourceError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
@@ -17,6 +18,8 @@ from lirs_wct.geometry.walls import WallGrid
 BASELINE = 0.3
 """Metres over which a slope counts: about a wheel. Shorter steps are roughness, not slope."""
 
+MOST_CELLS = 400_000_000
+"""Of a grid: 1.6 GB, the square of 2 km at 0.1 m."""
 _STRIP = 512
 """Rows of nodes looked at together: a large surface would else stand four times in the memory."""
 
@@ -41,9 +44,18 @@ def traversable(
         clearance: distance that the centre keeps from steep ground, walls and the border, metres.
         max_slope: steepest ground that the robot drives, radians, over a baseline of 0.3 m.
         resolution: metres a cell.
+
+    Raises:
+        SourceError: the surface is too large for a grid of this resolution.
     """
     west, south, east, north = surface.bounds
     shape = (max(1, math.ceil((north - south) / resolution)), max(1, math.ceil((east - west) / resolution)))
+    if math.prod(shape) > MOST_CELLS:
+        raise SourceError(
+            f"a world of {east - west:.4g} m x {north - south:.4g} m has {math.prod(shape):.2g} cells of "
+            f"{resolution:g} m to drive on, at most {MOST_CELLS:.2g} are searched: cut it (--window) or "
+            "scale it (--size)"
+        )
     grid = OccupancyGrid(np.zeros(shape, np.float32), resolution, Pose2(west, south))
     blocked = _steep_cells(surface, max_slope, grid)
     if no_ground is not None:

@@ -182,3 +182,10 @@ def test_what_is_no_source_is_told_so(tmp_path: Path) -> None:
         build_world("smple")
     with pytest.raises(SourceError, match=r"world\.json"):
         build_world(tmp_path)
+
+
+def test_a_world_too_large_to_search_says_so() -> None:
+    """An elevation model of 88 km x 110 km once asked for 3.55 TiB."""
+    world = World("dem", Terrain(HeightField.centered(np.zeros((9, 9), np.float32), (11_000.0, 13_800.0))))
+    with pytest.raises(SourceError, match=r"cells of 0\.1 m to drive on.*--window"):
+        world.traversable(clearance=0.5, max_slope=0.3)
