@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from lirs_validation.drawing.map_overview import map_overview
 from lirs_validation.metrics.log_accuracy import Accuracy
 from lirs_validation.record.map_record import MapRecord
-from lirs_wct.drawing.style import Drawing
 from lirs_wct.formats.carmen.log import CarmenLog
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from lirs_wct.drawing.style import Drawing
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,9 @@ class MappedLog:
 
     def overview(self) -> Drawing:
         """Draw the mapped log on one page."""
+        # Loaded here: the first scan of a log does not wait for matplotlib.
+        from lirs_validation.drawing.map_overview import map_overview
+
         return map_overview(self.record, self.grid, self.trajectory, self.reference, self.accuracy)
 
     def __repr__(self) -> str:
