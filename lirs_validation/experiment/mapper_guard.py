@@ -13,52 +13,18 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.mapper import Mapper, MapperStats, requires_odometry
+from slam_baselines.mapper import CloudMapper, Mapper, MapperStats, requires_odometry
 
 READ_ONLY = re.compile(r"read-?only", re.IGNORECASE)
 """What NumPy and Numba say of a write into an array that may not be written to."""
 
 
-class GuardedMapper:
-    """A mapper that is handed copies, and whose every failure becomes a `MapperError` that names it.
+class MapperGuard:
+    """What the guards of planar mappers and of mappers of point clouds share."""
 
-    A copy is read-only, so that a mapper that writes into it learns so; and it is a copy, so that one that
-    makes it writable again changes nothing but its own.
-    """
-
-    def __init__(self, mapper: Mapper, name: str) -> None:
+    def __init__(self, mapper: Mapper | CloudMapper, name: str) -> None:
         """Guard a mapper; messages call it by a name."""
         self._mapper, self._name = mapper, name
-        self._mount, self._mount_copy = Pose3(), Pose3()
-        self.requires_odometry = requires_odometry(mapper)
-
-    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        """Hand over copies; return the mapper's answer, a finite pose.
-
-        Raises:
-            MapperError: the mapper fails, writes into what it was given, or answers with something else.
-        """
-        stamp = scan.stamp
-        try:
-            if scan.T_base_laser is not self._mount:
-                self._mount, self._mount_copy = scan.T_base_laser, replace(scan.T_base_laser)
-            copy = scan_copy(scan, self._mount_copy)
-            estimate = self._mapper.update(copy, pose_copy(odometry), imu_copy(imu))
-        except BaseException as error:
-            mapper_failure(self._name, "update()", error, f" for the scan at {stamp:.3f} s")
-        check_pose(estimate, stamp)
-        return estimate
-
-    def map(self) -> OccupancyGrid:
-        """Return the mapper's map.
-
-        Raises:
-            MapperError: the mapper fails, or gives no occupancy grid.
-        """
-        try:
-            return final_map(self._mapper)
-        except BaseException as error:
-            mapper_failure(self._name, "map()", error)
 
     def trajectory(self) -> Trajectory:
         """Return the mapper's trajectory.
@@ -94,6 +60,50 @@ class GuardedMapper:
             return bool(self._mapper.lost)
         except BaseException as error:
             mapper_failure(self._name, "lost", error)
+
+
+class GuardedMapper(MapperGuard):
+    """A mapper that is handed copies, and whose every failure becomes a `MapperError` that names it.
+
+    A copy is read-only, so that a mapper that writes into it learns so; and it is a copy, so that one that
+    makes it writable again changes nothing but its own.
+    """
+
+    _mapper: Mapper
+
+    def __init__(self, mapper: Mapper, name: str) -> None:
+        """Guard a mapper; messages call it by a name."""
+        super().__init__(mapper, name)
+        self._mount, self._mount_copy = Pose3(), Pose3()
+        self.requires_odometry = requires_odometry(mapper)
+
+    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        """Hand over copies; return the mapper's answer, a finite pose.
+
+        Raises:
+            MapperError: the mapper fails, writes into what it was given, or answers with something else.
+        """
+        stamp = scan.stamp
+        try:
+            if scan.T_base_laser is not self._mount:
+                self._mount, self._mount_copy = scan.T_base_laser, replace(scan.T_base_laser)
+            copy = scan_copy(scan, self._mount_copy)
+            estimate = self._mapper.update(copy, pose_copy(odometry), imu_copy(imu))
+        except BaseException as error:
+            mapper_failure(self._name, "update()", error, f" for the scan at {stamp:.3f} s")
+        check_pose(estimate, stamp)
+        return estimate
+
+    def map(self) -> OccupancyGrid:
+        """Return the mapper's map.
+
+        Raises:
+            MapperError: the mapper fails, or gives no occupancy grid.
+        """
+        try:
+            return final_map(self._mapper)
+        except BaseException as error:
+            mapper_failure(self._name, "map()", error)
 
 
 def mapper_failure(name: str, part: str, error: BaseException, where: str = "") -> NoReturn:

@@ -11,18 +11,17 @@ from lirs_envs.lidar.presets import RING_LIDARS, make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import DRIVERS, RunConfig, driver_parts
 from lirs_validation.experiment.attitude import with_attitude
-from lirs_validation.experiment.mapper_checks import final_stats, final_trajectory, kind_of
-from lirs_validation.experiment.mapper_guard import GuardedMapper, imu_copy, mapper_failure
+from lirs_validation.experiment.mapper_checks import kind_of
+from lirs_validation.experiment.mapper_guard import GuardedMapper, MapperGuard, imu_copy, mapper_failure
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import Imu
-from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.mapper import CloudMapper, Mapper, MapperStats, reads_clouds
+from slam_baselines.mapper import CloudMapper, Mapper, reads_clouds
 
 
-class GuardedCloudMapper:
+class GuardedCloudMapper(MapperGuard):
     """A mapper that is handed read-only copies, and whose every failure becomes a `MapperError`.
 
     Args:
@@ -32,9 +31,11 @@ class GuardedCloudMapper:
     """
 
     reads_clouds = True
+    _mapper: CloudMapper
 
     def __init__(self, mapper: CloudMapper, name: str, *, attitude: bool = True) -> None:
-        self._mapper, self._name, self._attitude = mapper, name, attitude
+        super().__init__(mapper, name)
+        self._attitude = attitude
 
     def update(self, cloud: PointCloud, imu: Imu | None) -> Pose3:
         """Hand over copies; return the mapper's answer, a finite pose.
@@ -49,41 +50,6 @@ class GuardedCloudMapper:
             mapper_failure(self._name, "update()", error, f" for the scan at {stamp:.3f} s")
         check_pose3(estimate, stamp)
         return estimate
-
-    def trajectory(self) -> Trajectory:
-        """Return the mapper's trajectory.
-
-        Raises:
-            MapperError: the mapper fails, or gives no trajectory, or none that is finite.
-        """
-        try:
-            return final_trajectory(self._mapper)
-        except BaseException as error:
-            mapper_failure(self._name, "trajectory()", error)
-
-    @property
-    def stats(self) -> MapperStats:
-        """What the mapper counted.
-
-        Raises:
-            MapperError: the mapper fails, or gives no MapperStats.
-        """
-        try:
-            return final_stats(self._mapper)
-        except BaseException as error:
-            mapper_failure(self._name, "stats", error)
-
-    @property
-    def lost(self) -> bool:
-        """Whether the mapper does not know its place.
-
-        Raises:
-            MapperError: the mapper fails.
-        """
-        try:
-            return bool(self._mapper.lost)
-        except BaseException as error:
-            mapper_failure(self._name, "lost", error)
 
 
 def guarded(mapper: Mapper | CloudMapper, config: RunConfig) -> GuardedMapper | GuardedCloudMapper:
