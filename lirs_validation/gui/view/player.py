@@ -81,13 +81,14 @@ class Player:
     def _dragged(self, event: Any) -> None:
         if event.client_id is None or self.playback is None:
             return  # moved by `show`
+        wanted = float(self._slider.value)  # now: a moment that is still being shown moves the timeline back
         self._moved()
-        self._submit("timeline", self._show_dragged)
+        self._submit("timeline", lambda: self._show_time(wanted))
 
-    def _show_dragged(self) -> None:
+    def _show_time(self, time: float) -> None:
         if self.playback is not None and self.playback.scans > 1:
             period = self.playback.moment(1).time - self.playback.moment(0).time
-            self.show(round(float(self._slider.value) / period))
+            self.show(round(time / period))
 
 
 def as_table(facts: Facts) -> str:

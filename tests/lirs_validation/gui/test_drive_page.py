@@ -31,6 +31,7 @@ def test_drive_steer_save_and_replay(open_page: Open, server: Any, tmp_path: Pat
     stood = drive.scans
     page.get_by_role("button", name="Step one scan").click()
     wait_for(lambda: drive.scans == stood + 1)
+    wait_for(lambda: field(page, "timeline").input_value() == f"{drive.time:.1f}")
     assert figure(page, "ATE").endswith(" m")
 
     field(page, "timeline").fill("1")
