@@ -29,7 +29,7 @@ class WorldFacts:
         drivable: percent of the ground where a robot's centre may be, by robot.
         walls: wall cells, cells, resolution in metres, height in metres; None without a laser map.
         triangles: of the mesh that is written.
-        watertight: whether it is closed.
+        watertight: whether a reader of its STL finds it closed.
         volume: enclosed, cubic metres.
         support: what a planar scanner of a robot has to hold on to.
         error: largest vertical distance of the mesh from the surface at its nodes, metres; None for the
@@ -67,7 +67,7 @@ def world_facts(world: World, robot: str = "husky") -> WorldFacts:
         if walls is None
         else (int(walls.solid.sum()), walls.solid.size, walls.resolution, walls.height),
         triangles=len(mesh.faces),
-        watertight=mesh.is_watertight,
+        watertight=mesh.is_watertight_as_written,
         volume=mesh.volume,
         support=scan_support(world, make_robot(robot)),
         error=None if walls is not None else mesh_error(world),

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lirs_wct.arrays import FloatArray, Int32Array
 from lirs_wct.errors import ConfigError
@@ -70,9 +71,30 @@ class TriangleMesh:
         unique = len(forward) == 0 or bool(np.all(np.diff(forward) > 0))
         return unique and bool(np.array_equal(forward, backward))
 
+    @property
+    def is_watertight_as_written(self) -> bool:
+        """`is_watertight` of what a reader makes of an STL: float32 positions, equal ones merged."""
+        written = self.vertices.astype(np.float32).astype(np.float64)
+        return welded(TriangleMesh(written, self.faces)).is_watertight
+
     def rotated_x(self, degrees: float) -> TriangleMesh:
         """Return the mesh turned about the x axis, from y towards z; normals turn with it."""
         c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
         turn = np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
         normals = None if self.normals is None else self.normals @ turn
         return replace(self, vertices=self.vertices @ turn, normals=normals)
+
+
+def welded(mesh: TriangleMesh) -> TriangleMesh:
+    """Return the mesh with one vertex a place; all triangles stay, texture coordinates and normals do not."""
+    # Adding 0 makes -0.0 and 0.0 the same place.
+    vertices = np.ascontiguousarray(mesh.vertices + 0.0)
+    keys = vertices.view(np.uint64)
+    mixed: NDArray[np.uint64] = keys[:, 0].copy()
+    for column in (1, 2):
+        mixed = (mixed * np.uint64(0x9E3779B97F4A7C15)) ^ (mixed >> np.uint64(29)) ^ keys[:, column]
+    _, first, index = np.unique(mixed, return_index=True, return_inverse=True)
+    if not np.array_equal(vertices[first][index], vertices):
+        # Two places with one key: as good as never, and then slowly.
+        _, first, index = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+    return TriangleMesh(vertices[first], index.reshape(-1)[mesh.faces].astype(np.int32))

@@ -1,9 +1,9 @@
 """A laser map as one closed solid: walls and floor on a slab, holes through it.
 
 The plan is cut into rectangles of wall, floor and hole. Every corner of any rectangle is made a vertex of
-all rectangles that it touches, so that no edge ends in the middle of another. Where two walls touch only
-at a corner, each has its own upper vertex there, and two parts of the floor their own lower one: an edge
-never joins more than two triangles.
+all rectangles that it touches, so that no edge ends in the middle of another. Where two walls, or two parts
+of the floor, touch only at a corner, the northern one has its own vertices there, a millimetre inside its
+cell: an edge never joins more than two triangles, not even in an STL, whose readers merge equal positions.
 """
 
 from __future__ import annotations
@@ -24,8 +24,10 @@ SLAB = 0.1
 VOID, GROUND, WALL = 0, 1, 2
 """What a cell is."""
 CellKinds = NDArray[np.int8]
-BOTTOM, TWIN_BOTTOM, FLOOR, TOP, TWIN_TOP, LEVELS = 0, 1, 2, 3, 4, 5
+BOTTOM, TWIN_BOTTOM, FLOOR, TWIN_FLOOR, TOP, TWIN_TOP, LEVELS = 0, 1, 2, 3, 4, 5, 6
 """Heights that a corner of the plan can have; the twin is the vertex of a second body."""
+GAP = 0.001
+"""Metres along both axes between vertices of two bodies that touch at a corner; of small cells a tenth."""
 
 
 def wall_mesh(walls: WallGrid, slab: float = SLAB) -> TriangleMesh:
@@ -44,9 +46,10 @@ def wall_mesh(walls: WallGrid, slab: float = SLAB) -> TriangleMesh:
     if walls.hole is not None:
         kind[walls.hole] = VOID
     marked = _corners(np.concatenate((rectangles, holes)), walls.shape)
-    codes = _triangles(rectangles, is_wall, np.pad(kind, 1), marked, len(holes) > 0)
+    kind = np.pad(kind, 1)
+    codes = _triangles(rectangles, is_wall, kind, marked, len(holes) > 0)
     used, faces = np.unique(codes, return_inverse=True)
-    vertices = _placed(used, rectangles, is_wall, walls, slab)
+    vertices = _placed(used, rectangles, is_wall, kind, walls, slab)
     return TriangleMesh(vertices, faces.reshape(-1, 3).astype(np.int32))
 
 
@@ -62,22 +65,33 @@ def _placed(
     used: IntArray,
     rectangles: IntArray,
     is_wall: BoolArray,
+    kind: CellKinds,
     walls: WallGrid,
     slab: float,
 ) -> FloatArray:
     """Return (n, 3) what codes stand for: lattice points at a level, then middles of rectangles."""
     rows, cols = walls.shape
     lattice = (rows + 1) * (cols + 1) * LEVELS
-    heights = np.array((-slab, -slab, 0.0, walls.height, walls.height))
+    heights = np.array((-slab, -slab, 0.0, 0.0, walls.height, walls.height))
     corner, middle = used[used < lattice], used[used >= lattice] - lattice
     point, level = np.divmod(corner, LEVELS)
     row, col = np.divmod(point, cols + 1)
     # Middles of the upper sides, of the whole underside, of each underside.
     boxes = np.concatenate((rectangles, [[0, 0, rows, cols]], rectangles))[middle]
     upper, lower = np.where(is_wall, walls.height, 0.0), np.full(len(rectangles) + 1, -slab)
-    plan = np.concatenate((np.stack((col, row), axis=-1), (boxes[:, [1, 0]] + boxes[:, [3, 2]]) / 2))
+    lattice_plan = np.stack((col, row), axis=-1) + _apart(row, col, level, kind, walls.resolution)
+    plan = np.concatenate((lattice_plan, (boxes[:, [1, 0]] + boxes[:, [3, 2]]) / 2))
     xy = walls.origin.apply(plan * walls.resolution)
     return np.column_stack((xy, np.concatenate((heights[level], np.concatenate((upper, lower))[middle]))))
+
+
+def _apart(row: IntArray, col: IntArray, level: IntArray, kind: CellKinds, resolution: float) -> FloatArray:
+    """Return (n, 2) how far twins lie inside their own cell, cells; 0 for the other vertices."""
+    twin = level % 2 == 1
+    least = np.where(level == TWIN_TOP, WALL, GROUND)
+    east = np.where(kind[row + 1, col + 1] >= least, 1.0, -1.0)
+    step = min(GAP / resolution, 0.1)
+    return np.where(twin[:, None], np.stack((east, np.ones_like(east)), axis=-1) * step, 0.0)
 
 
 @njit(cache=True)
@@ -101,8 +115,9 @@ def _triangles(
         for i in range(m):
             # At a corner the row of the rectangle's own cell; elsewhere there is no twin to choose.
             row = ring[i, 0] if ring[i, 0] == r0 else ring[i, 0] - 1
-            low[i] = _code(ring[i], TWIN_BOTTOM if _twin(ring[i], row, kind, GROUND) else BOTTOM, cols)
-            floor[i] = _code(ring[i], FLOOR, cols)
+            second = _twin(ring[i], row, kind, GROUND)
+            low[i] = _code(ring[i], TWIN_BOTTOM if second else BOTTOM, cols)
+            floor[i] = _code(ring[i], TWIN_FLOOR if second else FLOOR, cols)
             top[i] = floor[i]
             if is_wall[k]:
                 top[i] = _code(ring[i], TWIN_TOP if _twin(ring[i], row, kind, WALL) else TOP, cols)

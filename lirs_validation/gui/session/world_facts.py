@@ -36,6 +36,6 @@ def built_facts(world: World) -> Facts:
         ("metres", world.scale),
         ("triangles", f"{len(mesh.faces):,}"),
         ("mesh error", error),
-        ("watertight", "yes" if mesh.is_watertight else "no"),
+        ("watertight", "yes" if mesh.is_watertight_as_written else "no"),
         ("start poses", str(len(world.spawn_poses))),
     )

@@ -6,12 +6,11 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.meshes.stl import read_mesh
 from lirs_wct.formats.suffixes import MESHES
-from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.mesh import TriangleMesh, welded
 
 _HEAD = 1 << 16
 """Bytes of a COLLADA file in which its <asset> stands."""
@@ -46,19 +45,9 @@ def read_upright(path: Path) -> TriangleMesh:
 
 def _merged(mesh: TriangleMesh) -> TriangleMesh:
     """Return the mesh with one vertex a place, and without triangles that have two corners there."""
-    # Adding 0 makes -0.0 and 0.0 the same place.
-    vertices = np.ascontiguousarray(mesh.vertices + 0.0)
-    keys = vertices.view(np.uint64)
-    mixed: NDArray[np.uint64] = keys[:, 0].copy()
-    for column in (1, 2):
-        mixed = (mixed * np.uint64(0x9E3779B97F4A7C15)) ^ (mixed >> np.uint64(29)) ^ keys[:, column]
-    _, first, index = np.unique(mixed, return_index=True, return_inverse=True)
-    if not np.array_equal(vertices[first][index], vertices):
-        # Two places with one key: as good as never, and then slowly.
-        _, first, index = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-    faces = index.reshape(-1)[mesh.faces].astype(np.int32)
-    a, b, c = faces.T
-    return TriangleMesh(vertices[first], faces[(a != b) & (b != c) & (c != a)])
+    whole = welded(mesh)
+    a, b, c = whole.faces.T
+    return TriangleMesh(whole.vertices, whole.faces[(a != b) & (b != c) & (c != a)])
 
 
 def _collada_frame(path: Path) -> tuple[str, float]:

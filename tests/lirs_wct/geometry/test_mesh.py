@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lirs_wct.errors import ConfigError
+from lirs_wct.formats.meshes.stl import write_stl
 from lirs_wct.geometry.mesh import TriangleMesh
 
 POINTS = np.random.default_rng(7).normal(size=(4, 3))
@@ -48,6 +50,23 @@ def test_what_is_not_closed(seed: int) -> None:
     twice = np.concatenate((mesh.faces, mesh.faces[:1], mesh.faces[:1, ::-1]))  # a fin without thickness
     assert not TriangleMesh(mesh.vertices, twice).is_watertight
     assert TriangleMesh(mesh.vertices, mesh.faces[:0]).is_watertight
+
+
+def test_closed_as_an_stl_is_what_trimesh_says_of_it(tmp_path: Path) -> None:
+    """Two tetrahedra that share an edge by position are closed by index, and not in the file."""
+    one, moved = solid(3), np.array((1e-3, 0, 0))
+    edge = one.vertices[one.faces[0, :2]]
+    for shift, closed in ((0.0, False), (1.0, True)):
+        other = (
+            np.concatenate((edge, edge.mean(axis=0) + one.face_normals[0] * 9 + np.eye(3)[:2]))
+            + shift * moved
+        )
+        faces = np.array(((0, 1, 2), (1, 0, 3), (0, 2, 3), (2, 1, 3)), np.int32) + len(one.vertices)
+        both = TriangleMesh(np.concatenate((one.vertices, other)), np.concatenate((one.faces, faces)))
+        write_stl(tmp_path / "both.stl", both)
+        assert both.is_watertight
+        assert both.is_watertight_as_written == closed
+        assert trimesh.load_mesh(tmp_path / "both.stl").is_watertight == closed
 
 
 def test_a_triangle_without_area_has_no_normal() -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
@@ -9,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from lirs_wct.formats.meshes.stl import write_stl
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.meshing.wall_solid import SLAB, wall_mesh
@@ -21,7 +25,7 @@ def test_the_solid_is_closed_and_has_the_volume_of_its_cells(solid: np.ndarray, 
     walls = WallGrid(solid, 0.5, Pose2(1, 2, yaw), 2.0)
     mesh = wall_mesh(walls)
     assert mesh.is_watertight
-    assert mesh.volume == pytest.approx(0.25 * (solid.size * SLAB + solid.sum() * 2.0), rel=1e-9)
+    assert mesh.volume == pytest.approx(0.25 * (solid.size * SLAB + solid.sum() * 2.0), rel=0.01)
     assert (np.linalg.norm(mesh.face_normals, axis=1) > 0.5).all()
 
 
@@ -35,7 +39,7 @@ def test_holes_go_through_and_leave_the_solid_closed(kind: np.ndarray, yaw: floa
     walls = WallGrid(kind == 2, 0.5, Pose2(1, 2, yaw), 2.0, kind == 0)
     mesh = wall_mesh(walls)
     assert mesh.is_watertight
-    assert mesh.volume == pytest.approx(0.25 * ((kind > 0).sum() * SLAB + (kind == 2).sum() * 2.0), rel=1e-9)
+    assert mesh.volume == pytest.approx(0.25 * ((kind > 0).sum() * SLAB + (kind == 2).sum() * 2.0), rel=0.01)
     assert (np.linalg.norm(mesh.face_normals, axis=1) > 0.5).all()
     below = mesh.face_normals[:, 2] < -0.5
     tops = mesh.vertices[mesh.faces[below]][:, :, 2]
@@ -80,6 +84,43 @@ def test_no_edge_joins_more_than_two_triangles(kind: np.ndarray) -> None:
     assert theirs.is_watertight
     assert theirs.is_winding_consistent
     assert len(np.unique(mesh.faces)) == len(mesh.vertices)
+
+
+@given(kinds, st.floats(-3, 3), st.sampled_from((0.5, 0.05, 0.005)))
+def test_a_reader_that_merges_equal_positions_has_a_manifold(
+    kind: np.ndarray, yaw: float, resolution: float
+) -> None:
+    """An STL as trimesh reads it: two triangles an edge, one fan of triangles a vertex."""
+    kind[-1, -1] = 2
+    mesh = wall_mesh(WallGrid(kind == 2, resolution, Pose2(40, -20, yaw), 2.0, kind == 0))
+    with tempfile.TemporaryDirectory() as folder:
+        write_stl(Path(folder) / "walls.stl", mesh)
+        read = trimesh.load_mesh(Path(folder) / "walls.stl")
+    assert len(read.vertices) == len(mesh.vertices)
+    assert read.is_watertight
+    assert read.is_winding_consistent
+    assert fans(read) == len(read.vertices)
+
+
+def fans(mesh: trimesh.Trimesh) -> int:
+    """Return the number of fans: triangles around a vertex that hang together by edges at it."""
+    corners = np.arange(mesh.faces.size).reshape(-1, 3)
+    at = [dict(zip(face, corner, strict=True)) for face, corner in zip(mesh.faces, corners, strict=True)]
+    links = [
+        (at[one][v], at[other][v])
+        for (one, other), edge in zip(mesh.face_adjacency, mesh.face_adjacency_edges, strict=True)
+        for v in edge
+    ]
+    return len(trimesh.graph.connected_components(np.array(links), nodes=corners.ravel(), min_len=1))
+
+
+def test_corners_that_touch_are_a_millimetre_apart() -> None:
+    solid = np.array(((1, 0), (0, 1)), np.bool_)
+    mesh = wall_mesh(WallGrid(solid, 0.05))
+    exact = np.round(mesh.vertices[:, :2] / 0.025) * 0.025
+    moved = np.abs(mesh.vertices[:, :2] - exact).max(axis=1)
+    assert moved.max() == pytest.approx(0.001)
+    assert (moved > 1e-9).sum() == 1
 
 
 @pytest.mark.parametrize(
