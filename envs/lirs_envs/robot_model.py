@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from lirs_envs.actors.walkers import Walkers, add_walkers
+from lirs_envs.collisions import check_divergence
 from lirs_envs.props import STATIC_ROBOT, Prop, StaticRobot, add_props
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import FloatArray, Vector3
@@ -26,6 +27,8 @@ FULL_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 """All that the next step depends on, warm start included."""
 CONTROL_PERIOD = 0.008
 """Longest time between two control updates, seconds."""
+REFERENCE_TIMESTEP = 0.004
+"""Longest step of the reference physics, seconds, whatever a robot's own step is."""
 SETTLING_TIME = 0.6
 """Time that a robot is given to come to rest after it was set down, seconds."""
 CONTACT_SENSOR = "touch_"
@@ -80,8 +83,9 @@ class RobotModel:
         self._height_range = height_range
         self.contact: ContactGrid = (contact_grid if height_range is None else surface_itself)(world.surface)
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
-        steps = math.ceil(period / spec.option.timestep - 1e-9)
-        spec.option.timestep = self.timestep = period / steps
+        self._period = period
+        spec.option.timestep = self.timestep = _even_part(period, spec.option.timestep)
+        steps = round(period / self.timestep)
         most = max(1, int(CONTROL_PERIOD / self.timestep + 1e-9))
         self.substeps = tuple(min(most, steps - done) for done in range(0, steps, most))
         if contact_sensors:
@@ -222,27 +226,66 @@ class RobotModel:
         return state
 
     def replay(
-        self, initial: FloatArray, controls: Sequence[tuple[float, ...]], walkers: Walkers | None = None
+        self,
+        initial: FloatArray,
+        controls: Sequence[tuple[float, ...]],
+        walkers: Walkers | None = None,
+        *,
+        reference: bool = False,
     ) -> tuple[float, Pose3]:
         """Step from a state with given controls, one each control update; put the present state back.
 
         Walkers walk on from where they are.
 
+        Args:
+            initial: state to begin in.
+            controls: one each control update.
+            walkers: that walk beside it.
+            reference: whether to take the reference physics' step; a control then is in force at the steps
+                that begin within its update.
+
         Returns:
             Wall-clock seconds, and the last pose.
+
+        Raises:
+            SimulationError: the reference physics diverged.
         """
-        present = self.state()
+        present, own, warnings = self.state(), self.timestep, self.data.warning.number.copy()
+        timestep = _even_part(self._period, REFERENCE_TIMESTEP) if reference else own
+        substeps = self._steps_within_updates(timestep)
         mujoco.mj_setState(self.model, self.data, initial, FULL_STATE)
-        begun = time.perf_counter()
-        for k, control in enumerate(controls):
-            steps = self.substeps[k % len(self.substeps)]
-            if walkers is not None:
-                self.walk(walkers, steps * self.timestep)
-            self.step(control, steps)
-        seconds = time.perf_counter() - begun
-        pose = self.pose()
-        mujoco.mj_setState(self.model, self.data, present, FULL_STATE)
-        return seconds, pose
+        self.model.opt.timestep = timestep
+        try:
+            begun = time.perf_counter()
+            for k, control in enumerate(controls):
+                steps = substeps[k % len(substeps)]
+                if walkers is not None:
+                    self.walk(walkers, steps * timestep)
+                self.step(control, steps)
+            seconds = time.perf_counter() - begun
+            if reference:
+                check_divergence(self.data)
+            return seconds, self.pose()
+        finally:
+            self.model.opt.timestep = own
+            self.data.warning.number[:] = warnings
+            mujoco.mj_setState(self.model, self.data, present, FULL_STATE)
+
+    @property
+    def steps_as_reference(self) -> bool:
+        """Whether the robot's own step is the reference physics'."""
+        return self.timestep == _even_part(self._period, REFERENCE_TIMESTEP)
+
+    def _steps_within_updates(self, timestep: float) -> tuple[int, ...]:
+        """Return how many steps of some length begin within each control update of one period."""
+        ends = np.cumsum(self.substeps) * (self.timestep / timestep)
+        begun = np.ceil(ends - 1e-6).astype(int)
+        return tuple(np.diff(begun, prepend=0).tolist())
+
+
+def _even_part(period: float, longest: float) -> float:
+    """Return the largest whole part of a period that is at most `longest`, seconds."""
+    return period / math.ceil(period / longest - 1e-9)
 
 
 def base_pose(qpos: FloatArray) -> Pose3:

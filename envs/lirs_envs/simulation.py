@@ -232,22 +232,29 @@ class Simulation:
         width = len(self.robot.rotors) or 2
         return np.array(self._controls, dtype=np.float64).reshape(-1, width)
 
-    def replay(self) -> PhysicsReplay:
+    def replay(self, *, reference: bool = False) -> PhysicsReplay:
         """Send the recorded controls through MuJoCo's step alone; the simulation stays as it is.
 
+        Args:
+            reference: whether through the reference physics (see `RobotModel.replay`), where the robot need
+                not come the same way.
+
         Raises:
-            SimulationError: nothing was driven since the reset.
+            SimulationError: nothing was driven since the reset, or the reference physics diverged.
         """
         if self._initial_state is None or not self._controls:
             raise SimulationError("nothing was driven since the reset: there is nothing to replay")
         walkers = self.walkers
-        if walkers is None or self._initial_walkers is None:
-            seconds, pose = self.body.replay(self._initial_state, self._controls)
-        else:
-            present = walkers.state()
+        present = None if walkers is None else walkers.state()
+        if walkers is not None and self._initial_walkers is not None:
             walkers.restore(self._initial_walkers)
-            seconds, pose = self.body.replay(self._initial_state, self._controls, walkers)
-            walkers.restore(present)
+        try:
+            seconds, pose = self.body.replay(
+                self._initial_state, self._controls, walkers, reference=reference
+            )
+        finally:
+            if walkers is not None and present is not None:
+                walkers.restore(present)
         return PhysicsReplay(seconds, self.time, pose)
 
     def _check_settled(self, start: Pose2) -> None:

@@ -27,6 +27,7 @@ from lirs_validation.metrics.spatial.trajectory import spatial_errors
 from lirs_validation.record.provenance import versions
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status
 from lirs_validation.record.verdict import incompleteness
+from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.world import World
 from slam_baselines.mapper import Mapper
@@ -178,13 +179,28 @@ def evaluate_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
         "std": float(np.std(series)),
         "min": float(series.min()),
         "parts": parts | {"rest": total - sum(parts.values())},
-        "physics_only": simulation.replay().rtf,
+        **physics_rtf(simulation),
         "simulated_seconds": len(log.walls) * period,
         "wall_seconds": sum(log.walls),
         "concurrent": log.concurrent,
         "extrapolated": log.status == "wall limit",
         "series": series.tolist(),
     }
+
+
+def physics_rtf(simulation: Simulation) -> dict[str, float | None]:
+    """Return the RTF of the recorded controls through MuJoCo's step alone, and through the reference physics.
+
+    The latter is None where that diverges: some robots need a shorter step.
+    """
+    alone = simulation.replay().rtf
+    if simulation.body.steps_as_reference:
+        return {"physics_only": alone, "physics_reference": alone}
+    try:
+        reference = simulation.replay(reference=True).rtf
+    except SimulationError:
+        reference = None
+    return {"physics_only": alone, "physics_reference": reference}
 
 
 def evaluate_contact(simulation: Simulation) -> dict[str, Any]:

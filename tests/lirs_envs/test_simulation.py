@@ -66,6 +66,26 @@ def test_the_config_s_start_is_where_a_reset_sets_the_robot_down(plane: World, h
     assert sim.T_world_base.to_pose2().distance(Pose2(-1.0, 0.0)) < 0.02
 
 
+@pytest.mark.parametrize("name", ["turtlebot2", "turtlebot3_burger", "jackal"])
+def test_the_reference_physics_goes_the_same_way_in_steps_of_its_own(plane: World, name: str) -> None:
+    sim = Simulation(plane, SimulationConfig(robot=make_robot(name)))
+    drive(sim)
+    before, own = sim.body.state().tobytes(), sim.replay()
+    reference = sim.replay(reference=True)
+    np.testing.assert_allclose(reference.T_world_base.position, own.T_world_base.position, atol=0.03)
+    assert sim.body.steps_as_reference == (reference.T_world_base == own.T_world_base)
+    # The simulation goes on as if nothing had been replayed.
+    assert sim.body.state().tobytes() == before
+    assert sim.replay().T_world_base == own.T_world_base
+
+
+def test_the_reference_physics_holds_each_control_at_the_steps_within_it(plane: World) -> None:
+    body = Simulation(plane, SimulationConfig(robot=make_robot("turtlebot2"))).body
+    assert sum(body.substeps) == round(0.1 / 0.002)
+    assert body._steps_within_updates(0.004) == (2,) * 12 + (1,)
+    assert body._steps_within_updates(body.timestep) == body.substeps
+
+
 def test_replay_ends_where_the_run_ended(rough: World, husky: Robot) -> None:
     sim = Simulation(rough, SimulationConfig(robot=husky))
     drive(sim)
