@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from lirs_wct.errors import OutputError
+from lirs_wct.manifest import MANIFEST, keep_foreign, write_manifest
 
 _TEMPORARY = re.compile(r"(\..*)\.(\d+)-[0-9a-f]{8}(|\.[^.]*)")
 """What `_beside` names: stem, process, random digits, suffix."""
@@ -52,34 +53,44 @@ def atomic_write(path: Path) -> Iterator[Path]:
 def atomic_folder(path: Path) -> Iterator[Path]:
     """Give a new empty folder beside `path`; it takes the place of `path` when the block ends well.
 
-    An older folder at `path` is replaced as a whole. When the block raises, Ctrl-C included, the
-    temporary folder is removed and the older one stays as it was.
+    Of an older folder at `path` those files go that its manifest says were written here; whatever else lies
+    there stays (see `keep_foreign`). When the block raises, Ctrl-C included, the temporary folder is
+    removed and the older one stays as it was. A link to a folder stays a link.
 
     Raises:
         OutputError: the folder cannot be written, or a file has its name.
     """
-    temporary, old = _beside(path), _beside(path)
+    place = path.resolve() if path.is_symlink() else path
+    temporary, old = _beside(place), _beside(place)
     try:
         if path.exists() and not path.is_dir():
             raise OutputError(f"{path}: is a file, a folder is to be written there")
         temporary.mkdir(parents=True)
-        remove_leftovers([path])
+        remove_leftovers([place])
         yield temporary
+        write_manifest(temporary)
         _flush(temporary)
-        if path.exists():
-            path.rename(old)
-        try:
-            temporary.rename(path)
-        except OSError:
-            if old.exists():
-                old.rename(path)
-            raise
+        if place.exists():
+            keep_foreign(place, temporary, shown=path)
+        _exchange(place, temporary, old)
     except OSError as error:
         raise _cannot_write(path, error) from error
     finally:
         for own in (temporary, old):
             shutil.rmtree(own, ignore_errors=True)
             _WRITING.discard(own.name)
+
+
+def _exchange(place: Path, new: Path, old: Path) -> None:
+    """Put a new folder in a place; an older one that is there gets the name `old`."""
+    if place.exists():
+        place.rename(old)
+    try:
+        new.rename(place)
+    except OSError:
+        if old.exists():
+            old.rename(place)
+        raise
 
 
 def _flush(folder: Path) -> None:
@@ -93,13 +104,20 @@ def _flush(folder: Path) -> None:
 def remove_leftovers(paths: Iterable[Path]) -> None:
     """Remove what processes that were killed left behind while they wrote these paths.
 
-    What a process that still lives is writing stays.
+    What a process that still lives is writing stays. A folder that is complete, of a process that was killed
+    between two renames and left none at its path, is put there.
     """
-    wanted = {(path.parent, f".{path.stem[:80]}", path.suffix) for path in paths}
+    wanted = {(path.parent, f".{path.stem[:80]}", path.suffix): path for path in paths}
     for folder in {parent for parent, _, _ in wanted}:
         for name in _hidden(folder):
             found = _TEMPORARY.fullmatch(name)
-            if found and (folder, found[1], found[3]) in wanted and not _in_use(name, int(found[2])):
+            path = wanted.get((folder, found[1], found[3])) if found else None
+            if found is None or path is None or _in_use(name, int(found[2])):
+                continue
+            # The manifest is written last.
+            if (folder / name / MANIFEST).is_file() and not path.exists():
+                (folder / name).rename(path)
+            else:
                 _remove(folder / name)
 
 

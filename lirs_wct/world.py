@@ -47,6 +47,7 @@ class World(ShownAsPicture):
         spawn_poses: poses where a robot as large as a Husky can be set down, the roomiest first.
         scale: where the metres come from, a text.
         export_options: how the mesh files are made.
+        source: absolute path of what it was made from, or a bundled name; None = made in code.
     """
 
     name: str
@@ -54,6 +55,7 @@ class World(ShownAsPicture):
     spawn_poses: tuple[Pose2, ...] = ()
     scale: str = "as given"
     export_options: ExportOptions = field(default_factory=ExportOptions)
+    source: str | None = None
 
     def __repr__(self) -> str:
         starts = f"{len(self.spawn_poses)} start poses"
@@ -139,6 +141,7 @@ class World(ShownAsPicture):
             overhangs=self.overhangs,
             no_ground=self.no_ground,
             export_options=asdict(self.export_options),
+            source=self.source,
         )
         return write_world(content, Path(folder))
 
@@ -152,7 +155,9 @@ class World(ShownAsPicture):
         content = read_world(Path(folder))
         with checked_content(Path(folder)):
             settings = ExportOptions(**content.export_options)
-        return World(content.name, _ground(content), content.spawn_poses, content.scale, settings)
+        return World(
+            content.name, _ground(content), content.spawn_poses, content.scale, settings, content.source
+        )
 
 
 def _ground(content: WorldFile) -> Ground:
@@ -191,7 +196,7 @@ def _place(found: Source, options: BuildOptions) -> World:
         ground, scale = read_laser_map(found, options)
     else:
         ground, scale = read_terrain(found, options)
-    return _with_spawn_poses(World(found.name, ground, scale=scale))
+    return _with_spawn_poses(World(found.name, ground, scale=scale, source=found.identity))
 
 
 def _loaded_world(source: Source, options: BuildOptions) -> World:

@@ -49,6 +49,7 @@ def build(
             output,
             formats=read_names(to, "--to"),
             terrain=gazebo_terrain(terrain),
+            overwrite=options.name is not None,
             progress=progress,
         )
     width, depth = world.surface.size
@@ -101,13 +102,11 @@ def convert(
     target: Annotated[Path, typer.Argument(metavar="OUT", help="Mesh in another of these formats.")],
     rotate_x: Annotated[float, typer_option(ExportOptions, "rotate_x")] = 0.0,
 ) -> None:
-    """Convert a mesh between stl, dae, obj, ply and glb; up stays up."""
-    from lirs_wct.export.mesh_writer import write_mesh
-    from lirs_wct.formats.meshes.mesh_reader import read_upright
+    """Convert a mesh between stl, dae, obj, ply and glb; up stays up, dae, obj and glb keep the texture."""
+    from lirs_wct.export.mesh_conversion import convert_mesh
 
     with err.status(f"converting {source}"):
-        mesh = read_upright(source)
-        write_mesh(target, mesh.rotated_x(rotate_x) if rotate_x else mesh)
+        mesh = convert_mesh(source, target, rotate_x)
     closed = "watertight" if mesh.is_watertight else "not watertight"
     out.print(f"{target}: {len(mesh.faces)} triangles, {closed}", soft_wrap=True, highlight=False)
 

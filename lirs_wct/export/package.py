@@ -15,7 +15,7 @@ from lirs_wct.formats.gazebo.sdf import model_config, model_sdf, world_sdf
 from lirs_wct.formats.images.image_writer import write_image
 from lirs_wct.formats.meshes.obj import write_obj
 from lirs_wct.formats.meshes.stl import write_stl, write_triangles
-from lirs_wct.formats.world_json import TEXTURES
+from lirs_wct.formats.world_json import TEXTURES, recorded_source
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.ground_texture import ground_texture
 from lirs_wct.meshing.solid import solid_triangles
@@ -38,27 +38,27 @@ def write_package(
     *,
     formats: Collection[str] = DEFAULT_FORMATS,
     terrain: GazeboTerrain = "solid",
+    overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> Path:
-    """Write `parent/NAME/`, whole or not at all, and return it.
+    """Write `parent/NAME/`, whole or not at all, and return it; what the user put there stays.
 
     Args:
         world: to be written.
         parent: folder for the world's folder.
         formats: of `FORMATS`.
         terrain: what Gazebo's model is: the solid mesh, or a heightmap (8 bit, as the paper compares with).
+        overwrite: whether the world of another source may be replaced.
         progress: called with the name of the file being written.
 
     Raises:
         ConfigError: no such format, or the world cannot be written in it.
-        OutputError: the folder cannot be written, or holds something that is not a built world.
+        OutputError: the folder cannot be written, holds something that is not a built world, or the world of
+            another source.
     """
     folder = Path(parent) / world.name
     _check(world, formats, terrain)
-    if folder.is_dir() and any(folder.iterdir()) and not (folder / "world.json").is_file():
-        raise OutputError(
-            f"{folder}: holds files that are not a built world; choose another folder or --name"
-        )
+    _check_place(world, folder, overwrite)
     steps = Steps(2 + len(set(formats)), progress)
     with atomic_folder(folder) as temporary:
         steps.begin("world.json")
@@ -75,6 +75,22 @@ def write_package(
             steps.begin(f"{world.name}.hfield")
             write_hfield(temporary / f"{world.name}.hfield", world.surface)
     return folder
+
+
+def _check_place(world: World, folder: Path, overwrite: bool) -> None:
+    """Refuse a folder that holds something else, or the world of another source unless that may go."""
+    if not folder.is_dir() or not any(folder.iterdir()):
+        return
+    if not (folder / "world.json").is_file():
+        raise OutputError(
+            f"{folder}: holds files that are not a built world; choose another folder or --name"
+        )
+    former = recorded_source(folder)
+    if former not in (None, world.source) and not overwrite:
+        raise OutputError(
+            f"{folder}: holds the world of another source, {former}; give this one another --name, or "
+            f"--name {world.name} to replace it"
+        )
 
 
 def _check(world: World, formats: Collection[str], terrain: str) -> None:

@@ -44,6 +44,7 @@ class WorldFile:
         overhangs: whether that mesh is more than its heights from above.
         no_ground: (rows, cols) nodes of the surface without ground.
         export_options: name -> value; `texture` is a path or None.
+        source: that it was made from; None where none is known.
     """
 
     name: str
@@ -57,6 +58,7 @@ class WorldFile:
     overhangs: bool = False
     no_ground: BoolArray | None = None
     export_options: Mapping[str, Any] = field(default_factory=dict)
+    source: str | None = None
 
 
 def write_world(world: WorldFile, folder: Path) -> Path:
@@ -71,6 +73,7 @@ def write_world(world: WorldFile, folder: Path) -> Path:
         "name": world.name,
         "kind": world.kind,
         "scale": world.scale,
+        "source": world.source,
         "surface": {"cell": world.surface.cell, "origin": world.surface.origin},
         "starts": [astuple(pose) for pose in world.spawn_poses],
         "arrays": ARRAYS,
@@ -94,6 +97,13 @@ def write_world(world: WorldFile, folder: Path) -> Path:
     with atomic_write(folder / JSON) as path:
         path.write_text(json.dumps(entry, indent=1) + "\n", encoding="utf-8")
     return folder
+
+
+def recorded_source(folder: Path) -> str | None:
+    """Return the source of the world in a folder; None where none is known."""
+    with checked_content(folder):
+        source: str | None = json.loads((folder / JSON).read_text(encoding="utf-8")).get("source")
+        return source
 
 
 def _write_arrays(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
@@ -137,6 +147,7 @@ def read_world(folder: Path) -> WorldFile:
                 overhangs=bool(entry.get("overhangs", False)),
                 no_ground=arrays.get("bare"),
                 export_options=_export_settings(entry, folder),
+                source=entry.get("source"),
             )
 
 

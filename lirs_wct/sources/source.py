@@ -22,6 +22,11 @@ class Source:
     path: Path
     name: str
 
+    @property
+    def identity(self) -> str:
+        """What tells it from other sources: its absolute path, or its bundled name."""
+        return self.path.name if self.kind is SourceKind.BUNDLED else str(self.path.resolve())
+
 
 def find_source(given: str | Path, options: BuildOptions) -> Source:
     """Return what a source is.

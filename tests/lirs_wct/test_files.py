@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
 
 from lirs_wct.errors import OutputError
 from lirs_wct.files import atomic_folder, atomic_write, remove_orphans
+from lirs_wct.manifest import MANIFEST
 
 
 def listing(folder: Path) -> list[str]:
@@ -48,7 +50,7 @@ def test_a_folder_is_replaced_as_a_whole(tmp_path: Path) -> None:
     for name in ("first", "second"):
         with atomic_folder(target) as temporary:
             (temporary / name).write_text(name)
-    assert listing(tmp_path) == ["world", "world/second"]
+    assert listing(tmp_path) == ["world", f"world/{MANIFEST}", "world/second"]
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
@@ -114,3 +116,113 @@ def test_orphans_of_dead_processes_are_removed(tmp_path: Path) -> None:
         (tmp_path / name).write_text("")
     remove_orphans(tmp_path, "trace-")
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names[1:])
+
+
+def write_folder(target: Path, **files: str) -> None:
+    with atomic_folder(target) as temporary:
+        for name, text in files.items():
+            (temporary / name).write_text(text)
+
+
+def test_what_the_user_put_into_a_folder_stays(tmp_path: Path) -> None:
+    target = tmp_path / "world"
+    write_folder(target, model="1", gone="1")
+    (target / "notes.txt").write_text("mine")
+    (target / "urdf" / "empty").mkdir(parents=True)
+    (target / "urdf" / "robot.urdf").write_text("mine")
+    (target / "link").symlink_to("notes.txt")
+    write_folder(target, model="2")
+    assert listing(tmp_path) == [
+        "world",
+        "world/link",
+        f"world/{MANIFEST}",
+        "world/model",
+        "world/notes.txt",
+        "world/urdf",
+        "world/urdf/empty",
+        "world/urdf/robot.urdf",
+    ]
+    assert (target / "model").read_text() == "2"
+    assert (target / "link").readlink() == Path("notes.txt")
+    assert (target / "urdf/robot.urdf").read_text() == "mine"
+
+
+def test_a_file_of_ours_that_was_changed_is_kept_beside_the_new_one(tmp_path: Path) -> None:
+    target = tmp_path / "world"
+    write_folder(target, model="1", old="1")
+    for number in (2, 3):
+        (target / "model").write_text(f"edited {number}")
+        (target / "old").write_text("edited")
+        with pytest.warns(UserWarning, match=r"world: kept what was not written by .*: model as model~"):
+            write_folder(target, model=str(number))
+    read = {path.name: path.read_text() for path in target.iterdir() if path.name != MANIFEST}
+    assert read == {"model": "3", "model~": "edited 2", "model~2": "edited 3", "old": "edited"}
+
+
+def test_a_folder_without_manifest_belongs_to_the_user_unless_an_older_version_wrote_it(
+    tmp_path: Path,
+) -> None:
+    mine, former = tmp_path / "mine", tmp_path / "former"
+    for folder in (mine, former):
+        folder.mkdir()
+        (folder / "model").write_text("before")
+        (folder / "notes").write_text("before")
+    (former / "world.json").write_text("{}")
+    with pytest.warns(UserWarning, match=r"mine: kept .*: model as model~$"):
+        write_folder(mine, model="new")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_folder(former, model="new")
+    assert (mine / "model~").read_text() == (mine / "notes").read_text() == "before"
+    assert [p for p in listing(former) if p != MANIFEST] == ["model", "notes", "world.json"]
+
+
+def test_the_manifest_is_what_sha256sum_checks(tmp_path: Path) -> None:
+    write_folder(tmp_path / "world", model="1", other="2")
+    done = subprocess.run(
+        ["sha256sum", "--check", "--strict", MANIFEST], cwd=tmp_path / "world", capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == ["model: OK", "other: OK"]
+
+
+def test_a_link_to_a_folder_stays_one(tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "world").symlink_to(tmp_path / "disk")
+    write_folder(tmp_path / "world", model="1")
+    assert (tmp_path / "world").is_symlink()
+    assert (tmp_path / "disk" / "model").read_text() == "1"
+    assert [p.name for p in tmp_path.iterdir() if p.name.startswith(".")] == []
+
+
+def test_a_user_s_file_survives_a_kill_between_the_two_renames(tmp_path: Path) -> None:
+    target = tmp_path / "world"
+    write_folder(target, model="1")
+    (target / "notes").write_text("mine")
+    script = (
+        "import os, pathlib, sys\nfrom lirs_wct import files\n"
+        "rename = pathlib.Path.rename\n"
+        "pathlib.Path.rename = lambda a, b: (rename(a, b), os.kill(os.getpid(), 9))\n"
+        "with files.atomic_folder(pathlib.Path(sys.argv[1])) as new: (new / 'model').write_text('2')\n"
+    )
+    assert subprocess.run([sys.executable, "-c", script, str(target)]).returncode == -9
+    assert not target.exists()
+    write_folder(target, model="3")
+    assert (target / "notes").read_text() == "mine"
+    assert listing(tmp_path) == ["world", f"world/{MANIFEST}", "world/model", "world/notes"]
+
+
+def test_a_user_s_file_that_cannot_be_kept_leaves_the_folder_as_it_was(tmp_path: Path) -> None:
+    target = tmp_path / "world"
+    write_folder(target, model="1")
+    (target / "meshes").mkdir()
+    (target / "meshes" / "mine.stl").write_text("mine")
+    with pytest.raises(OutputError, match=r"world: cannot be written: "):
+        write_folder(target, meshes="a file where the user has a folder")
+    assert listing(tmp_path) == [
+        "world",
+        f"world/{MANIFEST}",
+        "world/meshes",
+        "world/meshes/mine.stl",
+        "world/model",
+    ]

@@ -107,7 +107,12 @@ class Construction:
         progress("build", 0.0)
         world = build_world(source, options)
         package = write_package(
-            world, self._folder / "worlds", formats=formats, terrain=terrain, progress=progress
+            world,
+            self._folder / "worlds",
+            formats=formats,
+            terrain=terrain,
+            overwrite=True,  # the folder is the page's own
+            progress=progress,
         )
         return Shown(world, built_facts(world), source, options, package)
 

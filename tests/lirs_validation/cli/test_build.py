@@ -16,6 +16,7 @@ from lirs_wct import World
 from lirs_wct.formats.meshes.mesh_reader import read_upright
 from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.manifest import MANIFEST
 
 
 @pytest.fixture
@@ -52,7 +53,8 @@ def built(source: str, *options: str, to: str = "hfield") -> World:
 
 
 def files() -> set[str]:
-    return {p.relative_to("out/w").as_posix() for p in Path("out/w").rglob("*") if p.is_file()}
+    found = {p.relative_to("out/w").as_posix() for p in Path("out/w").rglob("*") if p.is_file()}
+    return found - {MANIFEST}
 
 
 def roughness(surface: HeightField) -> float:
@@ -221,6 +223,32 @@ def test_a_bad_option_is_one_line_that_names_it(
     assert expected in told
     assert len(told.strip().splitlines()) == 1, told
     assert sorted(folder.rglob("*")) == before
+
+
+def test_two_sources_of_one_name_do_not_replace_each_other(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "other").mkdir()
+    for name in ("room.yaml", "room.pgm"):
+        (folder / "other" / name).write_bytes((folder / name).read_bytes())
+    wct("build", "room.yaml", "-o", "out", "--to", "hfield")
+    (folder / "out/room/notes.txt").write_text("mine")
+    before = {p: p.read_bytes() for p in (folder / "out").rglob("*") if p.is_file()}
+    monkeypatch.setattr("sys.argv", ["lirs-wct", "build", "other/room.yaml", "-o", "out", "--to", "hfield"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    told = capsys.readouterr().err.strip()
+    assert told.startswith(f"lirs-wct: out/room: holds the world of another source, {folder / 'room.yaml'}; ")
+    assert "--name" in told
+    assert len(told.splitlines()) == 1
+    assert {p: p.read_bytes() for p in (folder / "out").rglob("*") if p.is_file()} == before
+    # The same source again, and another one under a name that was given, replace what was built.
+    wct("build", "./room.yaml", "-o", "out", "--to", "hfield")
+    wct("build", "other/room.yaml", "-o", "out", "--to", "hfield", "--name", "room")
+    wct("build", "out/room", "-o", "out", "--to", "hfield")
+    assert World.load("out/room").source == str(folder / "other/room.yaml")
+    assert (folder / "out/room/notes.txt").read_text() == "mine"
 
 
 def test_info_says_what_the_world_is(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

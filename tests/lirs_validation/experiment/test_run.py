@@ -28,6 +28,7 @@ from slam_baselines.hector.mapper import HectorMapper
 FILES = {
     "record.json", "overview.png", "rtf.csv", "commands.csv", "truth.tum", "estimate.tum", "odometry.tum",
     "map.pgm", "map.yaml", "map_true_pose.pgm", "map_true_pose.yaml", "scans.clf.gz", "imu.csv.gz",
+    "manifest-sha256.txt",
 }  # fmt: skip
 
 

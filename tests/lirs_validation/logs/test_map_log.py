@@ -63,7 +63,7 @@ def test_a_room_is_mapped_as_it_is(room: Path, tmp_path: Path, mapper: str) -> N
     assert folder.name.startswith(f"room-{mapper}-s1-")
     assert [p.name for p in tmp_path.iterdir()] == [folder.name]
     assert sorted(p.name for p in folder.iterdir()) == [
-        "estimate.tum", "map.pgm", "map.yaml", "overview.png", "record.json",
+        "estimate.tum", "manifest-sha256.txt", "map.pgm", "map.yaml", "overview.png", "record.json",
     ]  # fmt: skip
     np.testing.assert_allclose(read_tum(folder / "estimate.tum").stamps, STAMPS, atol=1e-6)
     assert cv2.imread(str(folder / "overview.png")).std() > 10

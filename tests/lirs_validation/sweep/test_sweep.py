@@ -71,7 +71,10 @@ def test_failed_cells_are_run_again_when_asked(tmp_path: Path, notes: str) -> No
     assert [experiment.name for experiment in sweep.pending] == ["1-raises"]
     list(sweep.run(Serial()))
     assert not sweep.failed
-    assert sorted(p.name for p in (tmp_path / "out" / "1-raises").iterdir()) == ["result"]
+    assert sorted(p.name for p in (tmp_path / "out" / "1-raises").iterdir()) == [
+        "manifest-sha256.txt",
+        "result",
+    ]
 
 
 def test_no_room_costs_the_experiment_a_second_run_and_others_nothing(tmp_path: Path, notes: str) -> None:

@@ -203,7 +203,8 @@ def test_a_bag_replaces_an_older_one_and_leaves_nothing_else(given: Drive, tmp_p
     for _ in range(2):
         write_bag(tmp_path / "run", given)
     assert [p.name for p in tmp_path.iterdir()] == ["run"]
-    assert sorted(p.name for p in (tmp_path / "run").iterdir()) == ["metadata.yaml", "run.mcap"]
+    held = sorted(p.name for p in (tmp_path / "run").iterdir())
+    assert held == ["manifest-sha256.txt", "metadata.yaml", "run.mcap"]
 
 
 def test_body_velocity_of_a_circle() -> None:
