@@ -14,6 +14,7 @@ from lirs_wct.formats.meshes.collada import write_document
 from lirs_wct.formats.meshes.collada_stream import stream_collada
 from lirs_wct.formats.meshes.obj import write_obj
 from lirs_wct.formats.meshes.stl import write_stl
+from lirs_wct.formats.meshes.textured import write_glb
 from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.tiles import split_tiles
@@ -40,7 +41,7 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
         ".dae": write_collada,
         ".obj": write_obj,
         ".ply": _write_ply,
-        ".glb": _write_glb,
+        ".glb": write_glb,
     }
     suffix = path.suffix.lower()
     if suffix not in writers:
@@ -51,12 +52,6 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
 def _write_ply(path: Path, mesh: TriangleMesh) -> None:
     with atomic_write(path) as temporary:
         trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary)
-
-
-def _write_glb(path: Path, mesh: TriangleMesh) -> None:
-    turned = mesh.rotated_x(-90.0)
-    with atomic_write(path) as temporary:
-        trimesh.Trimesh(turned.vertices, turned.faces, process=False).export(temporary)
 
 
 def write_collada(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,12 +35,21 @@ def read_upright(path: Path) -> TriangleMesh:
     """
     if path.suffix.lower() not in MESHES:
         raise SourceError(f"{path}: not a mesh that is read; legal: {', '.join(MESHES)}")
-    mesh = _merged(read_mesh(path))
+    return upright(path, _merged(read_mesh(path)))
+
+
+def upright(path: Path, mesh: TriangleMesh) -> TriangleMesh:
+    """Return the mesh of a file turned so that z is up, in metres; its normals turn with it.
+
+    Raises:
+        SourceError: the file's unit is not a number of metres.
+    """
     if path.suffix.lower() == ".glb":
         return mesh.rotated_x(90.0)
     if path.suffix.lower() == ".dae":
         up, unit = _collada_frame(path)
-        return TriangleMesh(mesh.vertices @ _UPRIGHT[up] * unit, mesh.faces)
+        normals = None if mesh.normals is None else mesh.normals @ _UPRIGHT[up]
+        return replace(mesh, vertices=mesh.vertices @ _UPRIGHT[up] * unit, normals=normals)
     return mesh
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from numba import njit
+from trimesh.resolvers import FilePathResolver
 
 from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.errors import SourceError
@@ -77,16 +78,28 @@ def read_mesh(path: Path) -> TriangleMesh:
     Raises:
         SourceError: the file is missing, damaged, of an unknown format, or holds no triangles.
     """
+    loaded = load_mesh(path)
+    return TriangleMesh(np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int32))
+
+
+def load_mesh(path: Path) -> trimesh.Trimesh:
+    """Load a mesh in any format that trimesh knows; a texture may lie beside the file or elsewhere.
+
+    Raises:
+        SourceError: as `read_mesh` says.
+    """
     if not path.is_file():
         raise SourceError(f"{path}: no such file")
+    textures = FilePathResolver(str(path))
+    # Gazebo's packages have theirs in ../materials/textures.
+    textures.allow_anywhere = True
     try:
-        loaded = trimesh.load_mesh(path)
+        loaded = trimesh.load_mesh(path, resolver=textures)
     except Exception as error:  # every loader of trimesh has errors of its own
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise SourceError(f"{path}: cannot be read as a mesh: {reason}") from error
-    vertices, faces = np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int32)
-    if len(faces) == 0:
+    if len(getattr(loaded, "faces", ())) == 0:
         raise SourceError(f"{path}: holds no triangles, at least one is needed")
-    if not np.isfinite(vertices).all():
+    if not np.isfinite(loaded.vertices).all():
         raise SourceError(f"{path}: has vertices that are not finite")
-    return TriangleMesh(vertices, faces)
+    return loaded

@@ -1,0 +1,85 @@
+"""Mesh files with texture coordinates and the picture of their texture: COLLADA, OBJ, GLB."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from PIL import Image
+
+from lirs_wct.files import atomic_write
+from lirs_wct.formats.meshes.stl import load_mesh
+from lirs_wct.geometry.mesh import TriangleMesh
+
+TEXTURED = (".dae", ".obj", ".glb")
+"""Files that hold texture coordinates."""
+
+
+@dataclass(frozen=True)
+class TexturedMesh:
+    """A mesh as it stands in a file, with what colors it.
+
+    Attributes:
+        mesh: with normals, and texture coordinates (origin lower left) where the file has them.
+        picture: of the texture; None where there is none that can be found.
+        vertex_colors: whether the file has colors of vertices or faces.
+    """
+
+    mesh: TriangleMesh
+    picture: Image.Image | None
+    vertex_colors: bool
+
+
+def read_textured(path: Path) -> TexturedMesh:
+    """Read a mesh with its texture; vertices with several texture coordinates stay several.
+
+    Raises:
+        SourceError: the file is missing, damaged, of an unknown format, or holds no triangles.
+    """
+    loaded = load_mesh(path)
+    visual = loaded.visual
+    uv = getattr(visual, "uv", None) if visual.kind == "texture" else None
+    mesh = TriangleMesh(
+        np.asarray(loaded.vertices, np.float64),
+        np.asarray(loaded.faces, np.int32),
+        None if uv is None else np.asarray(uv, np.float64)[:, :2],
+        np.asarray(loaded.vertex_normals, np.float64),
+    )
+    return TexturedMesh(mesh, _picture(visual), visual.kind in ("vertex", "face"))
+
+
+def _picture(visual: trimesh.visual.base.Visuals) -> Image.Image | None:
+    material = getattr(visual, "material", None)
+    picture: Image.Image | None = getattr(material, "baseColorTexture", None)
+    return getattr(material, "image", None) if picture is None else picture
+
+
+def write_glb(path: Path, mesh: TriangleMesh, picture: Image.Image | None = None) -> None:
+    """Write a GLB, with y up as its readers expect; the picture goes into the file.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    turned = mesh.rotated_x(-90.0)
+    visual = None
+    if mesh.uv is not None:
+        material = trimesh.visual.material.PBRMaterial(
+            baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0
+        )
+        visual = trimesh.visual.TextureVisuals(uv=mesh.uv, material=material)
+    shape = trimesh.Trimesh(
+        turned.vertices, turned.faces, vertex_normals=turned.normals, visual=visual, process=False
+    )
+    with atomic_write(path) as temporary:
+        shape.export(temporary, include_normals=turned.normals is not None)
+
+
+def png(picture: Image.Image) -> bytes:
+    """Return a picture as the bytes of a PNG file."""
+    out = io.BytesIO()
+    mode = "RGBA" if picture.mode in ("RGBA", "LA", "PA") else "RGB"
+    picture.convert(mode).save(out, format="PNG")
+    return out.getvalue()
