@@ -22,8 +22,8 @@ from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.cpu_contention import cpu_contention
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
 from lirs_validation.experiment.loop import DriveLog, Recorder, drive
-from lirs_validation.experiment.mapper_guard import GuardedMapper
-from lirs_validation.experiment.mapper_loading import mapper_named
+from lirs_validation.experiment.mappers.guard import GuardedMapper
+from lirs_validation.experiment.mappers.loading import mapper_named
 from lirs_validation.experiment.recording import Recording, recording
 from lirs_validation.experiment.results import write_results
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache

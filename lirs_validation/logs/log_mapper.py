@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from lirs_validation.config import MapConfig
-from lirs_validation.experiment.mapper_loading import planar_mapper_named
+from lirs_validation.experiment.mappers.loading import planar_mapper_named
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.log import CarmenLog
 from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS, Mapper, make_mapper, parameters, requires_odometry

@@ -14,7 +14,7 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import TOUR, RunConfig, driver_parts, run_name
 from lirs_validation.driving.choice import check_driver, driver_files
 from lirs_validation.experiment.clouds.guard import check_sensors
-from lirs_validation.experiment.mapper_loading import mapper_named, package_versions, source_file
+from lirs_validation.experiment.mappers.loading import mapper_named, package_versions, source_file
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.provenance import versions

@@ -10,9 +10,9 @@ from typing import cast
 from lirs_envs.lidar.presets import RING_LIDARS, make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import DRIVERS, RunConfig, driver_parts
-from lirs_validation.experiment.attitude import with_attitude
-from lirs_validation.experiment.mapper_checks import kind_of
-from lirs_validation.experiment.mapper_guard import GuardedMapper, MapperGuard, imu_copy, mapper_failure
+from lirs_validation.experiment.mappers.attitude import with_attitude
+from lirs_validation.experiment.mappers.checks import kind_of
+from lirs_validation.experiment.mappers.guard import GuardedMapper, MapperGuard, imu_copy, mapper_failure
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import OccupancyGrid

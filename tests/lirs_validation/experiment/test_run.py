@@ -14,7 +14,7 @@ from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation import RunConfig, read_record, validate
 from lirs_validation.experiment.loop import drive, per_second
-from lirs_validation.experiment.mapper_guard import GuardedMapper
+from lirs_validation.experiment.mappers.guard import GuardedMapper
 from lirs_validation.experiment.run import Run
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.record.verdict import LOST_SECONDS

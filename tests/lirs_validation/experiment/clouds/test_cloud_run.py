@@ -16,8 +16,8 @@ from lirs_validation.analysis.result_folders import read_results
 from lirs_validation.config import RunConfig
 from lirs_validation.drawing.elevation_view import FULL, error_picture
 from lirs_validation.experiment.clouds.guard import GuardedCloudMapper, check_sensors, guarded
-from lirs_validation.experiment.mapper_guard import GuardedMapper
-from lirs_validation.experiment.mapper_loading import mapper_named, package_versions
+from lirs_validation.experiment.mappers.guard import GuardedMapper
+from lirs_validation.experiment.mappers.loading import mapper_named, package_versions
 from lirs_validation.gui.session.finished_run import FinishedRun
 from lirs_validation.metrics.spatial.elevation import ElevationMap
 from lirs_validation.metrics.spatial.elevation_file import read_elevation

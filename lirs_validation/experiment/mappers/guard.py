@@ -6,7 +6,7 @@ import re
 from dataclasses import FrozenInstanceError, replace
 from typing import NoReturn
 
-from lirs_validation.experiment.mapper_checks import check_pose, final_map, final_stats, final_trajectory
+from lirs_validation.experiment.mappers.checks import check_pose, final_map, final_stats, final_trajectory
 from lirs_validation.interrupts import is_interrupt
 from lirs_wct.errors import MapperError, WctError
 from lirs_wct.geometry.grid import OccupancyGrid
