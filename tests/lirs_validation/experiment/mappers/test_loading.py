@@ -17,7 +17,7 @@ from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[4]
 MODULE = """
 from slam_baselines.mapper import MapperStats
 
