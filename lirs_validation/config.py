@@ -28,6 +28,8 @@ MANUAL = "manual"
 """What records say where a person drove in the live page; such a drive is repeated as `replay:RUN`."""
 LATER: dict[str, Any] = {"attitude": "imu", "driver": TOUR, "actors": 0}
 """Options of a run that came later: with these values they are in no digest, and folders keep their names."""
+LATER_OF_BUILDS: dict[str, Any] = {"start": None}
+"""The same of how a source becomes a world."""
 OUTSIDE_DIGEST = ("wall_limit", "bag", "sensors_only")
 """Options of a run that say nothing of what is tried: how long one waits, and what is recorded."""
 LATER_OF_MAPS: dict[str, Any] = {"attitude": "imu", "scan_topic": None, "odom_topic": None, "imu_topic": None}
@@ -142,7 +144,7 @@ class RunConfig:
         entry = asdict(self) | {"seconds": float(self.seconds)}
         for name in OUTSIDE_DIGEST:
             del entry[name]
-        entry = _without(LATER, entry)
+        entry = _without(LATER, entry) | {"build": _without(LATER_OF_BUILDS, entry["build"])}
         text = json.dumps(entry, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:8]
 

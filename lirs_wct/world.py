@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
 
 from lirs_wct.arrays import BoolArray
 from lirs_wct.display import ShownAsPicture
@@ -20,8 +21,10 @@ from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
 from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.meshing.ground_texture import checked_texture
+from lirs_wct.navigation.areas import mapped_area
+from lirs_wct.navigation.footprints import FOOTPRINTS
 from lirs_wct.navigation.spawn_poses import spawn_poses
-from lirs_wct.navigation.traversability import traversable
+from lirs_wct.navigation.traversability import overlaid, traversable
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.options import BuildOptions
@@ -30,11 +33,10 @@ from lirs_wct.sources.source import Source, find_source, warn_of_useless
 from lirs_wct.sources.source_kind import SourceKind
 from lirs_wct.sources.window import Window, cut_nodes, cut_surface
 
-SPAWN_CLEARANCE = 0.8
-"""Metres of free ground around a spawn pose: a Husky and a step."""
-SPAWN_SLOPE = math.radians(12)
 SPAWN_AREA = 200.0
 """Side of the square in the middle of a larger terrain where spawn poses are looked for, metres."""
+SPAWN_CELLS = 1000
+"""Cells along the side of a terrain, at most, of the grid on which they are."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,9 @@ class World(ShownAsPicture):
     Attributes:
         name: fit for file names and Gazebo's URIs.
         ground: a terrain, a laser map or a closed mesh.
-        spawn_poses: poses where a robot as large as a Husky can be set down, the roomiest first.
+        spawn_poses: poses where a robot can be set down, the one asked for or the roomiest first.
+        spawn_for: the largest robot on wheels for which there are such; empty = for none.
+        start: the pose that was asked for; None = none was.
         scale: where the metres come from, a text.
         export_options: how the mesh files are made.
         source: absolute path of what it was made from, or a bundled name; None = made in code.
@@ -56,6 +60,8 @@ class World(ShownAsPicture):
     scale: str = "as given"
     export_options: ExportOptions = field(default_factory=ExportOptions)
     source: str | None = None
+    spawn_for: str = ""
+    start: Pose2 | None = None
 
     def __repr__(self) -> str:
         starts = f"{len(self.spawn_poses)} start poses"
@@ -127,6 +133,25 @@ class World(ShownAsPicture):
             resolution=resolution,
         )
 
+    def starts(self, free: OccupancyGrid, count: int = 8) -> tuple[Pose2, ...]:
+        """Return poses spread over where a robot can be and is meant to drive (see `spawn_poses`)."""
+        return spawn_poses(self.driven(free), count, corridors=self.walls is not None)
+
+    def driven(self, free: OccupancyGrid) -> OccupancyGrid:
+        """Return the free cells that robots are meant to drive: of a laser map, where it was made."""
+        if self.walls is None:
+            return free
+        inside = overlaid(self._mapped_area.free, self._mapped_area, free)
+        p = np.where(free.free & inside, 0.0, 1.0)
+        return OccupancyGrid.from_probability(p, free.resolution, free.origin)
+
+    @cached_property
+    def _mapped_area(self) -> OccupancyGrid:
+        least = FOOTPRINTS[-1]
+        free = self.traversable(clearance=least.radius, max_slope=least.max_slope)
+        inside = mapped_area(free, least.radius)
+        return OccupancyGrid.from_probability(np.where(inside, 0.0, 1.0), free.resolution, free.origin)
+
     def save(self, folder: str | Path) -> Path:
         """Write `world.json` and its arrays; `World.load` gives the same world back exactly."""
         content = WorldFile(
@@ -135,6 +160,8 @@ class World(ShownAsPicture):
             scale=self.scale,
             surface=self.surface,
             spawn_poses=self.spawn_poses,
+            spawn_for=self.spawn_for,
+            start=self.start,
             walls=self.walls,
             truth=self.truth,
             solid=self.solid,
@@ -156,7 +183,14 @@ class World(ShownAsPicture):
         with checked_content(Path(folder)):
             settings = ExportOptions(**content.export_options)
         return World(
-            content.name, _ground(content), content.spawn_poses, content.scale, settings, content.source
+            content.name,
+            _ground(content),
+            content.spawn_poses,
+            content.scale,
+            settings,
+            source=content.source,
+            spawn_for=content.spawn_for,
+            start=content.start,
         )
 
 
@@ -196,15 +230,18 @@ def _place(found: Source, options: BuildOptions) -> World:
         ground, scale = read_laser_map(found, options)
     else:
         ground, scale = read_terrain(found, options)
-    return _with_spawn_poses(World(found.name, ground, scale=scale, source=found.identity))
+    world = World(found.name, ground, scale=scale, source=found.identity, start=options.start)
+    return _with_spawn_poses(world)
 
 
 def _loaded_world(source: Source, options: BuildOptions) -> World:
     world = World.load(source.path)
     if options.name is not None:
         world = replace(world, name=source.name)
+    if options.start is not None:
+        world = replace(world, start=options.start)
     if options.window is None:
-        return world
+        return world if options.start is None else _with_spawn_poses(world)
     if isinstance(world.ground, LaserMap) or world.overhangs:
         raise ConfigError(f"{source.path}: --window cuts a built terrain only; give the world's own source")
     return _with_spawn_poses(replace(world, ground=_cut(world.ground, options.window)))
@@ -216,14 +253,35 @@ def _cut(ground: Terrain | ClosedMesh, window: Window) -> Terrain:
 
 
 def _with_spawn_poses(world: World) -> World:
-    """Look for spawn poses; on a terrain of kilometres in its middle only: the search is by the decimetre."""
+    """Look for spawn poses for the largest robot that fits; the pose asked for is the first of them.
+
+    On a terrain of kilometres in its middle only, or around that pose: the search is by the decimetre.
+
+    Raises:
+        ConfigError: no robot can stand at the pose that was asked for.
+    """
     place = world
     if not isinstance(world.ground, LaserMap) and max(world.surface.size) > SPAWN_AREA:
         west, south, east, north = world.surface.bounds
-        middle = ((west + east) / 2, (south + north) / 2, SPAWN_AREA)
-        place = replace(world, ground=_cut(world.ground, middle))
-    free = place.traversable(clearance=SPAWN_CLEARANCE, max_slope=SPAWN_SLOPE)
-    return replace(world, spawn_poses=spawn_poses(free))
+        middle = world.start or Pose2((west + east) / 2, (south + north) / 2)
+        if world.surface.contains(middle.x, middle.y):
+            place = replace(world, ground=_cut(world.ground, (middle.x, middle.y, SPAWN_AREA)))
+    resolution = 0.1 if world.walls is not None else max(0.1, max(place.surface.size) / SPAWN_CELLS)
+    for footprint in FOOTPRINTS:
+        for clearance, slope in footprint.limits:
+            free = place.traversable(clearance=clearance, max_slope=slope, resolution=resolution)
+            if world.start is not None and not free.free_at(world.start.x, world.start.y):
+                continue
+            found = place.starts(free)
+            if found:
+                first = () if world.start is None else (world.start,)
+                return replace(world, spawn_poses=(*first, *found)[: len(found)], spawn_for=footprint.robot)
+    if world.start is not None:
+        raise ConfigError(
+            f"{world.name}: no robot can start at {world.start.x:g},{world.start.y:g}: it is in or too near "
+            "a wall, steep ground or the border"
+        )
+    return replace(world, spawn_poses=(), spawn_for="")
 
 
 def _settings(options: BuildOptions, texture: Path | None, former: ExportOptions) -> ExportOptions:

@@ -13,8 +13,9 @@ from lirs_validation.metrics.mesh import mesh_error
 from lirs_validation.metrics.scan_support import ScanSupport, scan_support
 from lirs_wct.world import World
 
-CELLS = 2000
-"""Cells along the longer side, at most, of the grid on which drivable ground is counted."""
+CELLS, MAP_CELLS = 1000, 2000
+"""Cells along the longer side, at most, of the grid on which drivable ground is counted: of a terrain, and of
+a laser map, whose walls are thin."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +89,7 @@ def facts_table(world: World, facts: WorldFacts) -> Table:
         ),
         (f"walls in sight, {facts.support.robot}", _support(facts.support)),
         ("expectation", facts.support.expectation),
-        ("start poses", f"{len(world.spawn_poses)}"),
+        ("start poses", _starts(world)),
         ("triangles", f"{facts.triangles}"),
         ("watertight", f"{'yes' if facts.watertight else 'no'}, {facts.volume:.6g} m3"),
         ("mesh error", "exact" if facts.error is None else f"{facts.error:.6f} m at the nodes"),
@@ -111,13 +112,22 @@ def _support(found: ScanSupport) -> str:
     )
 
 
+def _starts(world: World) -> str:
+    """Return how many there are, and for whom."""
+    if not world.spawn_poses:
+        return "none: no robot on wheels fits"
+    whom = f", for {world.spawn_for} and what is smaller" if world.spawn_for else ""
+    return f"{len(world.spawn_poses)}{whom}"
+
+
 def _cells(world: World) -> str:
     across, along = world.surface.cell
     return f"{across:.4g}" if math.isclose(across, along) else f"{across:.4g} and {along:.4g}"
 
 
 def _drivable(world: World) -> dict[str, float]:
-    resolution = max(0.1, max(world.surface.size) / CELLS)
+    cells = CELLS if world.walls is None else MAP_CELLS
+    resolution = max(0.1, max(world.surface.size) / cells)
     shares = {}
     for name, robot in ROBOTS.items():
         free = world.traversable(

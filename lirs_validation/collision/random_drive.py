@@ -17,10 +17,10 @@ from lirs_envs.robots.command import Twist
 from lirs_envs.robots.controller import make_controller
 from lirs_envs.robots.robot import Robot
 from lirs_validation.collision.contact_log import ContactLog, ContactRecorder
-from lirs_wct.errors import ConfigError, SimulationError
+from lirs_validation.driving.room import no_room
+from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.navigation.spawn_poses import spawn_poses
-from lirs_wct.navigation.traversability import largest_area
+from lirs_wct.navigation.areas import largest_area
 from lirs_wct.world import World
 
 PERIOD = 0.04
@@ -59,10 +59,16 @@ class Leg:
 def places(world: World, robot: Robot, rng: np.random.Generator) -> list[Pose2]:
     """Return poses where a robot can be set down: in the open, and in turn right beside an obstacle.
 
+    Of a world with a start that was asked for, this alone.
+
     Raises:
         ConfigError: there is none.
+        SimulationError: the robot cannot stand at the start that was asked for.
     """
-    free = world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope)
+    if world.start is not None:
+        standing_pose(world, robot, world.start)
+        return [world.start]
+    free = world.driven(world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope))
     inside = cv2.erode(free.free.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)
     edge = free.centers(np.argwhere(largest_area(free.free) & (inside == 0)))
     beside = [
@@ -71,13 +77,10 @@ def places(world: World, robot: Robot, rng: np.random.Generator) -> list[Pose2]:
     ]
     found = [
         [start for start in starts if _stands(world, robot, start)][:PLACES]
-        for starts in (spawn_poses(free, PLACES), beside)
+        for starts in (world.starts(free, PLACES), beside)
     ]
     if not any(found):
-        raise ConfigError(
-            f"{world.name}: no place for {robot.name}: it needs {2 * (robot.radius + MARGIN):.1f} m of free "
-            f"ground no steeper than {math.degrees(robot.max_slope):.0f} deg"
-        )
+        raise no_room(world.name, world, robot, MARGIN)
     return [start for pair in zip_longest(*found) for start in pair if start is not None]
 
 

@@ -15,13 +15,13 @@ from lirs_validation.driving.frontier_route import FrontierRoute
 from lirs_validation.driving.pace import driver_config
 from lirs_validation.driving.path_driver import PathDriver
 from lirs_validation.driving.replay import COMMANDS, read_replay, replay
+from lirs_validation.driving.room import no_room
 from lirs_validation.driving.tour import plan_coverage
 from lirs_validation.driving.waypoint_route import WaypointRoute, check_waypoints
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.waypoints import read_waypoints
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.navigation.spawn_poses import spawn_poses
 from lirs_wct.world import World
 
 MARGIN = 0.15
@@ -60,7 +60,7 @@ def make_driver(
         ahead = math.atan2(second.y - first.y, second.x - first.x)
         start = Pose2(first.x, first.y, ahead if first.yaw is None else first.yaw)
         return PathDriver(WaypointRoute(waypoints[1:], free, pace, world.surface), start, pace)
-    start = _start(free, robot, config)
+    start = _start(world, free, robot, config)
     if kind == "frontier":
         route = FrontierRoute(mapper_map, robot.radius, robot.radius + MARGIN, pace)
         return PathDriver(route, start, pace)
@@ -100,16 +100,21 @@ def _automatic(config: RunConfig) -> tuple[str, str]:
     return kind, path
 
 
-def _start(free: OccupancyGrid, robot: Robot, config: RunConfig) -> Pose2:
-    """Return the seed's spawn pose.
+def _start(world: World, free: OccupancyGrid, robot: Robot, config: RunConfig) -> Pose2:
+    """Return the start that was asked for, or else the seed's spawn pose.
 
     Raises:
-        ConfigError: the robot fits nowhere in this world.
+        ConfigError: the robot fits nowhere in this world, or cannot drive from the start that was asked for.
     """
-    starts = spawn_poses(free)
+    if world.start is not None:
+        if not free.free_at(world.start.x, world.start.y):
+            needed = f"{2 * (robot.radius + MARGIN):.1f} m of free ground"
+            raise ConfigError(
+                f"{config.source}: {robot.name} cannot drive from {world.start.x:g},{world.start.y:g} "
+                f"(--start): it needs {needed} no steeper than {math.degrees(robot.max_slope):.0f} deg"
+            )
+        return world.start
+    starts = world.starts(free)
     if not starts:
-        raise ConfigError(
-            f"{config.source}: no place for {robot.name}: it needs {2 * (robot.radius + MARGIN):.1f} m of "
-            f"free ground no steeper than {math.degrees(robot.max_slope):.0f} deg"
-        )
+        raise no_room(config.source, world, robot, MARGIN)
     return starts[(config.seed - 1) % len(starts)]

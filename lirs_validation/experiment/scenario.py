@@ -12,6 +12,7 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.config import RunConfig
 from lirs_validation.record.source_files import SourceFile, source_files
 from lirs_wct.errors import LogSourceError
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.window import Window
 from lirs_wct.world import World, build_world
@@ -53,7 +54,7 @@ class Scenario:
 
 
 def build_scenario(config: RunConfig) -> Scenario:
-    """Build the config's world; of a terrain larger than 200 m, its middle 50 m."""
+    """Build the config's world; of a terrain larger than 200 m, 50 m in its middle or around the start."""
     try:
         files, world = source_files(config), build_world(config.source, config.build)
     except LogSourceError as error:
@@ -68,7 +69,8 @@ def build_scenario(config: RunConfig) -> Scenario:
     ):
         return Scenario(config, world, config.build.window, files)
     west, south, east, north = world.surface.bounds
-    window = ((west + east) / 2, (south + north) / 2, WINDOW)
+    middle = world.start or Pose2((west + east) / 2, (south + north) / 2)
+    window = (middle.x, middle.y, WINDOW)
     cut = build_world(config.source, replace(config.build, window=window))
     return Scenario(config, cut, window, files)
 

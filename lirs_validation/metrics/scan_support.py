@@ -18,7 +18,7 @@ from lirs_wct.world import World
 
 POSES = 300
 """Places at which a scan is cast."""
-CELLS = 8000
+CELLS = 2000
 """Cells along the longer side, at most, of the grid on which drivable ground is looked for."""
 STREAM = 31
 """Which of the seed's random streams they are drawn from."""

@@ -38,6 +38,8 @@ class WorldFile:
         scale: where the metres come from, a text.
         surface: the ground from above.
         spawn_poses: `T_world_base`.
+        spawn_for: the largest robot that they are for; empty = none, or it is not known.
+        start: the pose that was asked for; None = none was.
         walls: of a laser map.
         truth: the laser map itself.
         solid: closed mesh.
@@ -52,6 +54,8 @@ class WorldFile:
     scale: str
     surface: HeightField
     spawn_poses: tuple[Pose2, ...] = ()
+    spawn_for: str = ""
+    start: Pose2 | None = None
     walls: WallGrid | None = None
     truth: OccupancyGrid | None = None
     solid: TriangleMesh | None = None
@@ -76,8 +80,11 @@ def write_world(world: WorldFile, folder: Path) -> Path:
         "source": world.source,
         "surface": {"cell": world.surface.cell, "origin": world.surface.origin},
         "starts": [astuple(pose) for pose in world.spawn_poses],
+        "starts_for": world.spawn_for,
         "arrays": ARRAYS,
     }
+    if world.start is not None:
+        entry["start"] = astuple(world.start)
     if world.walls is not None:
         arrays["walls"] = world.walls.solid
         entry["walls"] = _grid_entry(world.walls) | {"height": world.walls.height}
@@ -141,6 +148,8 @@ def read_world(folder: Path) -> WorldFile:
                 scale=entry["scale"],
                 surface=surface,
                 spawn_poses=tuple(Pose2(*pose) for pose in entry["starts"]),
+                spawn_for=str(entry.get("starts_for", "")),
+                start=Pose2(*entry["start"]) if "start" in entry else None,
                 walls=walls and WallGrid(arrays["walls"], *_placed(walls), walls["height"], hole),
                 truth=truth and OccupancyGrid(arrays["truth"], *_placed(truth)),
                 solid=TriangleMesh(arrays["vertices"], arrays["faces"]) if "faces" in arrays else None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,6 +18,7 @@ OCCUPIED = 0.65
 """A cell is occupied where its probability exceeds this (ROS map_saver's `occupied_thresh`)."""
 FREE = 0.25
 """A cell is free where its probability is below this (ROS map_saver's `free_thresh`)."""
+_FREE_LOG_ODDS = math.log(FREE / (1 - FREE))
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +83,13 @@ class OccupancyGrid(ShownAsPicture):
     def free(self) -> BoolArray:
         """(rows, cols) known cells with p < 0.25."""
         return self.probability < FREE
+
+    def free_at(self, x: float, y: float) -> bool:
+        """Whether the cell of a point is free; none is outside the grid."""
+        row, col = self.cells((x, y)).tolist()
+        inside = 0 <= row < self.shape[0] and 0 <= col < self.shape[1]
+        # A cell without knowledge is NaN, which is below nothing.
+        return bool(inside and self.log_odds[row, col] < _FREE_LOG_ODDS)
 
     def cells(self, points: ArrayLike) -> IntArray:
         """Return (..., 2) row and column of points (..., 2) in the grid's frame; may lie outside."""

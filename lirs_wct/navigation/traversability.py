@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.errors import SourceError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
@@ -20,6 +20,8 @@ BASELINE = 0.3
 
 MOST_CELLS = 400_000_000
 """Of a grid: 1.6 GB, the square of 2 km at 0.1 m."""
+COARSE = 1.0
+"""Metres between nodes above which the slope of each triangle counts: there are no short steps to find."""
 _STRIP = 512
 """Rows of nodes looked at together: a large surface would else stand four times in the memory."""
 
@@ -69,20 +71,12 @@ def traversable(
     return OccupancyGrid.from_probability(np.where(distance > clearance, 0.0, 1.0), resolution, grid.origin)
 
 
-def largest_area(mask: BoolArray) -> BoolArray:
-    """Return the largest 4-connected area of a mask (all False where there is none)."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
-    sizes = stats[1:, cv2.CC_STAT_AREA]
-    if len(sizes) == 0:
-        return np.zeros_like(mask)
-    area: BoolArray = labels == 1 + int(np.argmax(sizes))
-    return area
-
-
 def _steep_cells(surface: HeightField, max_slope: float, grid: OccupancyGrid) -> BoolArray:
     """Mark cells of the grid that hold ground whose relief over the baseline exceeds the slope."""
     if surface.relief == 0:
         return np.zeros(grid.shape, np.bool_)
+    if min(surface.cell) > COARSE:
+        return _on_steep_triangles(surface, max_slope, grid)
     fine = surface if max(surface.cell) <= grid.resolution else _sampled(surface, grid.resolution)
     reach = [max(1, round(BASELINE / 2 / c)) for c in fine.cell]
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach[0] + 1, 2 * reach[1] + 1))
@@ -124,14 +118,55 @@ def _without_ground(surface: HeightField, no_ground: BoolArray, grid: OccupancyG
     return found
 
 
+def _on_steep_triangles(surface: HeightField, max_slope: float, grid: OccupancyGrid) -> BoolArray:
+    """Mark cells of the grid whose center lies on a triangle steeper than the slope."""
+    shift = (grid.origin.x - surface.origin[0], grid.origin.y - surface.origin[1])
+    marked: BoolArray = _triangles_steeper(
+        surface.z, surface.cell, shift, grid.resolution, *grid.shape, math.tan(max_slope) ** 2
+    )
+    return marked
+
+
+@njit(cache=True)
+def _triangles_steeper(
+    z: Float32Array,
+    cell: tuple[float, float],
+    shift: tuple[float, float],
+    step: float,
+    rows: int,
+    cols: int,
+    limit: float,
+) -> BoolArray:
+    """Return (rows, cols) whether the squared slope exceeds the limit at cell centers `step` metres apart."""
+    marked = np.zeros((rows, cols), np.bool_)
+    last, right = z.shape[0] - 1, z.shape[1] - 2
+    for row in range(rows):
+        v = (shift[1] + (row + 0.5) * step) / cell[1]
+        j = min(max(int(v), 0), last - 1)
+        for col in range(cols):
+            u = (shift[0] + (col + 0.5) * step) / cell[0]
+            i = min(max(int(u), 0), right)
+            sw, se = z[last - j, i], z[last - j, i + 1]
+            nw, ne = z[last - j - 1, i], z[last - j - 1, i + 1]
+            if u - i >= v - j:
+                dx, dy = (se - sw) / cell[0], (ne - se) / cell[1]
+            else:
+                dx, dy = (ne - nw) / cell[0], (nw - sw) / cell[1]
+            marked[row, col] = dx * dx + dy * dy > limit
+    return marked
+
+
 def _sampled(surface: HeightField, spacing: float) -> HeightField:
     """Return the same surface with nodes at most `spacing` apart."""
     west, south, east, north = surface.bounds
     cols, rows = math.ceil((east - west) / spacing) + 1, math.ceil((north - south) / spacing) + 1
     x, y = np.linspace(west, east, cols), np.linspace(north, south, rows)
-    z = surface.height_at(np.clip(x, west, east)[None, :], np.clip(y, south, north)[:, None])
+    z = np.empty((rows, cols), np.float32)
+    for start in range(0, rows, _STRIP):
+        part = slice(start, start + _STRIP)
+        z[part] = surface.height_at(np.clip(x, west, east)[None, :], np.clip(y[part], south, north)[:, None])
     cell = ((east - west) / (cols - 1), (north - south) / (rows - 1))
-    return HeightField(z.astype(np.float32), cell, surface.origin)
+    return HeightField(z, cell, surface.origin)
 
 
 def _wall_cells(walls: WallGrid, grid: OccupancyGrid) -> BoolArray:
@@ -145,6 +180,13 @@ def _wall_cells(walls: WallGrid, grid: OccupancyGrid) -> BoolArray:
 def _centers(grid: OccupancyGrid) -> FloatArray:
     rows, cols = grid.shape
     return grid.centers(np.moveaxis(np.indices((rows, cols)), 0, -1))
+
+
+def overlaid(mask: BoolArray, of: OccupancyGrid, grid: OccupancyGrid) -> BoolArray:
+    """Return a mask of one grid's cells at the centers of another's; False outside."""
+    if (of.shape, of.resolution, of.origin) == (grid.shape, grid.resolution, grid.origin):
+        return mask
+    return _lookup(mask, of.resolution, of.origin, grid)
 
 
 def _lookup(mask: BoolArray, resolution: float, origin: Pose2, grid: OccupancyGrid) -> BoolArray:

@@ -5,6 +5,7 @@ Each field declares its help, its command-line spelling and what is legal (see `
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -50,6 +51,11 @@ def _window(value: tuple[float, float, float], _: str) -> None:
     positive(value[2], "window side")
 
 
+def _start(value: Pose2, _: str) -> None:
+    if not all(math.isfinite(number) for number in (value.x, value.y, value.yaw)):
+        raise ConfigError(f"a start must be finite, got {value.x},{value.y},{value.yaw}")
+
+
 def _crop(value: tuple[int, int, int, int], _: str) -> None:
     if min(value[:2]) < 0 or min(value[2:]) < 2:
         raise ConfigError(f"crop needs a corner at 0,0 or beyond and at least 2x2 px, got {value}")
@@ -84,6 +90,13 @@ class CommonOptions(Options):
         read=numbers("X,Y,SIDE in metres", 3),
         check=_window,
         kinds={*_MESHES, *_MAPS, SourceKind.FOLDER},
+    )
+    start: Pose2 | None = option(
+        None,
+        "Where the robot starts, metres and radians; default: where the largest robot that fits can drive.",
+        metavar="X,Y[,YAW]",
+        read=read_pose,
+        check=_start,
     )
     max_pixels: int = option(MAX_PIXELS, "Refuse larger pictures before decoding them.", check=positive)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from lirs_envs.robots.robot import Robot
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, Int32Array
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, Int32Array, IntArray
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.grid_search import search
@@ -135,10 +135,10 @@ def make_site(world: World, robot: Robot) -> Site:
     """
     resolution = 0.2 if robot.radius >= 0.25 else 0.1
     grid = world.traversable(clearance=robot.radius, max_slope=robot.max_slope, resolution=resolution)
-    count, areas, stats, _ = cv2.connectedComponentsWithStats(grid.free.astype(np.uint8), connectivity=4)
+    count, areas = cv2.connectedComponents(grid.free.astype(np.uint8), connectivity=4)
     if count < 2:
         raise SimulationError(f"world {world.name!r} has no free place where {robot.name} could start")
-    largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    largest = _largest(areas, world.driven(grid).free)
     surface = world.surface
     steps = np.arange(areas.shape[1]) + 0.5, np.arange(areas.shape[0]) + 0.5
     west, south = surface.origin
@@ -147,6 +147,12 @@ def make_site(world: World, robot: Robot) -> Site:
     dy, dx = np.gradient(surface.height_at(x, y), resolution)
     slope = np.arctan(np.hypot(dx, dy)).astype(np.float32)
     return Site(world, grid, areas.astype(np.int32), largest, seen_frame(world), slope)
+
+
+def _largest(areas: IntArray, driven: BoolArray) -> int:
+    """Return the number of the area with most of the cells that robots are meant to drive, if any are."""
+    sizes = np.bincount(areas[driven] if driven.any() else areas.ravel())
+    return 1 + int(np.argmax(sizes[1:]))
 
 
 @njit(cache=True, nogil=True)

@@ -1,0 +1,114 @@
+"""Where robots start: at the pose that was asked for, or where the largest that fits can drive."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from lirs_envs.robots.catalog import ROBOTS, make_robot
+from lirs_validation.collision.random_drive import places
+from lirs_validation.config import RunConfig
+from lirs_validation.driving.choice import MARGIN, make_driver
+from lirs_validation.driving.room import enough_size
+from lirs_validation.experiment.scenario import build_scenario
+from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.navigation.footprints import FOOTPRINTS
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.world import World, build_world
+
+
+def test_footprints_are_those_of_the_robots_on_wheels_the_largest_first() -> None:
+    rolling = {name: (robot.radius, robot.max_slope) for name, robot in ROBOTS.items() if not robot.flies}
+    assert {f.robot: (f.radius, f.max_slope) for f in FOOTPRINTS} == rolling
+    radii = [footprint.radius for footprint in FOOTPRINTS]
+    assert radii == sorted(radii, reverse=True)
+
+
+@pytest.fixture
+def corridor(tmp_path: Path) -> Path:
+    """A map picture of a corridor 1 m wide and 10 m long, with its YAML."""
+    picture = np.zeros((40, 240), np.uint8)
+    picture[10:30, 20:220] = 254
+    cv2.imwrite(str(tmp_path / "corridor.png"), picture)
+    (tmp_path / "corridor.yaml").write_text(
+        "image: corridor.png\nresolution: 0.05\norigin: [-6, -1, 0]\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.25\nnegate: 0\n",
+        encoding="utf-8",
+    )
+    return tmp_path / "corridor.yaml"
+
+
+def no_map() -> OccupancyGrid:
+    raise AssertionError("a tour needs no map")
+
+
+def test_starts_are_for_the_largest_robot_that_fits(corridor: Path) -> None:
+    world = build_world(corridor)
+    assert world.spawn_for == "jackal"
+    assert len(world.spawn_poses) > 3
+    assert World.load(world.save(corridor.parent / "kept")).spawn_for == "jackal"
+
+
+def test_who_does_not_fit_is_told_who_would(corridor: Path) -> None:
+    world = build_world(corridor)
+    with pytest.raises(ConfigError) as caught:
+        make_driver(world, make_robot("husky"), RunConfig(source="corridor"), no_map)
+    assert "no place for husky: it needs 1.5 m" in str(caught.value)
+    assert "jackal, turtlebot2, turtlebot3_burger, turtlebot3_waffle would fit" in str(caught.value)
+    assert "--size" not in str(caught.value)
+
+
+def test_a_steep_terrain_names_the_size_from_which_it_works(tmp_path: Path) -> None:
+    # 6 m of relief at 25 deg take 6 / tan(25 deg) = 12.9 m of depth, and the stairs of 8 bits some more.
+    ramp = np.tile(np.linspace(0, 255, 201).astype(np.uint8)[:, None], (1, 201))
+    cv2.imwrite(str(tmp_path / "ramp.png"), ramp)
+    path, robot = tmp_path / "ramp.png", make_robot("husky")
+    world = build_world(path, BuildOptions(size=6, height=6))
+    size = enough_size(world, robot, MARGIN)
+    assert size is not None
+    assert 12.9 < size < 17.0
+    assert world.spawn_poses == ()
+    assert world.spawn_for == ""
+    with pytest.raises(ConfigError, match=rf"husky does from --size {size:g}"):
+        make_driver(world, robot, RunConfig(source="ramp"), no_map)
+    larger = build_world(path, BuildOptions(size=size, height=6))
+    make_driver(larger, robot, RunConfig(source="ramp", seconds=1), no_map)
+
+
+def test_the_start_that_was_asked_for_is_everyones(tmp_path: Path) -> None:
+    start = Pose2(3.0, -4.0, 0.5)
+    options = BuildOptions(start=start)
+    world = build_scenario(RunConfig(source="simple", build=options)).world
+    robot = make_robot("husky")
+    for seed in (1, 2):
+        config = RunConfig(source="simple", seed=seed, seconds=1, build=options)
+        assert make_driver(world, robot, config, no_map).start == start
+    assert places(world, robot, np.random.default_rng(0)) == [start]
+    assert world.spawn_poses[0] == start
+    kept = World.load(world.save(tmp_path / "kept"))
+    assert kept.start == start
+    assert build_world(tmp_path / "kept", BuildOptions(start=Pose2(1.0, 1.0))).start == Pose2(1.0, 1.0)
+
+
+def test_a_start_where_nobody_can_stand_is_refused(corridor: Path) -> None:
+    with pytest.raises(ConfigError, match=r"no robot can start at 0,0\.45: "):
+        build_world(corridor, BuildOptions(start=Pose2(0.0, 0.45)))
+    world = build_world(corridor, BuildOptions(start=Pose2(0.0, 0.0)))
+    with pytest.raises(ConfigError, match=r"husky cannot drive from 0,0 \(--start\)"):
+        make_driver(world, make_robot("husky"), RunConfig(source="corridor"), no_map)
+    with pytest.raises(SimulationError, match="husky cannot start"):
+        places(world, make_robot("husky"), np.random.default_rng(0))
+    with pytest.raises(ConfigError, match="a start must be finite"):
+        BuildOptions(start=Pose2(math.nan, 0.0))
+
+
+def test_a_large_terrain_is_cut_around_its_start() -> None:
+    build = BuildOptions(size=600, start=Pose2(150.0, -120.0))
+    window = build_scenario(RunConfig(source="medium", build=build)).window
+    assert window == (150.0, -120.0, 50.0)
