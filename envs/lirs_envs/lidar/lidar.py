@@ -129,8 +129,11 @@ class Lidar:
             origin, directions = np.empty((1, 3)), np.empty_like(self._beams)
             transform_rays(quaternion, position, self._mount[None], self._beams, origin, directions)
             return origin[0], directions
-        R, p = moved_frames(self._times, velocity.linear, velocity.angular)
-        origins, directions = p + R @ self._mount, np.einsum("nij,nj->ni", R, self._beams)
+        # The rings' beams of one angle have one frame.
+        rings, columns = self.preset.rings, self.preset.beams
+        R, p = moved_frames(self._times[:columns], velocity.linear, velocity.angular)
+        origins = np.tile(p + R @ self._mount, (rings, 1))
+        directions = np.einsum("nij,rnj->rni", R, self._beams.reshape(rings, columns, 3)).reshape(-1, 3)
         transform_rays(quaternion, position, origins, directions, origins, directions)
         return origins, directions
 

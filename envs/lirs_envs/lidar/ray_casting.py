@@ -92,29 +92,13 @@ def cast_rays(
 
     All rays start at one origin (1, 3), or each at its own (n, 3).
     """
-    if len(origins) == 1:
-        _cast_fan(terrain, walls, origins[0], directions, max_range, ranges)
-        return
-    for k in range(len(directions)):
-        _cast_fan(terrain, walls, origins[k], directions[k : k + 1], max_range, ranges[k : k + 1])
-
-
-@njit(cache=True, error_model="numpy")
-def _cast_fan(
-    terrain: TerrainMipmap,
-    walls: WallCells,
-    origin: FloatArray,
-    directions: FloatArray,
-    max_range: float,
-    ranges: FloatArray,
-) -> None:
-    wall_ranges(walls, origin, directions, max_range, ranges)
+    wall_ranges(walls, origins, directions, max_range, ranges)
     if walls.hole.size == 0:
-        terrain_ranges(terrain, origin, directions, max_range, ranges)
+        terrain_ranges(terrain, origins, directions, max_range, ranges)
         return
     wall_range = ranges.copy()
-    terrain_ranges(terrain, origin, directions, max_range, ranges)
-    remove_hits_in_holes(walls, origin, directions, wall_range, ranges)
+    terrain_ranges(terrain, origins, directions, max_range, ranges)
+    remove_hits_in_holes(walls, origins, directions, wall_range, ranges)
 
 
 def mujoco_ranges(

@@ -12,6 +12,7 @@ from numba import njit
 
 from lirs_envs.lidar.clipping import FAR, clip, inverse
 from lirs_envs.lidar.mipmap import EDGE, LEAF, ROW, TerrainMipmap
+from lirs_envs.lidar.ray_bundles import BUNDLE, SMALLEST_FIELD, safe_distance
 from lirs_wct.arrays import Float32Array, FloatArray
 
 Ray = tuple[float, float, float, float, float, float]
@@ -22,6 +23,8 @@ does not, else 0; east, north: 1 = the ray runs up that axis (Amanatides and Woo
 algorithm for ray tracing", 1987)."""
 START_LEVEL = 6
 """Squares of 64 cells: the fastest start, measured from 257^2 to 4097^2."""
+NEAR_LEVEL = 4
+"""The same, of 16 cells, where a bundle has come near the ground."""
 BORDER = 1e-9
 """Cells by which the border reaches out, so that rounding puts no ray on it outside."""
 FUSED = {"contract"}
@@ -30,31 +33,42 @@ FUSED = {"contract"}
 
 @njit(cache=True, error_model="numpy", fastmath=FUSED)
 def terrain_ranges(
-    terrain: TerrainMipmap, origin: FloatArray, directions: FloatArray, max_range: float, ranges: FloatArray
+    terrain: TerrainMipmap, origins: FloatArray, directions: FloatArray, max_range: float, ranges: FloatArray
 ) -> None:
-    """Shorten `ranges` (n,) to the first triangle on each ray within `max_range`."""
+    """Shorten `ranges` (n,) to the first triangle on each ray within `max_range`.
+
+    All rays start at one origin (1, 3), or each at its own (n, 3).
+    """
     frame, (nx, ny) = terrain.frame, terrain.cells
     per_x, per_y = 1.0 / frame[2], 1.0 / frame[3]
-    u, v, w = (origin[0] - frame[0]) * per_x, (origin[1] - frame[1]) * per_y, origin[2]
     low, high = frame[4] - frame[6], frame[5] + frame[6]
-    i0, j0 = min(max(int(u), 0), nx - 1), min(max(int(v), 0), ny - 1)
-    # Where a ray starts in the field's box, which is the same for all.
-    above = w - _surface(terrain, i0, j0, u - i0, v - j0)
+    u, v, w, i0, j0, above, safe, bundled = 0.0, 0.0, 0.0, 0, 0, 0.0, 0.0, False
     for k in range(len(directions)):
+        if k < len(origins):
+            u, v, w = (origins[k, 0] - frame[0]) * per_x, (origins[k, 1] - frame[1]) * per_y, origins[k, 2]
+            i0, j0 = min(max(int(u), 0), nx - 1), min(max(int(v), 0), ny - 1)
+            # Where a ray starts in the field's box, which is the same for all of one origin.
+            above = w - _surface(terrain, i0, j0, u - i0, v - j0)
+            over = 0.0 <= u <= nx and 0.0 <= v <= ny and above > 0.0
+            bundled = over and len(origins) == 1 and min(nx, ny) >= SMALLEST_FIELD
+        if bundled and k % BUNDLE == 0:
+            safe = safe_distance(terrain, (u, v, w), directions[k : k + BUNDLE], max_range)
         du, dv, dw = directions[k, 0] * per_x, directions[k, 1] * per_y, directions[k, 2]
         per_u, per_v = inverse(du), inverse(dv)
-        t, t_end = clip(u, per_u, -BORDER, nx + BORDER, 0.0, min(max_range, ranges[k]))
+        t, t_end = clip(u, per_u, -BORDER, nx + BORDER, safe, min(max_range, ranges[k]))
         t, t_end = clip(v, per_v, -BORDER, ny + BORDER, t, t_end)
         t, t_end = clip(w, inverse(dw), low, high, t, t_end)
         if t <= t_end:
             i, j, height = i0, j0, above
             if t > 0.0:
                 i, j = min(max(int(u + t * du), 0), nx - 1), min(max(int(v + t * dv), 0), ny - 1)
-                height = w + t * dw - _surface(terrain, i, j, u + t * du - i, v + t * dv - j)
+                if not bundled:
+                    height = w + t * dw - _surface(terrain, i, j, u + t * du - i, v + t * dv - j)
             far_u, far_v = 0.0 if per_u != 0.0 else FAR, 0.0 if per_v != 0.0 else FAR
             step = (per_u, per_v, far_u, far_v, 1 if du > 0.0 else 0, 1 if dv > 0.0 else 0)
             ray = (u, v, w, du, dv, dw)
-            hit = _traverse(terrain, (i, j), ray, step, height, t, t_end)
+            level = NEAR_LEVEL if bundled else START_LEVEL
+            hit = _traverse(terrain, (i, j), ray, step, height, t, t_end, level)
             ranges[k] = min(ranges[k], hit)
 
 
@@ -67,12 +81,13 @@ def _traverse(
     height: float,
     t: float,
     t_end: float,
+    level: int,
 ) -> float:
     """Return where a ray meets the surface in [t, t_end], which lies in the field's box, else inf.
 
-    At t it is in `cell`, `height` above the surface. Descends into a square of cells only where the ray,
-    over its stretch through it, is not wholly above the square's maximum (from below: not wholly below its
-    minimum). Cells are stepped in integers: rounding moves a crossing by 1e-12 cells and never loses one.
+    At t it is in `cell`, `height` above the surface. Begins with squares of `level`, descends into one only
+    where the ray, over its stretch through it, is not wholly above its maximum (from below: not wholly below
+    its minimum). Cells are stepped in integers: rounding moves a crossing by 1e-12 cells and never loses one.
     """
     if height == 0.0:
         return t
@@ -83,7 +98,7 @@ def _traverse(
     side = 1.0 if height > 0.0 else -1.0
     first = 0 if height > 0.0 else len(bound) // 2
     w, dw = side * w, side * dw
-    level = max(min(top, START_LEVEL), LEAF)
+    level = max(min(top, level), LEAF)
     while True:
         c, r = i >> level, j >> level
         tx = (((c + east) << level) - u) * per_u + far_u

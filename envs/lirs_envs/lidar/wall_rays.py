@@ -47,39 +47,45 @@ def build_wall_cells(walls: WallGrid | None) -> WallCells:
 
 @njit(cache=True, error_model="numpy")
 def wall_ranges(
-    walls: WallCells, origin: FloatArray, directions: FloatArray, max_range: float, ranges: FloatArray
+    walls: WallCells, origins: FloatArray, directions: FloatArray, max_range: float, ranges: FloatArray
 ) -> None:
-    """Fill `ranges` (n,) with the range of the first wall cell on each ray, inf = none within `max_range`."""
+    """Fill `ranges` (n,) with the range of the first wall cell on each ray, inf = none within `max_range`.
+
+    All rays start at one origin (1, 3), or each at its own (n, 3).
+    """
     ranges[:] = np.inf
     distance, frame = walls.distance, walls.frame
     if distance.size == 0:
         return
     ny, nx = distance.shape
     c, s, per_metre, height = frame[2], frame[3], 1.0 / frame[4], frame[5]
-    x, y = origin[0] - frame[0], origin[1] - frame[1]
-    u, v = (c * x + s * y) * per_metre, (c * y - s * x) * per_metre
+    u, v, z = 0.0, 0.0, 0.0
     for k in range(len(directions)):
+        if k < len(origins):
+            x, y, z = origins[k, 0] - frame[0], origins[k, 1] - frame[1], origins[k, 2]
+            u, v = (c * x + s * y) * per_metre, (c * y - s * x) * per_metre
         du = (c * directions[k, 0] + s * directions[k, 1]) * per_metre
         dv = (c * directions[k, 1] - s * directions[k, 0]) * per_metre
         per_u, per_v = inverse(du), inverse(dv)
         t, t_end = clip(u, per_u, 0.0, float(nx), 0.0, max_range)
         t, t_end = clip(v, per_v, 0.0, float(ny), t, t_end)
-        t, t_end = clip(origin[2], inverse(directions[k, 2]), 0.0, height, t, t_end)
+        t, t_end = clip(z, inverse(directions[k, 2]), 0.0, height, t, t_end)
         if t <= t_end:
             ranges[k] = _first_wall(distance, (u, v, du, dv, per_u, per_v), t, t_end)
 
 
 @njit(cache=True, error_model="numpy")
 def remove_hits_in_holes(
-    walls: WallCells, origin: FloatArray, directions: FloatArray, wall_range: FloatArray, ranges: FloatArray
+    walls: WallCells, origins: FloatArray, directions: FloatArray, wall_range: FloatArray, ranges: FloatArray
 ) -> None:
     """Replace hits on the floor where it has a hole: by the range of the wall behind, or inf."""
     rows, cols = walls.hole.shape
     x0, y0, c, s, resolution = walls.frame[0], walls.frame[1], walls.frame[2], walls.frame[3], walls.frame[4]
     for k in range(len(ranges)):
         if ranges[k] < wall_range[k]:
-            x = origin[0] + ranges[k] * directions[k, 0] - x0
-            y = origin[1] + ranges[k] * directions[k, 1] - y0
+            start = min(k, len(origins) - 1)
+            x = origins[start, 0] + ranges[k] * directions[k, 0] - x0
+            y = origins[start, 1] + ranges[k] * directions[k, 1] - y0
             i, j = math.floor((c * x + s * y) / resolution), math.floor((c * y - s * x) / resolution)
             if 0 <= i < cols and 0 <= j < rows and walls.hole[j, i]:
                 ranges[k] = wall_range[k]
