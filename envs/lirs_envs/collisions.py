@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass, field
 
 import mujoco
@@ -45,7 +46,7 @@ class ContactMonitor:
     wheel_geoms: frozenset[int]
     own_geoms: frozenset[int] | None = None
     """The robot's geoms, where props have contacts as well; None = all contacts are the robot's."""
-    penetrations: list[float] = field(default_factory=list)
+    penetrations: array[float] = field(default_factory=lambda: array("d"))
     body_contacts: int = 0
     body_seconds: float = 0.0
     _touching: bool = False

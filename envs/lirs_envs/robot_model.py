@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import mujoco
@@ -228,7 +228,7 @@ class RobotModel:
     def replay(
         self,
         initial: FloatArray,
-        controls: Sequence[tuple[float, ...]],
+        controls: Iterable[tuple[float, ...]],
         walkers: Walkers | None = None,
         *,
         reference: bool = False,

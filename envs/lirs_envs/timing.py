@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass, field
 
 from lirs_wct.geometry.pose import Pose3
@@ -11,8 +12,8 @@ from lirs_wct.geometry.pose import Pose3
 class Timing:
     """Wall-clock seconds of each `advance`: in MuJoCo's step, and in all sensors."""
 
-    physics: list[float] = field(default_factory=list)
-    sensors: list[float] = field(default_factory=list)
+    physics: array[float] = field(default_factory=lambda: array("d"))
+    sensors: array[float] = field(default_factory=lambda: array("d"))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ import numpy as np
 from lirs_envs.simulation import Simulation
 from lirs_validation.experiment.clouds.elevation import Elevations, evaluate_elevation
 from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
-from lirs_validation.experiment.loop import DriveLog, per_second
+from lirs_validation.experiment.drive_log import DriveLog
+from lirs_validation.experiment.loop import per_second
 from lirs_validation.experiment.mappers.guard import imu_copy, scan_copy
 from lirs_validation.experiment.mappers.loading import RESOLUTION, package_versions
 from lirs_validation.experiment.scenario import Scenario

@@ -4,110 +4,26 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 
-from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.sensors import Observation
 from lirs_envs.simulation import Simulation
 from lirs_validation.driving.driver import Driver
 from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
-from lirs_validation.experiment.clouds.sample import CloudSample
+from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.record.run_record import Status
 from lirs_validation.record.verdict import LostRule
-from lirs_wct.arrays import BoolArray
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.progress import Progress, no_progress
 from slam_baselines.mapper import Mapper
 
 Recorder = Callable[[Observation, Pose3, Pose2], None]
 """Is shown what was sensed, the cloud included, the true pose `T_world_base` and the mapper's answer
 `T_map_base`, in the plane."""
-
-
-@dataclass
-class DriveLog:
-    """Everything that a run leaves behind; grows by one entry a scan.
-
-    Attributes:
-        observations: what the mapper was fed, less the clouds.
-        clouds: some of these, of a mapper that reads them.
-        walker_beams: which beams of each scan met a walker; empty where there are none.
-        truth: `T_world_base`, from the simulator.
-        estimates: `T_map_base`, the mapper's online answers, in the plane or in space.
-        final: the mapper's trajectory in the map frame after the drive; None while it lasts.
-        walls: wall-clock seconds of each tick.
-        mapper_seconds: of these, spent in the mapper.
-        status: how it ended; `reason` says why.
-        concurrent: whether something else of ours ran at the same time.
-        start: where the driver had the robot set down, world frame.
-        commands: what it commanded, one a tick: the commands after the first observation, the second, ...
-    """
-
-    observations: list[Observation] = field(default_factory=list)
-    clouds: CloudSample = field(default_factory=CloudSample)
-    walker_beams: list[BoolArray] = field(default_factory=list)
-    truth: list[Pose3] = field(default_factory=list)
-    estimates: list[Pose2 | Pose3] = field(default_factory=list)
-    final: Trajectory | None = None
-    walls: list[float] = field(default_factory=list)
-    mapper_seconds: list[float] = field(default_factory=list)
-    status: Status = "ok"
-    reason: str = ""
-    concurrent: bool = False
-    start: Pose2 = field(default_factory=Pose2)
-    commands: list[Twist] = field(default_factory=list)
-
-    @property
-    def stamps(self) -> list[float]:
-        """Seconds since the start, one a scan."""
-        return [o.scan.stamp for o in self.observations]
-
-    @property
-    def spatial(self) -> bool:
-        """Whether the mapper estimates poses in space."""
-        return isinstance(self.estimates[0], Pose3)
-
-    @property
-    def T_world_map(self) -> Pose2 | Pose3:  # noqa: N802  a frame pair
-        """The true start pose: in space as the robot stood, or in the plane, as the mapper's map frame is."""
-        return self.truth[0] if self.spatial else self.truth[0].to_pose2()
-
-    def in_plane(self, T_map_base: Pose2 | Pose3) -> Pose2:
-        """Return an estimate in the level map frame at the true start pose, projected on the plane."""
-        if isinstance(T_map_base, Pose2):
-            return T_map_base
-        T_level_world = Pose3.from_pose2(self.truth[0].to_pose2().inverse())
-        return (T_level_world @ self.truth[0] @ T_map_base).to_pose2()
-
-    def online(self) -> Trajectory:
-        """Return the mapper's answers as it gave them, in the map frame."""
-        return Trajectory.from_poses(self.stamps, self.estimates)
-
-    def scans_dropped(self, received: int) -> int:
-        """Return how many scans the mapper was given beyond those that it says it received.
-
-        A mapper with a queue may drop scans; one that counts none (`received` 0) says nothing.
-        """
-        return max(0, len(self.observations) - received) if received else 0
-
-    def trajectories(self) -> tuple[Trajectory, Trajectory, Trajectory]:
-        """Return truth, final estimate and odometry, all in the world frame.
-
-        The final estimate is the mapper's own, with all that it learnt later; see `online`.
-        """
-        T_odom_base = self.observations[0].odometry
-        T_world_odom = self.truth[0].to_pose2() @ T_odom_base.inverse()
-        odometry = [o.odometry for o in self.observations]
-        return (
-            Trajectory.from_poses(self.stamps, self.truth),
-            (self.online() if self.final is None else self.final).moved(self.T_world_map),
-            Trajectory.from_poses(self.stamps, odometry).moved(T_world_odom),
-        )
 
 
 class Drive:
@@ -124,6 +40,7 @@ class Drive:
         seconds: simulated time to drive.
         wall_limit: wall seconds after which the drive is stopped; None = never.
         recorder: is shown every scan once it is mapped; its time counts.
+        spool: folder of the log's nameless files; None = the system's for temporary files.
 
     Raises:
         MapperError: the mapper failed (see `GuardedMapper`).
@@ -138,17 +55,18 @@ class Drive:
         *,
         wall_limit: float | None = None,
         recorder: Recorder | None = None,
+        spool: Path | None = None,
     ) -> None:
         self._simulation, self._driver, self._mapper = simulation, driver, mapper
         self._seconds, self._wall_limit, self._recorder = seconds, wall_limit, recorder
         self._ticks = max(1, math.ceil(seconds / simulation.period - 1e-9))
         self._tracking = LostRule()
         self._spent = 0.0
-        self.log, self.over = DriveLog(start=driver.start), False
+        spatial = isinstance(mapper, GuardedCloudMapper)
+        self.log, self.over = DriveLog.begin(driver.start, spatial=spatial, folder=spool), False
         _map(self.log, simulation.reset(driver.start), simulation, mapper, time.perf_counter(), recorder)
         # The first scan comes before anything moves: no simulated time passes, so none is counted.
-        self.log.walls.clear()
-        self.log.mapper_seconds.clear()
+        del self.log.walls[:], self.log.mapper_seconds[:]
 
     @property
     def time(self) -> float:
@@ -210,6 +128,7 @@ def drive(
     *,
     wall_limit: float | None = None,
     recorder: Recorder | None = None,
+    spool: Path | None = None,
 ) -> DriveLog:
     """Drive for a time, or until something fails or the wall limit is over; the log says which.
 
@@ -221,11 +140,12 @@ def drive(
         progress: of the drive.
         wall_limit: wall seconds after which the drive is stopped; None = never.
         recorder: is shown every scan once it is mapped; its time counts.
+        spool: folder of the log's nameless files; None = the system's for temporary files.
 
     Raises:
         MapperError: the mapper failed (see `GuardedMapper`).
     """
-    taken = Drive(simulation, driver, mapper, seconds, wall_limit=wall_limit, recorder=recorder)
+    taken = Drive(simulation, driver, mapper, seconds, wall_limit=wall_limit, recorder=recorder, spool=spool)
     next_report = 1.0
     while not taken.over:
         taken.step()
@@ -249,12 +169,12 @@ def _map(
     done = time.perf_counter()
     if observation.cloud is not None and isinstance(mapper, GuardedCloudMapper):
         log.clouds.offer(len(log.observations), observation.cloud, simulation.walker_points)
-    log.observations.append(replace(observation, cloud=None))
+    log.observations.append(observation)
     walker_beams = simulation.walker_beams
     if walker_beams is not None:
         log.walker_beams.append(walker_beams)
     log.truth.append(simulation.T_world_base)
-    log.estimates.append(estimate)
+    log.estimates.append(estimate)  # type: ignore[arg-type]  # of the mapper's kind
     log.mapper_seconds.append(done - handed)
     if recorder is not None:
         recorder(observation, log.truth[-1], log.in_plane(estimate))
@@ -296,7 +216,7 @@ def _over(spent: float, driven: float, seconds: float) -> str:
     )
 
 
-def per_second(values: list[float], period: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def per_second(values: Sequence[float], period: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """Return (n,) sums of per-tick values over each whole simulated second (a rest counts by its share)."""
     ticks = max(1, round(1.0 / period))
     whole = [values[i : i + ticks] for i in range(0, len(values), ticks)]

@@ -11,8 +11,8 @@ import numpy as np
 
 from lirs_validation.drawing.run_overview import overview_figure
 from lirs_validation.driving.replay import COMMANDS
+from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps
-from lirs_validation.experiment.loop import DriveLog
 from lirs_validation.metrics.spatial.elevation_file import ELEVATION, write_elevation
 from lirs_validation.record.result_files import file_sizes
 from lirs_validation.record.run_record import RunRecord
@@ -51,10 +51,11 @@ def write_results(
         write_map(temporary / "map_true_pose", maps.true_pose)
         for name, trajectory in (("truth", truth), ("estimate", estimate), ("odometry", odometry)):
             write_tum(temporary / f"{name}.tum", trajectory)
-        rows = [(k * period, c.v, c.omega) for k, c in enumerate(log.commands)]
-        write_commands(temporary / COMMANDS, Commands(log.start, np.array(rows).reshape(-1, 3)))
-        write_log(temporary / "scans.clf.gz", [(o.scan, o.odometry) for o in log.observations])
-        write_imu(temporary / "imu.csv.gz", [o.imu for o in log.observations])
+        times = np.arange(len(log.commands)) * period
+        commands = np.column_stack((times, log.commands.as_array()[:, :2]))
+        write_commands(temporary / COMMANDS, Commands(log.start, commands))
+        write_log(temporary / "scans.clf.gz", ((o.scan, o.odometry) for o in log.observations))
+        write_imu(temporary / "imu.csv.gz", log.observations.imu)
         lines = [f"{second},{rtf:.4f}" for second, rtf in enumerate(record.rtf["series"], start=1)]
         (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *lines]) + "\n", encoding="utf-8")
         elevation = None if maps.elevation is None else maps.elevation.built

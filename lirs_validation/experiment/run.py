@@ -20,8 +20,9 @@ from lirs_validation.experiment.clouds.guard import (
 )
 from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.cpu_contention import cpu_contention
+from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
-from lirs_validation.experiment.loop import DriveLog, Recorder, drive
+from lirs_validation.experiment.loop import Recorder, drive
 from lirs_validation.experiment.mappers.guard import GuardedMapper
 from lirs_validation.experiment.mappers.loading import mapper_named
 from lirs_validation.experiment.recording import Recording, recording
@@ -156,7 +157,7 @@ def run(
             raise ConfigError(f"{config.source}: a bag needs a folder to be written to: give out")
     ready = prepare(config, progress, scenarios)
     with recording(config, out, ready.simulation.period) as recorded:
-        log, cost = _timed_drive(ready, progress, recorded.add)
+        log, cost = _timed_drive(ready, progress, recorded.add, _existing(out))
         log.concurrent = log.concurrent or concurrent
         return conclude(ready, log, cost, out, progress, name=name, recorded=recorded)
 
@@ -243,7 +244,14 @@ def conclude(
     return Run(record, log, maps, scenario.world, folder)
 
 
-def _timed_drive(ready: ReadyRun, progress: Progress, recorder: Recorder) -> tuple[DriveLog, dict[str, Any]]:
+def _existing(out: Path | None) -> Path | None:
+    """Return the folder that results go to, or the first above it that is there already."""
+    return None if out is None else next((folder for folder in (out, *out.parents) if folder.is_dir()), None)
+
+
+def _timed_drive(
+    ready: ReadyRun, progress: Progress, recorder: Recorder, spool: Path | None
+) -> tuple[DriveLog, dict[str, Any]]:
     """Drive; return the log and what the drive cost."""
     config = ready.scenario.config
     with cpu_contention() as others:
@@ -256,6 +264,7 @@ def _timed_drive(ready: ReadyRun, progress: Progress, recorder: Recorder) -> tup
             progress,
             wall_limit=config.wall_limit,
             recorder=recorder,
+            spool=spool,
         )
         cost = {"cpu_seconds": meter.cpu_seconds(), "peak_memory": meter.peak_memory()}
     log.concurrent = others.found

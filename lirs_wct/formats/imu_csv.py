@@ -24,14 +24,13 @@ def write_imu(path: Path, readings: Iterable[Imu]) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
-    rows = [(r.stamp, r.roll, r.pitch, *r.angular_velocity, *r.linear_acceleration) for r in readings]
+    rows = np.fromiter((reading.row for reading in readings), np.dtype((np.float64, COLUMNS)))
     with (
         atomic_write(path) as temporary,
         temporary.open("wb") as raw,
         gzip.GzipFile("", "wb", 1, raw, mtime=0) as zipped,
     ):
-        table = np.array(rows, dtype=np.float64).reshape(-1, COLUMNS)
-        np.savetxt(zipped, table, fmt="%.9g", delimiter=",", header=HEADER, comments="")
+        np.savetxt(zipped, rows, fmt="%.9g", delimiter=",", header=HEADER, comments="")
 
 
 def read_imu(path: Path) -> tuple[Imu, ...]:
@@ -49,13 +48,4 @@ def read_imu(path: Path) -> tuple[Imu, ...]:
         raise SourceError(f"{path}: not inertial readings: {error}") from error
     if lines[:1] != [HEADER] or any(len(row) != COLUMNS for row in rows):
         raise SourceError(f"{path}: inertial readings have {COLUMNS} numbers a line ({HEADER})")
-    return tuple(
-        Imu(
-            stamp=r[0],
-            roll=r[1],
-            pitch=r[2],
-            angular_velocity=(r[3], r[4], r[5]),
-            linear_acceleration=(r[6], r[7], r[8]),
-        )
-        for r in rows
-    )
+    return tuple(Imu.from_row(*row) for row in rows)

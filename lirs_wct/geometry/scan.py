@@ -79,3 +79,14 @@ class Imu:
     angular_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     linear_acceleration: tuple[float, float, float] = (0.0, 0.0, 9.81)
     stamp: float = 0.0
+
+    @property
+    def row(self) -> tuple[float, ...]:
+        """The reading as nine numbers: stamp, roll, pitch, rates (3), specific force (3)."""
+        return (self.stamp, self.roll, self.pitch, *self.angular_velocity, *self.linear_acceleration)
+
+    @staticmethod
+    def from_row(stamp: float, roll: float, pitch: float, *vectors: float) -> Imu:
+        """Return the reading of such a row."""
+        p, q, r, x, y, z = vectors
+        return Imu(roll, pitch, (p, q, r), (x, y, z), stamp)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.display import ShownAsPicture
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Pose3
+
+_ROW = attrgetter("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,14 +49,11 @@ class Trajectory(ShownAsPicture):
         return f"Trajectory({len(self.stamps)} poses, {seconds:.4g} s, {self.length:.4g} m)"
 
     @staticmethod
-    def from_poses(stamps: Sequence[float], poses: Sequence[Pose2 | Pose3]) -> Trajectory:
-        """Build from poses; planar ones lie upright at z = 0."""
-        lifted = [Pose3.from_pose2(p) if isinstance(p, Pose2) else p for p in poses]
-        return Trajectory(
-            np.asarray(stamps, dtype=np.float64),
-            np.array([(p.x, p.y, p.z) for p in lifted], dtype=np.float64).reshape(-1, 3),
-            np.array([(p.qw, p.qx, p.qy, p.qz) for p in lifted], dtype=np.float64).reshape(-1, 4),
-        )
+    def from_poses(stamps: ArrayLike, poses: Iterable[Pose2 | Pose3]) -> Trajectory:
+        """Build from stamps (n,) and n poses; planar ones lie upright at z = 0."""
+        lifted = (Pose3.from_pose2(p) if isinstance(p, Pose2) else p for p in poses)
+        rows: FloatArray = np.fromiter(map(_ROW, lifted), np.dtype((np.float64, 7)))
+        return Trajectory(np.asarray(stamps, dtype=np.float64), rows[:, :3].copy(), rows[:, 3:].copy())
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -89,11 +90,10 @@ class Trajectory(ShownAsPicture):
     def moved(self, T_new_frame: Pose2 | Pose3) -> Trajectory:
         """Return the same motion expressed in another frame."""
         T = Pose3.from_pose2(T_new_frame) if isinstance(T_new_frame, Pose2) else T_new_frame
-        poses = [
-            T @ Pose3(*map(float, p), *map(float, q))
-            for p, q in zip(self.positions, self.quaternions, strict=True)
-        ]
-        return Trajectory.from_poses(self.stamps.tolist(), poses)
+        poses = (
+            T @ Pose3(*p.tolist(), *q.tolist()) for p, q in zip(self.positions, self.quaternions, strict=True)
+        )
+        return Trajectory.from_poses(self.stamps.copy(), poses)
 
 
 def _yaw(quaternions: FloatArray) -> FloatArray:

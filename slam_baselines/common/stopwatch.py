@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from array import array
 from typing import TypedDict
 
 import numpy as np
@@ -20,7 +21,7 @@ class Stopwatch:
     """Wall times of updates, milliseconds."""
 
     def __init__(self) -> None:
-        self._ms: list[float] = []
+        self._ms = array("d")
 
     def start(self) -> int:
         """Return the time now, nanoseconds."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Sequence
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import FloatArray, IntArray
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.common.se2 import composed, relative_poses, wrap
@@ -16,13 +17,10 @@ LEVER = 0.5
 
 
 class KeyframeTrajectory:
-    """Poses of all scans in the frame of the last keyframe before each."""
+    """Poses of all scans in the frame of the last keyframe before each, 36 bytes a scan."""
 
     def __init__(self) -> None:
-        self._scans: dict[float, tuple[int, Pose2]] = {}
-
-    def __len__(self) -> int:
-        return len(self._scans)
+        self._keyframes, self._numbers = array("i"), array("d")
 
     def add(self, stamp: float, keyframe: int, T_keyframe_scan: Pose2) -> None:
         """Note a scan; a later scan of the same stamp takes the place of the earlier.
@@ -32,7 +30,9 @@ class KeyframeTrajectory:
             keyframe: index of the last one; -1 before the first, when the pose is in the start frame.
             T_keyframe_scan: pose of the base at the scan.
         """
-        self._scans[stamp] = keyframe, T_keyframe_scan
+        pose = T_keyframe_scan
+        self._keyframes.append(keyframe)
+        self._numbers.extend((stamp, pose.x, pose.y, pose.yaw))
 
     def trajectory(
         self,
@@ -50,11 +50,9 @@ class KeyframeTrajectory:
             T_map_start: of the start frame, for scans before the first keyframe; None: where `measured` puts
                 it, else the map frame.
         """
-        stamps = sorted(self._scans)
-        if not stamps:
+        if not self._keyframes:
             return Trajectory.from_poses([], [])
-        last = np.array([self._scans[t][0] for t in stamps])
-        scans = np.array([self._scans[t][1].as_array() for t in stamps])
+        stamps, last, scans = self._by_stamp()
         if T_map_start is None:
             T_map_start = keyframes[0] @ measured[0].inverse() if measured and keyframes else Pose2()
         poses = composed(T_map_start.as_array(), scans)
@@ -65,11 +63,19 @@ class KeyframeTrajectory:
             if measured is not None:
                 by_motion = np.array([p.as_array() for p in measured])
                 poses[at] = _spread(poses[at], scans[at], last[at], final, by_motion)
-        return Trajectory.from_poses(stamps, [Pose2(x, y, yaw) for x, y, yaw in poses.tolist()])
+        return Trajectory.from_poses(stamps, (Pose2(*pose.tolist()) for pose in poses))
+
+    def _by_stamp(self) -> tuple[FloatArray, IntArray, FloatArray]:
+        """Return stamps (n,) in order, keyframes (n,) and poses (n, 3) of the last scan of each stamp."""
+        rows = np.array(self._numbers).reshape(-1, 4)
+        order = np.argsort(rows[:, 0], kind="stable")
+        ordered = rows[order, 0]
+        order = order[np.append(ordered[1:] != ordered[:-1], True)]
+        return rows[order, 0], np.array(self._keyframes, dtype=np.int64)[order], rows[order, 1:]
 
 
 def _spread(
-    poses: FloatArray, scans: FloatArray, last: FloatArray, final: FloatArray, measured: FloatArray
+    poses: FloatArray, scans: FloatArray, last: IntArray, final: FloatArray, measured: FloatArray
 ) -> FloatArray:
     """Return poses between those seen from the keyframe before and from the one after, by the distance."""
     after = np.clip(last + 1, 0, len(final) - 1)

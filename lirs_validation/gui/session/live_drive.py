@@ -6,8 +6,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from lirs_validation.config import MANUAL, RunConfig
 from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
 from lirs_validation.experiment.cost import CostMeter
@@ -110,7 +108,7 @@ class LiveDrive:
         """Return the drive at a scan, 0 being the one before anything moves."""
         log, until = self._drive.log, scan + 1
         observation, T_world_base = log.observations[scan], log.truth[scan]
-        truth = np.array([(p.x, p.y, p.z) for p in log.truth[:until]])
+        truth = log.truth.as_array()[:until, :3]
         estimates = [log.in_plane(pose) for pose in log.estimates[:until]]
         estimate = self._T_world_map.apply([(p.x, p.y) for p in estimates])
         stamp = observation.scan.stamp

@@ -16,7 +16,8 @@ from lirs_validation.driving.choice import make_driver
 from lirs_validation.driving.exploration_map import distance_in_sight, exploration_map
 from lirs_validation.driving.frontier_route import FrontierRoute
 from lirs_validation.driving.path_driver import DriverConfig, PathDriver
-from lirs_validation.experiment.loop import DriveLog, drive
+from lirs_validation.experiment.drive_log import DriveLog
+from lirs_validation.experiment.loop import drive
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan

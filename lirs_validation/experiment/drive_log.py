@@ -1,0 +1,106 @@
+"""The log of a drive: what was sensed, what was true and what the mapper answered, scan by scan."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from lirs_envs.robots.command import Twist
+from lirs_validation.experiment.clouds.sample import CloudSample
+from lirs_validation.experiment.observation_log import ObservationLog
+from lirs_validation.record.run_record import Status
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.rows import Rows
+from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.spool import ArraySpool
+
+
+@dataclass
+class DriveLog:
+    """Everything that a run leaves behind; grows by one entry a scan, of some 250 bytes in memory.
+
+    Attributes:
+        observations: what the mapper was fed, less the clouds.
+        clouds: some of these, of a mapper that reads them.
+        walker_beams: which beams of each scan met a walker; empty where there are none.
+        truth: `T_world_base`, from the simulator.
+        estimates: `T_map_base`, the mapper's online answers, in the plane or in space.
+        final: the mapper's trajectory in the map frame after the drive; None while it lasts.
+        walls: wall-clock seconds of each tick.
+        mapper_seconds: of these, spent in the mapper.
+        status: how it ended; `reason` says why.
+        concurrent: whether something else of ours ran at the same time.
+        start: where the driver had the robot set down, world frame.
+        commands: what it commanded, one a tick: the commands after the first observation, the second, ...
+    """
+
+    observations: ObservationLog
+    walker_beams: ArraySpool[np.bool_]
+    estimates: Rows[Pose2] | Rows[Pose3]
+    clouds: CloudSample = field(default_factory=CloudSample)
+    truth: Rows[Pose3] = field(default_factory=lambda: Rows.of(Pose3))
+    final: Trajectory | None = None
+    walls: array[float] = field(default_factory=lambda: array("d"))
+    mapper_seconds: array[float] = field(default_factory=lambda: array("d"))
+    status: Status = "ok"
+    reason: str = ""
+    concurrent: bool = False
+    start: Pose2 = field(default_factory=Pose2)
+    commands: Rows[Twist] = field(default_factory=lambda: Rows.of(Twist))
+
+    @staticmethod
+    def begin(start: Pose2, *, spatial: bool = False, folder: Path | None = None) -> DriveLog:
+        """Return the log of a drive before its first scan.
+
+        Args:
+            start: where the driver has the robot set down, world frame.
+            spatial: whether the mapper estimates poses in space.
+            folder: of the files that hold what memory should not; they have no names, and are gone with the
+                process. None = the system's folder for temporary files.
+        """
+        estimates = Rows.of(Pose3) if spatial else Rows.of(Pose2)
+        return DriveLog(ObservationLog(folder), ArraySpool(folder), estimates, start=start)
+
+    @property
+    def spatial(self) -> bool:
+        """Whether the mapper estimates poses in space."""
+        return isinstance(self.estimates[0], Pose3)
+
+    @property
+    def T_world_map(self) -> Pose2 | Pose3:  # noqa: N802  a frame pair
+        """The true start pose: in space as the robot stood, or in the plane, as the mapper's map frame is."""
+        return self.truth[0] if self.spatial else self.truth[0].to_pose2()
+
+    def in_plane(self, T_map_base: Pose2 | Pose3) -> Pose2:
+        """Return an estimate in the level map frame at the true start pose, projected on the plane."""
+        if isinstance(T_map_base, Pose2):
+            return T_map_base
+        T_level_world = Pose3.from_pose2(self.truth[0].to_pose2().inverse())
+        return (T_level_world @ self.truth[0] @ T_map_base).to_pose2()
+
+    def online(self) -> Trajectory:
+        """Return the mapper's answers as it gave them, in the map frame."""
+        return Trajectory.from_poses(self.observations.stamps, self.estimates)
+
+    def scans_dropped(self, received: int) -> int:
+        """Return how many scans the mapper was given beyond those that it says it received.
+
+        A mapper with a queue may drop scans; one that counts none (`received` 0) says nothing.
+        """
+        return max(0, len(self.observations) - received) if received else 0
+
+    def trajectories(self) -> tuple[Trajectory, Trajectory, Trajectory]:
+        """Return truth, final estimate and odometry, all in the world frame.
+
+        The final estimate is the mapper's own, with all that it learnt later; see `online`.
+        """
+        T_odom_base = self.observations[0].odometry
+        T_world_odom = self.truth[0].to_pose2() @ T_odom_base.inverse()
+        return (
+            Trajectory.from_poses(self.observations.stamps, self.truth),
+            (self.online() if self.final is None else self.final).moved(self.T_world_map),
+            Trajectory.from_poses(self.observations.stamps, self.observations.odometry).moved(T_world_odom),
+        )

@@ -1,0 +1,85 @@
+"""Arrays that come one after the other and are too many for memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from tempfile import SpooledTemporaryFile, gettempdir
+from typing import TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.errors import OutputError
+
+IN_MEMORY = 4 << 20
+"""Bytes up to which a spool has no file."""
+AT_ONCE = 1 << 19
+"""Bytes that are read at a time where all arrays are gone through."""
+
+Element = TypeVar("Element", bound=np.generic)
+
+
+class ArraySpool(Sequence[NDArray[Element]]):
+    """A growing sequence of equal arrays: a few lie in memory, many in a file that has no name.
+
+    Such a file is gone with the process, however that ends. What comes out is a copy.
+
+    Args:
+        folder: where the file lies; None = the system's folder for temporary files.
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self._folder = folder
+        where = None if folder is None else str(folder)
+        self._file = SpooledTemporaryFile(IN_MEMORY, dir=where)  # noqa: SIM115  lives as long as the spool
+        self._count, self._shape, self._bytes = 0, (0,), 0
+        self._dtype: np.dtype[Element] | None = None
+        self._read_since = False
+
+    def append(self, values: NDArray[Element]) -> None:
+        """Add an array of the first one's shape and type.
+
+        Raises:
+            ValueError: it has another shape or type.
+            OutputError: the file cannot be written.
+        """
+        if self._dtype is None:
+            self._dtype, self._shape, self._bytes = values.dtype, values.shape, values.nbytes
+        if (values.dtype, values.shape) != (self._dtype, self._shape):
+            raise ValueError(
+                f"a spool of {self._dtype} {self._shape} was given {values.dtype} {values.shape}"
+            )
+        try:
+            if self._read_since:
+                self._file.seek(self._count * self._bytes)
+            self._file.write(values.tobytes())
+        except OSError as error:
+            where = self._folder or gettempdir()
+            raise OutputError(f"{where}: cannot be written: {error.strerror or error}") from error
+        self._count, self._read_since = self._count + 1, False
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> NDArray[Element]: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[NDArray[Element]]: ...
+    def __getitem__(self, index: int | slice) -> NDArray[Element] | list[NDArray[Element]]:
+        if isinstance(index, slice):
+            return [self[k] for k in range(len(self))[index]]
+        return next(self._read(range(len(self))[index], 1))
+
+    def __iter__(self) -> Iterator[NDArray[Element]]:
+        some = max(1, AT_ONCE // max(1, self._bytes))
+        for first in range(0, len(self), some):
+            yield from self._read(first, min(some, len(self) - first))
+
+    def _read(self, first: int, count: int) -> Iterator[NDArray[Element]]:
+        """Yield so many arrays from an index on."""
+        self._file.seek(first * self._bytes)
+        self._read_since = True
+        read = np.frombuffer(self._file.read(count * self._bytes), self._dtype)
+        for values in read.reshape(count, *self._shape):
+            yield values.copy()
