@@ -14,6 +14,7 @@ import numpy as np
 from lirs_wct.arrays import ByteArray
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.export.mjcf import world_spec
+from lirs_wct.export.mjcf_compat import readable_by_old
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.images.image_writer import write_image
 from lirs_wct.geometry.heightfield import HeightField
@@ -24,6 +25,8 @@ GROUND_PIXELS = 2048
 SKY = ((0.72, 0.80, 0.90), (0.93, 0.94, 0.95))
 """Colours of the sky above and at the horizon, RGB."""
 
+START_GROUP = 4
+"""Group of sites that the viewer hides until it is asked for."""
 STAND_IN = "stand-in.hfield"
 """Name of a height field of 2x2 nodes, under which MuJoCo never looks for a world's own."""
 
@@ -58,6 +61,7 @@ def write_mjcf(
         width=64,
         height=64,
     )
+    _mark_starts(spec, world)
     for hfield in spec.hfields:
         hfield.file = _write_heights(world, path.parent)
         if texture is not None:
@@ -65,6 +69,20 @@ def write_mjcf(
     with atomic_write(path) as temporary:
         temporary.write_text(_exact_xml(spec), encoding="utf-8")
     return path
+
+
+def _mark_starts(spec: mujoco.MjSpec, world: World) -> None:
+    """Add a site for each start, on the ground: a robot is attached to `start`, the first of them.
+
+    A keyframe would hold joint positions, and a world has no joint.
+    """
+    for k, pose in enumerate(world.spawn_poses):
+        spec.worldbody.add_site(
+            name=f"start{k or ''}",
+            pos=(pose.x, pose.y, float(world.surface.height_at(pose.x, pose.y))),
+            quat=(math.cos(pose.yaw / 2), 0.0, 0.0, math.sin(pose.yaw / 2)),
+            group=START_GROUP,
+        )
 
 
 def _write_heights(world: World, folder: Path) -> str:
@@ -142,9 +160,11 @@ def _exact_xml(spec: mujoco.MjSpec) -> str:
     for element, item in (
         *zip(root.iterfind("asset/hfield"), spec.hfields, strict=True),
         *zip(root.iterfind("worldbody/geom"), spec.worldbody.geoms, strict=True),
+        *zip(root.iterfind("worldbody/site"), spec.worldbody.sites, strict=True),
     ):
         for attribute in ("pos", "size", "quat"):
             if attribute in element.attrib:
                 element.set(attribute, " ".join(f"{v:.12g}" for v in getattr(item, attribute)))
+    readable_by_old(root)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
