@@ -18,6 +18,9 @@ TOLERANCE = 0.10
 ROUNDING = 1e-9
 """Cell centers that are 0.10 m apart but for rounding agree, metres."""
 
+BAND = 64
+"""Rows of a map that are looked up at a time: what is made on the way is ten times the size of the map."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Agreement:
@@ -114,8 +117,12 @@ def decided(grid: OccupancyGrid) -> OccupancyGrid:
 def sampled(grid: OccupancyGrid, like: OccupancyGrid) -> Float32Array:
     """Return the log-odds of `grid` at the cell centers of another grid; NaN where unknown or outside."""
     rows, cols = like.shape
-    cells = np.stack(np.meshgrid(np.arange(rows), np.arange(cols), indexing="ij"), axis=-1)
-    return log_odds_at(grid, like.centers(cells))
+    found = np.empty(like.shape, np.float32)
+    for first in range(0, rows, BAND):
+        band = np.arange(first, min(first + BAND, rows)), np.arange(cols)
+        cells = np.stack(np.meshgrid(*band, indexing="ij"), axis=-1)
+        found[first : first + BAND] = log_odds_at(grid, like.centers(cells))
+    return found
 
 
 def log_odds_at(grid: OccupancyGrid, points: FloatArray) -> Float32Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,8 @@ from lirs_wct.geometry.walls import WallGrid
 
 MARGIN = 1.0
 """Metres shown around paths and what maps know."""
+BAND = 64
+"""Rows of pixels that are looked up at a time: what is made on the way is large."""
 FREE_SHADE, UNKNOWN_SHADE = 1.0, 0.80
 """Gray of what is known to be free, and of what nobody knows."""
 
@@ -53,22 +56,34 @@ class Canvas:
     @property
     def centers(self) -> FloatArray:
         """(rows, cols, 2) x and y of the pixels' centers, metres."""
+        return self._centers(slice(None))
+
+    def _bands(self) -> Iterator[slice]:
+        return (slice(first, first + BAND) for first in range(0, self.shape[0], BAND))
+
+    def _centers(self, rows: slice) -> FloatArray:
+        """Return (rows, cols, 2) the centers of some rows, metres."""
         west, _, _, north = self.bounds
         x = west + (np.arange(self.shape[1]) + 0.5) * self.pixel
-        y = north - (np.arange(self.shape[0]) + 0.5) * self.pixel
+        y = north - (np.arange(self.shape[0])[rows] + 0.5) * self.pixel
         return np.stack(np.meshgrid(x, y), axis=-1)
 
     def heights(self, surface: HeightField) -> FloatArray:
         """Return (rows, cols) metres; NaN off the surface."""
-        xy = self.centers
-        return surface.height_at(xy[..., 0], xy[..., 1])
+        heights = np.empty(self.shape)
+        for band in self._bands():
+            xy = self._centers(band)
+            heights[band] = surface.height_at(xy[..., 0], xy[..., 1])
+        return heights
 
     def marked(self, mask: BoolArray, resolution: float, origin: Pose2) -> BoolArray:
         """Return the pixels that hold a marked cell of a grid, however thin: row 0 of `mask` is south."""
-        local = np.floor(origin.inverse().apply(self.centers) / resolution).astype(np.int64)
-        col, row = local[..., 0], local[..., 1]
-        inside = (row >= 0) & (row < mask.shape[0]) & (col >= 0) & (col < mask.shape[1])
-        seen: BoolArray = inside & mask[np.where(inside, row, 0), np.where(inside, col, 0)]
+        seen, to_grid = np.empty(self.shape, np.bool_), origin.inverse()
+        for band in self._bands():
+            local = np.floor(to_grid.apply(self._centers(band)) / resolution).astype(np.int64)
+            col, row = local[..., 0], local[..., 1]
+            inside = (row >= 0) & (row < mask.shape[0]) & (col >= 0) & (col < mask.shape[1])
+            seen[band] = inside & mask[np.where(inside, row, 0), np.where(inside, col, 0)]
         if resolution < self.pixel:
             points = origin.apply((np.argwhere(mask)[:, ::-1] + 0.5) * resolution)
             self._touch(seen, points)
@@ -114,10 +129,10 @@ def bounds_shown(path: Trajectory, grid: OccupancyGrid) -> tuple[float, float, f
 
 def bounds_of(grid: OccupancyGrid) -> tuple[float, float, float, float] | None:
     """Return west, south, east, north of what a map knows, metres; None where it knows nothing."""
-    cells = np.argwhere(grid.known)
-    if len(cells) == 0:
+    rows, cols = (np.flatnonzero(grid.known.any(axis=axis)) for axis in (1, 0))
+    if len(rows) == 0:
         return None
-    low, high = cells.min(axis=0), cells.max(axis=0) + 1
+    low, high = (rows[0], cols[0]), (rows[-1] + 1, cols[-1] + 1)
     corners = np.array([(c, r) for r in (low[0], high[0]) for c in (low[1], high[1])], dtype=np.float64)
     xy = grid.origin.apply(corners * grid.resolution)
     (west, south), (east, north) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()

@@ -43,9 +43,10 @@ def shaded_surface(surface: HeightField, canvas: Canvas) -> FloatArray:
     """
     z = canvas.heights(surface)
     low, high = float(surface.z.min()), float(surface.z.max())
-    tint = height_colors()((np.nan_to_num(z, nan=low) - low) / max(high - low, 1e-9))[..., :3]
-    rgb: FloatArray = np.clip(tint * (0.42 + 0.78 * shading(z, canvas.pixel)[..., None]), 0, 1)
-    return rgb
+    light = 0.42 + 0.78 * shading(z, canvas.pixel)[..., None]
+    rgb: FloatArray = height_colors()((np.nan_to_num(z, nan=low) - low) / max(high - low, 1e-9))[..., :3]
+    rgb *= light
+    return np.clip(rgb, 0, 1, out=rgb)
 
 
 def shading(z: FloatArray, pixel: float) -> FloatArray:

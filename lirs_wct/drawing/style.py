@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from io import BytesIO
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
@@ -44,8 +45,10 @@ def plain_axes(axes: Axes, x: str, y: str) -> None:
 
 
 def map_axes(axes: Axes, canvas: Canvas, picture: FloatArray) -> None:
-    """Show a picture in metres, both axes alike."""
-    axes.imshow(picture, extent=canvas.extent, interpolation="antialiased", zorder=0)
+    """Show a picture (rows, cols, 3) in [0, 1] in metres, both axes alike."""
+    # Of bytes, matplotlib makes an eighth of the copies that it makes of float64.
+    levels = np.rint(picture * 255).astype(np.uint8)
+    axes.imshow(levels, extent=canvas.extent, interpolation="antialiased", zorder=0)
     plain_axes(axes, "x [m]", "y [m]")
     for spine in axes.spines.values():
         spine.set_visible(True)

@@ -174,7 +174,7 @@ def test_what_is_off_stands_out() -> None:
     found = {}
     for name in ("Built map", "Built map, aligned"):
         axes = next(a for a in figure.axes if a.get_title(loc="left") == name)
-        picture = np.asarray(axes.images[0].get_array())
+        picture = np.asarray(axes.images[0].get_array()) / 255
         found[name] = [
             int((np.abs(picture - color).max(axis=-1) < 0.01).sum())
             for color in ((0.835, 0.369, 0.0), (0.0, 0.447, 0.698))
