@@ -1,5 +1,7 @@
 """Bags: what recording a drive costs, how much memory an hour takes, and how fast a bag is read.
 
+An hour is measured twice: the bag alone, and a whole recorded run with its evaluation.
+
     python benchmarks/bags.py [--scans 100000] [--mapper hector,gmapping,cartographer] [--quick] [--json FILE]
 
 Recording is measured beside the rest of the same drive, reading beside rosbags, which decodes the same
@@ -14,6 +16,7 @@ import math
 import multiprocessing
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -34,6 +37,7 @@ from lirs_wct.geometry.scan import Imu, LaserScan
 
 BEAMS, PERIOD, HOUR = 541, 0.04, 3600.0
 """Of a Husky's LMS111: beams, seconds from scan to scan."""
+STORAGES: tuple[Storage, ...] = ("mcap", "sqlite3")
 
 
 def main() -> None:
@@ -48,7 +52,8 @@ def main() -> None:
     console = Console(width=120)
     with tempfile.TemporaryDirectory() as folder:
         recording = [recorded(name, seconds, Path(folder)) for name in given.mapper.split(",")]
-        hours = [an_hour(storage, Path(folder)) for storage in ("mcap", "sqlite3")]
+        hours = [alone(written, Path(folder) / f"hour-{s}", s, round(HOUR / PERIOD)) for s in STORAGES]
+        whole = alone(driven, Path(folder) / "run", 600.0 if given.quick else HOUR)
         reading = read(scans, Path(folder))
     for row in recording:
         console.print(
@@ -61,11 +66,17 @@ def main() -> None:
             f"{row['growth_mb']:+.0f} MB after the first minute, {row['file_mb']:.0f} MB on disk"
         )
     console.print(
+        f"a run of {whole['seconds']:g} s, recorded: peak {whole['drive_mb']:.0f} MB while driving, "
+        f"{whole['growth_kb']:.1f} kB a simulated second after the first minute, {whole['peak_mb']:.0f} MB "
+        f"with the evaluation; RTF of the first minute {whole['rtf_first']:.1f}, "
+        f"of the last {whole['rtf_last']:.1f}"
+    )
+    console.print(
         f"reading: {reading['scans']} scans at {reading['scans_a_second']:.0f} a second of processor time, "
         f"{reading['share']:.2f} x what rosbags decodes ({reading['rosbags']:.0f} a second)"
     )
     if given.json:
-        document = {"recording": recording, "hours": hours, "reading": reading}
+        document = {"recording": recording, "hours": hours, "run": whole, "reading": reading}
         given.json.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
@@ -86,11 +97,34 @@ def recorded(mapper: str, seconds: float, folder: Path) -> dict[str, Any]:
     return {"mapper": mapper, "us_a_scan": 1e6 * sum(spent) / len(spent), "share": sum(spent) / rest}
 
 
-def an_hour(storage: Storage, folder: Path) -> dict[str, Any]:
-    """Write an hour in a process of its own; return its peak memory."""
+def alone(measure: Callable[..., dict[str, Any]], *given: object) -> dict[str, Any]:
+    """Measure in a process of its own, whose peak memory is the measurement's."""
     context = multiprocessing.get_context("spawn")
     with context.Pool(1) as pool:
-        return pool.apply(written, (folder / f"hour-{storage}", storage, round(HOUR / PERIOD)))
+        return pool.apply(measure, given)
+
+
+def driven(folder: Path, seconds: float) -> dict[str, Any]:
+    """Record a run on `medium` with hector; return its peaks of memory and its speed, early and late."""
+    peaks = {}
+
+    def noted(phase: str, share: float) -> None:
+        reached = "early" if phase == "drive" and share * seconds < 61 else phase
+        peaks[reached] = peak_mb()
+
+    rtf = validate("medium", seconds=seconds, bag="mcap", out=folder, progress=noted).record.rtf
+    first, last = (
+        60.0 / sum(1.0 / second for second in part) for part in (rtf["series"][:60], rtf["series"][-60:])
+    )
+    growth = 1024 * (peaks["evaluate"] - peaks["early"]) / (seconds - 60)
+    return {
+        "seconds": seconds,
+        "drive_mb": peaks["evaluate"],
+        "growth_kb": growth,
+        "peak_mb": peak_mb(),
+        "rtf_first": first,
+        "rtf_last": last,
+    }
 
 
 def written(path: Path, storage: Storage, scans: int) -> dict[str, Any]:

@@ -1,0 +1,95 @@
+"""What a drive leaves in memory: little, however long it lasts, and the same as was sensed."""
+
+from __future__ import annotations
+
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lirs_envs.robots.catalog import make_robot
+from lirs_validation.config import RunConfig
+from lirs_validation.driving.choice import make_driver
+from lirs_validation.experiment.drive_log import DriveLog
+from lirs_validation.experiment.loop import Drive
+from lirs_validation.experiment.scenario import build_scenario
+from lirs_wct import spool
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.mapper import MapperStats
+
+
+class DeadReckoning:
+    """A mapper that keeps nothing."""
+
+    lost = False
+    stats = MapperStats()
+
+    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        return odometry or Pose2()
+
+    def trajectory(self) -> Trajectory:
+        return Trajectory.from_poses([], [])
+
+
+def medium_drive(seconds: float, lidar: str | None = None) -> Drive:
+    config = RunConfig(source="medium", seconds=seconds, seed=2, lidar=lidar)
+    scenario, robot = build_scenario(config), make_robot("husky")
+    driver = make_driver(scenario.world, robot, config, lambda: None)  # type: ignore[arg-type, return-value]
+    return Drive(scenario.simulation(robot), driver, DeadReckoning(), seconds)  # type: ignore[arg-type]
+
+
+def go_on(drive: Drive, until: float) -> int:
+    """Drive to a time; return the bytes that Python then holds of what was allocated since tracing began."""
+    while drive.time < until:
+        drive.step()
+    return tracemalloc.get_traced_memory()[0]
+
+
+@pytest.mark.parametrize("lidar", [None, "vlp16"])
+def test_a_drive_grows_by_a_few_kilobytes_a_second(
+    lidar: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(spool, "IN_MEMORY", 1 << 16)
+    drive = medium_drive(40, lidar)
+    go_on(drive, 5)
+    tracemalloc.start()
+    try:
+        begun, ended = go_on(drive, 10), go_on(drive, 30)
+    finally:
+        tracemalloc.stop()
+    assert (ended - begun) / 20 < 20_000
+
+
+def test_the_log_gives_back_what_was_sensed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(spool, "IN_MEMORY", 1 << 14)
+    drive = medium_drive(4)
+    seen = []
+    advance = drive._simulation.advance
+    drive._simulation.advance = lambda command: seen.append(advance(command)) or seen[-1]  # type: ignore
+    while not drive.over:
+        drive.step()
+    assert len(seen) == len(drive.log.observations) - 1 == 100
+    for kept, given in zip(drive.log.observations[1:], seen, strict=True):
+        np.testing.assert_array_equal(kept.scan.ranges, given.scan.ranges)
+        assert replace(kept.scan, ranges=given.scan.ranges) == given.scan
+        assert (kept.odometry, kept.imu) == (given.odometry, given.imu)
+    assert [o.scan.stamp for o in drive.log.observations] == drive.log.observations.stamps.tolist()
+    assert drive.log.observations[-1].imu == seen[-1].imu
+
+
+def test_a_log_has_one_lidar() -> None:
+    drive = medium_drive(1)
+    first = drive.log.observations[0]
+    with pytest.raises(ValueError, match="a drive has one lidar"):
+        drive.log.observations.append(replace(first, scan=replace(first.scan, angle_min=0.0)))
+
+
+def test_estimates_are_of_the_mappers_kind() -> None:
+    for spatial, pose in ((False, Pose2(1, 2, 3)), (True, Pose3(1, 2, 3))):
+        log = DriveLog.begin(Pose2(), spatial=spatial)
+        log.estimates.append(pose)  # type: ignore[arg-type]
+        assert list(log.estimates) == [pose]
+        assert log.spatial == spatial
