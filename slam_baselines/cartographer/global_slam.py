@@ -19,10 +19,10 @@ from slam_baselines.cartographer.loop_closure.constraint_builder import Constrai
 from slam_baselines.cartographer.loop_closure.loop_event import LoopEvent
 from slam_baselines.cartographer.loop_closure.verification import LoopVerification
 from slam_baselines.cartographer.node import NOWHERE, Node, composed
-from slam_baselines.cartographer.optimization import (
+from slam_baselines.cartographer.pose_graph.constraint_table import ConstraintTable
+from slam_baselines.cartographer.pose_graph.optimization import (
     OptimizationProblem,
     PoseConstraint,
-    PoseConstraints,
     Solution,
     iterate,
     optimize,
@@ -65,8 +65,7 @@ class GlobalSlam:
         self.trimmer = Trimmer(config.trimming)
         self._local = local
         self._verification = LoopVerification(config.verification)
-        self._to_nodes: list[PoseConstraint] = []
-        self._to_submaps: list[PoseConstraint] = []
+        self._to_nodes, self._to_submaps = ConstraintTable(), ConstraintTable()
         self._running: tuple[OptimizationProblem, Solution] | None = None
         self._optimized_at = (0, 0)
         self._loops_at_start = self._rows_optimized = 0
@@ -258,8 +257,8 @@ class GlobalSlam:
         """Return the problem as it is now, and its start."""
         problem = OptimizationProblem(
             self.config.optimization,
-            PoseConstraints.stack(self._to_nodes),
-            PoseConstraints.stack(self._to_submaps),
+            self._to_nodes.constraints(),
+            self._to_submaps.constraints(),
             np.zeros(3),
         )
         submaps = np.array([p.as_array() for p in self.submap_poses])

@@ -1,4 +1,4 @@
-"""Small matrices: kernels for symmetric 3x3 ones (NumPy's calls cost more than their arithmetic), blocks."""
+"""Small matrices: kernels for symmetric 3x3 ones, since NumPy's calls cost more than their arithmetic."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from scipy import sparse
 
-from lirs_wct.arrays import FloatArray, IntArray
+from lirs_wct.arrays import FloatArray
 
 
 @njit(cache=True)
@@ -60,22 +59,3 @@ def moved_covariance(P: Any, dx: float, dy: float, shift: float, turn: float) ->
 def inverted(matrices: FloatArray) -> FloatArray:
     """Return the inverses of (..., n, n) matrices."""
     return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
-
-
-def sum_blocks(blocks: FloatArray, index: IntArray, n: int) -> FloatArray:
-    """Return (n, 3, 3) the sums of the (k, 3, 3) blocks of each index."""
-    return sum_vectors(blocks.reshape(-1, 9), index, n).reshape(n, 3, 3)
-
-
-def sum_vectors(vectors: FloatArray, index: IntArray, n: int) -> FloatArray:
-    """Return (n, k) the sums of the vectors of each index."""
-    columns = [np.bincount(index, weights=column, minlength=n) for column in vectors.T]
-    return np.stack(columns, axis=-1)
-
-
-def block_matrix(blocks: FloatArray, rows: IntArray, cols: IntArray, n: int, m: int) -> sparse.csr_matrix:
-    """Return the sparse matrix of (k, 3, 3) blocks at block rows and columns; equal places add up."""
-    three = np.arange(3)
-    r = np.broadcast_to((3 * rows)[:, None, None] + three[:, None], blocks.shape)
-    c = np.broadcast_to((3 * cols)[:, None, None] + three, blocks.shape)
-    return sparse.coo_matrix((blocks.ravel(), (r.ravel(), c.ravel())), shape=(3 * n, 3 * m)).tocsr()

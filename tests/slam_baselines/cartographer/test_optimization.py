@@ -7,12 +7,13 @@ import pytest
 
 from lirs_wct.errors import ConfigError
 from slam_baselines.cartographer.config import OptimizationConfig
-from slam_baselines.cartographer.optimization import (
+from slam_baselines.cartographer.pose_graph.constraint_table import FIRST_ROWS, ConstraintTable
+from slam_baselines.cartographer.pose_graph.normal_equations import linearize, robust_cost
+from slam_baselines.cartographer.pose_graph.optimization import (
     OptimizationProblem,
     PoseConstraint,
     PoseConstraints,
     errors,
-    jacobians,
     optimize,
     start_optimization,
 )
@@ -70,17 +71,64 @@ def rmse(estimate, truth):
     return np.sqrt(((estimate - truth)[:, :2] ** 2).sum(axis=1).mean())
 
 
-def test_jacobians_are_the_derivatives():
+def test_the_kernels_linearize_the_errors():
+    """Blocks and gradients are those of numeric derivatives; Cauchy's loss weighs robust constraints."""
     rng = np.random.default_rng(1)
-    a, b, z = rng.uniform(-3, 3, (3, 50, 3))
-    Ja, Jb = jacobians(a, b)
-    for k in range(3):
-        h = np.zeros(3)
-        h[k] = 1e-6
-        for J, plus, minus in ((Ja, (a + h, b), (a - h, b)), (Jb, (a, b + h), (a, b - h))):
-            difference = errors(*plus, z) - errors(*minus, z)
-            difference[:, 2] = wrap(difference[:, 2])
-            np.testing.assert_allclose(J[:, :, k], difference / 2e-6, atol=1e-6)
+    m, s, n, scale = 50, 4, 7, 2.0
+    submaps, nodes = rng.uniform(-3, 3, (s, 3)), rng.uniform(-3, 3, (n, 3))
+    L = rng.normal(size=(m, 3, 3))
+    rows = (
+        rng.integers(0, s, m), rng.integers(0, n, m), rng.uniform(-3, 3, (m, 3)),
+        L @ L.transpose(0, 2, 1) + np.eye(3), rng.random(m) < 0.5,
+    )  # fmt: skip
+    a, b, z, W, robust = rows
+    h = 1e-6 * np.eye(3)
+    Ja, Jb = (
+        np.stack([wrap_yaw(errors(*plus, z) - errors(*minus, z)) / 2e-6 for plus, minus in moved], axis=-1)
+        for moved in (
+            [((submaps[a] + d, nodes[b]), (submaps[a] - d, nodes[b])) for d in h],
+            [((submaps[a], nodes[b] + d), (submaps[a], nodes[b] - d)) for d in h],
+        )
+    )
+    e = errors(submaps[a], nodes[b], z)
+    chi2 = np.einsum("mi,mij,mj->m", e, W, e)
+    W = W * np.where(robust, 1 / (1 + chi2 / scale**2), 1.0)[:, None, None]
+    (Hs, gs), (Hn, gn) = ((np.zeros((k, 3, 3)), np.zeros((k, 3))) for k in (s, n))
+    cross = np.empty((m, 3, 3))
+    linearize(rows, submaps, nodes, scale, (Hs, gs), (Hn, gn), cross)
+    expected = [np.zeros_like(H) for H in (Hs, gs, Hn, gn)]
+    np.add.at(expected[0], a, np.einsum("mji,mjk,mkl->mil", Ja, W, Ja))
+    np.add.at(expected[1], a, np.einsum("mji,mjk,mk->mi", Ja, W, e))
+    np.add.at(expected[2], b, np.einsum("mji,mjk,mkl->mil", Jb, W, Jb))
+    np.add.at(expected[3], b, np.einsum("mji,mjk,mk->mi", Jb, W, e))
+    for got, wanted in zip((Hs, gs, Hn, gn), expected, strict=True):
+        np.testing.assert_allclose(got, wanted, rtol=1e-5, atol=1e-4)
+    np.testing.assert_allclose(cross, np.einsum("mji,mjk,mkl->mil", Ja, W, Jb), rtol=1e-5, atol=1e-4)
+    cost = np.where(robust, scale**2 * np.log1p(chi2 / scale**2), chi2).sum()
+    assert robust_cost(rows, submaps, nodes, scale) == pytest.approx(cost)
+
+
+def test_a_table_of_constraints_grows_and_leaves_what_was_taken_of_it():
+    rng, table, added = np.random.default_rng(2), ConstraintTable(), []
+    for k in range(3 * FIRST_ROWS):
+        added.append(PoseConstraint(k, 2 * k, rng.normal(size=3), rng.normal(size=(3, 3)), k % 3 == 0))
+        table.append(added[-1])
+        if k == FIRST_ROWS // 2:
+            early, alone = table.constraints(), table.copy()
+    alone.append(added[0])
+    assert (len(table), len(alone)) == (3 * FIRST_ROWS, FIRST_ROWS // 2 + 2)
+    for got, rows in (
+        (table.constraints(), added),
+        (early, added[: FIRST_ROWS // 2 + 1]),
+        (alone.constraints(), [*added[: FIRST_ROWS // 2 + 1], added[0]]),
+    ):
+        for column, wanted in zip(got.rows, PoseConstraints.stack(rows).rows, strict=True):
+            np.testing.assert_array_equal(column, wanted)
+
+
+def wrap_yaw(difference):
+    difference[:, 2] = wrap(difference[:, 2])
+    return difference
 
 
 def test_errors_vanish_at_the_measured_poses_and_yaw_wraps():

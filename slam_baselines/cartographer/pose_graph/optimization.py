@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,14 @@ from scipy.sparse.linalg import splu
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from slam_baselines.cartographer.config import OptimizationConfig
-from slam_baselines.common.linalg import block_matrix, inverted, sum_blocks, sum_vectors
+from slam_baselines.cartographer.pose_graph.normal_equations import (
+    BlockPattern,
+    Rows,
+    eliminate_nodes,
+    linearize,
+    node_steps,
+    robust_cost,
+)
 from slam_baselines.common.se2 import relative_poses, wrap
 
 
@@ -59,6 +67,11 @@ class PoseConstraints:
     information: FloatArray
     robust: BoolArray
 
+    @property
+    def rows(self) -> Rows:
+        """The arrays, for the kernels."""
+        return self.a, self.b, self.z, self.information, self.robust
+
     @staticmethod
     def stack(constraints: Sequence[PoseConstraint]) -> PoseConstraints:
         """Stack constraints."""
@@ -71,7 +84,7 @@ class PoseConstraints:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class OptimizationProblem:
     """Nonlinear least-squares problem over the poses of submaps and nodes.
 
@@ -87,16 +100,21 @@ class OptimizationProblem:
     to_submaps: PoseConstraints
     origin: FloatArray
 
+    @cached_property
+    def pattern(self) -> BlockPattern:
+        """Where the submaps' matrix has blocks: the same in every step."""
+        indices = (self.to_nodes.a, self.to_submaps.a, self.to_submaps.b)
+        submaps = 1 + max(int(index.max(initial=-1)) for index in indices)
+        return BlockPattern.of(self.to_nodes.rows, self.to_submaps.rows, submaps)
+
     def cost(self, submaps: FloatArray, nodes: FloatArray, width: float) -> float:
         """Return half the sum of the robust squared errors of (s, 3) submaps and (n, 3) nodes.
 
         Cauchy's scale is `width` times the configured one.
         """
-        total = 0.0
-        for constraints, targets in ((self.to_nodes, nodes), (self.to_submaps, submaps)):
-            e = errors(submaps[constraints.a], targets[constraints.b], constraints.z)
-            chi2 = np.einsum("mi,mij,mj->m", e, constraints.information, e)
-            total += float(np.where(constraints.robust, self._loss(chi2, width), chi2).sum())
+        scale = width * self.config.cauchy_scale
+        total: float = robust_cost(self.to_nodes.rows, submaps, nodes, scale)
+        total += robust_cost(self.to_submaps.rows, submaps, submaps, scale)
         gauge = nodes[0] - self.origin
         gauge[2] = wrap(gauge[2])
         return 0.5 * (total + self.config.gauge_information * float(gauge @ gauge))
@@ -116,58 +134,26 @@ class OptimizationProblem:
         self, submaps: FloatArray, nodes: FloatArray, damping: float, width: float
     ) -> tuple[FloatArray, FloatArray]:
         """Return submaps and nodes after one Gauss-Newton step with Levenberg's damping."""
-        n, s = len(nodes), len(submaps)
-        A, B, C, ga, gb = self._linearize(self.to_nodes, submaps, nodes, width)
-        Hnn, gn = sum_blocks(C, self.to_nodes.b, n), sum_vectors(gb, self.to_nodes.b, n)
-        Hnn[0] += self.config.gauge_information * np.eye(3)
+        pattern, scale = self.pattern, width * self.config.cauchy_scale
+        s, n = len(submaps), len(nodes)
+        (Hs, gs), (Hn, gn) = ((np.zeros((k, 3, 3)), np.zeros((k, 3))) for k in (s, n))
+        to_nodes, to_submaps = self.to_nodes.rows, self.to_submaps.rows
+        cross, odometry = np.empty((len(to_nodes[0]), 3, 3)), np.empty((len(to_submaps[0]), 3, 3))
+        linearize(to_nodes, submaps, nodes, scale, (Hs, gs), (Hn, gn), cross)
+        linearize(to_submaps, submaps, submaps, scale, (Hs, gs), (Hs, gs), odometry)
         gauge = nodes[0] - self.origin
-        gn[0] += self.config.gauge_information * np.array((gauge[0], gauge[1], wrap(gauge[2])))
-        Hsn = block_matrix(B, self.to_nodes.a, self.to_nodes.b, s, n)
-        A2, B2, C2, ga2, gb2 = self._linearize(self.to_submaps, submaps, submaps, width)
-        gs = sum_vectors(ga, self.to_nodes.a, s) + sum_vectors(ga2, self.to_submaps.a, s)
-        gs += sum_vectors(gb2, self.to_submaps.b, s)
-        diagonal = sum_blocks(A, self.to_nodes.a, s) + sum_blocks(A2, self.to_submaps.a, s)
-        diagonal += sum_blocks(C2, self.to_submaps.b, s)
-        cross = block_matrix(B2, self.to_submaps.a, self.to_submaps.b, s, s)
-        eye = damping * np.eye(3)
-        Hss = block_matrix(diagonal * (1 + eye), np.arange(s), np.arange(s), s, s) + cross + cross.T
-        # Schur complement: the nodes' blocks are inverted one by one.
-        inverse = inverted(Hnn * (1 + eye))
-        Y = Hsn @ block_matrix(inverse, np.arange(n), np.arange(n), n, n)
-        ds = splu((Hss - Y @ Hsn.T).tocsc()).solve(-(gs.ravel() - Y @ gn.ravel()))
-        rest = gn + (Hsn.T @ ds).reshape(-1, 3)
-        dn = -np.einsum("nij,nj->ni", inverse, rest)
-        return _moved(submaps, ds.reshape(-1, 3)), _moved(nodes, dn)
-
-    def _linearize(
-        self, constraints: PoseConstraints, submaps: FloatArray, targets: FloatArray, width: float
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return the blocks Ja'WJa, Ja'WJb, Jb'WJb (m, 3, 3) and the gradients Ja'We, Jb'We (m, 3)."""
-        e = errors(submaps[constraints.a], targets[constraints.b], constraints.z)
-        Ja, Jb = jacobians(submaps[constraints.a], targets[constraints.b])
-        W = constraints.information
-        if constraints.robust.any():
-            chi2 = np.einsum("mi,mij,mj->m", e, W, e)
-            W = W * np.where(constraints.robust, self._loss_derivative(chi2, width), 1.0)[:, None, None]
-        WJa, WJb = W @ Ja, W @ Jb
-        JaT, JbT = Ja.transpose(0, 2, 1), Jb.transpose(0, 2, 1)
-        We = np.einsum("mij,mj->mi", W, e)
-        return (
-            JaT @ WJa,
-            JaT @ WJb,
-            JbT @ WJb,
-            np.einsum("mij,mj->mi", JaT, We),
-            np.einsum("mij,mj->mi", JbT, We),
-        )
-
-    def _loss(self, chi2: FloatArray, width: float) -> FloatArray:
-        """Cauchy's loss: quadratic near 0, logarithmic far out, so that outliers lose their weight."""
-        c2 = (width * self.config.cauchy_scale) ** 2
-        return c2 * np.log1p(chi2 / c2)
-
-    def _loss_derivative(self, chi2: FloatArray, width: float) -> FloatArray:
-        """Derivative of the loss: the weight of a constraint."""
-        return 1 / (1 + chi2 / (width * self.config.cauchy_scale) ** 2)
+        gauge[2] = wrap(gauge[2])
+        Hn[0] += self.config.gauge_information * np.eye(3)
+        gn[0] += self.config.gauge_information * gauge
+        damped = 1 + damping * np.eye(3)
+        blocks, inverse = np.zeros((len(pattern.row), 3, 3)), np.empty_like(Hn)
+        blocks[pattern.diagonal] = Hs * damped
+        np.add.at(blocks, pattern.odometry[0], odometry)
+        np.add.at(blocks, pattern.odometry[1], odometry.transpose(0, 2, 1))
+        places = (pattern.order, pattern.node, pattern.pair)
+        eliminate_nodes(places, to_nodes[0], cross, (Hn * damped, gn), blocks, gs, inverse)
+        ds = -splu(pattern.matrix(blocks)).solve(gs.ravel()).reshape(-1, 3)
+        return _moved(submaps, ds), _moved(nodes, node_steps(to_nodes, cross, ds, gn, inverse))
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,14 +230,3 @@ def errors(a: FloatArray, b: FloatArray, z: FloatArray) -> FloatArray:
     e = relative_poses(a, b) - z
     e[:, 2] = wrap(e[:, 2])
     return e
-
-
-def jacobians(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (m, 3, 3) the derivatives of the errors with respect to a and to b."""
-    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-    dx, dy = b[:, 0] - a[:, 0], b[:, 1] - a[:, 1]
-    Jb = np.zeros((len(a), 3, 3))
-    Jb[:, 0, 0], Jb[:, 0, 1], Jb[:, 1, 0], Jb[:, 1, 1], Jb[:, 2, 2] = c, s, -s, c, 1
-    Ja = -Jb
-    Ja[:, 0, 2], Ja[:, 1, 2] = c * dy - s * dx, -s * dy - c * dx
-    return Ja, Jb
