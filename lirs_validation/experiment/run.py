@@ -28,7 +28,7 @@ from lirs_validation.experiment.mappers.loading import mapper_named
 from lirs_validation.experiment.recording import Recording, recording
 from lirs_validation.experiment.results import write_results
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache
-from lirs_validation.experiment.warm_up import warm_up
+from lirs_validation.experiment.warm_up import heap_at_rest, warm_up
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.drawing.style import Drawing
@@ -254,7 +254,7 @@ def _timed_drive(
 ) -> tuple[DriveLog, dict[str, Any]]:
     """Drive; return the log and what the drive cost."""
     config = ready.scenario.config
-    with cpu_contention() as others:
+    with cpu_contention() as others, heap_at_rest():
         meter = CostMeter()
         log = drive(
             ready.simulation,

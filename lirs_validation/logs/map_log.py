@@ -14,6 +14,7 @@ from lirs_validation.config import Attitude, MapConfig
 from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.mappers.attitude import with_attitude
 from lirs_validation.experiment.mappers.guard import GuardedMapper
+from lirs_validation.experiment.warm_up import heap_at_rest
 from lirs_validation.logs.inertial import inertial_readings, with_recorded_mount
 from lirs_validation.logs.log_mapper import check_log, make_log_mapper, warm_up_log_mapper
 from lirs_validation.logs.mapped_log import MappedLog
@@ -113,7 +114,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
     with compile_timer() as compile_seconds:
         warm_up_log_mapper(config)
     seconds["compile_seconds"] = compile_seconds()
-    with _timed(seconds, "map_seconds"):
+    with heap_at_rest(), _timed(seconds, "map_seconds"):
         tracking = replay(config, mapper, log, readings, progress)
         grid, trajectory = mapper.map(), mapper.trajectory()
     relations = None if relations is None else relations_in_time(relations, log.lines)

@@ -17,12 +17,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
-from lirs_wct.arrays import ByteArray, FloatArray
+from lirs_wct.arrays import ByteArray, FloatArray, IntArray
 from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.growing_grid import GrowingGrid
@@ -102,7 +102,7 @@ class GroundFilter:
         self.tilt = 0.0
         self.drift = 0.0
         self._slope: tuple[float, float] | None = None
-        self._offsets = _neighbours(self.config.resolution)
+        self._neighbors = _neighbors(self.config.resolution)
 
     def move(self, delta: Pose2, scan: LeveledScan, *, registered: bool = True) -> None:
         """Follow the ground over a step of the base, as steep as the robot is tilted.
@@ -213,7 +213,7 @@ class GroundFilter:
         frame = np.array((g.row0, g.col0, g.resolution))
         bounds = self.drift, near, far
         slopes: ByteArray = min_slopes(
-            g.layers["upper_bound"], frame, scan, self._ground(base), bounds, self._offsets
+            g.layers["upper_bound"], frame, scan, self._ground(base), bounds, self._neighbors
         )
         return slopes
 
@@ -228,13 +228,29 @@ class GroundFilter:
         return np.zeros(n, np.uint8)
 
 
-def _neighbours(resolution: float) -> FloatArray:
-    """Return (k, 3) row and column offsets and distances: all cells close by, fewer farther off."""
+class Neighbors(NamedTuple):
+    """Cells around a hit: all close by, fewer farther off.
+
+    Attributes:
+        cell: (k, 2) row and column offsets.
+        distance: (k,) of their middles, and a cell's edge, metres.
+        reach: largest offset.
+    """
+
+    cell: IntArray
+    distance: FloatArray
+    reach: int
+
+
+def _neighbors(resolution: float) -> Neighbors:
+    """Return the cells that tell how high the ground before a hit can be."""
     reach = round(0.35 / resolution)
     close = [(r, c) for r in range(-reach, reach + 1) for c in range(-reach, reach + 1)]
     rays = [(math.sin(a), math.cos(a)) for a in np.arange(12) * math.tau / 12]
     rings = [(round(d * s / resolution), round(d * c / resolution)) for d in (0.5, 0.8, 1.2) for s, c in rays]
-    return np.array([(r, c, math.hypot(r, c) * resolution) for r, c in close + rings])
+    cells = np.array(close + rings, np.int64)
+    distance = np.array([math.hypot(r, c) * resolution + resolution for r, c in close + rings])
+    return Neighbors(cells, distance, int(np.abs(cells).max()))
 
 
 @njit(cache=True)
@@ -267,24 +283,29 @@ def stand(upper_bound: Any, frame: Any, ground: Any, footprint: float, old: floa
 
 
 @njit(cache=True)
-def min_slopes(upper_bound: Any, frame: Any, scan: Any, ground: Any, bounds: Any, offsets: Any) -> Any:
+def min_slopes(upper_bound: Any, frame: Any, scan: Any, ground: Any, bounds: Any, neighbors: Any) -> Any:
     """Return (n,) the largest rise over run that must lie before each hit, SLOPE_STEP."""
     old, near, far = bounds
     origin, hits = scan.origin, scan.hits
+    cell, distance, reach = neighbors
     res = frame[2]
     rows, cols = upper_bound.shape
     slopes = np.empty(len(hits), np.uint8)
     for i in range(len(hits)):
-        x, y, z = hits[i]
-        reach = np.sqrt((x - origin[0]) ** 2 + (y - origin[1]) ** 2 + (z - origin[2]) ** 2)
-        z -= near + far * reach
+        x, y, z = hits[i, 0], hits[i, 1], hits[i, 2]
+        length = np.sqrt((x - origin[0]) ** 2 + (y - origin[1]) ** 2 + (z - origin[2]) ** 2)
+        z -= near + far * length
         best = (z - ground[2]) / (np.hypot(x - ground[0], y - ground[1]) + res)
         z -= old
         row, col = int(np.floor(y / res - frame[0])), int(np.floor(x / res - frame[1]))
-        for k in range(len(offsets)):
-            r, c = row + int(offsets[k, 0]), col + int(offsets[k, 1])
-            if r < 0 or c < 0 or r >= rows or c >= cols:
+        inside = reach <= row < rows - reach and reach <= col < cols - reach
+        for k in range(len(cell)):
+            r, c = row + cell[k, 0], col + cell[k, 1]
+            if not inside and (r < 0 or c < 0 or r >= rows or c >= cols):
                 continue
-            best = max(best, (z - upper_bound[r, c]) / (offsets[k, 2] + res))
+            rise = z - upper_bound[np.uintp(r), np.uintp(c)]
+            # A product asks what a quotient, four times as slow, would; few cells raise the slope.
+            if rise > best * distance[k]:
+                best = max(best, rise / distance[k])
         slopes[i] = np.uint8(min(max(best / SLOPE_STEP, 0.0), 255.0))
     return slopes
