@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
+from numba import njit
 
+from lirs_wct.arrays import ByteArray, FloatArray, Int32Array
 from lirs_wct.errors import SimulationError
 
 DIVERGENCE_WARNINGS = {
@@ -18,6 +20,7 @@ DIVERGENCE_WARNINGS = {
     mujoco.mjtWarning.mjWARN_CONTACTFULL: "there are more contacts than memory for them",
     mujoco.mjtWarning.mjWARN_CNSTRFULL: "there are more constraints than memory for them",
 }
+KINDS = [int(kind) for kind in DIVERGENCE_WARNINGS]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +53,7 @@ class ContactMonitor:
     body_contacts: int = 0
     body_seconds: float = 0.0
     _touching: bool = False
+    _roles: ByteArray | None = None
 
     def record(self, data: mujoco.MjData, dt: float) -> None:
         """Record the deepest contact, and whether the body touches."""
@@ -57,14 +61,10 @@ class ContactMonitor:
             self.penetrations.append(0.0)
             self._touching = False
             return
-        distances, pairs = data.contact.dist.tolist(), data.contact.geom.tolist()
-        if self.own_geoms is not None:
-            own = [k for k, pair in enumerate(pairs) if not self.own_geoms.isdisjoint(pair)]
-            distances, pairs = [distances[k] for k in own], [pairs[k] for k in own]
-        self.penetrations.append(max(0.0, -min(distances, default=0.0)))
-        # The ground's and walls' geoms come after the robot's or before; a contact has one of each.
-        wheels = self.wheel_geoms
-        touching = any(a not in wheels and b not in wheels for a, b in pairs)
+        if self._roles is None:
+            self._roles = _roles(data.model.ngeom, self.wheel_geoms, self.own_geoms)
+        depth, touching = contact_state(data.contact.dist, data.contact.geom, self._roles)
+        self.penetrations.append(depth)
         self.body_contacts += touching and not self._touching
         self.body_seconds += dt * touching
         self._touching = touching
@@ -81,14 +81,47 @@ class ContactMonitor:
         )
 
 
+WHEEL, OWN = 1, 2
+"""What a geom is, as bits: a wheel or caster, one of the robot's."""
+
+
+def _roles(geoms: int, wheels: frozenset[int], own: frozenset[int] | None) -> ByteArray:
+    """Return (geoms,) what each geom is; all are the robot's where `own` is None."""
+    roles = np.full(geoms, OWN if own is None else 0, np.uint8)
+    roles[list(own or ())] |= OWN
+    roles[list(wheels)] |= WHEEL
+    return roles
+
+
+@njit(cache=True, nogil=True)
+def contact_state(distance: FloatArray, pairs: Int32Array, roles: ByteArray) -> tuple[float, bool]:
+    """Return the deepest of the robot's contacts, metres, and whether more of it than its wheels touches.
+
+    The ground's and walls' geoms come after the robot's or before; a contact has one of each.
+    """
+    depth, touching = 0.0, False
+    for k in range(len(distance)):
+        a, b = roles[pairs[k, 0]], roles[pairs[k, 1]]
+        if (a | b) & OWN:
+            depth = max(depth, -distance[k])
+            touching |= not (a | b) & WHEEL
+    return depth, touching
+
+
 def check_divergence(data: mujoco.MjData) -> None:
     """Stop a simulation that has diverged.
 
     Raises:
         SimulationError: MuJoCo warned, or the state is not finite.
     """
-    for warning, reason in DIVERGENCE_WARNINGS.items():
-        if data.warning[warning].number:
-            raise SimulationError(f"the simulation diverged at {data.time:.3f} s: {reason}")
-    if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
+    if data.warning.number[KINDS].any():
+        reasons = (reason for kind, reason in DIVERGENCE_WARNINGS.items() if data.warning[kind].number)
+        raise SimulationError(f"the simulation diverged at {data.time:.3f} s: {next(reasons)}")
+    if not (is_finite(data.qpos) and is_finite(data.qvel)):
         raise SimulationError(f"the simulation diverged at {data.time:.3f} s: the state is not finite")
+
+
+@njit(cache=True, nogil=True)
+def is_finite(values: FloatArray) -> bool:
+    """Return whether all of (n,) values are finite."""
+    return bool(np.isfinite(values).all())

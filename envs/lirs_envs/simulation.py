@@ -201,8 +201,8 @@ class Simulation:
     @property
     def off_world(self) -> bool:
         """Whether base_link is beyond the world's border."""
-        x, y, _ = self.body.pose().position
-        return not self.world.surface.contains(x, y)
+        pose, (west, south, east, north) = self.body.pose(), self.world.surface.bounds
+        return not (west <= pose.x <= east and south <= pose.y <= north)
 
     @property
     def walker_beams(self) -> BoolArray | None:

@@ -15,13 +15,13 @@ from mujoco.batch import Batch
 from mujoco.batch import SimulationError as BatchError
 from numba import njit
 
-from lirs_envs.collisions import DIVERGENCE_WARNINGS
+from lirs_envs.collisions import DIVERGENCE_WARNINGS, KINDS, is_finite
 from lirs_envs.robot_model import CONTACT_SENSOR, SETTLING_TIME, RobotModel, base_pose
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, Vector3
 from lirs_wct.geometry.pose import Pose3
 
-WARNINGS = np.array([int(warning) for warning in DIVERGENCE_WARNINGS], np.int64)
+WARNINGS = np.array(KINDS, np.int64)
 
 
 class Bodies:
@@ -161,8 +161,7 @@ def _find_diverged(
     qpos: FloatArray, qvel: FloatArray, warning: Int32Array, kinds: IntArray, found: BoolArray
 ) -> None:
     for i in range(len(found)):
-        finite = np.isfinite(qpos[i]).all() and np.isfinite(qvel[i]).all()
-        found[i] = not finite
+        found[i] = not (is_finite(qpos[i]) and is_finite(qvel[i]))
         for k in kinds:
             found[i] |= warning[i, k, 1] > 0
 

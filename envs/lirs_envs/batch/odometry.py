@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from lirs_envs.sensing.odometry import (
-    DistanceNoises,
-    OdometryConfig,
-    integrated_pose,
-    measured_distance,
-    yaw_rate,
-)
+from lirs_envs.sensing.odometry import DistanceNoises, OdometryConfig, reckoned_pose
 from lirs_wct.arrays import FloatArray, IntArray, Vector3
 
 
@@ -90,13 +83,16 @@ def integrate_wheels(
         i = ids[n]
         left, right = _mean_angle(qpos[i], joints.left), _mean_angle(qpos[i], joints.right)
         turned = ((left - angles[i, 0]) + (right - angles[i, 1])) / 2
-        distance = measured_distance(
-            scale[i : i + 1], normals[i], used[i : i + 1], turned * joints.radius, parameters
-        )
-        roll, pitch = attitude[i, 0], attitude[i, 1]
-        turn = yaw_rate((rates[i, 0], rates[i, 1], rates[i, 2]), roll, pitch) * dt
+        measured = ((rates[i, 0], rates[i, 1], rates[i, 2]), attitude[i, 0], attitude[i, 1])
         at: Vector3 = (pose[i, 0], pose[i, 1], pose[i, 2])
-        pose[i, 0], pose[i, 1], pose[i, 2] = integrated_pose(at, distance * math.cos(pitch), turn)
+        pose[i, 0], pose[i, 1], pose[i, 2] = reckoned_pose(
+            at,
+            (scale[i : i + 1], normals[i], used[i : i + 1]),
+            parameters,
+            turned * joints.radius,
+            measured,
+            dt,
+        )
         angles[i, 0], angles[i, 1] = left, right
         used_up |= used[i] == normals.shape[1]
     return used_up

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 from lirs_envs.robots.robot import Robot
 from lirs_wct.errors import ConfigError
@@ -44,7 +44,8 @@ def check_command(robot: Robot, command: object) -> None:
         raise ConfigError(f"{robot.name} drives: it takes a Twist, got {command}")
     if not isinstance(command, Twist | Waypoint):
         raise ConfigError(f"a command must be a Twist or a Waypoint, got {command!r}")
-    if not all(is_finite(value) for value in astuple(command)):
+    c = command
+    if not all(map(is_finite, (c.v, c.omega, c.climb) if isinstance(c, Twist) else (c.x, c.y, c.z, c.yaw))):
         raise ConfigError(f"a command must be finite, got {command}")
 
 

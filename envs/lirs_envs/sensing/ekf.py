@@ -21,7 +21,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import OdometryConfig, OdometryIncrement, WheelOdometry, integrated
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import FloatArray, Vector3
 from lirs_wct.field_validators import require_at_least
 from lirs_wct.geometry.pose import Pose2
 
@@ -122,6 +122,15 @@ class EkfOdometry(WheelOdometry):
         self._drifted = 0.0
         self._time = self._distance = self._turned = self._wheels_turned = self._wheel_distance = 0.0
         self._readings = 0
+
+    def update(
+        self, turned: float, rates: Vector3, roll: float, pitch: float, dt: float, difference: float = 0.0
+    ) -> None:
+        """Add the motion since the last update (see `WheelOdometry.update`)."""
+        robot = self.robot
+        distance = self._noise.measured(turned * robot.wheel_radius)
+        wheel_turn = difference * robot.wheel_radius / (robot.track * robot.skid_factor)
+        self._add(OdometryIncrement(distance, wheel_turn, rates, roll, pitch, dt))
 
     def _add(self, increment: OdometryIncrement) -> None:
         turn, distance = increment.turn, abs(increment.distance)

@@ -114,14 +114,22 @@ class DistanceNoise:
         self._noises = DistanceNoises(config, 1)
         self._noises.begin(0, rng)
 
-    def measured(self, distance: float) -> float:
-        """Return the measured distance, metres."""
+    @property
+    def coming(self) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Scale error (1,), normal numbers (BLOCK,) of which one is left at least, how many are used (1,)."""
         noises = self._noises
         if noises.used[0] == BLOCK:
             noises.draw()
-        metres: float = measured_distance(
-            noises.scale, noises.normals[0], noises.used, distance, noises.parameters
-        )
+        return noises.scale, noises.normals[0], noises.used
+
+    @property
+    def parameters(self) -> tuple[float, float]:
+        """Standard deviation and correlation length, metres."""
+        return self._noises.parameters
+
+    def measured(self, distance: float) -> float:
+        """Return the measured distance, metres."""
+        metres: float = measured_distance(*self.coming, distance, self.parameters)
         return metres
 
 
@@ -163,6 +171,31 @@ def integrated_pose(pose: Vector3, forward: float, turn: float) -> Vector3:
     elif yaw <= -math.pi:
         yaw += math.tau
     return x + forward * math.cos(middle), y + forward * math.sin(middle), yaw
+
+
+@njit(cache=True, nogil=True)
+def reckoned_pose(
+    pose: Vector3,
+    noise: tuple[FloatArray, FloatArray, IntArray],
+    parameters: tuple[float, float],
+    distance: float,
+    readings: tuple[Vector3, float, float],
+    dt: float,
+) -> Vector3:
+    """Return x, y, yaw after a motion: distance from the wheels, heading from the gyro.
+
+    Args:
+        pose: x, y, yaw before.
+        noise: scale error, normal numbers and how many are used (see `measured_distance`).
+        parameters: of the noise.
+        distance: by which the wheels have turned, metres.
+        readings: measured rates about x, y, z of the base, rad/s, roll and pitch, radians.
+        dt: seconds.
+    """
+    rates, roll, pitch = readings
+    metres = measured_distance(noise[0], noise[1], noise[2], distance, parameters)
+    reckoned: Vector3 = integrated_pose(pose, metres * math.cos(pitch), yaw_rate(rates, roll, pitch) * dt)
+    return reckoned
 
 
 class Odometry:
@@ -213,13 +246,9 @@ class WheelOdometry(Odometry):
             dt: seconds.
             difference: angle by which the right wheels have turned more than the left ones, radians.
         """
-        robot = self.robot
-        distance = self._noise.measured(turned * robot.wheel_radius)
-        wheel_turn = difference * robot.wheel_radius / (robot.track * robot.skid_factor)
-        self._add(OdometryIncrement(distance, wheel_turn, rates, roll, pitch, dt))
-
-    def _add(self, increment: OdometryIncrement) -> None:
-        self.pose = integrated(self.pose, increment.forward, increment.turn)
+        before, noise, readings = self.pose, self._noise, (rates, roll, pitch)
+        at, distance = (before.x, before.y, before.yaw), turned * self.robot.wheel_radius
+        self.pose = Pose2(*reckoned_pose(at, noise.coming, noise.parameters, distance, readings, dt))
 
 
 class FlowOdometry(Odometry):
