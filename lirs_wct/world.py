@@ -216,8 +216,9 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
         raise LogSourceError(f"{found.path}: a log is mapped before it is a world")
     warn_of_useless(found, options)
     world = _place(found, options)
-    texture = checked_texture(options.texture, options.max_pixels)
-    return replace(world, export_options=_settings(options, texture, world.export_options))
+    for texture in (options.texture, options.wall_texture):
+        checked_texture(texture, options.max_pixels)
+    return replace(world, export_options=export_settings(options, world))
 
 
 def _place(found: Source, options: BuildOptions) -> World:
@@ -284,15 +285,28 @@ def _with_spawn_poses(world: World) -> World:
     return replace(world, spawn_poses=(), spawn_for="")
 
 
-def _settings(options: BuildOptions, texture: Path | None, former: ExportOptions) -> ExportOptions:
-    """Return what the options ask for; of what they do not mention, the former settings stay."""
+def export_settings(options: BuildOptions, world: World) -> ExportOptions:
+    """Return what the options ask for; of what they do not mention, the world's former settings stay.
+
+    Raises:
+        ConfigError: a texture is to be draped, or hung on walls, where there is none, or there are none.
+    """
+    former = world.export_options
     budget = options.max_error, options.max_triangles
     if budget == (None, None):
         budget = former.max_error, former.max_triangles
+    if options.drape and not (options.texture or former.texture):
+        raise ConfigError("--drape lays a picture over the world: give --texture FILE")
+    if options.wall_texture and world.walls is None:
+        raise ConfigError(f"{world.name}: --wall-texture is for the walls of a laser map, it has none")
+    same = options.texture is None
+    drape = options.drape or (same and former.drape and options.texture_size is None)
     return ExportOptions(
         max_error=budget[0],
         max_triangles=budget[1],
         rotate_x=options.rotate_x or former.rotate_x,
-        texture=texture or former.texture,
-        texture_size=options.texture_size or former.texture_size,
+        texture=options.texture or former.texture,
+        drape=drape,
+        wall_texture=options.wall_texture or former.wall_texture,
+        texture_size=options.texture_size or (None if drape else former.texture_size),
     )

@@ -17,6 +17,7 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.imu_csv import read_imu
 from lirs_wct.formats.tum import read_tum
+from lirs_wct.formats.world_json import TEXTURE_OPTIONS
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import LaserScan
@@ -48,8 +49,9 @@ def recorded_config(entry: Mapping[str, Any]) -> RunConfig:
         for key, value in given.items():
             if not _fits(value, getattr(SourceOptions(), key)):
                 raise TypeError(f"{key} is {value!r}")
-        if given.get("texture") is not None:
-            given["texture"] = Path(given["texture"])
+        for role in TEXTURE_OPTIONS:
+            if given.get(role) is not None:
+                given[role] = Path(given[role])
         return RunConfig(**held, build=SourceOptions(**given))
     except (ConfigError, TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
         reason = " ".join(str(error).split())

@@ -26,7 +26,8 @@ def world_files(config: RunConfig) -> list[Path]:
     if path.is_dir():
         return [path / "world.json", path / "world.npz"]
     siblings = path.parent.glob(f"{path.stem}.*") if path.suffix in (".yaml", ".yml") else ()
-    return [path, *siblings, *([config.build.texture] if config.build.texture else [])]
+    textures = (config.build.texture, config.build.wall_texture)
+    return [path, *siblings, *filter(None, textures)]
 
 
 def is_stale(result: Path, found: Any, inputs: Iterable[Path | None]) -> bool:

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
 import trimesh
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.meshes.collada import write_document
-from lirs_wct.formats.meshes.collada_stream import stream_collada
+from lirs_wct.formats.meshes.collada_stream import MeshPart, stream_collada
 from lirs_wct.formats.meshes.obj import write_obj
 from lirs_wct.formats.meshes.stl import write_stl
 from lirs_wct.formats.meshes.textured import write_glb
 from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.meshing.tiles import split_tiles
-from lirs_wct.meshing.uv import cube_uv, projection_groups
-from lirs_wct.progress import Progress, no_progress, tracked
+from lirs_wct.meshing.uv import cube_uv
+from lirs_wct.progress import Progress, no_progress
 
-TILE = 19_000
-"""Triangles of a streamed tile: its 9,500 vertices have indices of four digits."""
 STREAM_ABOVE = 20_000
 """Triangles above which the file is streamed: pycollada needs 20 s and 500 MB for each million."""
 BULK = 500_000
@@ -68,24 +64,45 @@ def write_collada(
         path: file.
         mesh: in the world frame.
         texture: path of the picture relative to the file, or None for a plain colour.
-        stream_above: triangles above which the file is streamed in tiles.
+        stream_above: triangles above which the file is streamed.
         progress: of the file.
 
     Raises:
         ConfigError: the texture's path holds spaces, which Gazebo does not take.
         OutputError: the file cannot be written.
     """
-    if texture is not None and any(c.isspace() for c in texture):
-        raise ConfigError(f"path of a texture must not hold spaces, got {texture!r}")
-    if mesh.uv is None or mesh.normals is None:
-        mesh = cube_uv(mesh)
-    streamed = len(mesh.faces) > stream_above
-    aim = TILE if streamed else max(len(mesh.faces), 1)
-    tiles = split_tiles(mesh, aim=aim, groups=projection_groups(mesh))
-    tiles = tracked(tiles, len(mesh.faces), lambda tile: len(tile.faces), path.name, progress)
+    whole = mesh if mesh.uv is not None and mesh.normals is not None else cube_uv(mesh)
+    write_parts(path, (MeshPart("ground", whole, texture),), stream_above=stream_above, progress=progress)
+
+
+def write_parts(
+    path: Path,
+    parts: Sequence[MeshPart],
+    *,
+    stream_above: int = STREAM_ABOVE,
+    progress: Progress = no_progress,
+) -> None:
+    """Write parts that wear a texture each as one COLLADA file (see `write_collada`)."""
+    for part in parts:
+        if part.texture is not None and any(c.isspace() for c in part.texture):
+            raise ConfigError(f"path of a texture must not hold spaces, got {part.texture!r}")
+    count = sum(len(part.mesh.faces) for part in parts)
     with atomic_write(path) as temporary:
-        if streamed:
-            step = 2e-6 if len(mesh.faces) > BULK else 2e-7
-            stream_collada(temporary, tiles, np.ptp(mesh.bounds, axis=0), texture, step)
+        if count > stream_above:
+            step = 2e-6 if count > BULK else 2e-7
+            stream_collada(temporary, parts, step, _passed(count, path.name, progress))
         else:
-            write_document(temporary, tiles, texture)
+            write_document(temporary, parts)
+            progress(path.name, 1.0)
+
+
+def _passed(total: int, step: str, progress: Progress) -> Callable[[int], None]:
+    """Return a function that reports so many triangles more."""
+    done = 0
+
+    def passed(count: int) -> None:
+        nonlocal done
+        done += count
+        progress(step, done / max(total, 1))
+
+    return passed

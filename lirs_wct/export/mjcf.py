@@ -41,6 +41,7 @@ def world_spec(
     group: int = TERRAIN_GROUP,
     contact_geometry: ContactGeometry = "hfield",
     ray_surface: bool = False,
+    seen: bool = True,
     heights: bool = True,
     height_range: tuple[float, float] | None = None,
 ) -> mujoco.MjSpec:
@@ -53,6 +54,7 @@ def world_spec(
         group: geom group of ground and walls.
         contact_geometry: what is touched (see `CONTACT_GEOMETRIES`).
         ray_surface: whether to add the surface itself for MuJoCo's own rays, where something else is touched.
+        seen: whether to add the mesh of a world with overhangs, to be seen.
         heights: whether the height field holds its heights; without, they are to come from a file.
         height_range: lowest and highest height that the height field has room for, metres; `write_heights`
             fills it in the compiled model. Default: those of the ground.
@@ -72,7 +74,7 @@ def world_spec(
         _add_boxes(spec, world.walls, world.walls.floor, (-BASE, 0.0), group, GROUND_COLOUR)
     if world.walls is not None:
         _add_boxes(spec, world.walls, world.walls.solid, (0.0, world.walls.height), group, WALL_COLOUR)
-    if contact_geometry == "mesh" or world.overhangs:
+    if contact_geometry == "mesh" or (world.overhangs and seen):
         _add_tiles(spec, world, RAY_GROUP if world.overhangs else group)
     elif ray_surface and (contact_geometry != "hfield" or surface.shape != world.surface.shape):
         _hide(spec, group)

@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from pathlib import Path
 from typing import Literal
 
 from lirs_wct.errors import ConfigError, OutputError, unknown_name
-from lirs_wct.export.mesh_writer import write_collada
+from lirs_wct.export.appearance import ground_wear, squared, world_extent, world_parts
+from lirs_wct.export.mesh_writer import write_parts
 from lirs_wct.export.mjcf_file import write_hfield, write_mjcf
 from lirs_wct.files import atomic_folder
-from lirs_wct.formats.gazebo.heightmap import heightmap_sdf, write_heightmap
+from lirs_wct.formats.gazebo.heightmap import Layer, flat_normals, heightmap_sdf, write_heightmap
 from lirs_wct.formats.gazebo.sdf import model_config, model_sdf, world_sdf
 from lirs_wct.formats.images.image_writer import write_image
-from lirs_wct.formats.meshes.obj import write_obj
+from lirs_wct.formats.meshes.collada_stream import MeshPart
+from lirs_wct.formats.meshes.obj import write_obj_parts
 from lirs_wct.formats.meshes.stl import write_stl, write_triangles
 from lirs_wct.formats.world_json import TEXTURES, recorded_source
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.meshing.ground_texture import ground_texture
+from lirs_wct.geometry.viewpoint import overview
 from lirs_wct.meshing.solid import solid_triangles
-from lirs_wct.meshing.uv import cube_uv
 from lirs_wct.progress import Progress, Steps, no_progress
 from lirs_wct.world import World
 
 FORMATS = ("dae", "stl", "sdf", "mjcf", "obj", "hfield")
 """What a package can hold beside `world.json`."""
 DEFAULT_FORMATS = FORMATS[:4]
+GAZEBO_FOVY = 2 * math.atan(math.tan(math.radians(30)) * 3 / 4)
+"""Upright angle of view of Gazebo's window, which is 60 deg wide, at 4:3."""
 LARGE = 1_000_000
 """Nodes of a surface above which an STL of the full grid is written without making its mesh."""
 
@@ -69,8 +73,7 @@ def write_package(
             _write_model(world, temporary, formats, terrain)
         if "mjcf" in formats:
             steps.begin(f"{world.name}.xml")
-            texture = write_texture(world, temporary) if world.kind == "terrain" else None
-            write_mjcf(world, temporary, texture, world.export_options.texture_size)
+            write_mjcf(world, temporary)
         if "hfield" in formats:
             steps.begin(f"{world.name}.hfield")
             write_hfield(temporary / f"{world.name}.hfield", world.surface)
@@ -123,14 +126,26 @@ def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: S
         write_stl(_mesh_path(world, folder, "stl"), mesh, progress)
     if kinds == ["stl"]:
         return
-    texture = f"../{write_texture(world, folder).as_posix()}"
-    dressed = _turned(cube_uv(world.mesh, settings.texture_size), settings.rotate_x)
+    parts = _textured(world, folder)
     if "dae" in kinds:
         progress = steps.begin(f"{world.name}.dae")
-        write_collada(_mesh_path(world, folder, "dae"), dressed, texture, progress=progress)
+        write_parts(_mesh_path(world, folder, "dae"), parts, progress=progress)
     if "obj" in kinds:
         steps.begin(f"{world.name}.obj")
-        write_obj(_mesh_path(world, folder, "obj"), dressed, texture)
+        write_obj_parts(_mesh_path(world, folder, "obj"), [(p.name, p.mesh, p.texture) for p in parts])
+
+
+def _textured(world: World, folder: Path) -> list[MeshPart]:
+    """Return the parts of the mesh files, whose textures are written."""
+    degrees = world.export_options.rotate_x
+    return [
+        MeshPart(
+            part.wear.name,
+            _turned(part.mesh, degrees),
+            f"../{part.wear.write(world, folder).as_posix()}",
+        )
+        for part in world_parts(world)
+    ]
 
 
 def _streams(world: World) -> bool:
@@ -153,25 +168,24 @@ def _write_model(world: World, folder: Path, formats: Collection[str], terrain: 
     if terrain == "heightmap":
         picture = TEXTURES / f"{name}-heights.png"
         write_heightmap(folder / picture, world.surface)
-        texture = write_texture(world, folder)
-        model = heightmap_sdf(name, world.surface, picture.as_posix(), texture.as_posix())
+        model = heightmap_sdf(name, world.surface, picture.as_posix(), _heightmap_layer(world, folder))
     else:
         model = model_sdf(name, mesh=f"meshes/{name}.{'dae' if 'dae' in formats else 'stl'}")
     for file, text in (
         ("model.config", model_config(name)),
         ("model.sdf", model),
-        (f"{name}.world", world_sdf(name)),
+        (f"{name}.world", world_sdf(name, view=overview(*world_extent(world), GAZEBO_FOVY))),
     ):
         (folder / file).write_text(text, encoding="utf-8")
 
 
-def write_texture(world: World, folder: Path) -> Path:
-    """Write the world's texture into a package, unless `World.save` did, and return its path inside."""
-    given = world.export_options.texture
-    if given is not None:
-        return TEXTURES / f"{world.name}{given.suffix.lower()}"
-    path = TEXTURES / f"{world.name}.png"
-    if (folder / path).is_file():
-        return path
-    write_image(folder / path, ground_texture(world.surface, world.walls))
-    return path
+def _heightmap_layer(world: World, folder: Path) -> Layer:
+    """Write what Gazebo's heightmap wears: square pictures, from its south-west corner."""
+    wear, longest = ground_wear(world), max(world.surface.size)
+    texture, span = wear.write(world, folder), wear.span or longest
+    if wear.draped:
+        texture, span = texture.with_name(f"{texture.stem}-square.png"), longest
+        write_image(folder / texture, squared(wear.pixels(world), world.surface.size))
+    normal = TEXTURES / f"{world.name}-normal.png"
+    write_image(folder / normal, flat_normals())
+    return Layer(texture.as_posix(), normal.as_posix(), span)

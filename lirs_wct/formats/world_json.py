@@ -26,6 +26,8 @@ SCHEMA = 1
 JSON, ARRAYS = "world.json", "world.npz"
 TEXTURES = Path("materials") / "textures"
 """Where Gazebo looks for a model's textures."""
+TEXTURE_OPTIONS = ("texture", "wall_texture")
+"""Settings that are the user's files: a world's folder holds copies."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +47,7 @@ class WorldFile:
         solid: closed mesh.
         overhangs: whether that mesh is more than its heights from above.
         no_ground: (rows, cols) nodes of the surface without ground.
-        export_options: name -> value; `texture` is a path or None.
+        export_options: name -> value; those of `TEXTURE_OPTIONS` are paths or None.
         source: that it was made from; None where none is known.
     """
 
@@ -98,7 +100,7 @@ def write_world(world: WorldFile, folder: Path) -> Path:
     if world.solid is not None:
         arrays |= {"vertices": world.solid.vertices, "faces": world.solid.faces}
         entry["overhangs"] = world.overhangs
-    entry["finish"] = dict(world.export_options) | {"texture": _keep_texture(world, folder)}
+    entry["finish"] = dict(world.export_options) | _kept_textures(world, folder)
     with atomic_write(folder / ARRAYS) as path:
         _write_arrays(path, arrays)
     with atomic_write(folder / JSON) as path:
@@ -174,21 +176,34 @@ def checked_content(folder: Path) -> Iterator[None]:
         raise SourceError(f"{folder / JSON}: not a built world, or damaged ({reason})") from error
 
 
-def _keep_texture(world: WorldFile, folder: Path) -> str | None:
-    """Copy the user's texture into the folder, under the world's name, and return where it lies in there."""
-    given: Path | None = world.export_options.get("texture")
-    if given is None:
-        return None
-    kept = TEXTURES / f"{world.name}{given.suffix.lower()}"
-    with atomic_write(folder / kept) as path:
-        path.write_bytes(given.read_bytes())
-    return kept.as_posix()
+def texture_path(name: str, role: str, given: Path | None) -> Path:
+    """Return where a texture lies in a world's folder.
+
+    Args:
+        name: of the world.
+        role: `texture` of the ground or `wall_texture`.
+        given: the user's file, None = drawn.
+    """
+    stem = name if role == "texture" else f"{name}-walls"
+    return TEXTURES / f"{stem}{given.suffix.lower() if given else '.png'}"
+
+
+def _kept_textures(world: WorldFile, folder: Path) -> dict[str, str | None]:
+    """Copy the user's textures into the folder, under the world's name; return where they lie in it."""
+    kept: dict[str, str | None] = {"texture": None}
+    for role in TEXTURE_OPTIONS:
+        given: Path | None = world.export_options.get(role)
+        if given is not None:
+            inside = texture_path(world.name, role, given)
+            with atomic_write(folder / inside) as path:
+                path.write_bytes(given.read_bytes())
+            kept[role] = inside.as_posix()
+    return kept
 
 
 def _export_settings(entry: dict[str, Any], folder: Path) -> dict[str, Any]:
     given: dict[str, Any] = entry.get("finish", {})
-    texture = given.get("texture")
-    return given | {"texture": texture and folder / texture}
+    return given | {role: folder / given[role] for role in TEXTURE_OPTIONS if given.get(role)}
 
 
 def _grid_entry(grid: WallGrid | OccupancyGrid) -> dict[str, Any]:

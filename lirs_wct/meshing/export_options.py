@@ -24,7 +24,7 @@ class ExportOptions(Options):
     """Budget, turn and texture of the mesh files that are made of a world.
 
     Raises:
-        ConfigError: a value is not legal, or both budgets are given.
+        ConfigError: a value is not legal, both budgets are given, or a draped texture has a size.
     """
 
     max_error: float | None = option(
@@ -53,7 +53,19 @@ class ExportOptions(Options):
     )
     texture: Path | None = option(
         None,
-        "PNG or JPEG texture of the mesh, projected from the sides of a cube; default: drawn.",
+        "PNG or JPEG texture, projected from the sides of a cube and repeated; of a laser map, its floor's. "
+        "Default: drawn.",
+        metavar="FILE",
+        **_PANEL,
+    )
+    drape: bool = option(
+        False,
+        "Lay --texture over the world from above, once, its top edge in the north: an orthophoto.",
+        **_PANEL,
+    )
+    wall_texture: Path | None = option(
+        None,
+        "PNG or JPEG texture of a laser map's walls, as high as they are. Default: drawn.",
         metavar="FILE",
         **_PANEL,
     )
@@ -69,6 +81,8 @@ class ExportOptions(Options):
         super().__post_init__()
         if self.max_error is not None and self.max_triangles is not None:
             raise ConfigError("both limit the mesh: give one of --max-error, --max-triangles")
+        if self.drape and self.texture_size is not None:
+            raise ConfigError("a draped texture spans the world once: give one of --drape, --texture-size")
 
     @property
     def limited(self) -> bool:

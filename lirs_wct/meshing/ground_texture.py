@@ -1,10 +1,11 @@
-"""The texture that a world wears: the user's, or its own heights and slopes in earth colours."""
+"""Textures that are drawn where the user gives none: heights and slopes in earth colours, floor, walls."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+import scipy.ndimage
 
 from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
 from lirs_wct.errors import SourceError
@@ -18,6 +19,8 @@ PIXELS = 1024
 EARTH = np.array(((92, 110, 70), (146, 138, 96), (178, 158, 122), (222, 214, 200)), np.float64)
 """Meadow, dry grass, rock, scree: red, green, blue from the lowest to the highest ground."""
 FLOOR, WALL = np.array((205, 203, 196), np.float64), np.array((120, 116, 112), np.float64)
+FLOOR_SPAN, SLABS, TILE_PIXELS = 2.0, 4, 512
+"""Metres that the floor's texture spans, slabs along it, and pixels of a texture that is repeated."""
 SUN = np.array((-0.5, 0.5, 0.7071))
 """Unit vector towards the light: north-west, 45 deg up."""
 
@@ -37,27 +40,50 @@ def checked_texture(path: Path | None, max_pixels: int) -> Path | None:
 
 
 def ground_texture(surface: HeightField, walls: WallGrid | None = None) -> ByteArray:
-    """Return (1024, 1024, 3) BGR: what cube projection lays on the upper side, row 0 = north.
-
-    The square's lower-left corner is the surface's south-west corner and its edge the longer of
-    the surface's sides, as `cube_uv` unfolds it.
-    """
+    """Return (rows, cols, 3) BGR: a top view of the whole surface, row 0 = north, its longer side 1024 px."""
     west, south, _, _ = surface.bounds
     span = max(surface.size)
-    at = (np.arange(PIXELS) + 0.5) * span / PIXELS
-    x, y = west + at, (south + at[::-1])[:, None]
+    cols, rows = (max(2, round(PIXELS * side / span)) for side in surface.size)
+    x = west + (np.arange(cols) + 0.5) * surface.size[0] / cols
+    y = (south + (np.arange(rows)[::-1] + 0.5) * surface.size[1] / rows)[:, None]
     if walls is None:
-        rgb = _earth(surface, x, y, span / PIXELS)
+        rgb = _earth(surface, x, y, (surface.size[1] / rows, surface.size[0] / cols))
     else:
         on_wall = _on_wall(walls, *np.broadcast_arrays(x, y))
         rgb = np.where(on_wall[..., None], WALL.astype(np.uint8), FLOOR.astype(np.uint8))
     return np.ascontiguousarray(rgb[..., ::-1])
 
 
-def _earth(surface: HeightField, x: FloatArray, y: FloatArray, pixel: float) -> ByteArray:
+def floor_texture() -> ByteArray:
+    """Return (512, 512, 3) BGR: `FLOOR_SPAN` metres of slabs with joints, without a seam when repeated."""
+    side = TILE_PIXELS // SLABS
+    shade = np.random.default_rng(1).normal(0.0, 3.0, (SLABS, SLABS)).repeat(side, 0).repeat(side, 1)
+    joint = np.minimum(np.arange(TILE_PIXELS) % side, side - 1 - np.arange(TILE_PIXELS) % side) < 1
+    shade[joint] = shade[:, joint] = -28.0
+    return _shaded(FLOOR, shade + _grain(2, 2.5))
+
+
+def wall_texture() -> ByteArray:
+    """Return (512, 512, 3) BGR: rough plaster of any size, without a seam when repeated."""
+    return _shaded(WALL, _grain(3, 6.0))
+
+
+def _grain(seed: int, strength: float) -> FloatArray:
+    """Return (512, 512) noise that is periodic, with blotches as large as a tenth of it."""
+    noise = np.random.default_rng(seed).normal(size=(TILE_PIXELS, TILE_PIXELS))
+    blotches = scipy.ndimage.gaussian_filter(noise, TILE_PIXELS / 40, mode="wrap")
+    fine = scipy.ndimage.gaussian_filter(noise, 1.0, mode="wrap")
+    grain: FloatArray = strength * (blotches / blotches.std() + 0.6 * fine / fine.std())
+    return grain
+
+
+def _shaded(color: FloatArray, shade: FloatArray) -> ByteArray:
+    return np.ascontiguousarray(np.clip(color[::-1] + shade[..., None], 0, 255).astype(np.uint8))
+
+
+def _earth(surface: HeightField, x: FloatArray, y: FloatArray, pixel: tuple[float, float]) -> ByteArray:
     # Strip by strip and colour by colour: the whole would take a hundred megabytes for a moment.
     z = np.concatenate([surface.height_at(x, strip) for strip in np.array_split(y, 16)])
-    np.nan_to_num(z, copy=False, nan=float(surface.z.min()))
     light = _light(z, pixel)
     z -= z.min()
     z /= max(float(z.max()), 1e-9)
@@ -68,9 +94,9 @@ def _earth(surface: HeightField, x: FloatArray, y: FloatArray, pixel: float) -> 
     return rgb
 
 
-def _light(z: FloatArray, pixel: float) -> FloatArray:
+def _light(z: FloatArray, pixel: tuple[float, float]) -> FloatArray:
     """Return how bright each node is: Lambert's cosine under `SUN`, from 0.55 in the shade."""
-    dz_dy, dz_dx = np.gradient(z, pixel)
+    dz_dy, dz_dx = np.gradient(z, *pixel)
     cosine = (-dz_dx * SUN[0] + dz_dy * SUN[1] + SUN[2]) / np.sqrt(dz_dx**2 + dz_dy**2 + 1)
     light: FloatArray = 0.55 + 0.6 * np.clip(cosine, 0, 1)
     return light

@@ -1,4 +1,4 @@
-"""A mesh cut into tiles without cracks: for consumers that cap a mesh, for files that must stay small.
+"""A mesh cut into tiles without cracks: for consumers that cap a mesh.
 
 Neighbours share the vertices on their border, to the last bit.
 """
@@ -9,7 +9,6 @@ from collections.abc import Iterator
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from lirs_wct.arrays import Int32Array
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -23,7 +22,6 @@ def split_tiles(
     *,
     aim: int,
     most: int = MUJOCO_FACES,
-    groups: NDArray[np.int8] | None = None,
 ) -> Iterator[TriangleMesh]:
     """Yield tiles that together are the mesh, squares of the ground plan.
 
@@ -31,34 +29,29 @@ def split_tiles(
         mesh: to be cut.
         aim: triangles of a tile, about.
         most: triangles of a tile, never more.
-        groups: (faces,) numbers from 0; a tile holds triangles of one group only.
     """
-    if groups is None:
-        groups = np.zeros(len(mesh.faces), dtype=np.int8)
     seen = np.full(len(mesh.vertices), -1, dtype=np.int32)
-    for group in range(int(groups.max(initial=0)) + 1):
-        chosen = np.flatnonzero(groups == group).astype(np.int32)
-        tile, count = _squares(mesh, chosen, aim)
-        chosen = chosen[np.argsort(tile, kind="stable")]
-        ends = np.cumsum(np.bincount(tile, minlength=count))
-        for start, end in zip(np.concatenate(([0], ends[:-1])), ends, strict=True):
-            for i in range(start, end, most):
-                faces, used = _renumber(mesh.faces, chosen[i : min(i + most, end)], seen)
-                yield TriangleMesh(
-                    mesh.vertices[used],
-                    faces,
-                    None if mesh.uv is None else mesh.uv[used],
-                    None if mesh.normals is None else mesh.normals[used],
-                )
+    tile, count = _squares(mesh, aim)
+    order = np.argsort(tile, kind="stable").astype(np.int32)
+    ends = np.cumsum(np.bincount(tile, minlength=count))
+    for start, end in zip(np.concatenate(([0], ends[:-1])), ends, strict=True):
+        for i in range(start, end, most):
+            faces, used = _renumber(mesh.faces, order[i : min(i + most, end)], seen)
+            yield TriangleMesh(
+                mesh.vertices[used],
+                faces,
+                None if mesh.uv is None else mesh.uv[used],
+                None if mesh.normals is None else mesh.normals[used],
+            )
 
 
-def _squares(mesh: TriangleMesh, chosen: Int32Array, aim: int) -> tuple[Int32Array, int]:
-    """Return the square in which each chosen face begins, and how many squares there are."""
-    side = max(1, round((len(chosen) / aim) ** 0.5))
+def _squares(mesh: TriangleMesh, aim: int) -> tuple[Int32Array, int]:
+    """Return the square in which each face begins, and how many squares there are."""
+    side = max(1, round((len(mesh.faces) / aim) ** 0.5))
+    square = np.zeros(len(mesh.faces), dtype=np.int32)
     if side == 1:
-        return np.zeros(len(chosen), dtype=np.int32), 1
-    first = mesh.faces[chosen, 0]
-    square = np.zeros(len(chosen), dtype=np.int32)
+        return square, 1
+    first = mesh.faces[:, 0]
     for axis in (0, 1):
         x = mesh.vertices[:, axis]
         low, extent = x.min(), max(float(np.ptp(x)), 1e-9)

@@ -1,11 +1,14 @@
-"""Cube projection of a texture, with the vertex normals that a renderer needs beside it.
+"""Projections of a texture, with the vertex normals that a renderer needs beside it.
 
 The paper's tool maps one texture onto each face of a cube around the model (section III-B). Here the
 faces of the cube are unfolded around the upper one, so that the texture runs on without a seam from
-the terrain over its border down the skirt.
+the terrain over its border down the skirt. A picture that is a top view is draped instead: laid on from
+above, once. Walls have it upright on each side.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -19,10 +22,14 @@ EAST, WEST, NORTH, SOUTH, UP, DOWN = range(6)
 FLAT = 6
 """Added to the side for faces that are vertical or face downward: they are shaded apart."""
 LABELS = 12
+VERTICAL = 1e-9
+"""Share of a normal that may point up on a vertical face."""
+WALL_VERTICAL = 0.1
+"""The same on a wall, whose corners may stand a millimetre apart."""
 
 
 def cube_uv(mesh: TriangleMesh, size: float | None = None) -> TriangleMesh:
-    """Return the mesh with texture coordinates and vertex normals.
+    """Return the mesh with texture coordinates from the sides of a cube, and vertex normals.
 
     A vertex whose triangles are projected on different sides, or that lies on the sharp border
     between ground and skirt, is split: the result is closed in space, not in its indices.
@@ -39,23 +46,70 @@ def cube_uv(mesh: TriangleMesh, size: float | None = None) -> TriangleMesh:
     span = float(np.ptp(bounds, axis=0).max()) if size is None else size
     if not 0 < span < float("inf"):
         raise ConfigError(f"texture size must be a finite number above 0 m, got {span}")
+    split = _split(mesh)
+    return split.with_uv(_unfold(split.points, split.top, split.side, bounds, span))
+
+
+def draped_uv(
+    mesh: TriangleMesh, bounds: tuple[float, float, float, float], margin: float = 0.0
+) -> TriangleMesh:
+    """Lay a picture on from above, once; a skirt wears the picture's border.
+
+    Args:
+        mesh: triangles without attributes.
+        bounds: west, south, east, north of the picture, metres.
+        margin: share of the picture along its border that is left out: half a pixel, where a renderer
+            would mix in the opposite border.
+    """
+    split = _split(mesh, draped=True)
+    west, south, east, north = bounds
+    uv = (split.points[:, :2] - (west, south)) / (east - west, north - south)
+    return split.with_uv(np.clip(uv, margin, 1 - margin))
+
+
+def wall_uv(mesh: TriangleMesh, size: float) -> TriangleMesh:
+    """Lay a texture upright on the sides of axis-parallel walls from z = 0 up, and flat on their tops.
+
+    Args:
+        mesh: triangles without attributes.
+        size: metres that one texture spans.
+    """
+    split = _split(mesh, vertical=WALL_VERTICAL)
+    x, y, z = split.points.T
+    # As seen from outside, to the right.
+    right = np.select([split.side == FLAT + k for k in (EAST, WEST, NORTH)], [y, -y, -x], x)
+    return split.with_uv(np.stack((right, np.where(split.side == UP, y, z)), axis=1) / size)
+
+
+@dataclass(frozen=True, slots=True)
+class _Split:
+    """A mesh whose vertices are split by the side of the cube that sees their triangles.
+
+    Attributes:
+        points: (n, 3) metres.
+        faces: (m, 3).
+        normals: (n, 3).
+        side: (n,) labels of the vertices.
+        top: (n,) z of the rim above a vertex of a skirt.
+    """
+
+    points: FloatArray
+    faces: Int32Array
+    normals: FloatArray
+    side: NDArray[np.int8]
+    top: FloatArray
+
+    def with_uv(self, uv: FloatArray) -> TriangleMesh:
+        return TriangleMesh(self.points, self.faces, uv, self.normals)
+
+
+def _split(mesh: TriangleMesh, *, vertical: float = VERTICAL, draped: bool = False) -> _Split:
     vertices, faces = np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces)
-    label, mask, top = _label_faces(vertices, faces)
+    label, mask, top = _label_faces(vertices, faces, vertical, draped)
     first = np.concatenate(([0], np.cumsum(_COUNT[mask])))
     split = np.repeat(np.arange(len(vertices)), _COUNT[mask])
-    side = _sides(mask)
     new_faces, normals = _split_faces(vertices, faces, label, mask, first[:-1], len(split))
-    return TriangleMesh(
-        vertices[split], new_faces, _unfold(vertices[split], top[split], side, bounds, span), normals
-    )
-
-
-def projection_groups(mesh: TriangleMesh) -> NDArray[np.int8]:
-    """Return (faces,) numbers from 0 to 11: within one, a place has one texture coordinate and normal."""
-    label: NDArray[np.int8] = _label_faces(
-        np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces)
-    )[0]
-    return label
+    return _Split(vertices[split], new_faces, normals, _sides(mask), top[split])
 
 
 _COUNT = np.array([int(m).bit_count() for m in range(1 << LABELS)], dtype=np.int64)
@@ -109,9 +163,16 @@ def _normal(vertices: FloatArray, a: int, b: int, c: int) -> tuple[float, float,
 
 @njit(cache=True)
 def _label_faces(
-    vertices: FloatArray, faces: Int32Array
+    vertices: FloatArray, faces: Int32Array, vertical: float, draped: bool
 ) -> tuple[NDArray[np.int8], NDArray[np.uint16], FloatArray]:
-    """Return the label of each face, the labels around each vertex as bits, and the rim above it (z)."""
+    """Return the label of each face, the labels around each vertex as bits, and the rim above it (z).
+
+    Args:
+        vertices: (n, 3).
+        faces: (m, 3).
+        vertical: share of a normal that may point up on a vertical face.
+        draped: whether the upper side sees all faces that point up.
+    """
     label = np.empty(len(faces), np.int8)
     mask = np.zeros(len(vertices), np.uint16)
     top = vertices[:, 2].copy()
@@ -125,7 +186,9 @@ def _label_faces(
             side = EAST if nx > 0 else WEST
         else:
             side = NORTH if ny > 0 else SOUTH
-        if nz <= 1e-9 * (ax + ay + az):
+        if draped and nz > vertical * (ax + ay + az):
+            side = UP
+        if nz <= vertical * (ax + ay + az):
             side += FLAT
             for k in range(3):
                 p, q = faces[i, k], faces[i, (k + 1) % 3]

@@ -79,13 +79,22 @@ def test_mesh_loader_counts_ours_and_finds_the_texture(programs: Path, package: 
     dae = package / "meshes/dune.dae"
     said = run(programs / "meshchk", dae)
     document = collada.Collada(str(dae))
-    sets = [shape.primitives[0] for shape in document.geometries]
-    vertices = sum(len(s.vertex) for s in sets)
-    corners = 3 * len(solid_mesh(hills()).faces)
-    assert f" vert {vertices} norm {vertices} idx {corners} uv {vertices} " in said
-    assert len(sets) > 1 or vertices == len(cube_uv(solid_mesh(hills())).vertices)
+    (shape,) = document.geometries
+    n = len(shape.primitives[0].vertex)
+    assert n == len(cube_uv(solid_mesh(hills())).vertices)
+    check_counts(said, n, 3 * len(solid_mesh(hills()).faces))
     assert str(package) in re.search(r"tex '([^']*)'", said)[1]  # type: ignore[index]
     assert "Unable to find" not in said
+
+
+def check_counts(said: str, vertices: int, corners: int) -> None:
+    """No corner or attribute is lost; a place with several normals may be more vertices than in the file."""
+    found = re.search(r" vert (\d+) norm (\d+) idx (\d+) uv (\d+) ", said)
+    assert found is not None
+    vert, norm, idx, uv = map(int, found.groups())
+    assert vert == norm == uv
+    assert vertices <= vert < 1.2 * vertices
+    assert idx == corners
 
 
 @pytest.mark.parametrize("above", ABOVE.values())
@@ -93,12 +102,10 @@ def test_steep_ground_is_counted_right_too(programs: Path, tmp_path: Path, above
     """Where the projection changes from triangle to triangle, a place has several texture coordinates."""
     mesh = solid_mesh(HeightField.centered(hills().z * 4, (0.25, 0.25)))
     write_collada(tmp_path / "a.dae", mesh, stream_above=above)
-    shapes = collada.Collada(str(tmp_path / "a.dae")).geometries
-    n = sum(len(shape.primitives[0].vertex) for shape in shapes)
+    (shape,) = collada.Collada(str(tmp_path / "a.dae")).geometries
+    n = len(shape.primitives[0].vertex)
     assert n > 1.05 * len(mesh.vertices)
-    assert f" vert {n} norm {n} idx {3 * len(mesh.faces)} uv {n} " in run(
-        programs / "meshchk", tmp_path / "a.dae"
-    )
+    check_counts(run(programs / "meshchk", tmp_path / "a.dae"), n, 3 * len(mesh.faces))
 
 
 def test_a_sphere_rests_on_the_ground(programs: Path, package: Path) -> None:

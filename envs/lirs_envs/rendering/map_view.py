@@ -67,12 +67,9 @@ class MapView:
         self._per_metre = self._pixels / max(width, depth)
         west, _, _, north = world.surface.bounds
         self._corner = np.array((west, north))
-        square = ground_texture(world.surface, world.walls)[..., ::-1]
+        above = ground_texture(world.surface, world.walls)[..., ::-1]
         rows, cols = (max(1, round(side * self._per_metre)) for side in (depth, width))
-        # The texture's square begins in the south-west.
-        share = len(square) / max(width, depth)
-        filled = square[len(square) - max(1, round(depth * share)) :, : max(1, round(width * share))]
-        return np.ascontiguousarray(cv2.resize(filled, (cols, rows), interpolation=cv2.INTER_AREA), np.uint8)
+        return np.ascontiguousarray(cv2.resize(above, (cols, rows), interpolation=cv2.INTER_AREA), np.uint8)
 
     def _pixel(self, points: FloatArray) -> Int32Array:
         """Return (n, 2) column and row of points (n, 2) in the world, in fractions of a pixel."""

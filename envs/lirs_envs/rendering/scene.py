@@ -18,8 +18,9 @@ from lirs_envs.actors.walkers import add_walkers
 from lirs_envs.props import add_props
 from lirs_envs.rendering.snapshot import Snapshot
 from lirs_envs.simulation_config import SimulationConfig
+from lirs_wct.arrays import ByteArray
+from lirs_wct.export.appearance import world_parts
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.meshing.ground_texture import ground_texture
 from lirs_wct.meshing.simplify import simplified_solid
 from lirs_wct.meshing.tiles import MUJOCO_FACES, split_tiles
 from lirs_wct.world import World
@@ -100,36 +101,47 @@ def _scene_spec(world: World, config: SimulationConfig) -> mujoco.MjSpec:
 
 
 def _add_ground(spec: mujoco.MjSpec, world: World) -> None:
-    """Add the ground's mesh in tiles, which wear heights and slopes in earth colors."""
-    _, encoded = cv2.imencode(".png", ground_texture(world.surface, world.walls), PNG_FAST)
+    """Add the ground's mesh in tiles, and that of walls, which wear the world's textures."""
+    for part in world_parts(world, _with_creases(_ground_mesh(world))):
+        _add_material(spec, part.wear.name, part.wear.pixels(world))
+        for k, tile in enumerate(split_tiles(part.mesh, aim=MUJOCO_FACES // 2)):
+            _add_tile(spec, f"{part.wear.name}{k}", part.wear.name, tile)
+
+
+def _add_material(spec: mujoco.MjSpec, name: str, pixels: ByteArray) -> None:
+    _, encoded = cv2.imencode(".png", pixels, PNG_FAST)
     # MuJoCo keeps files by their name: another content needs another one.
-    file = f"ground-{crc32(encoded.data):08x}.png"
+    file = f"{name}-{crc32(encoded.data):08x}.png"
     spec.assets = dict(spec.assets) | {file: encoded.tobytes()}
-    spec.add_texture(name="ground", type=mujoco.mjtTexture.mjTEXTURE_2D, file=file)
-    material = spec.add_material(name="ground", specular=0.0, shininess=0.0)
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ground"
-    (west, south, _, _), span = world.surface.bounds, max(world.surface.size)
-    for k, tile in enumerate(split_tiles(_with_creases(_ground_mesh(world)), aim=MUJOCO_FACES // 2)):
-        # v runs from the picture's first row, which is in the north.
-        uv = (tile.vertices[:, :2] - (west, south + span)) / (span, -span)
-        spec.add_mesh(
-            name=f"ground{k}",
-            uservert=tile.vertices.ravel(),
-            userface=tile.faces.ravel(),
-            usertexcoord=np.ascontiguousarray(uv, dtype=np.float32).ravel(),
-            # A tile is open: it has no volume to take an inertia from.
-            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-        )
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=f"ground{k}",
-            material="ground",
-            rgba=(1.0, 1.0, 1.0, 1.0),
-            contype=0,
-            conaffinity=0,
-            priority=0,
-            group=0,
-        )
+    spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file)
+    material = spec.add_material(name=name, specular=0.0, shininess=0.0)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+
+
+def _add_tile(spec: mujoco.MjSpec, name: str, material: str, tile: TriangleMesh) -> None:
+    assert tile.uv is not None, "a part has texture coordinates"
+    assert tile.normals is not None, "and normals"
+    # v runs from the picture's first row, which is in the north.
+    uv = np.stack((tile.uv[:, 0], 1 - tile.uv[:, 1]), axis=1)
+    spec.add_mesh(
+        name=name,
+        uservert=tile.vertices.ravel(),
+        userface=tile.faces.ravel(),
+        usernormal=np.ascontiguousarray(tile.normals, dtype=np.float32).ravel(),
+        usertexcoord=np.ascontiguousarray(uv, dtype=np.float32).ravel(),
+        # A tile is open: it has no volume to take an inertia from.
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=name,
+        material=material,
+        rgba=(1.0, 1.0, 1.0, 1.0),
+        contype=0,
+        conaffinity=0,
+        priority=0,
+        group=0,
+    )
 
 
 def _with_creases(mesh: TriangleMesh) -> TriangleMesh:

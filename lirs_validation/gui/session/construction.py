@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lirs_validation.config import SourceOptions
@@ -14,7 +14,6 @@ from lirs_validation.gui.session.world_facts import Facts, built_facts, preview_
 from lirs_validation.logs.log_source import resolve_source
 from lirs_wct.export.package import DEFAULT_FORMATS, GazeboTerrain, write_package
 from lirs_wct.ground import Ground, Terrain
-from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.meshing.ground_texture import checked_texture
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.laser_map import read_laser_map
@@ -23,7 +22,7 @@ from lirs_wct.sources.picture import TerrainPicture, decimated, height_field, op
 from lirs_wct.sources.source import Source, find_source
 from lirs_wct.sources.source_kind import SourceKind
 from lirs_wct.sources.window import cut_surface
-from lirs_wct.world import World, build_world
+from lirs_wct.world import World, build_world, export_settings
 
 PREVIEW_NODES = 129
 """Nodes of a preview along its longer side."""
@@ -81,13 +80,10 @@ class Construction:
         source = str(resolve_source(source, options, self._folder / "maps", progress))
         found = find_source(source, options)
         ground, scale = self._coarse(found, options)
-        export = ExportOptions(
-            max_error=options.max_error,
-            max_triangles=options.max_triangles,
-            texture=checked_texture(options.texture, options.max_pixels),
-            texture_size=options.texture_size,
-        )
-        world = World(found.name, ground, scale=scale, export_options=export)
+        for texture in (options.texture, options.wall_texture):
+            checked_texture(texture, options.max_pixels)
+        world = World(found.name, ground, scale=scale)
+        world = replace(world, export_options=export_settings(options, world))
         return Shown(world, preview_facts(world), source, options)
 
     def build(

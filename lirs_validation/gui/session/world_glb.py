@@ -11,13 +11,12 @@ from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from lirs_wct.formats.images.picture import read_picture
+from lirs_wct.arrays import ByteArray
+from lirs_wct.export.appearance import world_parts
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.ground import Terrain
-from lirs_wct.meshing.ground_texture import ground_texture
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.meshing.uv import cube_uv
 from lirs_wct.world import World
 
 TEXTURE = 1024
@@ -33,19 +32,18 @@ def world_glb(world: World, most: int, texture: int = TEXTURE) -> tuple[bytes, i
         most: triangles; a surface with more is shown on a coarser grid.
         texture: pixels of its longer side, at most.
     """
-    mesh = cube_uv(_shown_mesh(world, most), world.export_options.texture_size)
-    material = PBRMaterial(
-        baseColorTexture=Image.fromarray(_texture(world, texture)), metallicFactor=0.0, roughnessFactor=1.0
-    )
-    shown = trimesh.Trimesh(
-        mesh.vertices,
-        mesh.faces,
-        vertex_normals=mesh.normals,
-        process=False,
-        visual=TextureVisuals(uv=mesh.uv, material=material),
-    )
+    shown, count = trimesh.Scene(), 0
+    for part in world_parts(world, _shown_mesh(world, most)):
+        mesh, picture = part.mesh, Image.fromarray(_at_most(part.wear.pixels(world), texture))
+        material = PBRMaterial(baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0)
+        visual = TextureVisuals(uv=mesh.uv, material=material)
+        shape = trimesh.Trimesh(
+            mesh.vertices, mesh.faces, vertex_normals=mesh.normals, process=False, visual=visual
+        )
+        shown.add_geometry(shape, geom_name=part.wear.name)
+        count += len(mesh.faces)
     content: bytes = shown.export(file_type="glb")
-    return content, len(mesh.faces)
+    return content, count
 
 
 def _shown_mesh(world: World, most: int) -> TriangleMesh:
@@ -70,17 +68,9 @@ def _thinned(surface: HeightField, most: int) -> HeightField:
     return replace(surface, z=np.ascontiguousarray(surface.z[np.ix_(*at)]), cell=cell)
 
 
-def _texture(world: World, most: int) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    """Return (rows, cols, 3) RGB: the user's picture, or the ground's own."""
-    given = world.export_options.texture
-    if given is None:
-        bgr = ground_texture(world.surface, world.walls)
-    else:
-        pixels = read_picture(given).pixels
-        bgr = pixels if pixels.ndim == 3 else cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR)
+def _at_most(bgr: ByteArray, most: int) -> ByteArray:
+    """Return a picture as RGB, its longer side at most so many pixels."""
     scale = min(1.0, most / max(bgr.shape[:2]))
     if scale < 1.0:
-        bgr = cv2.resize(bgr, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    if bgr.dtype != np.uint8:
-        bgr = (bgr >> 8).astype(np.uint8)
-    return np.ascontiguousarray(bgr[..., 2::-1])
+        bgr = np.asarray(cv2.resize(bgr, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
+    return np.ascontiguousarray(bgr[..., ::-1])

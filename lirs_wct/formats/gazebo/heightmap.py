@@ -5,6 +5,7 @@ What the paper compares its solid worlds with; 8 bits, since 16 read as infinite
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
 
@@ -52,14 +53,34 @@ def write_heightmap(path: Path, surface: HeightField, side: int | None = None) -
     write_image(path, heightmap_pixels(surface, side))
 
 
-def heightmap_sdf(name: str, surface: HeightField, picture: str, texture: str | None = None) -> str:
+@dataclass(frozen=True)
+class Layer:
+    """What a heightmap wears.
+
+    Attributes:
+        diffuse: path of the texture inside the package.
+        normal: path of its normal map inside the package; `flat_normals` where it has none.
+        span: metres that the texture spans before it repeats.
+    """
+
+    diffuse: str
+    normal: str
+    span: float
+
+
+def flat_normals() -> ByteArray:
+    """Return (16, 16, 3) BGR: the normal map of a texture that is flat (x 0, y 0, z 1)."""
+    return np.full((16, 16, 3), (255, 128, 128), np.uint8)
+
+
+def heightmap_sdf(name: str, surface: HeightField, picture: str, layer: Layer | None = None) -> str:
     """Return `model.sdf` of a heightmap model.
 
     Args:
         name: of the model and of its folder.
         surface: gives the metres.
         picture: path of the heightmap inside the package.
-        texture: path of a texture inside the package; it spans the longer side once.
+        layer: what it wears; None = Gazebo's gray.
     """
     width, depth = surface.size
     west, south, east, north = surface.bounds
@@ -68,11 +89,11 @@ def heightmap_sdf(name: str, surface: HeightField, picture: str, texture: str | 
     place = f"<pos>{(west + east) / 2:.9g} {(south + north) / 2:.9g} {float(surface.z.min()):.9g}</pos>"
     uri = f"<uri>{escape(model_uri(name, picture))}</uri>"
     look = ""
-    if texture is not None:
-        diffuse = escape(model_uri(name, texture))
+    if layer is not None:
+        diffuse, normal = (escape(model_uri(name, path)) for path in (layer.diffuse, layer.normal))
         look = (
-            f"<texture><diffuse>{diffuse}</diffuse><normal>{diffuse}</normal>"
-            f"<size>{max(width, depth):.9g}</size></texture>"
+            f"<texture><diffuse>{diffuse}</diffuse><normal>{normal}</normal>"
+            f"<size>{layer.span:.9g}</size></texture>"
         )
     return f"""<?xml version="1.0"?>
 <sdf version="{VERSION}">

@@ -7,6 +7,7 @@ from xml.sax.saxutils import escape, quoteattr
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above, require_at_least
+from lirs_wct.geometry.viewpoint import Viewpoint
 
 VERSION = "1.6"
 FRICTION = 0.9
@@ -88,13 +89,20 @@ def model_sdf(name: str, *, mesh: str | None = None, friction: float = FRICTION)
 """
 
 
-def world_sdf(name: str, *, model: str | None = None, physics: Physics | None = None) -> str:
+def world_sdf(
+    name: str,
+    *,
+    model: str | None = None,
+    physics: Physics | None = None,
+    view: Viewpoint | None = None,
+) -> str:
     """Return a world file with a sun and the model, which is its only ground.
 
     Args:
         name: of the world.
         model: name of the included model; default the same.
         physics: timestep, pace, gravity.
+        view: of the user's camera as the window opens; None = Gazebo's, near the origin.
     """
     step = physics or Physics()
     # Without a target update rate Gazebo runs as fast as it can.
@@ -109,7 +117,7 @@ def world_sdf(name: str, *, model: str | None = None, physics: Physics | None = 
       <real_time_factor>{step.real_time_factor:g}</real_time_factor>
       <real_time_update_rate>{rate:g}</real_time_update_rate>
     </physics>
-    <scene>
+{_gui(view)}    <scene>
       <ambient>0.4 0.4 0.4 1</ambient>
       <background>0.7 0.8 0.9 1</background>
       <shadows>true</shadows>
@@ -132,6 +140,18 @@ def world_sdf(name: str, *, model: str | None = None, physics: Physics | None = 
     </include>
   </world>
 </sdf>
+"""
+
+
+def _gui(view: Viewpoint | None) -> str:
+    if view is None:
+        return ""
+    pose = " ".join(f"{value:.6g}" for value in (*view.position, 0.0, view.pitch, view.yaw))
+    return f"""    <gui>
+      <camera name="user_camera">
+        <pose>{pose}</pose>
+      </camera>
+    </gui>
 """
 
 

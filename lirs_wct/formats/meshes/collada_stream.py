@@ -1,20 +1,20 @@
-"""COLLADA for millions of triangles: tile by tile, each a geometry with short indices.
+"""COLLADA for millions of triangles, written as text a few thousand rows at a time.
 
-Tiles keep the memory bounded and the indices short, which are half of the file. Vertices on the
-border of two tiles are written in both, from the same numbers, so that the whole stays closed.
-NORMAL stands inside <vertices>; a position then may have one normal and texture coordinate only within
-a tile, since Gazebo joins equal positions.
+All parts are one geometry: one layer of texture coordinates in Blender, and no seams between objects.
+VERTEX, NORMAL and TEXCOORD have an offset each: Gazebo joins equal positions, and keeps their several normals
+and texture coordinates only where it is told each index.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 from xml.sax.saxutils import escape
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
@@ -25,97 +25,152 @@ CREATED = "2020-01-01T00:00:00"
 """Stands in every file: the same world gives the same bytes."""
 GROUND = (0.62, 0.57, 0.5, 1.0)
 """Colour of a world without texture, RGBA."""
-_NORMAL_DECIMALS, _UV_DECIMALS = 3, 4
+_NORMAL_DECIMALS, _UV_DECIMALS = 3, 5
+
+_ROWS = 1 << 14
+"""Rows of numbers that are made text at a time."""
 
 _HEAD = """<?xml version="1.0" encoding="utf-8"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
 <asset><created>{created}</created><modified>{created}</modified>
 <unit name="meter" meter="1"/><up_axis>Z_UP</up_axis></asset>
-{images}<library_effects><effect id="effect"><profile_COMMON>{parameters}
-<technique sid="common"><lambert><diffuse>{diffuse}</diffuse></lambert></technique>
-</profile_COMMON></effect></library_effects>
-<library_materials><material id="material" name="material"><instance_effect url="#effect"/></material>
-</library_materials>
-<library_geometries>
+{images}<library_effects>{effects}</library_effects>
+<library_materials>{materials}</library_materials>
+<library_geometries><geometry id="mesh" name="mesh"><mesh>
 """
-_IMAGES = (
-    '<library_images><image id="texture" name="texture"><init_from>{}</init_from></image></library_images>\n'
-)
-_PARAMETERS = """<newparam sid="surface"><surface type="2D"><init_from>texture</init_from></surface>
+_IMAGES = "<library_images>{}</library_images>\n"
+_IMAGE = '<image id="{name}-texture" name="{name}-texture"><init_from>{texture}</init_from></image>'
+_EFFECT = """<effect id="{name}-effect"><profile_COMMON>{parameters}
+<technique sid="common"><lambert><diffuse>{diffuse}</diffuse></lambert></technique>
+</profile_COMMON></effect>
+"""
+_PARAMETERS = """<newparam sid="surface"><surface type="2D"><init_from>{name}-texture</init_from></surface>
 </newparam>
 <newparam sid="sampler"><sampler2D><source>surface</source></sampler2D></newparam>"""
+_MATERIAL = '<material id="{name}" name="{name}"><instance_effect url="#{name}-effect"/></material>\n'
 _SOURCE = """<source id="{id}"><float_array id="{id}-array" count="{size}">
 """
 _SOURCE_END = """</float_array><technique_common><accessor source="#{id}-array" count="{n}" stride="{k}">
 {params}</accessor></technique_common></source>
 """
-_TRIANGLES = """<vertices id="v{t}"><input semantic="POSITION" source="#p{t}"/>
-<input semantic="NORMAL" source="#n{t}"/></vertices>
-<triangles count="{count}" material="material"><input semantic="VERTEX" source="#v{t}" offset="0"/>
-<input semantic="TEXCOORD" source="#u{t}" offset="1" set="0"/><p>
+_VERTICES = """<vertices id="vertices"><input semantic="POSITION" source="#positions"/></vertices>
 """
-_INSTANCE = """<instance_geometry url="#tile{t}"><bind_material><technique_common>
-<instance_material symbol="material" target="#material"><bind_vertex_input semantic="UV" \
-input_semantic="TEXCOORD" input_set="0"/></instance_material></technique_common></bind_material>
-</instance_geometry>
+_TRIANGLES = """<triangles count="{count}" material="{name}">
+<input semantic="VERTEX" source="#vertices" offset="0"/>
+<input semantic="NORMAL" source="#normals" offset="1"/>
+<input semantic="TEXCOORD" source="#UV" offset="2" set="0"/><p>
 """
+_BOUND = """<instance_material symbol="{name}" target="#{name}"><bind_vertex_input semantic="UV" \
+input_semantic="TEXCOORD" input_set="0"/></instance_material>
+"""
+_SCENE = """</mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="scene"><node id="world" name="world">
+<instance_geometry url="#mesh"><bind_material><technique_common>
+{bound}</technique_common></bind_material></instance_geometry>
+</node></visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#scene"/></scene></COLLADA>
+"""
+
+
+@dataclass(frozen=True)
+class MeshPart:
+    """Triangles of one material.
+
+    Attributes:
+        name: of the material.
+        mesh: in the world frame, with texture coordinates and normals.
+        texture: path of the picture relative to the file, or None for a plain colour.
+
+    Raises:
+        ConfigError: the mesh lacks texture coordinates or normals.
+    """
+
+    name: str
+    mesh: TriangleMesh
+    texture: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.mesh.uv is None or self.mesh.normals is None:
+            raise ConfigError("a mesh needs texture coordinates and normals to be written as COLLADA")
+
+    @property
+    def uv(self) -> FloatArray:
+        """(n, 2) texture coordinates."""
+        assert self.mesh.uv is not None
+        return self.mesh.uv
+
+    @property
+    def normals(self) -> FloatArray:
+        """(n, 3) unit normals."""
+        assert self.mesh.normals is not None
+        return self.mesh.normals
 
 
 def stream_collada(
-    path: Path, tiles: Iterable[TriangleMesh], size: ArrayLike, texture: str | None, step: float = 2e-6
+    path: Path, parts: Sequence[MeshPart], step: float = 2e-6, passed: Callable[[int], None] = lambda _: None
 ) -> None:
-    """Write tiles as they come.
+    """Write parts as one geometry.
 
     Args:
         path: file.
-        tiles: meshes with texture coordinates and normals.
-        size: extent of them all along x, y, z, metres: it gives the digits that are worth writing.
-        texture: path of the picture relative to the file, or None for a plain color.
+        parts: what is written.
         step: share of the width that positions are exact to; heights, to ten times this share of their own.
+        passed: called with the number of triangles that were written, a few thousand at a time.
 
     Raises:
-        ConfigError: a tile lacks texture coordinates or normals.
         OSError: the file cannot be written.
     """
-    color = " ".join(map(str, GROUND))
-    head = _HEAD.format(
-        created=CREATED,
-        images=_IMAGES.format(escape(texture)) if texture else "",
-        parameters=_PARAMETERS if texture else "",
-        diffuse='<texture texture="sampler" texcoord="UV"/>' if texture else f"<color>{color}</color>",
-    )
+    size = np.ptp(np.concatenate([part.mesh.bounds for part in parts]), axis=0)
+    decimals = _position_decimals(size, step)
     with path.open("wb") as file:
-        file.write(head.encode())
-        count, decimals = 0, _position_decimals(size, step)
-        for tile in tiles:
-            _write_tile(file, count, tile, decimals)
-            count += 1
-        file.write(b'</library_geometries>\n<library_visual_scenes><visual_scene id="scene">')
-        file.write(b'<node id="world" name="world">\n')
-        file.writelines(_INSTANCE.format(t=t).encode() for t in range(count))
-        file.write(b"</node></visual_scene></library_visual_scenes>\n")
-        file.write(b'<scene><instance_visual_scene url="#scene"/></scene></COLLADA>\n')
+        file.write(_head(parts).encode())
+        _write_source(file, "positions", [part.mesh.vertices for part in parts], decimals, "XYZ")
+        _write_source(file, "normals", [part.normals for part in parts], (_NORMAL_DECIMALS,) * 3, "XYZ")
+        _write_source(file, "UV", [part.uv for part in parts], (_UV_DECIMALS,) * 2, "ST")
+        file.write(_VERTICES.encode())
+        before = 0
+        for part in parts:
+            file.write(_TRIANGLES.format(count=len(part.mesh.faces), name=part.name).encode())
+            for faces in _chunks(part.mesh.faces + before):
+                file.write(fixed_text(np.repeat(faces, 3, axis=1), (0,) * 9))
+                passed(len(faces))
+            file.write(b"</p></triangles>\n")
+            before += len(part.mesh.vertices)
+        bound = "".join(_BOUND.format(name=part.name) for part in parts)
+        file.write(_SCENE.format(bound=bound).encode())
 
 
-def _write_tile(file: BinaryIO, t: int, tile: TriangleMesh, decimals: tuple[int, ...]) -> None:
-    if tile.uv is None or tile.normals is None:
-        raise ConfigError("a mesh needs texture coordinates and normals to be streamed as COLLADA")
-    file.write(f'<geometry id="tile{t}" name="tile{t}"><mesh>\n'.encode())
-    _write_source(file, f"p{t}", tile.vertices, decimals, "XYZ")
-    _write_source(file, f"n{t}", tile.normals, (_NORMAL_DECIMALS,) * 3, "XYZ")
-    _write_source(file, f"u{t}", tile.uv, (_UV_DECIMALS,) * 2, "ST")
-    file.write(_TRIANGLES.format(t=t, count=len(tile.faces)).encode())
-    file.write(fixed_text(np.repeat(tile.faces, 2, axis=1), (0,) * 6))
-    file.write(b"</p></triangles></mesh></geometry>\n")
+def _head(parts: Sequence[MeshPart]) -> str:
+    color = f"<color>{' '.join(map(str, GROUND))}</color>"
+    images, effects = [], []
+    for part in parts:
+        parameters, diffuse = "", color
+        if part.texture is not None:
+            images.append(_IMAGE.format(name=part.name, texture=escape(part.texture)))
+            parameters = _PARAMETERS.format(name=part.name)
+            diffuse = '<texture texture="sampler" texcoord="UV"/>'
+        effects.append(_EFFECT.format(name=part.name, parameters=parameters, diffuse=diffuse))
+    return _HEAD.format(
+        created=CREATED,
+        images=_IMAGES.format("".join(images)) if images else "",
+        effects="".join(effects),
+        materials="".join(_MATERIAL.format(name=part.name) for part in parts),
+    )
 
 
 def _write_source(
-    file: BinaryIO, name: str, values: FloatArray, decimals: tuple[int, ...], axes: str
+    file: BinaryIO, name: str, tables: Sequence[FloatArray], decimals: tuple[int, ...], axes: str
 ) -> None:
+    n = sum(map(len, tables))
     params = "".join(f'<param name="{axis}" type="float"/>' for axis in axes)
-    file.write(_SOURCE.format(id=name, size=values.size).encode())
-    file.write(fixed_text(values, decimals))
-    file.write(_SOURCE_END.format(id=name, n=len(values), k=len(axes), params=params).encode())
+    file.write(_SOURCE.format(id=name, size=n * len(axes)).encode())
+    for table in tables:
+        file.writelines(fixed_text(chunk, decimals) for chunk in _chunks(table))
+    file.write(_SOURCE_END.format(id=name, n=n, k=len(axes), params=params).encode())
+
+
+def _chunks(table: NDArray[Any]) -> Iterator[NDArray[Any]]:
+    return (table[i : i + _ROWS] for i in range(0, len(table), _ROWS))
 
 
 def _position_decimals(size: ArrayLike, step: float) -> tuple[int, int, int]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import BinaryIO
 
 from lirs_wct.arrays import Int32Array
 from lirs_wct.files import atomic_write
@@ -24,24 +26,40 @@ def write_obj(path: Path, mesh: TriangleMesh, texture: str | None = None) -> Non
     Raises:
         OutputError: a file cannot be written.
     """
-    textured = texture is not None and mesh.uv is not None
+    write_obj_parts(path, [("ground", mesh, texture)])
+
+
+def write_obj_parts(path: Path, parts: Sequence[tuple[str, TriangleMesh, str | None]]) -> None:
+    """Write meshes of a material each: its name, the mesh, its picture (see `write_obj`)."""
+    textured = [(name, mesh, file) for name, mesh, file in parts if file is not None and mesh.uv is not None]
     if textured:
         with atomic_write(path.with_suffix(".mtl")) as temporary:
-            temporary.write_text(f"newmtl ground\nKa 1 1 1\nKd 1 1 1\nmap_Kd {texture}\n", encoding="utf-8")
+            entries = (f"newmtl {name}\nKa 1 1 1\nKd 1 1 1\nmap_Kd {file}\n" for name, _, file in textured)
+            temporary.write_text("".join(entries), encoding="utf-8")
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         file.write(b"# LIRS-WCT, metres, z up\n")
         if textured:
-            file.write(f"mtllib {path.stem}.mtl\nusemtl ground\n".encode())
-        for word, values, decimals in (
-            (b"v", mesh.vertices, _METRE_DECIMALS),
-            (b"vt", mesh.uv, _UNIT_DECIMALS),
-            (b"vn", mesh.normals, _UNIT_DECIMALS),
-        ):
-            for start in range(0, 0 if values is None else len(values), _ROWS):
-                assert values is not None
-                file.write(_lines(word, fixed_text(values[start : start + _ROWS], decimals)))
-        for start in range(0, len(mesh.faces), _ROWS):
-            file.write(_faces(mesh.faces[start : start + _ROWS] + 1, mesh))
+            file.write(f"mtllib {path.stem}.mtl\n".encode())
+        written = 0
+        for name, mesh, picture in parts:
+            if picture is not None and mesh.uv is not None:
+                file.write(f"usemtl {name}\n".encode())
+            _write_part(file, mesh, written)
+            written += len(mesh.vertices)
+
+
+def _write_part(file: BinaryIO, mesh: TriangleMesh, written: int) -> None:
+    """Write vertices and faces after so many vertices."""
+    for word, values, decimals in (
+        (b"v", mesh.vertices, _METRE_DECIMALS),
+        (b"vt", mesh.uv, _UNIT_DECIMALS),
+        (b"vn", mesh.normals, _UNIT_DECIMALS),
+    ):
+        for start in range(0, 0 if values is None else len(values), _ROWS):
+            assert values is not None
+            file.write(_lines(word, fixed_text(values[start : start + _ROWS], decimals)))
+    for start in range(0, len(mesh.faces), _ROWS):
+        file.write(_faces(mesh.faces[start : start + _ROWS] + 1 + written, mesh))
 
 
 def _lines(word: bytes, rows: bytes) -> bytes:

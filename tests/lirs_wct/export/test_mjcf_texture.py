@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lirs_wct import BuildOptions, build_world
-from lirs_wct.export.mjcf_file import spread
+from lirs_wct.export.mjcf_look import spread
 from lirs_wct.export.package import write_package
 from lirs_wct.meshing.uv import cube_uv
 

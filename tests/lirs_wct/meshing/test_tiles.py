@@ -9,7 +9,7 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.meshing.tiles import split_tiles
-from lirs_wct.meshing.uv import cube_uv, projection_groups
+from lirs_wct.meshing.uv import cube_uv
 
 
 def hills() -> TriangleMesh:
@@ -43,13 +43,15 @@ def test_never_more_than_the_cap() -> None:
     assert sum(sizes) == len(hills().faces)
 
 
-def test_groups_are_kept_apart_and_attributes_go_along() -> None:
+def test_attributes_go_along() -> None:
     mesh = cube_uv(hills())
-    groups = projection_groups(mesh)
-    assert sorted(set(groups.tolist())) == [2, 3, 4, 6, 7, 8, 9, 11]
-    for tile in split_tiles(mesh, aim=400, groups=groups):
+    assert mesh.uv is not None
+    assert mesh.normals is not None
+    kept = np.concatenate((mesh.vertices, mesh.uv, mesh.normals), axis=1)
+    seen = []
+    for tile in split_tiles(mesh, aim=400):
         assert tile.normals is not None
         assert tile.uv is not None
-        assert len(set(projection_groups(tile).tolist())) == 1
-        joined = {tuple(p): n for p, n in zip(tile.vertices, tile.normals, strict=True)}
-        assert all((joined[tuple(p)] == n).all() for p, n in zip(tile.vertices, tile.normals, strict=True))
+        seen.append(np.concatenate((tile.vertices, tile.uv, tile.normals), axis=1)[tile.faces])
+    together, whole = np.concatenate(seen).reshape(-1, 24), kept[mesh.faces].reshape(-1, 24)
+    np.testing.assert_array_equal(together[np.lexsort(together.T)], whole[np.lexsort(whole.T)])

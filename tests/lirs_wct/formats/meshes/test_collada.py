@@ -11,14 +11,15 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.export.mesh_writer import write_collada
+from lirs_wct.export.mesh_writer import write_collada, write_parts
 from lirs_wct.formats.meshes import collada_stream
+from lirs_wct.formats.meshes.collada_stream import MeshPart
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.meshing.uv import cube_uv
 
-WRITERS = {"pycollada": 10**9, "stream": 0, "stream in tiles": 0}
+WRITERS = {"pycollada": 10**9, "stream": 0, "stream in pieces": 0}
 
 
 def hills(rows: int = 40, cols: int = 60) -> TriangleMesh:
@@ -35,8 +36,8 @@ def corners_of(triangles: collada.triangleset.TriangleSet) -> np.ndarray:
 
 @pytest.fixture(params=WRITERS)
 def above(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
-    if request.param == "stream in tiles":
-        monkeypatch.setattr("lirs_wct.export.mesh_writer.TILE", 600)
+    if request.param == "stream in pieces":
+        monkeypatch.setattr("lirs_wct.formats.meshes.collada_stream._ROWS", 600)
     return WRITERS[request.param]
 
 
@@ -62,10 +63,29 @@ def test_axis_unit_material_and_inputs(tmp_path: Path, above: int) -> None:
     assert isinstance(document.effects[0].diffuse, collada.material.Map)
     for shape in document.geometries:
         (triangles,) = shape.primitives
-        offsets = [entry[0] for kind in ("VERTEX", "TEXCOORD") for entry in triangles.sources[kind]]
-        assert len(set(offsets)) == 2
+        kinds = ("VERTEX", "NORMAL", "TEXCOORD")
+        offsets = [entry[0] for kind in kinds for entry in triangles.sources[kind]]
+        assert sorted(offsets) == [0, 1, 2]
         bound = list(document.scene.objects("geometry"))
         assert len(bound) == len(document.geometries)
+
+
+def test_parts_of_two_materials_are_one_object_with_one_layer(tmp_path: Path, above: int) -> None:
+    """Blender names a layer after the source's id, and joins objects without those of another name."""
+    low, high = cube_uv(hills()), cube_uv(hills(5, 6))
+    parts = [MeshPart("ground", low, "ground.png"), MeshPart("walls", high, "walls.png")]
+    write_parts(tmp_path / "a.dae", parts, stream_above=above)
+    document = collada.Collada(str(tmp_path / "a.dae"), ignore=[collada.common.DaeUnsupportedError])
+    assert document.errors == []
+    (shape,) = document.geometries
+    assert {triangles.sources["TEXCOORD"][0][2] for triangles in shape.primitives} == {"#UV"}
+    pictures = {}
+    for bound in next(document.scene.objects("geometry")).primitives():
+        pictures[bound.material.effect.diffuse.sampler.surface.image.path] = len(bound)
+    assert pictures == {"ground.png": len(low.faces), "walls.png": len(high.faces)}
+    for triangles, part in zip(shape.primitives, parts, strict=True):
+        expected = np.concatenate((part.mesh.vertices, part.normals, part.uv), axis=1)[part.mesh.faces]
+        np.testing.assert_allclose(corners_of(triangles), expected, atol=6e-4)
 
 
 def test_attributes_belong_to_their_corners(tmp_path: Path, above: int) -> None:

@@ -1,0 +1,166 @@
+"""What a world wears: its mesh in parts of one texture each, with texture coordinates and normals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
+from lirs_wct.formats.images.image_writer import write_image
+from lirs_wct.formats.images.picture import read_picture
+from lirs_wct.formats.world_json import texture_path
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.meshing.ground_texture import FLOOR_SPAN, floor_texture, ground_texture, wall_texture
+from lirs_wct.meshing.uv import cube_uv, draped_uv, wall_uv
+from lirs_wct.world import World
+
+GROUND, WALLS = "ground", "walls"
+HALF_PIXEL = 0.5 / 1024
+"""Share of a draped picture that is left out along its border, at least half of a drawn texture's pixel."""
+
+
+@dataclass(frozen=True)
+class Wear:
+    """The texture of a part of a world.
+
+    Attributes:
+        name: of the part, `ground` or `walls`.
+        given: the user's file; None = drawn.
+        draped: whether the picture lies on the world from above, once; else it is repeated.
+        span: metres that a repeated picture spans; None = the longest side of the part.
+    """
+
+    name: str
+    given: Path | None
+    draped: bool
+    span: float | None
+
+    def pixels(self, world: World) -> ByteArray:
+        """Return (rows, cols, 3) BGR, row 0 = the upper edge; of a draped picture, north.
+
+        Raises:
+            SourceError: the user's file cannot be read.
+        """
+        if self.given is not None:
+            return _colors(self.given)
+        if self.name == WALLS:
+            return wall_texture()
+        return ground_texture(world.surface) if world.walls is None else floor_texture()
+
+    def write(self, world: World, folder: Path) -> Path:
+        """Write the picture into a world's folder, unless it is there, and return its path inside."""
+        path = texture_path(world.name, "texture" if self.name == GROUND else "wall_texture", self.given)
+        if not (folder / path).is_file():
+            write_image(folder / path, self.pixels(world))
+        return path
+
+
+@dataclass(frozen=True)
+class Part:
+    """Triangles that wear one texture.
+
+    Attributes:
+        wear: their texture.
+        mesh: triangles with texture coordinates and normals.
+    """
+
+    wear: Wear
+    mesh: TriangleMesh
+
+
+def ground_wear(world: World) -> Wear:
+    """Return the texture of the ground; what is drawn is draped, but for a floor of slabs."""
+    options = world.export_options
+    if options.texture is not None:
+        return Wear(GROUND, options.texture, options.drape, options.texture_size)
+    drawn_once = world.walls is None
+    return Wear(GROUND, None, drawn_once, None if drawn_once else FLOOR_SPAN)
+
+
+def wall_wear(world: World, walls: WallGrid) -> Wear:
+    """Return the texture of walls: the picture is as high as they are."""
+    return Wear(WALLS, world.export_options.wall_texture, False, walls.height)
+
+
+def world_parts(world: World, mesh: TriangleMesh | None = None) -> tuple[Part, ...]:
+    """Return the world's mesh in parts of one texture each.
+
+    Args:
+        world: gives the textures.
+        mesh: drawn in place of the world's own, triangles without attributes.
+
+    Raises:
+        ConfigError: the mesh has more triangles than its budget allows.
+    """
+    mesh, wear = world.mesh if mesh is None else mesh, ground_wear(world)
+    if world.walls is None:
+        lay = partial(draped_uv, bounds=world.surface.bounds, margin=HALF_PIXEL)
+        return (Part(wear, lay(mesh) if wear.draped else cube_uv(mesh, wear.span)),)
+    return _map_parts(world, world.walls, mesh, wear)
+
+
+def world_extent(world: World) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest and highest corner of what is seen of a world, metres."""
+    if world.solid is not None:
+        low, high = world.solid.bounds
+        return low, high
+    west, south, east, north = world.surface.bounds
+    top = max(float(world.surface.z.max()), 0.0 if world.walls is None else world.walls.height)
+    return np.array((west, south, float(world.surface.z.min()))), np.array((east, north, top))
+
+
+def squared(picture: ByteArray, size: tuple[float, float]) -> ByteArray:
+    """Return a square picture as wide as the longer of width and depth, metres.
+
+    The given one fills its lower-left corner; the rest repeats its border.
+    """
+    pixels = max(picture.shape[:2])
+    cols, rows = (max(1, round(pixels * side / max(size))) for side in size)
+    fitting = cv2.resize(picture, (cols, rows), interpolation=cv2.INTER_AREA)
+    wide: ByteArray = np.pad(fitting, ((pixels - rows, 0), (0, pixels - cols), (0, 0)), mode="edge")
+    return wide
+
+
+def _map_parts(world: World, walls: WallGrid, mesh: TriangleMesh, wear: Wear) -> tuple[Part, ...]:
+    """Return floor and walls; pictures lie along the map's own axes."""
+    rows, cols = walls.shape
+    bounds = (0.0, 0.0, cols * walls.resolution, rows * walls.resolution)
+    upright = mesh.vertices[mesh.faces][..., 2].max(axis=1) > 0
+    in_map = _moved(mesh, walls.origin.inverse())
+    span = wear.span or max(bounds)
+    floor = _only(in_map, ~upright)
+    laid = draped_uv(floor, bounds, HALF_PIXEL) if wear.draped else cube_uv(floor, span)
+    parts = [Part(wear, laid)]
+    if upright.any():
+        parts.append(Part(wall_wear(world, walls), wall_uv(_only(in_map, upright), walls.height)))
+    return tuple(
+        replace(part, mesh=_moved(part.mesh, walls.origin)) for part in parts if len(part.mesh.faces)
+    )
+
+
+def _moved(mesh: TriangleMesh, T: Pose2) -> TriangleMesh:
+    vertices = np.column_stack((T.apply(mesh.vertices[:, :2]), mesh.vertices[:, 2]))
+    normals = mesh.normals
+    if normals is not None:
+        normals = np.column_stack((replace(T, x=0.0, y=0.0).apply(normals[:, :2]), normals[:, 2]))
+    return replace(mesh, vertices=vertices, normals=normals)
+
+
+def _only(mesh: TriangleMesh, chosen: BoolArray) -> TriangleMesh:
+    used, faces = np.unique(mesh.faces[chosen], return_inverse=True)
+    return TriangleMesh(mesh.vertices[used], faces.reshape(-1, 3).astype(np.int32))
+
+
+def _colors(path: Path) -> ByteArray:
+    """Return (rows, cols, 3) BGR, 8 bit, of a picture of any kind."""
+    pixels = read_picture(path).pixels
+    if pixels.dtype != np.uint8:
+        pixels = (pixels >> 8).astype(np.uint8)
+    bgr = pixels[..., :3] if pixels.ndim == 3 else cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR)
+    return np.ascontiguousarray(bgr, np.uint8)

@@ -1,0 +1,62 @@
+"""Where a camera stands to see something whole."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lirs_wct.arrays import FloatArray
+
+AZIMUTH, ELEVATION = math.radians(62), math.radians(-35)
+"""Direction in which an overview looks: towards the north-north-east, and down."""
+SPARE = 1.05
+"""Distance over the least from which all is in the picture."""
+
+
+@dataclass(frozen=True, slots=True)
+class Viewpoint:
+    """A camera's place and the direction in which it looks.
+
+    Attributes:
+        position: x, y, z, metres.
+        yaw: of the direction from the x axis, radians.
+        pitch: downward, radians.
+    """
+
+    position: tuple[float, float, float]
+    yaw: float
+    pitch: float
+
+    @property
+    def axes(self) -> FloatArray:
+        """(3, 3) rows: forward, right, up in the world."""
+        return camera_axes(self.yaw, self.pitch)
+
+
+def camera_axes(yaw: float, pitch: float) -> FloatArray:
+    """Return (3, 3) rows: forward, right, up of a camera that does not roll; pitch is downward."""
+    cy, sy, cp, sp = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch)
+    return np.array(((cp * cy, cp * sy, -sp), (sy, -cy, 0.0), (sp * cy, sp * sy, cp)))
+
+
+def overview(low: ArrayLike, high: ArrayLike, fovy: float, aspect: float = 4 / 3) -> Viewpoint:
+    """Return the place from which a box is seen whole, from outside.
+
+    Args:
+        low: (3,) lowest corner, metres.
+        high: (3,) highest corner.
+        fovy: the picture's angle from its lower to its upper edge, radians.
+        aspect: its width over its height.
+    """
+    ends = np.array((low, high), np.float64)
+    corners = np.array([ends[list(which), range(3)] for which in product((0, 1), repeat=3)])
+    middle = corners.mean(axis=0)
+    ahead, right, up = ((corners - middle) @ axis for axis in camera_axes(AZIMUTH, -ELEVATION))
+    half = math.tan(fovy / 2)
+    least = np.maximum(np.abs(right) / (half * aspect), np.abs(up) / half) - ahead
+    eye = middle - camera_axes(AZIMUTH, -ELEVATION)[0] * float(least.max()) * SPARE
+    return Viewpoint((float(eye[0]), float(eye[1]), float(eye[2])), AZIMUTH, -ELEVATION)
