@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.rosbag.compression import inflated_file, inflated_message
 from lirs_wct.formats.rosbag.library import METADATA
-from lirs_wct.formats.rosbag.salvage import fault_of, salvaged
+from lirs_wct.formats.rosbag.salvage.files import fault_of, salvaged
 from lirs_wct.formats.suffixes import BAGS, ZSTD, is_bag_file
 
 

@@ -142,11 +142,20 @@ def test_a_database_is_read_up_to_where_it_is_cut(database: bytes, given: Drive,
     check(log, given, len(log.scans))
 
 
-def test_of_a_database_cut_before_its_tree_of_rows_it_is_said(database: bytes, tmp_path: Path) -> None:
-    (tmp_path / "cut.db3").write_bytes(database[: len(database) // 3])
-    with pytest.raises(
-        SourceError, match=r"cut\.db3: .*holds no message \(damaged: cut\.db3: its end is missing"
-    ):
+@pytest.mark.parametrize("share", [0.1, 0.33])
+def test_a_database_cut_before_its_tree_of_rows_gives_its_first_scans(
+    database: bytes, given: Drive, tmp_path: Path, share: float
+) -> None:
+    (tmp_path / "cut.db3").write_bytes(database[: round(share * len(database))])
+    with pytest.warns(UserWarning, match=r"cut\.db3: its end is missing\): \d+ scans could be read"):
+        log = read_bag(tmp_path / "cut.db3", IMU)
+    assert len(log.scans) > (share - 0.1) * SCANS
+    check(log, given, len(log.scans))
+
+
+def test_of_a_database_cut_before_its_first_row_it_is_said(database: bytes, tmp_path: Path) -> None:
+    (tmp_path / "cut.db3").write_bytes(database[: 7 * 4096])
+    with pytest.raises(SourceError, match=r"holds no message \(damaged: cut\.db3: its end is missing"):
         read_bag(tmp_path / "cut.db3", IMU)
 
 

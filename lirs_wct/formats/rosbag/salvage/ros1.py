@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from lirs_wct.formats.rosbag.compression import inflated
-from lirs_wct.formats.rosbag.salvaged_message import SalvagedMessage, Topic
+from lirs_wct.formats.rosbag.salvage.message import SalvagedMessage, Topic
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, HEADER, CHUNK, CONNECTION = 2, 3, 5, 7

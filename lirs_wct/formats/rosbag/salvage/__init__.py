@@ -1,0 +1,1 @@
+"""Bags without index, or whose recorder died: the whole messages that their files still hold."""
