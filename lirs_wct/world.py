@@ -8,14 +8,16 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from lirs_wct.arrays import BoolArray
+from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.display import ShownAsPicture
 from lirs_wct.errors import ConfigError, LogSourceError
 from lirs_wct.formats.world_json import WorldFile, checked_content, read_world, write_world
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.place import Place
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
@@ -31,7 +33,7 @@ from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.picture import read_terrain
 from lirs_wct.sources.source import Source, find_source, warn_of_useless
 from lirs_wct.sources.source_kind import SourceKind
-from lirs_wct.sources.window import Window, cut_nodes, cut_surface
+from lirs_wct.sources.window import Window, cut_nodes, cut_surface, leveled
 
 SPAWN_AREA = 200.0
 """Side of the square in the middle of a larger terrain where spawn poses are looked for, metres."""
@@ -52,6 +54,7 @@ class World(ShownAsPicture):
         scale: where the metres come from, a text.
         export_options: how the mesh files are made.
         source: absolute path of what it was made from, or a bundled name; None = made in code.
+        place: where it lies on the earth; None = the source does not say.
     """
 
     name: str
@@ -62,6 +65,7 @@ class World(ShownAsPicture):
     source: str | None = None
     spawn_for: str = ""
     start: Pose2 | None = None
+    place: Place | None = None
 
     def __repr__(self) -> str:
         starts = f"{len(self.spawn_poses)} start poses"
@@ -152,6 +156,16 @@ class World(ShownAsPicture):
         inside = mapped_area(free, least.radius)
         return OccupancyGrid.from_probability(np.where(inside, 0.0, 1.0), free.resolution, free.origin)
 
+    def to_geographic(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return latitudes and longitudes, in degrees, of points of the world.
+
+        Raises:
+            ConfigError: the source does not say where it lies, or the extra `geo` is needed.
+        """
+        if self.place is None:
+            raise ConfigError(f"{self.name}: its source does not say where on the earth it lies")
+        return self.place.to_geographic(x, y)
+
     def save(self, folder: str | Path) -> Path:
         """Write `world.json` and its arrays; `World.load` gives the same world back exactly."""
         content = WorldFile(
@@ -169,6 +183,7 @@ class World(ShownAsPicture):
             no_ground=self.no_ground,
             export_options=asdict(self.export_options),
             source=self.source,
+            place=self.place,
         )
         return write_world(content, Path(folder))
 
@@ -191,6 +206,7 @@ class World(ShownAsPicture):
             source=content.source,
             spawn_for=content.spawn_for,
             start=content.start,
+            place=content.place,
         )
 
 
@@ -215,23 +231,24 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
     if found.kind is SourceKind.LOG:
         raise LogSourceError(f"{found.path}: a log is mapped before it is a world")
     warn_of_useless(found, options)
-    world = _place(found, options)
+    world = _built(found, options)
     for texture in (options.texture, options.wall_texture):
         checked_texture(texture, options.max_pixels)
     return replace(world, export_options=export_settings(options, world))
 
 
-def _place(found: Source, options: BuildOptions) -> World:
+def _built(found: Source, options: BuildOptions) -> World:
     if found.kind is SourceKind.FOLDER:
         return _loaded_world(found, options)
     ground: Ground
+    place = None
     if found.kind is SourceKind.MESH:
         ground, scale = read_mesh_source(found.path, options)
     elif found.kind in (SourceKind.MAP, SourceKind.MAP_PICTURE):
         ground, scale = read_laser_map(found, options)
     else:
-        ground, scale = read_terrain(found, options)
-    world = World(found.name, ground, scale=scale, source=found.identity, start=options.start)
+        ground, scale, place = read_terrain(found, options)
+    world = World(found.name, ground, scale=scale, source=found.identity, start=options.start, place=place)
     return _with_spawn_poses(world)
 
 
@@ -245,12 +262,14 @@ def _loaded_world(source: Source, options: BuildOptions) -> World:
         return world if options.start is None else _with_spawn_poses(world)
     if isinstance(world.ground, LaserMap) or world.overhangs:
         raise ConfigError(f"{source.path}: --window cuts a built terrain only; give the world's own source")
-    return _with_spawn_poses(replace(world, ground=_cut(world.ground, options.window)))
+    ground, lift = _cut(world.ground, options.window)
+    return _with_spawn_poses(replace(world, ground=ground, place=world.place and world.place.raised(lift)))
 
 
-def _cut(ground: Terrain | ClosedMesh, window: Window) -> Terrain:
-    surface = cut_surface(ground.surface, window)
-    return Terrain(surface, cut_nodes(ground.no_ground, ground.surface, surface))
+def _cut(ground: Terrain | ClosedMesh, window: Window) -> tuple[Terrain, float]:
+    """Return a square of a ground, and by how many metres it was lowered to z = 0."""
+    surface, lift = leveled(cut_surface(ground.surface, window, level=False))
+    return Terrain(surface, cut_nodes(ground.no_ground, ground.surface, surface)), lift
 
 
 def _with_spawn_poses(world: World) -> World:
@@ -266,7 +285,7 @@ def _with_spawn_poses(world: World) -> World:
         west, south, east, north = world.surface.bounds
         middle = world.start or Pose2((west + east) / 2, (south + north) / 2)
         if world.surface.contains(middle.x, middle.y):
-            place = replace(world, ground=_cut(world.ground, (middle.x, middle.y, SPAWN_AREA)))
+            place = replace(world, ground=_cut(world.ground, (middle.x, middle.y, SPAWN_AREA))[0])
     resolution = 0.1 if world.walls is not None else max(0.1, max(place.surface.size) / SPAWN_CELLS)
     for footprint in FOOTPRINTS:
         for clearance, slope in footprint.limits:

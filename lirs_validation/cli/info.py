@@ -97,6 +97,8 @@ def facts_table(world: World, facts: WorldFacts) -> Table:
     if facts.walls is not None:
         solid, cells, resolution, height = facts.walls
         rows.insert(2, ("walls", f"{solid} of {cells} cells of {resolution:g} m, {height:g} m high"))
+    if world.place is not None:
+        rows.insert(1, ("place on earth", world.place.label()))
     for row in rows:
         table.add_row(*row)
     return table

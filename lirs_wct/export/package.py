@@ -174,7 +174,10 @@ def _write_model(world: World, folder: Path, formats: Collection[str], terrain: 
     for file, text in (
         ("model.config", model_config(name)),
         ("model.sdf", model),
-        (f"{name}.world", world_sdf(name, view=overview(*world_extent(world), GAZEBO_FOVY))),
+        (
+            f"{name}.world",
+            world_sdf(name, view=overview(*world_extent(world), GAZEBO_FOVY), place=world.place),
+        ),
     ):
         (folder / file).write_text(text, encoding="utf-8")
 

@@ -4,6 +4,22 @@ from pathlib import Path
 
 MESHES = (".stl", ".dae", ".obj", ".ply", ".glb")
 """Mesh files."""
+RASTERS = (
+    ".asc",
+    ".hgt",
+    ".dt0",
+    ".dt1",
+    ".dt2",
+    ".img",
+    ".vrt",
+    ".bil",
+    ".flt",
+    ".dem",
+    ".adf",
+    ".nc",
+    ".jp2",
+)
+"""Elevation data beside GeoTIFF; all but the first two by GDAL."""
 LOGS = (".clf", ".log")
 """CARMEN logs, which may end in .gz as well."""
 BAGS = (".mcap", ".db3", ".bag")

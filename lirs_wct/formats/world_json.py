@@ -6,7 +6,7 @@ import json
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass, field
+from dataclasses import asdict, astuple, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 from lirs_wct.arrays import BoolArray
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
+from lirs_wct.geometry.earth import CoordinateSystem
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.place import Place
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 
@@ -49,6 +51,7 @@ class WorldFile:
         no_ground: (rows, cols) nodes of the surface without ground.
         export_options: name -> value; those of `TEXTURE_OPTIONS` are paths or None.
         source: that it was made from; None where none is known.
+        place: on the earth; None where none is known.
     """
 
     name: str
@@ -65,6 +68,7 @@ class WorldFile:
     no_ground: BoolArray | None = None
     export_options: Mapping[str, Any] = field(default_factory=dict)
     source: str | None = None
+    place: Place | None = None
 
 
 def write_world(world: WorldFile, folder: Path) -> Path:
@@ -87,6 +91,8 @@ def write_world(world: WorldFile, folder: Path) -> Path:
     }
     if world.start is not None:
         entry["start"] = astuple(world.start)
+    if world.place is not None:
+        entry["place"] = asdict(world.place)
     if world.walls is not None:
         arrays["walls"] = world.walls.solid
         entry["walls"] = _grid_entry(world.walls) | {"height": world.walls.height}
@@ -159,6 +165,7 @@ def read_world(folder: Path) -> WorldFile:
                 no_ground=arrays.get("bare"),
                 export_options=_export_settings(entry, folder),
                 source=entry.get("source"),
+                place=_place(entry.get("place")),
             )
 
 
@@ -204,6 +211,14 @@ def _kept_textures(world: WorldFile, folder: Path) -> dict[str, str | None]:
 def _export_settings(entry: dict[str, Any], folder: Path) -> dict[str, Any]:
     given: dict[str, Any] = entry.get("finish", {})
     return given | {role: folder / given[role] for role in TEXTURE_OPTIONS if given.get(role)}
+
+
+def _place(entry: dict[str, Any] | None) -> Place | None:
+    if entry is None:
+        return None
+    system = entry["system"] | {"ellipsoid": _pair(entry["system"]["ellipsoid"])}
+    a, b, c, d, e, f = map(float, entry["affine"])
+    return Place(CoordinateSystem(**system), (a, b, c, d, e, f), entry["height"])
 
 
 def _grid_entry(grid: WallGrid | OccupancyGrid) -> dict[str, Any]:

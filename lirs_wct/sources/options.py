@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from lirs_wct.errors import ConfigError
+from lirs_wct.formats.elevation.tiles import ENCODINGS, Encoding
 from lirs_wct.formats.images.header import MAX_PIXELS
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.meshing.export_options import ExportOptions
@@ -45,6 +46,11 @@ _SCALE: dict[str, Any] = {"panel": TERRAIN_PANEL, "kinds": _MESHES}
 _GRAY: dict[str, Any] = {"panel": TERRAIN_PANEL, "kinds": _PICTURES}
 _FILTER: dict[str, Any] = {"panel": FILTER_PANEL, "kinds": _PICTURES}
 _MAP: dict[str, Any] = {"panel": MAP_PANEL, "kinds": _MAPS}
+
+
+def _finite(value: float, label: str) -> None:
+    if not math.isfinite(value):
+        raise ConfigError(f"{label} must be finite, got {value}")
 
 
 def _window(value: tuple[float, float, float], _: str) -> None:
@@ -135,6 +141,27 @@ class PictureOptions(Options):
         read=read_factors,
         check=positive,
         **_SCALE,
+    )
+    zero: float | None = option(
+        None,
+        "Height of the file's own that becomes z = 0, so that neighbouring tiles fit; default: the lowest.",
+        metavar="HEIGHT",
+        check=_finite,
+        **_SCALE | {"kinds": {SourceKind.PICTURE}},
+    )
+    nodata: float | None = option(
+        None,
+        "Value of pixels without a height, where the file does not say it.",
+        metavar="VALUE",
+        **_SCALE | {"kinds": {SourceKind.PICTURE}},
+    )
+    encoding: Encoding = option(
+        "gray",
+        "How the pixels are heights: by their gray, or by their color as tiles of Mapbox or Terrarium.",
+        metavar="|".join(ENCODINGS),
+        read=choice(*ENCODINGS),
+        check=one_of(ENCODINGS),
+        **_SCALE | {"kinds": {SourceKind.PICTURE}},
     )
     grayscale: bool = option(False, "Turn a colour picture into gray.", **_GRAY)
     invert: bool = option(False, "Black is high, white is low.", title="color inverse", **_GRAY)

@@ -1,49 +1,53 @@
-"""A picture, a file or a bundled one, becomes a height field in metres."""
+"""A raster of heights, or a picture that becomes one, becomes a height field in metres."""
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lirs_wct.arrays import Float32Array
-from lirs_wct.errors import SourceError
-from lirs_wct.formats.images import tiff
-from lirs_wct.formats.images.picture import Picture, check_size, read_picture
+from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.formats.elevation.raster import Raster, read_raster
+from lirs_wct.formats.images.geotiff import RasterInfo
+from lirs_wct.formats.images.picture import check_size
 from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.place import Place
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.bundled import SIZE, bundled_picture
 from lirs_wct.sources.dequantize import dequantize
+from lirs_wct.sources.elevation import decoded, pixel_of, place_of, tell_slopes, way_out
 from lirs_wct.sources.filters import apply_filters
+from lirs_wct.sources.nodata import fill_nodata, tell_border
 from lirs_wct.sources.options import DEFAULT_HEIGHT, DEFAULT_SIZE, BuildOptions
 from lirs_wct.sources.source import Source
 from lirs_wct.sources.source_kind import SourceKind
-from lirs_wct.sources.window import cut_surface
+from lirs_wct.sources.window import cut_surface, leveled
 
 GRAY_TOLERANCE = 2
 """Levels of 255 by which the channels of a gray picture may differ (rounding of colour conversions)."""
 LUMA = (0.114, 0.587, 0.299)
 """Weights of blue, green, red (ITU-R BT.601)."""
-UNTAGGED_NODATA = (-9999.0, -32768.0)
-"""What elevation rasters hold where nothing was measured, even without a tag; below -1e30 likewise."""
 
 
-def read_terrain(source: Source, options: BuildOptions) -> tuple[Terrain, str]:
-    """Return a picture or a bundled world as ground, and a text that says where its metres come from.
+def read_terrain(source: Source, options: BuildOptions) -> tuple[Terrain, str, Place | None]:
+    """Return a picture or a bundled world as ground, where its metres come from, and where it lies.
 
     Raises:
         SourceError: the picture cannot be used.
-        ConfigError: the window lies outside the terrain.
+        ConfigError: the window lies outside the terrain, or an option does not fit the picture.
     """
-    surface, scale = _scaled(source.path, open_picture(source, options.max_pixels), options)
+    found = open_picture(source, options.max_pixels)
+    surface, scale, place = _scaled(source.path, found, options)
     if options.window is not None:
-        surface = cut_surface(surface, options.window)
-    return Terrain(surface), scale
+        surface = cut_surface(surface, options.window, level=False)
+        if options.zero is None:
+            surface, lift = leveled(surface)
+            place = place and place.raised(lift)
+    return Terrain(surface), scale, place
 
 
 @dataclass(frozen=True)
@@ -51,12 +55,12 @@ class TerrainPicture:
     """A picture of a terrain, and the metres that it brings.
 
     Attributes:
-        picture: decoded.
+        raster: decoded.
         size: longer side in metres; None = as the picture's tags say, else the default.
         height: metres between its darkest and its brightest pixel; None = the same.
     """
 
-    picture: Picture
+    raster: Raster
     size: float | None = None
     height: float | None = None
 
@@ -73,11 +77,11 @@ def open_picture(source: Source, max_pixels: int) -> TerrainPicture:
         SourceError: the picture cannot be used.
     """
     if source.kind is not SourceKind.BUNDLED:
-        return TerrainPicture(read_picture(source.path, max_pixels))
+        return TerrainPicture(read_raster(source.path, max_pixels))
     bundled = bundled_picture(source.path.name)
     rows, cols = bundled.pixels.shape
     check_size(source.path, cols, rows, max_pixels)
-    return TerrainPicture(Picture(bundled.pixels, {}), SIZE, bundled.height)
+    return TerrainPicture(Raster(bundled.pixels), SIZE, bundled.height)
 
 
 def read_height_field(path: Path, options: BuildOptions) -> HeightField:
@@ -88,7 +92,7 @@ def read_height_field(path: Path, options: BuildOptions) -> HeightField:
 def read_scaled(path: Path, options: BuildOptions) -> tuple[HeightField, str]:
     """Read a picture as a terrain, and a text that says where its metres come from.
 
-    Bright is high, the lowest point is z = 0, the centre is the origin.
+    Bright is high, the lowest point is z = 0 unless `zero` is given, the centre is the origin.
 
     A GeoTIFF keeps its own pixel size and heights unless the options say otherwise; any other picture
     is scaled to the options or their defaults. The pixels are the nodes. Options act in this order: crop,
@@ -98,77 +102,92 @@ def read_scaled(path: Path, options: BuildOptions) -> tuple[HeightField, str]:
         SourceError: the file cannot be used, is in colour without `grayscale`, or is more than half
             nodata.
     """
-    return _scaled(path, TerrainPicture(read_picture(path, options.max_pixels)), options)
+    return _scaled(path, TerrainPicture(read_raster(path, options.max_pixels)), options)[:2]
 
 
-def _scaled(path: Path, found: TerrainPicture, options: BuildOptions) -> tuple[HeightField, str]:
-    surface = height_field(path, found.picture, found.with_own_metres(options))
+def _scaled(
+    path: Path, found: TerrainPicture, options: BuildOptions
+) -> tuple[HeightField, str, Place | None]:
+    raster = decoded(path, found.raster, options)
+    surface, height = _heights(path, raster, found.with_own_metres(options))
     if found.size is not None:
         resized = options.size or options.pixel_size or options.height
-        return surface, "as given" if resized else "as bundled"
-    return surface, _scale_text(own=_metric_pixel(path, found.picture) is not None, options=options)
+        return surface, "as given" if resized else "as bundled", None
+    tell_slopes(path, raster, surface, options)
+    return surface, _scale_text(raster.info, options), place_of(raster, surface, height, options)
 
 
-def decimated(
-    path: Path, picture: Picture, options: BuildOptions, nodes: int
-) -> tuple[Picture, BuildOptions]:
+def decimated(path: Path, raster: Raster, options: BuildOptions, nodes: int) -> tuple[Raster, BuildOptions]:
     """Return a smaller picture, and the options that make nearly the same terrain of it, for a preview.
 
     Pixels are left out and none is averaged, so gray levels and "no data" stay what they are.
 
     Args:
         path: of the picture, for errors.
-        picture: the whole one.
+        raster: the whole one.
         options: for the whole one.
         nodes: along the longer side, at most.
 
     Raises:
         SourceError: the crop lies outside the picture, or its scale cannot be used.
     """
-    pixels = _cropped(path, picture.pixels, options.crop)
-    size = _extent(pixels.shape, _metric_pixel(path, picture), options)
+    raster = decoded(path, raster, options)
+    pixels = _cropped(path, raster.pixels, options.crop)
+    size = _extent(pixels.shape, pixel_of(raster.info), options)
     rows, cols = pixels.shape[:2]
     share = min(1.0, nodes / max(rows, cols))
     at = [np.linspace(0, n - 1, max(2, round(n * share))).round().astype(int) for n in (rows, cols)]
-    small = Picture(np.ascontiguousarray(pixels[np.ix_(*at)]), picture.tags)
+    small = Raster(np.ascontiguousarray(pixels[np.ix_(*at)]), raster.info)
     resize = options.resize and (min(options.resize[0], nodes), min(options.resize[1], nodes))
     smoothing = options.smoothing and options.smoothing * share
-    return small, replace(options, crop=None, size=size, pixel_size=None, smoothing=smoothing, resize=resize)
+    whole = replace(options, crop=None, size=size, pixel_size=None, encoding="gray")
+    return small, replace(whole, smoothing=smoothing, resize=resize)
 
 
-def height_field(path: Path, picture: Picture, options: BuildOptions) -> HeightField:
-    """Return a decoded picture as a terrain (see `read_scaled`).
+def height_field(path: Path, raster: Raster, options: BuildOptions) -> HeightField:
+    """Return a decoded raster as a terrain (see `read_scaled`).
 
     Raises:
         SourceError: as `read_scaled` says.
     """
-    pixels = _cropped(path, picture.pixels, options.crop)
-    above = _above_lowest(path, pixels, tiff.nodata(picture.tags), options)
+    return _heights(path, decoded(path, raster, options), options)[0]
+
+
+def _heights(path: Path, raster: Raster, options: BuildOptions) -> tuple[HeightField, float | None]:
+    """Return the terrain, and the file's height of z = 0 where the heights are the file's own.
+
+    Raises:
+        ConfigError: `zero` is given, and they are not.
+    """
+    info, factor = raster.info, (options.scale or (1.0, 1.0, 1.0))[2] * (options.z_scale or 1.0)
+    own = info.unit is not None and options.height is None and factor == 1.0 and not options.invert
+    if options.zero is not None and not own:
+        raise ConfigError(f"{path}: --zero is a height of the file's own, which these heights are not")
+    pixels = _cropped(path, raster.pixels, options.crop)
+    unit = info.unit or 1.0
+    above, base = _above(path, pixels, info, options, None if options.zero is None else options.zero / unit)
     if options.deterrace:
-        above = dequantize(above, _level_step(path, pixels))
+        above = dequantize(above, _level_step(path, pixels) * abs(info.scale))
     above = apply_filters(above, options)
-    pixel = _metric_pixel(path, picture)
-    unit = None if pixel is None else tiff.height_unit(picture.tags)
-    width, depth = _extent(pixels.shape, pixel, options)
-    sx, sy, sz = options.scale or (1.0, 1.0, 1.0)
-    z = _heights(above, unit, options.height, sz * (options.z_scale or 1.0))
-    rows, cols = z.shape
-    return HeightField.centered(z, (width * sx / (cols - 1), depth * sy / (rows - 1)))
+    if options.zero is None:
+        lowest = float(above.min())
+        above, base = _metres(above - np.float32(lowest), info.unit, options.height, factor), base + lowest
+    else:
+        above *= np.float32(unit)
+    width, depth = _extent(pixels.shape, pixel_of(info), options)
+    sx, sy, _ = options.scale or (1.0, 1.0, 1.0)
+    rows, cols = above.shape
+    surface = HeightField.centered(above, (width * sx / (cols - 1), depth * sy / (rows - 1)))
+    return surface, base * unit if own else None
 
 
-def _metric_pixel(path: Path, picture: Picture) -> tuple[float, float] | None:
-    """Return a GeoTIFF's metres a pixel, None for other pictures."""
-    try:
-        return tiff.metric_pixel(picture.tags)
-    except ValueError as error:
-        raise SourceError(f"{path}: {error}") from error
-
-
-def _scale_text(*, own: bool, options: BuildOptions) -> str:
+def _scale_text(info: RasterInfo, options: BuildOptions) -> str:
     """Say where the metres come from."""
     size = height = "the file's own"
-    if not own:
-        size, height = f"{DEFAULT_SIZE:g} m on the longer side by default", f"{DEFAULT_HEIGHT:g} m by default"
+    if info.georeference is None:
+        size = f"{DEFAULT_SIZE:g} m on the longer side by default"
+    if info.unit is None:
+        height = f"{DEFAULT_HEIGHT:g} m by default"
     if options.size is not None or options.pixel_size is not None:
         size = "as given"
     if options.height is not None:
@@ -195,18 +214,27 @@ def _level_step(path: Path, pixels: NDArray[Any]) -> float:
     return float(np.gcd.reduce(steps)) if len(steps) else 1.0
 
 
-def _above_lowest(
-    path: Path, pixels: NDArray[Any], nodata: float | None, options: BuildOptions
-) -> Float32Array:
-    """Return (rows, cols) values above the lowest one, every hole filled; an array of its own."""
+def _above(
+    path: Path, pixels: NDArray[Any], info: RasterInfo, options: BuildOptions, base: float | None
+) -> tuple[Float32Array, float]:
+    """Return (rows, cols) heights above a base, an array of its own with every hole filled, and the base.
+
+    Both in the raster's unit of height; without a base it is the lowest height.
+    """
     values = _gray(path, pixels, options.grayscale)
+    nodata = info.nodata if options.nodata is None else options.nodata
     # Unsigned levels hold no heights that mean "none", unless the file says so.
     if nodata is not None or pixels.dtype.kind != "u":
-        values = _fill(path, values, nodata)
+        values = fill_nodata(path, values, nodata)
+    if nodata is None and info.unit is not None:
+        tell_border(path, values, info.unit)
+    if info.scale != 1.0 or info.offset != 0.0:
+        values = values.astype(np.float64) * info.scale + info.offset
     if options.invert:
         np.negative(values, out=values)
-    values -= values.min()
-    return values.astype(np.float32, copy=False)
+    base = float(values.min()) if base is None else base
+    values -= base
+    return values.astype(np.float32, copy=False), base
 
 
 def _gray(path: Path, pixels: NDArray[Any], grayscale: bool) -> NDArray[np.floating[Any]]:
@@ -219,7 +247,7 @@ def _gray(path: Path, pixels: NDArray[Any], grayscale: bool) -> NDArray[np.float
     span = pixels.max(axis=2).astype(kind) - pixels.min(axis=2)
     full = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else float(np.nanmax(np.abs(pixels)))
     if not grayscale and (span > GRAY_TOLERANCE * full / 255).any():
-        raise SourceError(f"{path}: is in colour, a terrain needs a gray picture; --grayscale makes it gray")
+        raise SourceError(f"{path}: is in colour, a terrain needs a gray picture; {way_out(pixels)}")
     if not span.any():
         gray = pixels[..., 0].astype(kind)
         return gray
@@ -229,28 +257,8 @@ def _gray(path: Path, pixels: NDArray[Any], grayscale: bool) -> NDArray[np.float
     return gray
 
 
-def _fill(path: Path, values: NDArray[np.floating[Any]], nodata: float | None) -> NDArray[np.floating[Any]]:
-    """Give every pixel without a height that of the nearest pixel with one; warns how many."""
-    missing = ~np.isfinite(values) | (values < -1e30)
-    if nodata is not None:
-        missing |= values == values.dtype.type(nodata)
-    for value in UNTAGGED_NODATA:
-        missing |= values == value
-    count = int(missing.sum())
-    if count == 0:
-        return values
-    share = f"{count} of {values.size} pixels have no height (NaN or nodata)"
-    if count > values.size / 2:
-        raise SourceError(f"{path}: {share}, at most half may lack one")
-    warnings.warn(f"{path}: {share}, filled from their nearest neighbours", stacklevel=3)
-    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
-    filled: NDArray[np.floating[Any]] = values[tuple(nearest)]
-    return filled
-
-
-def _heights(above: Float32Array, unit: float | None, height: float | None, factor: float) -> Float32Array:
-    """Turn values into metres above the lowest point, in place; a flat picture stays flat."""
-    above -= above.min()
+def _metres(above: Float32Array, unit: float | None, height: float | None, factor: float) -> Float32Array:
+    """Turn values above the lowest point into metres, in place; a flat picture stays flat."""
     relief = above.max()
     if relief > 0 and (unit is None or height is not None):
         # The division first: the top comes out as exactly `height`.

@@ -23,15 +23,19 @@ SAMPLES = 65
 """... with so many nodes along each side."""
 
 
-def cut_surface(surface: HeightField, window: Window) -> HeightField:
-    """Keep the nodes of a square (rounded outward), its lowest point at z = 0, coordinates unchanged.
+def cut_surface(surface: HeightField, window: Window, *, level: bool = True) -> HeightField:
+    """Keep the nodes of a square (rounded outward), coordinates unchanged.
 
     A square of few nodes is sampled anew: rounded outward it could be kilometres larger.
+
+    Args:
+        surface: whole.
+        window: square.
+        level: whether the lowest point becomes z = 0.
 
     Raises:
         ConfigError: the window does not overlap the surface.
     """
-    rows, cols = surface.shape
     west, south, east, north = surface.bounds
     (x, y, side), half = window, window[2] / 2
     if x + half <= west or x - half >= east or y + half <= south or y - half >= north:
@@ -39,6 +43,20 @@ def cut_surface(surface: HeightField, window: Window) -> HeightField:
             f"window {x:g},{y:g},{side:g} lies outside the terrain: "
             f"x {west:g} to {east:g}, y {south:g} to {north:g} m"
         )
+    part = _kept(surface, window)
+    return leveled(part)[0] if level else part
+
+
+def leveled(surface: HeightField) -> tuple[HeightField, float]:
+    """Return a surface with its lowest point at z = 0, and by how many metres it was lowered."""
+    lowest = surface.z.min()
+    return replace(surface, z=surface.z - lowest), float(lowest)
+
+
+def _kept(surface: HeightField, window: Window) -> HeightField:
+    rows, cols = surface.shape
+    west, south, east, north = surface.bounds
+    (x, y, side), half = window, window[2] / 2
     if side < FEW_CELLS * max(surface.cell):
         return _sampled(
             surface, (max(x - half, west), max(y - half, south), min(x + half, east), min(y + half, north))
@@ -47,7 +65,7 @@ def cut_surface(surface: HeightField, window: Window) -> HeightField:
     r0, r1 = _span(y - half - south, y + half - south, surface.cell[1], rows)
     z = surface.z[rows - 1 - r1 : rows - r0, c0 : c1 + 1]
     return HeightField(
-        np.ascontiguousarray(z - z.min()),
+        np.ascontiguousarray(z),
         surface.cell,
         (west + c0 * surface.cell[0], south + r0 * surface.cell[1]),
     )
@@ -83,12 +101,12 @@ def cut_map(grid: OccupancyGrid, window: Window) -> OccupancyGrid:
 
 
 def _sampled(surface: HeightField, bounds: tuple[float, float, float, float]) -> HeightField:
-    """Return the surface within exact bounds on 65 x 65 nodes, its lowest point at z = 0."""
+    """Return the surface within exact bounds on 65 x 65 nodes."""
     west, south, east, north = bounds
     x, y = np.linspace(west, east, SAMPLES), np.linspace(north, south, SAMPLES)
     z = surface.height_at(np.clip(x, west, east)[None, :], np.clip(y, south, north)[:, None])
     cell = ((east - west) / (SAMPLES - 1), (north - south) / (SAMPLES - 1))
-    return HeightField((z - z.min()).astype(np.float32), cell, (west, south))
+    return HeightField(z.astype(np.float32), cell, (west, south))
 
 
 def _span(low: float, high: float, cell: float, count: int) -> tuple[int, int]:

@@ -30,8 +30,10 @@ def built_facts(world: World) -> Facts:
     surface, mesh = world.surface, world.mesh
     error = "exact" if world.walls is not None else f"{mesh_error(world):.4f} m at the nodes"
     grid = () if world.walls is not None else (("grid", f"{surface.shape[1]} x {surface.shape[0]} nodes"),)
+    place = () if world.place is None else (("place on earth", world.place.label()),)
     return (
         *preview_facts(world),
+        *place,
         *grid,
         ("metres", world.scale),
         ("triangles", f"{len(mesh.faces):,}"),

@@ -7,6 +7,7 @@ from xml.sax.saxutils import escape, quoteattr
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above, require_at_least
+from lirs_wct.geometry.place import Place
 from lirs_wct.geometry.viewpoint import Viewpoint
 
 VERSION = "1.6"
@@ -89,12 +90,36 @@ def model_sdf(name: str, *, mesh: str | None = None, friction: float = FRICTION)
 """
 
 
+def spherical_coordinates(place: Place | None) -> str:
+    """Return the element that says where the world lies; nothing where its latitude is not known.
+
+    SDFormat's heading turns the other way: from north to east.
+    """
+    if place is None:
+        return ""
+    try:
+        latitude, longitude = (float(value) for value in place.to_geographic(0.0, 0.0))
+        heading = place.heading()
+    except ConfigError:
+        return ""
+    return f"""
+    <spherical_coordinates>
+      <surface_model>EARTH_WGS84</surface_model>
+      <world_frame_orientation>ENU</world_frame_orientation>
+      <latitude_deg>{latitude:.9f}</latitude_deg>
+      <longitude_deg>{longitude:.9f}</longitude_deg>
+      <elevation>{place.height or 0.0:.4f}</elevation>
+      <heading_deg>{0.0 - heading:.6f}</heading_deg>
+    </spherical_coordinates>"""
+
+
 def world_sdf(
     name: str,
     *,
     model: str | None = None,
     physics: Physics | None = None,
     view: Viewpoint | None = None,
+    place: Place | None = None,
 ) -> str:
     """Return a world file with a sun and the model, which is its only ground.
 
@@ -103,6 +128,7 @@ def world_sdf(
         model: name of the included model; default the same.
         physics: timestep, pace, gravity.
         view: of the user's camera as the window opens; None = Gazebo's, near the origin.
+        place: of the world on the earth.
     """
     step = physics or Physics()
     # Without a target update rate Gazebo runs as fast as it can.
@@ -116,7 +142,7 @@ def world_sdf(
       <max_step_size>{step.timestep:g}</max_step_size>
       <real_time_factor>{step.real_time_factor:g}</real_time_factor>
       <real_time_update_rate>{rate:g}</real_time_update_rate>
-    </physics>
+    </physics>{spherical_coordinates(place)}
 {_gui(view)}    <scene>
       <ambient>0.4 0.4 0.4 1</ambient>
       <background>0.7 0.8 0.9 1</background>

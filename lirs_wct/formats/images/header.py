@@ -30,12 +30,14 @@ class PictureHeader:
         height: pixels.
         pages: pictures in the file.
         tags: a TIFF's tags.
+        masked: whether a page says which pixels of the first one count.
     """
 
     width: int
     height: int
     pages: int = 1
     tags: tiff.Tags = field(default_factory=dict)
+    masked: bool = False
 
 
 def read_header(data: mmap.mmap) -> PictureHeader:
@@ -129,10 +131,12 @@ def _jpeg(data: mmap.mmap) -> PictureHeader:
 
 
 def _tiff(data: mmap.mmap) -> PictureHeader:
-    tags, pages = tiff.read_tags(data)
+    tags, kinds = tiff.read_tags(data)
     if tiff.WIDTH not in tags or tiff.HEIGHT not in tags:
         raise ValueError("is damaged: the TIFF does not say its size")
-    return PictureHeader(int(tags[tiff.WIDTH][0]), int(tags[tiff.HEIGHT][0]), pages, tags)
+    pages = sum(not kind & (tiff.REDUCED | tiff.MASK) for kind in kinds)
+    masked = any(kind & tiff.MASK and not kind & tiff.REDUCED for kind in kinds)
+    return PictureHeader(int(tags[tiff.WIDTH][0]), int(tags[tiff.HEIGHT][0]), pages, tags, masked)
 
 
 def _bmp(data: mmap.mmap) -> PictureHeader:

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.images import tiff
-from lirs_wct.formats.images.header import MAX_PIXELS, check_complete, read_header
+from lirs_wct.formats.images.gdal import EXTRA, opened, rasterio_there, read_band
+from lirs_wct.formats.images.header import MAX_PIXELS, PictureHeader, check_complete, read_header
 
 _AS_STORED = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
 """Gray stays gray, depth is kept, palettes are resolved, EXIF orientation is applied, alpha is dropped."""
@@ -58,6 +59,8 @@ def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = Fals
     except ValueError as error:
         raise SourceError(f"{path}: {error}") from error
     pixels = _decode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED if alpha else _AS_STORED)
+    if header.tags and (pixels is None or header.masked or not _typed(pixels, header.tags)):
+        pixels = _by_gdal(path, pixels, header)
     if pixels is None:
         raise SourceError(f"{path}: is damaged or uses a feature that cannot be decoded")
     if header.pages > 1:
@@ -66,6 +69,37 @@ def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = Fals
     if bands > 2 and pixels.ndim == 2:
         warnings.warn(f"{path}: has {bands} bands, the first is taken", stacklevel=3)
     return Picture(pixels, header.tags)
+
+
+def _typed(pixels: NDArray[Any], tags: tiff.Tags) -> bool:
+    """Whether pixels have the type that a TIFF says; some versions of OpenCV take 32 bits for others."""
+    bits, form = (
+        int((tiff.floats(tags, tag) or (other,))[0]) for tag, other in ((tiff.BITS, 1), (tiff.FORMAT, 1))
+    )
+    if bits <= 16:
+        return True
+    kind = {1: "u", 2: "i", 3: "f"}.get(form)
+    return kind == pixels.dtype.kind and bits == 8 * pixels.dtype.itemsize
+
+
+def _by_gdal(path: Path, pixels: NDArray[Any] | None, header: PictureHeader) -> NDArray[Any] | None:
+    """Return the first band of a TIFF as GDAL reads it, which knows masks and more compressions.
+
+    Raises:
+        SourceError: rasterio is not there and the file holds what only it reads.
+    """
+    if rasterio_there():
+        with opened(path) as dataset:
+            return read_band(dataset)
+    if header.masked and pixels is not None:
+        warnings.warn(f"{path}: its mask is not read, {EXTRA} reads it", stacklevel=4)
+        return pixels
+    code = int((tiff.floats(header.tags, tiff.COMPRESSION) or (1,))[0])
+    if code in tiff.COMPRESSIONS:
+        raise SourceError(
+            f"{path}: is compressed by {tiff.COMPRESSIONS[code]}, which needs rasterio: {EXTRA}"
+        )
+    raise SourceError(f"{path}: is damaged or uses a feature that OpenCV does not decode; GDAL may: {EXTRA}")
 
 
 def _map_file(path: Path) -> mmap.mmap:

@@ -59,9 +59,9 @@ def test_a_bundled_picture_is_not_sent_through_a_file(monkeypatch: pytest.Monkey
     for name in ("imwrite", "imencode", "imdecode"):
         monkeypatch.setattr(cv2, name, refused)
     options = BuildOptions()
-    ground, scale = read_terrain(find_source("simple", options), options)
+    ground, scale, place = read_terrain(find_source("simple", options), options)
     picture = bundled_picture("simple")
-    assert scale == "as bundled"
+    assert (scale, place) == ("as bundled", None)
     assert ground.surface.size == (SIZE, SIZE)
     np.testing.assert_allclose(ground.surface.z, picture.pixels / 65535 * picture.height, atol=1e-6)
 

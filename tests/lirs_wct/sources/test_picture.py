@@ -396,7 +396,7 @@ def test_a_bundled_world_has_metres_of_its_own(
     small = BundledPicture(pixels=pixels, height=1.25, hills=np.zeros((3, 5)))
     monkeypatch.setattr("lirs_wct.sources.picture.bundled_picture", lambda _: small)
     given = BuildOptions(**options)
-    ground, scale = read_terrain(find_source("simple", given), given)
+    ground, scale, _ = read_terrain(find_source("simple", given), given)
     assert ground.surface.size == pytest.approx(size)
     np.testing.assert_allclose(ground.surface.z, small.pixels / 14 * height, atol=1e-6)
     assert scale == words
@@ -412,7 +412,8 @@ def test_a_bundled_world_has_metres_of_its_own(
 def test_a_window_keeps_the_metres_of_the_whole(tmp_path: Path) -> None:
     path = png(tmp_path / "a.png", np.random.default_rng(0).integers(0, 99, (41, 81), np.uint8))
     given = BuildOptions(pixel_size=0.5, height=4.0, window=(3.0, -1.0, 10.0))
-    ground, _ = read_terrain(find_source(path, given), given)
+    ground, _, place = read_terrain(find_source(path, given), given)
+    assert place is None
     assert ground.surface.bounds == (-2.0, -6.0, 8.0, 4.0)
     whole = read(path, pixel_size=0.5, height=4.0)
     assert whole.bounds == (-20.0, -10.0, 20.0, 10.0)

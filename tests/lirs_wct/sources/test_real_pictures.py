@@ -72,11 +72,11 @@ OUTCOMES: dict[str, tuple[tuple[int, int], str] | str] = {
     "broken/gen_zero_width.png": "image is 0x10 px, a terrain needs at least 2x2",
 }
 
-SIZES = {  # metres, from the GeoTIFFs' own scale; degrees at the centre's latitude
+SIZES = {  # metres, from the GeoTIFFs' own scale; on the ground at the centre's latitude
     "gz-common__dem_moon.tif": (77.65, 77.65, 6.856),
     "gz-common__dem_squared.tif": (3123.6, 3946.5, 253.08),
-    "tin-terrain__valid_raster.tif": (387.78, 309.44, 17.493),
-    "TouchTerrain_for_CAGEO__geotiff_example.tif": (15009.05, 13703.92, 415.42),
+    "tin-terrain__valid_raster.tif": (307.00, 243.95, 17.493),
+    "TouchTerrain_for_CAGEO__geotiff_example.tif": (15003.77, 13699.10, 415.42),
 }
 
 

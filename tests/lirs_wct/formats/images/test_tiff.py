@@ -6,6 +6,7 @@ import itertools
 import math
 import struct
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -13,8 +14,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.images import tiff
+from lirs_wct.formats.images.geotiff import height_unit, raster_info
 from lirs_wct.formats.images.tiff import Tags, TagValue
+from lirs_wct.geometry.earth import CoordinateSystem, metres_per_degree
 
 KINDS = {"B": 1, "s": 2, "H": 3, "I": 4, "b": 6, "h": 8, "i": 9, "f": 11, "d": 12, "Q": 16, "q": 17}
 Entries = Mapping[int, tuple[str, tuple[Any, ...]]]
@@ -50,7 +54,7 @@ def tiff_file(entries: Entries, order: str = "<", big: bool = False) -> bytes:
     return start(order, big, first).ljust(first, b"?") + directory(entries, first, order, big)
 
 
-def read(data: bytes) -> tuple[Tags, int]:
+def read(data: bytes) -> tuple[Tags, tuple[int, ...]]:
     return tiff.read_tags(cast(Any, data))
 
 
@@ -77,12 +81,12 @@ ALL: Entries = {
 
 @pytest.mark.parametrize(("order", "big"), FORMS)
 def test_every_type_in_place_and_by_offset(order: str, big: bool) -> None:
-    tags, pages = read(tiff_file(ALL, order, big))
+    tags, kinds = read(tiff_file(ALL, order, big))
     expected: dict[int, TagValue] = {
         tag: values[0].rstrip(b"\0") if kind == "s" else values for tag, (kind, values) in ALL.items()
     }
     assert tags == expected
-    assert pages == 1
+    assert kinds == (0,)
 
 
 def test_a_type_that_is_not_known_is_passed_over() -> None:
@@ -102,7 +106,7 @@ def test_pages_are_the_directories_of_the_chain(order: str, big: bool, loop: boo
     for k, (at, value) in enumerate(zip(offsets, (11, 22, 33), strict=True)):
         following = offsets[k + 1] if k < 2 else (120 if loop else 0)
         data[at : at + len(one)] = directory({256: ("H", (value,))}, at, order, big, following)
-    assert read(bytes(data)) == ({256: (11,)}, 3)
+    assert read(bytes(data)) == ({256: (11,)}, (0, 0, 0))
 
 
 def test_a_directory_that_ends_early() -> None:
@@ -118,11 +122,11 @@ def test_pixels_that_the_file_does_not_hold(tags: tuple[int, int]) -> None:
         return tiff_file({256: ("H", (5,)), tags[0]: ("I", (30, last - 25)), tags[1]: ("I", (20, 25))})
 
     size = len(with_strips(25))
-    assert read(with_strips(size))[1] == 1
+    assert read(with_strips(size))[1] == (0,)
     with pytest.raises(ValueError, match=f"is truncated: {size + 1} bytes of pixels announced, {size} there"):
         read(with_strips(size + 1))
     half = tiff_file({tags[0]: ("I", (9999, 8888))})  # offsets alone announce nothing
-    assert read(half)[1] == 1
+    assert read(half)[1] == (0,)
 
 
 # ---- GeoTIFF
@@ -141,6 +145,11 @@ def geo(**values: TagValue) -> Tags:
 
 
 DEGREES = keys((1024, 0, 1, 2))
+
+
+def pixel(tags: Tags) -> tuple[float, float] | None:
+    found = raster_info(Path("a.tif"), {tiff.WIDTH: (4,), tiff.HEIGHT: (4,)} | tags).georeference
+    return None if found is None else found.pixel
 
 
 def degree(latitude: float, a: float, inverse: float) -> tuple[float, float]:
@@ -162,21 +171,21 @@ def degree(latitude: float, a: float, inverse: float) -> tuple[float, float]:
 )
 def test_metres_in_a_degree_on_any_ellipsoid(latitude: float, ellipsoid: tuple[float, float]) -> None:
     a, inverse = ellipsoid
-    found = tiff.metres_per_degree(latitude, {2057: a, 2059: inverse})
+    found = metres_per_degree(latitude, ellipsoid)
     assert found == pytest.approx(degree(latitude, a, inverse), rel=1e-6)
     if a == 6378137.0:
-        assert tiff.metres_per_degree(latitude, {}) == found
+        assert metres_per_degree(latitude) == found
 
 
 def test_metres_in_a_degree_as_published() -> None:
     """WGS 84 (NGA's calculator): 111,319.5 and 110,574.3 m at the equator, 78,846.8 and 111,131.7 at 45."""
-    assert tiff.metres_per_degree(0.0, {}) == pytest.approx((111319.49, 110574.28), abs=0.05)
-    assert tiff.metres_per_degree(45.0, {}) == pytest.approx((78846.81, 111131.75), abs=0.05)
-    assert 0 < tiff.metres_per_degree(89.999999, {})[0] < 0.01
-    assert tiff.metres_per_degree(-45.0, {}) == tiff.metres_per_degree(45.0, {})
-    for latitude in (91.0, -120.0):
-        with pytest.raises(ValueError, match="degrees have no width there"):
-            tiff.metres_per_degree(latitude, {})
+    assert metres_per_degree(0.0) == pytest.approx((111319.49, 110574.28), abs=0.05)
+    assert metres_per_degree(45.0) == pytest.approx((78846.81, 111131.75), abs=0.05)
+    assert 0 < metres_per_degree(89.999999)[0] < 0.01
+    assert metres_per_degree(-45.0) == metres_per_degree(45.0)
+    for latitude in (90.0, 91.0, -120.0):
+        with pytest.raises(ConfigError, match="degrees have no width there"):
+            CoordinateSystem.of_code(4326).ground_metres(7.0, latitude)
 
 
 @pytest.mark.parametrize("tie_row", [0.0, 0.5, 30.0])
@@ -191,7 +200,7 @@ def test_the_latitude_is_that_of_the_centre_by_a_tie_point(tie_row: float) -> No
         keys=DEGREES,
     )
     east, north = degree(latitude - (20 - tie_row) * sy, 6378137.0, 298.257223563)
-    assert tiff.metric_pixel(tags) == pytest.approx((sx * east, sy * north), rel=1e-6)
+    assert pixel(tags) == pytest.approx((sx * east, sy * north), rel=1e-6)
 
 
 def test_the_latitude_is_that_of_the_centre_by_a_matrix() -> None:
@@ -199,35 +208,39 @@ def test_the_latitude_is_that_of_the_centre_by_a_matrix() -> None:
     m = (0.003, 0.004, 0.0, 7.0, 0.001, -0.02, 0.0, 61.5, *[0.0] * 7, 1.0)
     tags = geo(width=(10,), height=(40,), matrix=m, keys=DEGREES)
     east, north = degree(61.5 + 0.001 * 5 - 0.02 * 20, 6378137.0, 298.257223563)
+    across = math.hypot(0.003 * east, 0.001 * north), math.hypot(0.004 * east, 0.02 * north)
+    assert pixel(tags) == pytest.approx(across, rel=1e-6)
     sx, sy = math.hypot(0.003, 0.001), math.hypot(0.004, 0.02)
-    assert tiff.metric_pixel(tags) == pytest.approx((sx * east, sy * north), rel=1e-6)
-    assert tiff.metric_pixel(geo(matrix=m)) == pytest.approx((sx, sy))
-    assert tiff.metric_pixel(geo(matrix=m, scale=(2.0, 3.0, 0.0))) == (2.0, 3.0)
+    assert pixel(geo(matrix=m)) == pytest.approx((sx, sy))
+    with pytest.warns(UserWarning, match="its coordinates are taken for degrees"):
+        assert pixel(geo(matrix=(*m[:5], -0.01, *m[6:])))[0] > 100
+    assert pixel(geo(matrix=m, scale=(2.0, 3.0, 0.0))) == (2.0, 3.0)
+    assert pixel(geo(matrix=m, scale=(2.0, 3.0, 0.0))) == (2.0, 3.0)
 
 
 def test_degrees_without_a_place() -> None:
     for tie in ((), (0.0, 0.0, 0.0, 8.0, 47.0)):
-        with pytest.raises(ValueError, match="no tie point: its latitude is unknown"):
-            tiff.metric_pixel(geo(width=(4,), height=(4,), scale=(1.0, 1.0), tie=tie, keys=DEGREES))
+        with pytest.raises(SourceError, match=r"a\.tif: GeoTIFF: .* no tie point: its latitude is unknown"):
+            pixel(geo(width=(4,), height=(4,), scale=(1.0, 1.0), tie=tie, keys=DEGREES))
 
 
 def test_a_file_without_scale_has_none() -> None:
-    assert tiff.metric_pixel(geo(width=(4,), height=(4,), keys=DEGREES)) is None
+    assert pixel(geo(width=(4,), height=(4,), keys=DEGREES)) is None
 
 
 @pytest.mark.parametrize("scale", [(0.0, 1.0), (1.0, 0.0), (-1.0, 1.0), (1.0, math.inf), (math.nan, 1.0)])
 def test_a_scale_that_is_none(scale: tuple[float, float]) -> None:
-    with pytest.raises(ValueError, match="GeoTIFF pixel scale must be above 0"):
-        tiff.metric_pixel(geo(scale=scale))
+    with pytest.raises(SourceError, match=r"a\.tif: GeoTIFF: pixel scale must be above 0"):
+        pixel(geo(scale=scale))
 
 
 @pytest.mark.parametrize(("code", "metres"), [(9001, 1.0), (9002, 0.3048), (9003, 0.3048006096), (9999, 1.0)])
 def test_units_of_length(code: int, metres: float) -> None:
     tags = geo(scale=(2.0, 5.0, 0.0), keys=keys((1024, 0, 1, 1), (3076, 0, 1, code)))
-    assert tiff.metric_pixel(tags) == pytest.approx((2 * metres, 5 * metres), rel=1e-9)
-    assert tiff.height_unit(tags) == 1.0
-    assert tiff.height_unit(geo(keys=keys((4099, 0, 1, code)))) == pytest.approx(metres, rel=1e-9)
-    assert tiff.height_unit({}) == 1.0
+    assert pixel(tags) == pytest.approx((2 * metres, 5 * metres), rel=1e-9)
+    assert raster_info(Path("a.tif"), {tiff.WIDTH: (4,), tiff.HEIGHT: (4,)} | tags).unit == 1.0
+    assert height_unit(Path(), "", geo(keys=keys((4099, 0, 1, code)))) == pytest.approx(metres, rel=1e-9)
+    assert height_unit(Path(), "", {}) == height_unit(Path(), "") == 1.0
 
 
 def test_keys_hold_a_number_or_the_place_of_one() -> None:

@@ -1,0 +1,159 @@
+"""GeoTIFFs as rasterio and PROJ read them, by the values that `make_rasters.py` recorded."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lirs_wct.errors import SourceError
+from lirs_wct.formats.elevation.raster import Raster, read_raster
+
+HERE = Path(__file__).parent / "rasters"
+RECORDS: dict[str, Any] = json.loads((HERE / "rasters.json").read_text())
+BY_GDAL = ("zstd", "lerc")
+UNITS = {None: 1.0, "ft": 0.3048, "US survey foot": 1200 / 3937}
+
+
+@pytest.fixture(params=["core", "geo"])
+def reader(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """With rasterio, or as if it were not installed."""
+    if request.param == "geo":
+        pytest.importorskip("rasterio")
+    else:
+        monkeypatch.setitem(sys.modules, "rasterio", None)
+    return str(request.param)
+
+
+def read(name: str) -> Raster:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return read_raster(HERE / f"{name}.tif")
+
+
+def by_place(rows: np.ndarray, affine: Any) -> dict[tuple[float, float], float]:
+    """Return heights by the coordinates of their pixels' middles."""
+    a, b, c, d, e, f = affine
+    return {
+        (round(a * i + b * j + c, 6), round(d * i + e * j + f, 6)): float(rows[j, i])
+        for j, i in np.ndindex(rows.shape)
+    }
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_heights_lie_where_rasterio_sees_them(name: str, reader: str) -> None:
+    if reader == "core" and name in BY_GDAL:
+        with pytest.raises(SourceError, match=rf"{name}\.tif: is compressed by {name.upper()}, .*\[geo\]"):
+            read(name)
+        return
+    record, raster = RECORDS[name], read(name)
+    info, georeference = raster.info, raster.info.georeference
+    assert georeference is not None
+    values = raster.pixels.astype(np.float64) * info.scale + info.offset
+    if name == "mask" and reader == "core":
+        values[:, :2] = np.nan  # told, see below
+    if info.nodata is not None:
+        values[raster.pixels == info.nodata] = np.nan
+    a, b, c, d, e, f = record["transform"]
+    middle = (a, b, c + (a + b) / 2, d, e, f + (d + e) / 2)
+    expected = by_place(np.array(record["heights"]), middle)
+    found = by_place(values, georeference.affine)
+    assert found.keys() == expected.keys()
+    for place, height in expected.items():
+        assert found[place] == pytest.approx(height, rel=1e-7, nan_ok=True), place
+    assert info.unit == UNITS[record["unit"]]
+    assert info.nodata == record["nodata"]
+
+
+@pytest.mark.parametrize("name", [name for name, record in RECORDS.items() if record["epsg"]])
+def test_pixels_are_in_metres_on_the_ground(name: str, reader: str) -> None:
+    if reader == "core" and name in BY_GDAL:
+        return
+    record, georeference = RECORDS[name], read(name).info.georeference
+    assert georeference is not None
+    assert georeference.system.name == f"EPSG:{record['epsg']}"
+    known = reader == "geo" or name != "state_plane_feet"
+    # Without PROJ a state plane's feet are ground feet: here to 7 in 100,000.
+    assert sorted(georeference.pixel) == pytest.approx(sorted(record["pixel"]), rel=2e-6 if known else 7e-5)
+    (ce, cn), (re, rn) = georeference.steps
+    assert ce > abs(cn)
+    assert -rn > abs(re)
+    if not known:
+        return
+    a, b, c, d, e, f = record["transform"]
+    rows, cols = np.shape(record["heights"])
+    ends = [(i + 0.5, j + 0.5) for i in (0, cols - 1) for j in (0, rows - 1)]
+    x, y = (np.array([k * i + m * j + n for i, j in ends]) for k, m, n in ((a, b, c), (d, e, f)))
+    found = np.stack(georeference.system.to_geographic(x, y), axis=1)
+    np.testing.assert_allclose(found, record["corners"], rtol=0, atol=5e-9)  # half a millimetre
+
+
+def test_ten_metres_of_web_mercator_at_40_7_north_are_seven_and_a_half() -> None:
+    georeference = read("mercator").info.georeference
+    assert georeference is not None
+    assert georeference.pixel == pytest.approx((10 * math.cos(math.radians(40.71)),) * 2, rel=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("state_plane_feet", "EPSG:2263 is not known without rasterio: pip install 'lirs-wct[geo]'"),
+        ("mask", "its mask is not read, pip install 'lirs-wct[geo]' reads it"),
+        ("turned", r"is turned by -30 deg; x of the world goes along its rows, -30.65 deg north of east"),
+        ("mercator", None),
+        ("south_up", None),
+        ("west_up", None),
+        ("overviews", None),
+        ("no_system", None),
+    ],
+)
+def test_what_is_left_out_without_rasterio_is_told(
+    name: str, words: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "rasterio", None)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        read_raster(HERE / f"{name}.tif")
+    assert len(told) == (words is not None)
+    if words is not None:
+        assert str(told[0].message).startswith(str(HERE / f"{name}.tif"))
+        assert words in str(told[0].message)
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_the_record_is_what_rasterio_reads_today(name: str) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    record = RECORDS[name]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        file = rasterio.open(HERE / f"{name}.tif")
+    with file:
+        values = file.read(1, masked=True).astype(np.float64) * file.scales[0] + file.offsets[0]
+        np.testing.assert_allclose(values.filled(np.nan), record["heights"], atol=1e-4)
+        assert list(file.transform)[:6] == record["transform"]
+        assert (file.crs and file.crs.to_epsg()) == record["epsg"]
+
+
+@pytest.mark.parametrize("suffix", ["img", "bil", "vrt"])
+def test_other_rasters_are_read_by_gdal(suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    from rasterio.shutil import copy
+
+    path = tmp_path / f"a.{suffix}"
+    copy(HERE / "utm.tif", path, driver={"img": "HFA", "bil": "EHdr", "vrt": "VRT"}[suffix])
+    with rasterio.open(path) as file:
+        assert file.driver != "GTiff"
+    found, known = read_raster(path), read("utm")
+    np.testing.assert_array_equal(found.pixels, known.pixels)
+    assert found.info.georeference is not None
+    assert known.info.georeference is not None
+    assert found.info.georeference.pixel == pytest.approx(known.info.georeference.pixel)
+    monkeypatch.setitem(sys.modules, "rasterio", None)
+    with pytest.raises(SourceError, match=r"needs the package rasterio: pip install 'lirs-wct\[geo\]'"):
+        read_raster(path)
