@@ -66,9 +66,12 @@ def _by_proj(path: Path, found: Georeference, shape: tuple[int, ...]) -> Georefe
         return found
     with opened(path) as dataset:
         system = system_of(dataset.crs)
-    if system.form == "other":
-        return located(path, system, found.affine, (shape[0], shape[1]))
-    return found
+    if system.form != "other":
+        return found
+    try:
+        return Georeference.of(system, found.affine, (shape[0], shape[1]))
+    except ConfigError:
+        return replace(found, system=system)  # on another celestial body
 
 
 def _read_by_gdal(path: Path, max_pixels: int) -> tuple[NDArray[Any], RasterInfo]:
