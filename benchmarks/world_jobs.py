@@ -61,12 +61,12 @@ def within_triangles(path: Path, out: Path, most: float) -> Figures:
 
 
 def full_dae(path: Path, out: Path, _: float) -> Figures:
-    world = package(path, out, ("dae",))
+    world = package(path, out, ("dae",), max_error=0.0)
     return {"triangles": len(world.mesh.faces), "file_mb": size_mb(out, "dae")}
 
 
 def full_stl(path: Path, out: Path, _: float) -> Figures:
-    package(path, out, ("stl",))
+    package(path, out, ("stl",), max_error=0.0)
     size = size_mb(out, "stl")
     return {"triangles": round((size * 1e6 - 84) / 50), "file_mb": size}
 

@@ -112,12 +112,34 @@ class World(ShownAsPicture):
 
     @cached_property
     def mesh(self) -> TriangleMesh:
-        """The whole world as one closed solid, within its budget: surface or floor with walls, skirt, base.
+        """The whole world as one closed solid: surface or floor with walls, skirt, base.
+
+        It is exact unless a budget was asked for: rays and contact may use it.
 
         Raises:
             ConfigError: a laser map or a mesh with overhangs has more triangles than the budget allows.
         """
-        mesh, most = self.ground.mesh(self.export_options), self.export_options.max_triangles
+        return self._within(self.export_options)
+
+    @cached_property
+    def file_mesh(self) -> TriangleMesh:
+        """The same as mesh files hold it: of a terrain without a word on the budget, within the default one.
+
+        Raises:
+            ConfigError: as `mesh`.
+        """
+        options = self.file_options
+        return self.mesh if options == self.export_options else self._within(options)
+
+    @property
+    def file_options(self) -> ExportOptions:
+        """How the mesh files are made, the default budget filled in."""
+        if self.kind != "terrain":
+            return self.export_options
+        return self.export_options.with_default(self.surface.relief)
+
+    def _within(self, options: ExportOptions) -> TriangleMesh:
+        mesh, most = self.ground.mesh(options), options.max_triangles
         if most is not None and len(mesh.faces) > most:
             raise ConfigError(
                 f"{self.name}: has {len(mesh.faces)} triangles and is not simplified, "

@@ -56,7 +56,7 @@ def world_facts(world: World, robot: str = "husky") -> WorldFacts:
     Raises:
         ConfigError: there is no such robot.
     """
-    surface, walls, mesh = world.surface, world.walls, world.mesh
+    surface, walls, mesh = world.surface, world.walls, world.file_mesh
     slope = np.degrees(surface.slope())
     return WorldFacts(
         size=surface.size,
@@ -71,7 +71,7 @@ def world_facts(world: World, robot: str = "husky") -> WorldFacts:
         watertight=mesh.is_watertight_as_written,
         volume=mesh.volume,
         support=scan_support(world, make_robot(robot)),
-        error=None if walls is not None else mesh_error(world),
+        error=None if walls is not None else mesh_error(world, mesh),
     )
 
 

@@ -12,10 +12,13 @@ from lirs_validation.cli.console import err, out
 from lirs_validation.cli.progress import progress_bar
 from lirs_validation.cli.typer_options import gazebo_terrain, typer_option, with_build_options
 from lirs_validation.config import SourceOptions
-from lirs_wct.meshing.export_options import ExportOptions
+from lirs_wct.meshing.export_options import DEFAULT_SHARE, ExportOptions
 
 if TYPE_CHECKING:
     from lirs_wct.world import World
+
+MESHES = {"dae", "stl", "obj", "glb", "usd"}
+"""What `--to` writes as meshes."""
 
 
 @with_build_options
@@ -52,8 +55,7 @@ def build(
             overwrite=options.name is not None,
             progress=progress,
         )
-    width, depth = world.surface.size
-    out.print(f"{folder}: {world.kind}, {width:g} x {depth:g} m, relief {world.surface.relief:.2f} m")
+    _say_what_was_built(world, folder, to)
 
 
 @with_build_options
@@ -109,6 +111,25 @@ def convert(
         mesh = convert_mesh(source, target, rotate_x)
     closed = "watertight" if mesh.is_watertight else "not watertight"
     out.print(f"{target}: {len(mesh.faces)} triangles, {closed}", soft_wrap=True, highlight=False)
+
+
+def _say_what_was_built(world: World, folder: Path, to: str) -> None:
+    width, depth = world.surface.size
+    out.print(f"{folder}: {world.kind}, {width:g} x {depth:g} m, relief {world.surface.relief:.2f} m")
+    budget = world.file_options.max_error
+    if (
+        budget is not None
+        and world.file_options != world.export_options
+        and MESHES & {*read_names(to, "--to")}
+    ):
+        out.print(
+            f"mesh files: {len(world.file_mesh.faces)} triangles within {1000 * budget:.3g} mm of every "
+            f"pixel, {DEFAULT_SHARE:.1%} of the relief; --max-error 0 keeps all",
+            soft_wrap=True,
+            highlight=False,
+        )
+    if not world.spawn_poses:
+        out.print("start poses: none, no robot on wheels fits", highlight=False)
 
 
 def _draw(world: World, target: Path) -> None:

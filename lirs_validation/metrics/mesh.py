@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.sources.rasterize import rasterize_heights
 from lirs_wct.world import World
 
 
-def mesh_error(world: World) -> float:
-    """Return the largest vertical distance of the world's mesh from its surface at the nodes, metres."""
+def mesh_error(world: World, mesh: TriangleMesh | None = None) -> float:
+    """Return the largest vertical distance of a mesh from the world's surface at the nodes, metres.
+
+    Args:
+        world: whose surface.
+        mesh: that stands for it; None = the world's own.
+    """
     surface = world.surface
-    top = rasterize_heights(world.mesh, (*surface.origin, *surface.cell), surface.shape)
+    chosen = world.mesh if mesh is None else mesh
+    top = rasterize_heights(chosen, (*surface.origin, *surface.cell), surface.shape)
     return float(np.nanmax(np.abs(top - surface.south_up)))

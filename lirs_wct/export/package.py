@@ -120,7 +120,7 @@ def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: S
         return
     settings = world.export_options
     steps.begin("triangles")
-    mesh = _turned(world.mesh, settings.rotate_x)
+    mesh = _turned(world.file_mesh, settings.rotate_x)
     if "stl" in kinds:
         progress = steps.begin(f"{world.name}.stl")
         write_stl(_mesh_path(world, folder, "stl"), mesh, progress)
@@ -144,13 +144,13 @@ def _textured(world: World, folder: Path) -> list[MeshPart]:
             _turned(part.mesh, degrees),
             f"../{part.wear.write(world, folder).as_posix()}",
         )
-        for part in world_parts(world)
+        for part in world_parts(world, world.file_mesh)
     ]
 
 
 def _streams(world: World) -> bool:
     """Whether the mesh is the full grid of a large surface: its STL is written without making it."""
-    settings = world.export_options
+    settings = world.file_options
     plain = world.kind == "terrain" and not settings.limited and settings.rotate_x == 0
     return plain and world.surface.z.size > LARGE
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,15 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.option import Options, documented, option, positive
 
 _PANEL: dict[str, Any] = {"panel": "Mesh files"}
+
+
+DEFAULT_SHARE = 0.001
+"""Of a terrain's relief by which its mesh files may differ from it, unless a budget is given."""
+
+
+def _budget(value: float, _: str) -> None:
+    if not 0 <= value < math.inf:
+        raise ConfigError(f"max error must be a finite number of metres, 0 or above, got {value}")
 
 
 def _finite_turn(value: float, _: str) -> None:
@@ -29,9 +38,10 @@ class ExportOptions(Options):
 
     max_error: float | None = option(
         None,
-        "Fewest triangles that stay this near the ground, vertically, at every pixel.",
+        "Fewest triangles that stay this near the ground, vertically, at every pixel; 0 = all pixels. "
+        "Default: 0.1 % of the relief of a terrain.",
         metavar="METRES",
-        check=positive,
+        check=_budget,
         **_PANEL,
     )
     max_triangles: int | None = option(
@@ -86,5 +96,11 @@ class ExportOptions(Options):
 
     @property
     def limited(self) -> bool:
-        """Whether the mesh has a budget."""
-        return self.max_error is not None or self.max_triangles is not None
+        """Whether a budget was asked for."""
+        return bool(self.max_error) or self.max_triangles is not None
+
+    def with_default(self, relief: float) -> ExportOptions:
+        """Return the options of a terrain's mesh files: without a word on the budget, the default one."""
+        if self.limited or self.max_error == 0 or relief == 0:
+            return self
+        return replace(self, max_error=DEFAULT_SHARE * relief)

@@ -27,8 +27,8 @@ def preview_facts(world: World) -> Facts:
 
 def built_facts(world: World) -> Facts:
     """Return what is known of a built world: also its mesh, its error and where the metres come from."""
-    surface, mesh = world.surface, world.mesh
-    error = "exact" if world.walls is not None else f"{mesh_error(world):.4f} m at the nodes"
+    surface, mesh = world.surface, world.file_mesh
+    error = "exact" if world.walls is not None else f"{mesh_error(world, mesh):.4f} m at the nodes"
     grid = () if world.walls is not None else (("grid", f"{surface.shape[1]} x {surface.shape[0]} nodes"),)
     place = () if world.place is None else (("place on earth", world.place.label()),)
     return (

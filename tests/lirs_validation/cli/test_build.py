@@ -12,7 +12,9 @@ import pytest
 import trimesh
 
 from lirs_validation import cli
-from lirs_wct import World
+from lirs_validation.metrics.mesh import mesh_error
+from lirs_wct import BuildOptions, World, build_world
+from lirs_wct.contact.contact_parts import prisms
 from lirs_wct.formats.meshes.mesh_reader import read_upright
 from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.heightfield import HeightField
@@ -306,3 +308,29 @@ def test_an_mjcf_of_every_kind_of_source_compiles(folder: Path) -> None:
         model = mujoco.MjModel.from_xml_path("out/w/w.xml")
         mujoco.mj_step(model, mujoco.MjData(model))
         assert math.isfinite(model.stat.extent)
+
+
+def test_without_a_budget_mesh_files_are_within_a_thousandth_of_the_relief(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    world = built("hill.png", "--height", "4", to="stl")
+    said = capsys.readouterr().out
+    full = 2 * 47 * 63
+    assert len(world.mesh.faces) > full
+    assert len(world.file_mesh.faces) < full
+    assert f"{len(world.file_mesh.faces)} triangles within 4 mm of every pixel" in said
+    assert "--max-error 0 keeps all" in said
+    written = read_upright(Path("out/w/meshes/w.stl"))
+    assert len(written.faces) == len(world.file_mesh.faces)
+    assert 0 < mesh_error(world, written) <= 0.004 + 1e-6
+    assert mesh_error(world) < 1e-6
+
+    exact = built("hill.png", "--height", "4", "--max-error", "0", to="stl")
+    assert "keeps all" not in capsys.readouterr().out
+    assert len(read_upright(Path("out/w/meshes/w.stl")).faces) == len(exact.mesh.faces) > full
+
+
+def test_the_default_budget_is_none_of_what_is_touched(folder: Path) -> None:
+    plain, exact = (build_world("hill.png", BuildOptions(size=5, max_error=e)) for e in (None, 0.0))
+    assert sum(1 for _ in prisms(plain)) == sum(1 for _ in prisms(exact))
+    np.testing.assert_array_equal(plain.mesh.vertices, exact.mesh.vertices)
