@@ -63,7 +63,7 @@ TARGETS: Mapping[tuple[str, str], Figures] = {
     ("hector", "csail"): {"m": 0.35},
     ("gmapping", "intel"): {"m": 0.02, "deg": 0.62, "ms a used": 25, "seconds": 25, "MB": 150},
     ("gmapping", "csail"): {"m": 0.30, "ms a used": 45},
-    ("cartographer", "intel"): {"m": 0.022, "deg": 0.62, "ms a used": 6, "seconds": 8, "p99": 50},
+    ("cartographer", "intel"): {"m": 0.022, "deg": 0.62, "ms a used": 6, "seconds": 8, "p99": 10, "max": 50},
     ("cartographer", "csail"): {"m": 0.20},
     ("hector", "orebro"): {"m": 0.50},
     ("hector", "edmonton"): {"m": 0.50},
