@@ -27,6 +27,7 @@ from lirs_wct.navigation.areas import mapped_area
 from lirs_wct.navigation.footprints import FOOTPRINTS
 from lirs_wct.navigation.spawn_poses import spawn_poses
 from lirs_wct.navigation.traversability import overlaid, traversable
+from lirs_wct.sources.clouds.source import read_point_cloud
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.options import BuildOptions
@@ -241,7 +242,7 @@ def _ground(content: WorldFile) -> Ground:
 
 
 def build_world(source: str | Path, options: BuildOptions | None = None) -> World:
-    """Make a world of a bundled name, a built folder, a picture, a laser map or a mesh.
+    """Make a world of a bundled name, a built folder, a picture, a laser map, a mesh or a point cloud.
 
     Raises:
         SourceError: the source cannot be used.
@@ -266,6 +267,8 @@ def _built(found: Source, options: BuildOptions) -> World:
     place = None
     if found.kind is SourceKind.MESH:
         ground, scale = read_mesh_source(found.path, options)
+    elif found.kind is SourceKind.CLOUD:
+        ground, scale, place = read_point_cloud(found.path, options)
     elif found.kind in (SourceKind.MAP, SourceKind.MAP_PICTURE):
         ground, scale = read_laser_map(found, options)
     else:

@@ -4,6 +4,8 @@ from pathlib import Path
 
 MESHES = (".stl", ".dae", ".obj", ".ply", ".glb")
 """Mesh files."""
+CLOUDS = (".las", ".laz", ".pcd")
+"""Point clouds; a .ply without faces is one, too."""
 RASTERS = (
     ".asc",
     ".hgt",

@@ -33,6 +33,8 @@ DEFAULT_HEIGHT = 6.0
 
 Unknown = Literal["floor", "wall", "hole"]
 UNKNOWN: tuple[Unknown, ...] = ("floor", "wall", "hole")
+CloudSurface = Literal["ground", "top"]
+CLOUD_SURFACES: tuple[CloudSurface, ...] = ("ground", "top")
 DENOISE_METHODS = ("median", "bilateral")
 MAX_SIDE = 32_000
 """Pixels along a side to which a picture may be resized."""
@@ -45,6 +47,7 @@ _MAPS = {SourceKind.MAP, SourceKind.MAP_PICTURE}
 _SCALE: dict[str, Any] = {"panel": TERRAIN_PANEL, "kinds": _MESHES}
 _GRAY: dict[str, Any] = {"panel": TERRAIN_PANEL, "kinds": _PICTURES}
 _FILTER: dict[str, Any] = {"panel": FILTER_PANEL, "kinds": _PICTURES}
+_CLOUD: dict[str, Any] = {"panel": "Point clouds", "kinds": {SourceKind.CLOUD}}
 _MAP: dict[str, Any] = {"panel": MAP_PANEL, "kinds": _MAPS}
 
 
@@ -95,7 +98,7 @@ class CommonOptions(Options):
         metavar="X,Y,SIDE",
         read=numbers("X,Y,SIDE in metres", 3),
         check=_window,
-        kinds={*_MESHES, *_MAPS, SourceKind.FOLDER},
+        kinds={*_MESHES, *_MAPS, SourceKind.CLOUD, SourceKind.FOLDER},
     )
     start: Pose2 | None = option(
         None,
@@ -147,7 +150,7 @@ class PictureOptions(Options):
         "Height of the file's own that becomes z = 0, so that neighbouring tiles fit; default: the lowest.",
         metavar="HEIGHT",
         check=_finite,
-        **_SCALE | {"kinds": {SourceKind.PICTURE}},
+        **_SCALE | {"kinds": {SourceKind.PICTURE, SourceKind.CLOUD}},
     )
     nodata: float | None = option(
         None,
@@ -226,9 +229,9 @@ class MapOptions(Options):
 
     resolution: float | None = option(
         None,
-        "Metres a cell: of a map picture without YAML, of a log's map, or of the heights read off a mesh.",
+        "Metres a cell: of a map picture without YAML, of a log's map, or of the heights of a mesh or cloud.",
         check=positive,
-        **_MAP | {"kinds": {SourceKind.MAP_PICTURE, SourceKind.MESH}},
+        **_MAP | {"kinds": {SourceKind.MAP_PICTURE, SourceKind.MESH, SourceKind.CLOUD}},
     )
     origin: Pose2 | None = option(
         None,
@@ -250,9 +253,29 @@ class MapOptions(Options):
     speckle: int = option(0, "Drop walls of fewer connected cells.", metavar="N", check=_min_cells, **_MAP)
 
 
+@dataclass(frozen=True, kw_only=True)
+class CloudOptions(Options):
+    """Options of a point cloud."""
+
+    cloud_surface: CloudSurface = option(
+        "ground",
+        "Which surface of a point cloud is the terrain: the bare ground, or the top of all that is on it.",
+        metavar="ground|top",
+        read=choice(*CLOUD_SURFACES),
+        check=one_of(CLOUD_SURFACES),
+        **_CLOUD,
+    )
+    ground_slope: float = option(
+        0.15,
+        "Steepest ground of a point cloud, rise over run; what is steeper is an object on it.",
+        check=positive,
+        **_CLOUD,
+    )
+
+
 @documented
 @dataclass(frozen=True, kw_only=True)
-class BuildOptions(ExportOptions, MapOptions, PictureOptions, CommonOptions):
+class BuildOptions(ExportOptions, CloudOptions, MapOptions, PictureOptions, CommonOptions):
     """How a source becomes a world; None means "as the source says, else the default".
 
     Lengths are metres in the world's frame, angles of poses radians, a crop is column, row, width and height.

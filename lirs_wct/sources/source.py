@@ -1,4 +1,4 @@
-"""What a user may call a source: a bundled name, a built folder, a picture, a map's YAML, a mesh or a log."""
+"""What a user may call a source: a bundled name, a built folder, or a file of heights, a map, a mesh, ..."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.suffixes import LOGS, MAPS, MESHES, ZSTD, is_bag_file
+from lirs_wct.formats.clouds.point_file import is_cloud_ply
+from lirs_wct.formats.suffixes import CLOUDS, LOGS, MAPS, MESHES, ZSTD, is_bag_file
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.options import BuildOptions, without_effect
 from lirs_wct.sources.source_kind import SourceKind
@@ -77,6 +78,8 @@ def _kind(path: Path, options: BuildOptions) -> SourceKind:
         return SourceKind.FOLDER
     if path.suffix.lower() in MAPS:
         return SourceKind.MAP
+    if path.suffix.lower() in CLOUDS or (path.suffix.lower() == ".ply" and is_cloud_ply(path)):
+        return SourceKind.CLOUD
     if path.suffix.lower() in MESHES:
         return SourceKind.MESH
     if is_log(path):

@@ -14,4 +14,5 @@ class SourceKind(Enum):
     MAP = "laser map"
     MAP_PICTURE = "picture of a laser map"
     MESH = "mesh"
+    CLOUD = "point cloud"
     LOG = "log of a laser"

@@ -16,6 +16,7 @@ from lirs_wct.export.package import DEFAULT_FORMATS, GazeboTerrain, write_packag
 from lirs_wct.ground import Ground, Terrain
 from lirs_wct.meshing.ground_texture import checked_texture
 from lirs_wct.progress import Progress, no_progress
+from lirs_wct.sources.clouds.source import read_point_cloud
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.picture import TerrainPicture, decimated, height_field, open_picture
@@ -118,6 +119,8 @@ class Construction:
             return world.ground, world.scale
         if found.kind in (SourceKind.MAP, SourceKind.MAP_PICTURE):
             return read_laser_map(found, options)
+        if found.kind is SourceKind.CLOUD:
+            return read_point_cloud(found.path, options)[:2]
         if found.kind is SourceKind.MESH:
             return read_mesh_source(found.path, options)
         return self._coarse_terrain(found, options), "preview"

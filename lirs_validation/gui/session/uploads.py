@@ -17,10 +17,10 @@ from lirs_wct.errors import SourceError
 from lirs_wct.field_validators import require_above
 from lirs_wct.files import remove_orphans
 from lirs_wct.formats.images.header import MAX_PIXELS
-from lirs_wct.formats.suffixes import BAGS, LOGS, MAPS, MESHES
+from lirs_wct.formats.suffixes import BAGS, CLOUDS, LOGS, MAPS, MESHES, RASTERS
 
 PICTURES = (".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".tif", ".tiff", ".gif", ".bmp")
-SUFFIXES = (*PICTURES, *MAPS, *MESHES, *LOGS, ".gz", *BAGS)
+SUFFIXES = (*PICTURES, *RASTERS, *MAPS, *MESHES, *CLOUDS, *LOGS, ".gz", *BAGS)
 """Of files that can be sources, textures or a map's picture."""
 LONGEST = 80
 """Characters of a name."""

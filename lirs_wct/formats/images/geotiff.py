@@ -126,7 +126,7 @@ def _georeference(path: Path, tags: tiff.Tags) -> Georeference | None:
         return None
     affine, known = found
     rows, cols = (int(tiff.floats(tags, tag)[0]) for tag in (tiff.HEIGHT, tiff.WIDTH))
-    system = _system(keys)
+    system = system_of_keys(keys)
     if system.form == "unknown" and known and looks_geographic(affine):
         warnings.warn(f"{path}: {DEGREES}", stacklevel=3)
         system = CoordinateSystem.of_code(4326)
@@ -166,7 +166,7 @@ def looks_geographic(affine: Affine) -> bool:
     return max(map(abs, (a, b, d, e))) < 0.02 and 0 < abs(c) <= 360 and 0 < abs(f) <= 90
 
 
-def _system(keys: dict[int, float]) -> CoordinateSystem:
+def system_of_keys(keys: dict[int, float]) -> CoordinateSystem:
     """Return the coordinate system that the GeoKeys name."""
     geographic, projected = (int(keys.get(key, 0)) for key in (tiff.GEODETIC, tiff.PROJECTED))
     unit = tiff.METRES.get(int(keys.get(tiff.LINEAR_UNITS, 9001)), 1.0)

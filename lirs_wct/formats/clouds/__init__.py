@@ -1,0 +1,1 @@
+"""Files of point clouds: PLY, LAS and LAZ, PCD."""

@@ -1,0 +1,1 @@
+"""A point cloud as a source: its ground as a surface."""

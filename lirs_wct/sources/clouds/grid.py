@@ -1,0 +1,90 @@
+"""Points on a grid of nodes: extremes and means a node, and gaps filled from their rims."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import interpolate, ndimage
+
+from lirs_wct.arrays import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class NodeGrid:
+    """Nodes over an extent in the plane; row 0 = south.
+
+    Attributes:
+        west: x of the first column, metres.
+        south: y of the first row, metres.
+        spacing: of the nodes, metres.
+        shape: rows and columns.
+    """
+
+    west: float
+    south: float
+    spacing: float
+    shape: tuple[int, int]
+
+    @staticmethod
+    def over(xy: FloatArray, spacing: float) -> NodeGrid:
+        """Return the grid that begins at the least coordinates of points (n, 2) and covers them all."""
+        (west, south), (east, north) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
+        rows, cols = (
+            max(2, int(np.ceil(side / spacing - 1e-9)) + 1) for side in (north - south, east - west)
+        )
+        return NodeGrid(west, south, spacing, (rows, cols))
+
+    def node_of(self, xy: FloatArray) -> NDArray[np.int64]:
+        """Return (n,) the nearest node of each point, as an index into the flat grid."""
+        col = np.rint((xy[:, 0] - self.west) / self.spacing).astype(np.int64)
+        row = np.rint((xy[:, 1] - self.south) / self.spacing).astype(np.int64)
+        rows, cols = self.shape
+        return np.clip(row, 0, rows - 1) * cols + np.clip(col, 0, cols - 1)
+
+    def lowest(self, xyz: FloatArray) -> FloatArray:
+        """Return (rows, cols) the lowest point at each node; NaN where there is none."""
+        z = np.full(self.shape, np.inf)
+        np.minimum.at(z.ravel(), self.node_of(xyz), xyz[:, 2])
+        return np.where(np.isfinite(z), z, np.nan)
+
+    def mean(self, xyz: FloatArray) -> FloatArray:
+        """Return (rows, cols) the mean height of the points at each node; NaN where there is none."""
+        node, size = self.node_of(xyz), self.shape[0] * self.shape[1]
+        count = np.bincount(node, minlength=size)
+        total = np.bincount(node, xyz[:, 2], minlength=size)
+        found: FloatArray = np.divide(total, count, out=np.full(size, np.nan), where=count > 0)
+        return found.reshape(self.shape)
+
+    def sampled(self, values: FloatArray, xy: FloatArray) -> FloatArray:
+        """Return (n,) values of the grid at points, linearly between nodes."""
+        at = ((xy[:, 1] - self.south) / self.spacing, (xy[:, 0] - self.west) / self.spacing)
+        found: FloatArray = ndimage.map_coordinates(values, at, order=1, mode="nearest")
+        return found
+
+
+def filled(values: FloatArray) -> FloatArray:
+    """Return the grid with its NaN interpolated: linearly over triangles between the rims of the gaps.
+
+    A plane stays a plane. Outside the rims' hull a node takes its nearest value.
+    """
+    missing = np.isnan(values)
+    if not missing.any():
+        return values
+    rim = ndimage.binary_dilation(missing, np.ones((3, 3), np.bool_)) & ~missing
+    known, wanted = np.argwhere(rim), np.argwhere(missing)
+    out = values.copy()
+    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
+    out[missing] = values[tuple(nearest)][missing]
+    if len(known) >= 3 and min(np.ptp(known, axis=0)) > 0:
+        linear = interpolate.LinearNDInterpolator(known, values[rim])(wanted)
+        there = np.isfinite(linear)
+        out[tuple(wanted[there].T)] = linear[there]
+    return out
+
+
+def gap_distance(missing: BoolArray, spacing: float) -> FloatArray:
+    """Return (rows, cols) metres from each node to the nearest one that is not missing."""
+    distance: FloatArray = ndimage.distance_transform_edt(missing) * spacing
+    return distance

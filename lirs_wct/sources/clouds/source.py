@@ -1,0 +1,152 @@
+"""A point cloud becomes a terrain: its ground, or its top, as heights on a grid."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.formats.clouds.point_file import PointFile, read_points
+from lirs_wct.formats.images.geotiff import located
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.place import Place
+from lirs_wct.ground import Terrain
+from lirs_wct.sources.clouds.grid import NodeGrid, filled, gap_distance
+from lirs_wct.sources.clouds.smrf import Smrf, ground_points
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.window import leveled
+
+FAR = 10_000.0
+"""Metres from the origin beyond which coordinates are a country's: the cloud's middle becomes the origin."""
+NODES = 1025
+"""Nodes along the longer side, at most, unless a resolution is given."""
+PER_NODE = 4.0
+"""Points a node of which the resolution is chosen."""
+FINEST = 0.05
+BRIDGED = 5
+"""Nodes from the nearest point at which a gap is still taken for ground."""
+EMPTY = 0.9
+"""Share of nodes without a point at which a cloud is refused."""
+
+
+def read_point_cloud(path: Path, options: BuildOptions) -> tuple[Terrain, str, Place | None]:
+    """Return a point cloud as ground, where its metres come from, and where it lies.
+
+    A cloud near its own origin keeps its frame. Of one farther off, in coordinates of a country, the middle
+    is the origin and the lowest ground z = 0, or the height that the options say.
+
+    Raises:
+        SourceError: the file cannot be used.
+        ConfigError: an option does not fit the cloud.
+    """
+    found = read_points(path)
+    xyz, middle, steps = _in_metres(path, found)
+    kept = _within(path, xyz, options)
+    xyz, known = xyz[kept], None if found.ground is None else found.ground[kept]
+    if not (np.ptp(xyz[:, :2], axis=0) > 0).all():
+        raise SourceError(f"{path}: a terrain needs an extent along x and y")
+    chosen, method = _chosen(xyz, known, options)
+    grid = _grid(path, xyz, options)
+    heights = _top(grid, xyz) if options.cloud_surface == "top" else grid.mean(xyz[chosen])
+    far_from_points = _tell_gaps(path, np.isnan(heights), grid.spacing)
+    base = options.zero or 0.0
+    z = np.ascontiguousarray((filled(heights) - base)[::-1].astype(np.float32))
+    surface = HeightField(z, (grid.spacing,) * 2, (grid.west, grid.south))
+    if options.zero is None and middle != (0.0, 0.0):
+        surface, base = leveled(surface)
+    place = None
+    if found.system.form != "unknown":
+        (sx, sy), (x, y) = steps, middle
+        place = Place(found.system, (1 / sx, 0.0, x, 0.0, 1 / sy, y), base)
+    no_ground = far_from_points[::-1] if far_from_points.any() else None
+    return Terrain(surface, no_ground), f"the file's own, {grid.spacing:.3g} m a node, {method}", place
+
+
+def _in_metres(path: Path, found: PointFile) -> tuple[FloatArray, tuple[float, float], tuple[float, float]]:
+    """Return points in metres of the world's frame, its origin in coordinates, and metres a unit of them."""
+    system, xyz = found.system, found.xyz
+    if system.form == "geographic":
+        raise SourceError(
+            f"{path}: is in degrees, metres are needed; PDAL's filters.reprojection projects it"
+        )
+    low, high = xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
+    middle = (
+        ((low + high) / 2).round().tolist() if np.abs((low, high)).max() * system.unit > FAR else [0.0, 0.0]
+    )
+    x, y = middle
+    sx, sy = system.unit, system.unit
+    if system.form != "unknown":
+        sx, sy = located(path, system, (1.0, 0.0, x, 0.0, -1.0, y), (1, 1)).pixel
+    return (xyz - (x, y, 0.0)) * (sx, sy, system.unit), (x, y), (sx, sy)
+
+
+def _within(path: Path, xyz: FloatArray, options: BuildOptions) -> BoolArray:
+    """Return (n,) which points are in the window."""
+    if options.window is None:
+        return np.ones(len(xyz), np.bool_)
+    x, y, side = options.window
+    kept = np.asarray((np.abs(xyz[:, :2] - (x, y)) <= side / 2).all(axis=1))
+    if kept.sum() < 3:
+        (west, south), (east, north) = xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
+        raise ConfigError(
+            f"{path}: window {x:g},{y:g},{side:g} holds {int(kept.sum())} points; the cloud has "
+            f"x {west:.4g} to {east:.4g}, y {south:.4g} to {north:.4g} m"
+        )
+    return kept
+
+
+def _chosen(xyz: FloatArray, known: BoolArray | None, options: BuildOptions) -> tuple[BoolArray, str]:
+    """Return (n,) which points make the surface, and how they were found."""
+    if options.cloud_surface == "top":
+        return np.ones(len(xyz), np.bool_), "the highest points"
+    if known is not None and known.sum() >= 3:
+        return known, "the ground by the file's classes"
+    return ground_points(xyz, Smrf(slope=options.ground_slope)), "the ground by SMRF (Pingel 2013)"
+
+
+def _grid(path: Path, xyz: FloatArray, options: BuildOptions) -> NodeGrid:
+    sides = np.ptp(xyz[:, :2], axis=0)
+    spacing = options.resolution
+    if spacing is None:
+        dense = math.sqrt(PER_NODE * float(sides.prod()) / len(xyz))
+        spacing = max(dense, float(sides.max()) / (NODES - 1), FINEST)
+    grid = NodeGrid.over(xyz[:, :2], spacing)
+    rows, cols = grid.shape
+    if rows * cols > options.max_pixels:
+        raise ConfigError(
+            f"{path}: {cols}x{rows} nodes at {spacing:g} m, at most {options.max_pixels} are legal; "
+            "give a coarser --resolution or a larger --max-pixels"
+        )
+    return grid
+
+
+def _top(grid: NodeGrid, xyz: FloatArray) -> FloatArray:
+    return -grid.lowest(xyz * (1.0, 1.0, -1.0))
+
+
+def _tell_gaps(path: Path, missing: BoolArray, spacing: float) -> BoolArray:
+    """Warn of nodes without a point; return those that are too far from any to be ground.
+
+    Raises:
+        SourceError: hardly a node has a point.
+    """
+    share = float(missing.mean())
+    if share > EMPTY:
+        raise SourceError(
+            f"{path}: {share:.1%} of the nodes at {spacing:.3g} m have no point; give a coarser --resolution"
+        )
+    distance = gap_distance(missing, spacing)
+    far: BoolArray = distance > BRIDGED * spacing
+    if missing.any():
+        left = f"; {int(far.sum())} of them, over {BRIDGED * spacing:.3g} m from any point, are no ground"
+        more = left if far.any() else ""
+        warnings.warn(
+            f"{path}: {int(missing.sum())} of {missing.size} nodes at {spacing:.3g} m have no point of the "
+            f"surface and are interpolated, the widest gap is {2 * distance.max():.3g} m{more}",
+            stacklevel=4,
+        )
+    return far

@@ -1,0 +1,205 @@
+"""Point clouds of a scene whose ground is known: hills with houses, trees, wrong points and a gap."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.sources.clouds.grid import NodeGrid, filled
+from lirs_wct.sources.clouds.smrf import Smrf, ground_points
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import find_source
+from lirs_wct.sources.source_kind import SourceKind
+from lirs_wct.world import World, build_world
+
+SIDE = 120.0
+POND = (70.0, 30.0, 9.0)
+"""x, y, radius without points."""
+UTM = (583_960.0, 4_507_523.0)
+
+
+def ground(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return 40 + 3 * np.sin(x / 25) + 2 * np.cos(y / 30) + 0.03 * x
+
+
+@dataclass(frozen=True)
+class Scene:
+    xyz: np.ndarray
+    bare: np.ndarray
+
+
+@pytest.fixture(scope="module", params=[1, 2, 3])
+def scene(request: pytest.FixtureRequest) -> Scene:
+    rng = np.random.default_rng(request.param)
+    xy = rng.uniform(0, SIDE, (40_000, 2))
+    xy = xy[np.hypot(xy[:, 0] - POND[0], xy[:, 1] - POND[1]) > POND[2]]
+    z = ground(*xy.T) + rng.normal(0, 0.03, len(xy))
+    bare = np.ones(len(xy), np.bool_)
+    for _ in range(6):  # houses with flat roofs
+        corner, size = rng.uniform(5, 95, 2), rng.uniform(6, 14, 2)
+        inside = ((xy >= corner) & (xy <= corner + size)).all(axis=1)
+        z[inside] = ground(*(corner + size / 2)) + rng.uniform(4, 9)
+        bare[inside] = False
+    tree = rng.random(len(xy)) < 0.15
+    z[tree & bare] += rng.uniform(1.0, 12, int((tree & bare).sum()))
+    bare[tree] = False
+    wrong = rng.choice(len(xy), 12, replace=False)
+    z[wrong] -= rng.uniform(15, 60, 12)
+    bare[wrong] = False
+    return Scene(np.column_stack((xy, z)), bare)
+
+
+def truth(world: World) -> np.ndarray:
+    rows, cols = world.surface.shape
+    west, _, _, north = world.surface.bounds
+    x, y = west + np.arange(cols) * world.surface.cell[0], north - np.arange(rows) * world.surface.cell[1]
+    return ground(*np.meshgrid(x, y))
+
+
+def test_smrf_tells_ground_from_objects(scene: Scene) -> None:
+    """The paper's mean over its 15 samples: 97 % right (table 4); here steep ground is missing."""
+    found = ground_points(scene.xyz, Smrf())
+    assert (found == scene.bare).mean() > 0.97
+    assert found[scene.bare].mean() > 0.98
+    assert found[~scene.bare].mean() < 0.06
+
+
+def test_the_world_is_the_ground_and_gaps_are_named(scene: Scene, tmp_path: Path) -> None:
+    trimesh.PointCloud(scene.xyz).export(tmp_path / "a.ply")
+    with pytest.warns(
+        UserWarning, match=r"a\.ply: \d+ of 15129 nodes at 0\.98\d* m have no point .* gap is 1\d"
+    ):
+        world = build_world(tmp_path / "a.ply", BuildOptions(resolution=SIDE / 122 * 1.0005))
+    assert world.kind == "terrain"
+    assert "SMRF" in world.scale
+    error = world.surface.z - truth(world)
+    assert np.sqrt((error**2).mean()) < 0.12
+    assert np.percentile(np.abs(error), 99) < 0.45
+    assert world.no_ground is not None
+    assert 0.2 < world.no_ground.sum() * world.surface.cell[0] ** 2 / (np.pi * POND[2] ** 2) < 0.9
+    assert world.place is None
+
+
+def test_the_top_is_a_surface_too(scene: Scene, tmp_path: Path) -> None:
+    trimesh.PointCloud(scene.xyz).export(tmp_path / "a.ply")
+    with pytest.warns(UserWarning, match="have no point"):
+        world = build_world(tmp_path / "a.ply", BuildOptions(cloud_surface="top", resolution=1.0))
+    assert (world.surface.z - truth(world)).max() > 4
+    assert world.scale.endswith("the highest points")
+
+
+@pytest.mark.filterwarnings("ignore:.*have no point")
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_las_brings_its_place_and_its_classes(suffix: str, scene: Scene, tmp_path: Path) -> None:
+    laspy = pytest.importorskip("laspy")
+    path = tmp_path / f"a{suffix}"
+    las = laspy.create(point_format=6, file_version="1.4")
+    las.header.offsets, las.header.scales = (*UTM, 0.0), (0.001,) * 3
+    wkt = 'PROJCS["WGS 84 / UTM zone 18N",AUTHORITY["EPSG","32618"]]'
+    las.header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
+    las.x, las.y, las.z = scene.xyz[:, 0] + UTM[0], scene.xyz[:, 1] + UTM[1], scene.xyz[:, 2]
+    las.write(path)
+    by_filter = build_world(path, BuildOptions(resolution=1.0))
+    las.classification = np.where(scene.bare, 2, 5).astype(np.uint8)
+    las.write(path)
+    by_class = build_world(path, BuildOptions(resolution=1.0))
+    assert "SMRF" in by_filter.scale
+    assert by_class.scale.endswith("the ground by the file's classes")
+    assert np.sqrt(np.mean((by_filter.surface.z - by_class.surface.z) ** 2)) < 0.2
+    place = by_class.place
+    assert place is not None
+    assert place.system.name == "EPSG:32618"
+    assert by_class.surface.z.min() == 0
+    at = np.array(place.coordinates(10.0, -20.0)) - UTM
+    height = by_class.surface.height_at(10.0, -20.0) + (place.height or 0.0)
+    assert float(height) == pytest.approx(float(ground(*at)), abs=0.15)
+    latitude, longitude = by_class.to_geographic(0.0, 0.0)
+    assert (float(latitude), float(longitude)) == pytest.approx((40.714889, -74.005254), abs=1e-5)
+    # UTM's scale at this place, 1 m of it is 1.000313 m on the ground, is taken out (see rasters.json).
+    along = place.coordinates(100.0, 0.0)[0] - place.coordinates(0.0, 0.0)[0]
+    assert along == pytest.approx(100 / 1.000313, abs=1e-3)
+    west, east = (
+        build_world(path, BuildOptions(resolution=1.0, zero=30.0, window=(x, 0, 60))) for x in (-20, 20)
+    )
+    assert abs(float(west.surface.height_at(0, 0) - east.surface.height_at(0, 0))) < 0.3
+
+
+@pytest.mark.filterwarnings("ignore:.*have no point")
+def test_a_pcd_keeps_its_frame(scene: Scene, tmp_path: Path) -> None:
+    pypcd4 = pytest.importorskip("pypcd4")
+    pypcd4.PointCloud.from_xyz_points(scene.xyz.astype(np.float32)).save(tmp_path / "a.pcd")
+    world = build_world(tmp_path / "a.pcd", BuildOptions(resolution=1.0))
+    assert world.surface.bounds == pytest.approx((0, 0, SIDE, SIDE), abs=1.01)
+    assert np.sqrt(((world.surface.z - truth(world)) ** 2).mean()) < 0.12
+    trimesh.PointCloud(scene.xyz.astype(np.float32)).export(tmp_path / "a.ply")
+    same = build_world(tmp_path / "a.ply", BuildOptions(resolution=1.0))
+    np.testing.assert_allclose(same.surface.z, world.surface.z, atol=1e-5)
+
+
+def test_a_ply_with_faces_is_a_mesh(tmp_path: Path) -> None:
+    trimesh.creation.box((1, 2, 3)).export(tmp_path / "box.ply")
+    trimesh.PointCloud(np.eye(3)).export(tmp_path / "points.ply")
+    kinds = [find_source(tmp_path / name, BuildOptions()).kind for name in ("box.ply", "points.ply")]
+    assert kinds == [SourceKind.MESH, SourceKind.CLOUD]
+
+
+@pytest.mark.parametrize(("suffix", "package"), [("las", "laspy"), ("laz", "laspy"), ("pcd", "pypcd4")])
+def test_a_missing_package_is_named(
+    suffix: str, package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    path = tmp_path / f"a.{suffix}"
+    path.write_bytes(b"LASF")
+    with pytest.raises(SourceError, match=rf"a\.{suffix}: needs the package {package}: .*lirs-wct\[clouds\]"):
+        build_world(path)
+
+
+def test_clouds_that_are_none(tmp_path: Path) -> None:
+    trimesh.PointCloud(np.eye(3)[:2]).export(tmp_path / "two.ply")
+    trimesh.PointCloud(np.arange(9.0).reshape(3, 3) * (0, 1, 1)).export(tmp_path / "line.ply")
+    (tmp_path / "cut.ply").write_bytes((tmp_path / "line.ply").read_bytes()[:-20])
+    for name, reason in (
+        ("two", "holds 2 points, a ground needs at least 3"),
+        ("line", "a terrain needs an extent along x and y"),
+        ("cut", "cannot be read as a point cloud"),
+    ):
+        with pytest.raises(SourceError, match=rf"{name}\.ply: {reason}"):
+            build_world(tmp_path / f"{name}.ply")
+
+
+def test_a_window_beside_the_cloud(scene: Scene, tmp_path: Path) -> None:
+    trimesh.PointCloud(scene.xyz).export(tmp_path / "a.ply")
+    with pytest.raises(
+        ConfigError, match=r"a\.ply: window 500,0,20 holds 0 points; the cloud has x 0\.\d+ to 12"
+    ):
+        build_world(tmp_path / "a.ply", BuildOptions(window=(500, 0, 20)))
+
+
+def test_gaps_of_a_plane_are_the_plane() -> None:
+    rows, cols = np.mgrid[0:40, 0:50].astype(float)
+    plane = 3 + 0.7 * rows - 0.2 * cols
+    holed = plane.copy()
+    holed[10:25, 12:30] = np.nan
+    holed[5, 40] = np.nan
+    np.testing.assert_allclose(filled(holed), plane, atol=1e-9)
+
+
+def test_lowest_and_mean_a_node() -> None:
+    rng = np.random.default_rng(0)
+    xyz = rng.random((500, 3)) * (8, 5, 10)
+    grid = NodeGrid.over(xyz[:, :2], 1.3)
+    node = grid.node_of(xyz)
+    low, mean = grid.lowest(xyz).ravel(), grid.mean(xyz).ravel()
+    for k in range(low.size):
+        here = xyz[node == k, 2]
+        assert low[k] == pytest.approx(here.min() if here.size else np.nan, nan_ok=True)
+        assert mean[k] == pytest.approx(here.mean() if here.size else np.nan, nan_ok=True)
+    plane = 2 * np.arange(grid.shape[0])[:, None] + np.arange(grid.shape[1])[None, :] * 1.0
+    expected = ((xyz[:, 1] - grid.south) * 2 + (xyz[:, 0] - grid.west)) / 1.3
+    np.testing.assert_allclose(grid.sampled(plane, xyz[:, :2]), expected, atol=1e-9)
