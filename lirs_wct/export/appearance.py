@@ -109,7 +109,7 @@ def world_extent(world: World) -> tuple[FloatArray, FloatArray]:
     """Return the lowest and highest corner of what is seen of a world, metres."""
     if world.solid is not None:
         low, high = world.solid.bounds
-        return low, high
+        return low.copy(), high.copy()
     west, south, east, north = world.surface.bounds
     top = max(float(world.surface.z.max()), 0.0 if world.walls is None else world.walls.height)
     return np.array((west, south, float(world.surface.z.min()))), np.array((east, north, top))

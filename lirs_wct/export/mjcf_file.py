@@ -12,7 +12,7 @@ import numpy as np
 
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.export.appearance import world_extent
-from lirs_wct.export.mjcf import world_spec
+from lirs_wct.export.mjcf import BASE, world_spec
 from lirs_wct.export.mjcf_compat import readable_by_old
 from lirs_wct.export.mjcf_look import add_look, dress
 from lirs_wct.files import atomic_write
@@ -46,7 +46,10 @@ def write_mjcf(world: World, folder: str | Path) -> Path:
     # Seen in the viewer as it opens: it hides group 3.
     contact_geometry: ContactGeometry = "convex" if world.overhangs else "hfield"
     spec = world_spec(world, group=0, contact_geometry=contact_geometry, heights=False, seen=False)
-    add_look(spec, world, *world_extent(world))
+    low, high = world_extent(world)
+    if len(spec.hfields):
+        low[2] -= BASE
+    add_look(spec, world, low, high)
     _mark_starts(spec, world)
     for hfield in spec.hfields:
         hfield.file = _write_heights(world, path.parent)

@@ -23,8 +23,9 @@ SKY = ((0.72, 0.80, 0.90), (0.93, 0.94, 0.95))
 """Colours of the sky above and at the horizon, RGB."""
 SUN = (0.5, -0.5, -0.7071)
 """Where the light goes: from the north-west, as in the drawn textures."""
-NEAR, NEAR_SHARE = 0.02, 1e-5
-"""Nearest that a camera sees, metres, and at least this share of the world's extent: depths stay exact."""
+NEAR, FAR, DEPTHS = 0.02, 5.0, 4e5
+"""Nearest that a camera sees, metres, the farthest in extents of the world, and how many times as far that is
+at most: a sky at 4e6 times the near plane is clipped."""
 FOVY = math.radians(45)
 EYE, DOWN = 1.0, math.radians(10)
 """Height of the camera at the first start pose above the ground, metres, and how far it looks down."""
@@ -47,7 +48,7 @@ def add_look(spec: mujoco.MjSpec, world: World, low: FloatArray, high: FloatArra
     middle, extent = (low + high) / 2, 0.8 * float(np.linalg.norm(high - low))
     spec.stat.center, spec.stat.extent = middle, extent
     # A share of the extent, by default 1 %: half a metre in a world of 50 m.
-    spec.visual.map.znear = max(NEAR / extent, NEAR_SHARE)
+    spec.visual.map.znear, spec.visual.map.zfar = max(NEAR / extent, FAR / DEPTHS), FAR
     spec.visual.global_.azimuth, spec.visual.global_.elevation = (
         math.degrees(AZIMUTH),
         math.degrees(ELEVATION),
@@ -65,6 +66,8 @@ def add_look(spec: mujoco.MjSpec, world: World, low: FloatArray, high: FloatArra
         dir=SUN,
         diffuse=(0.7, 0.7, 0.66),
         specular=(0.1, 0.1, 0.1),
+        # Its own shadow speckles a height field, whose drawn texture is shaded already.
+        castshadow=not len(spec.hfields),
     )
     spec.add_texture(
         name="sky",
@@ -103,7 +106,10 @@ def dress(spec: mujoco.MjSpec, world: World, folder: Path) -> None:
     """
     if len(spec.hfields):
         wear = ground_wear(world)
-        _add_material(spec, wear.name, _picture_on_field(world, wear, folder), folder)
+        material = _add_material(spec, wear.name, _picture_on_field(world, wear, folder), folder)
+        # From its middle: the border wears the middle of the outermost pixels, not half of the opposite ones.
+        rows, cols = wear.pixels(world).shape[:2]
+        material.texrepeat = (1 - 1 / cols, 1 - 1 / rows) if wear.draped else (1.0, 1.0)
         ground = next(geom for geom in spec.worldbody.geoms if geom.name == "ground")
         ground.material, ground.rgba = wear.name, (1.0, 1.0, 1.0, 1.0)
         return
@@ -141,11 +147,12 @@ def _write_tile(spec: mujoco.MjSpec, tile: TriangleMesh, stem: str, folder: Path
     return file
 
 
-def _add_material(spec: mujoco.MjSpec, name: str, texture: Path, folder: Path) -> None:
+def _add_material(spec: mujoco.MjSpec, name: str, texture: Path, folder: Path) -> mujoco.MjsMaterial:
     spec.assets = dict(spec.assets) | {texture.as_posix(): (folder / texture).read_bytes()}
     spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=texture.as_posix())
     material = spec.add_material(name=name, specular=0.0, shininess=0.0)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+    return material
 
 
 def _picture_on_field(world: World, wear: Wear, folder: Path) -> Path:

@@ -10,7 +10,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.meshing.uv import cube_uv
+from lirs_wct.meshing.uv import cube_uv, draped_uv, wall_uv
 
 
 def hills(rows: int = 20, cols: int = 30, height: float = 1.0) -> HeightField:
@@ -99,6 +99,48 @@ def test_normals_are_those_of_the_surface() -> None:
     assert textured.normals is not None
     ground = textured.normals[:, 2] > 0.1
     np.testing.assert_allclose(textured.normals[ground], [[-(0.2**0.5), 0, 0.8**0.5]] * 66, atol=1e-5)
+
+
+def test_a_draped_picture_lies_where_it_is_seen_from_above() -> None:
+    """On steep ground too, where cube projection took the colour of another height."""
+    surface = hills(height=30.0)
+    mesh = draped_uv(solid_mesh(surface), surface.bounds)
+    assert mesh.uv is not None
+    west, south, _, _ = surface.bounds
+    np.testing.assert_allclose(mesh.uv, (mesh.vertices[:, :2] - (west, south)) / surface.size, atol=1e-12)
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces).is_watertight
+
+
+def test_a_draped_picture_keeps_its_border_to_itself() -> None:
+    surface = hills()
+    mesh = draped_uv(solid_mesh(surface), surface.bounds, margin=0.01)
+    assert mesh.uv is not None
+    assert mesh.uv.min() == 0.01
+    assert mesh.uv.max() == 0.99
+
+
+def test_draped_ground_is_smooth_and_its_skirt_sharp() -> None:
+    surface = hills(height=30.0)
+    mesh, cube = draped_uv(solid_mesh(surface), surface.bounds), cube_uv(solid_mesh(surface))
+    assert mesh.normals is not None
+    assert cube.normals is not None
+    assert len(mesh.vertices) < len(cube.vertices)
+    np.testing.assert_allclose(mesh.normals[mesh.faces], cube.normals[cube.faces], atol=1e-12)
+
+
+def test_a_texture_stands_upright_on_each_side_of_a_wall() -> None:
+    """v rises with z from the floor; u runs to the right of who stands before the wall; texels are square."""
+    solid = box()
+    lifted = TriangleMesh(solid.vertices + np.array((7.0, 3.0, 0.5)), solid.faces)
+    mesh = wall_uv(lifted, size=2.0)
+    assert mesh.uv is not None
+    assert mesh.normals is not None
+    sides = np.abs(mesh.normals[:, 2]) < 1e-9
+    np.testing.assert_allclose(mesh.uv[sides, 1], mesh.vertices[sides, 2] / 2.0)
+    right = np.cross((0, 0, 1), mesh.normals[sides])
+    np.testing.assert_allclose(mesh.uv[sides, 0], (mesh.vertices[sides] * right).sum(axis=1) / 2.0)
+    tops = mesh.normals[:, 2] > 0.5
+    np.testing.assert_allclose(mesh.uv[tops], mesh.vertices[tops, :2] / 2.0)
 
 
 @pytest.mark.parametrize("size", [0.0, -1.0, float("nan")])

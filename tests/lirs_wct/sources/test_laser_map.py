@@ -139,5 +139,5 @@ def test_real_maps_become_closed_solids_of_few_boxes(shared_data: Path) -> None:
         assert mesh.is_watertight
         assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).is_watertight
         volume = walls.resolution**2 * (walls.solid.size * SLAB + walls.solid.sum() * 2.5)
-        assert mesh.volume == pytest.approx(volume, rel=1e-4)  # corners that touch stand a millimetre apart
+        assert mesh.volume == pytest.approx(volume, rel=1e-3)  # corners that touch stand a millimetre apart
     assert read == 10

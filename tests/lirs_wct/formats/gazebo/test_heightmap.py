@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.gazebo.heightmap import heightmap_pixels, heightmap_sdf, heightmap_side, write_heightmap
+from lirs_wct.formats.gazebo.heightmap import (
+    Layer,
+    flat_normals,
+    heightmap_pixels,
+    heightmap_sdf,
+    heightmap_side,
+    write_heightmap,
+)
 from lirs_wct.geometry.heightfield import HeightField
 
 
@@ -52,3 +59,18 @@ def test_sdf_has_the_metres() -> None:
         size = [float(v) for v in (heightmap.findtext("size") or "").split()]
         assert size == pytest.approx([50.0, 14.75, surface.relief])
         assert heightmap.findtext("pos") == "0 0 0"
+
+
+def test_what_it_wears_has_a_flat_normal_map_of_its_own() -> None:
+    """The colour picture as normals lights the ground from everywhere."""
+    layer = Layer("a.png", "a-normal.png", 12.5)
+    model = ET.fromstring(heightmap_sdf("dune", hills(60, 101), "h.png", layer))
+    texture = model.find(".//visual/geometry/heightmap/texture")
+    assert texture is not None
+    assert {part.tag: part.text for part in texture} == {
+        "diffuse": "model://dune/a.png",
+        "normal": "model://dune/a-normal.png",
+        "size": "12.5",
+    }
+    up = flat_normals()[..., ::-1].reshape(-1, 3) / 255.0 * 2 - 1
+    np.testing.assert_allclose(up, [[0, 0, 1]] * len(up), atol=0.01)

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import math
 from xml.etree import ElementTree as ET
 
 import pytest
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.gazebo.sdf import Physics, model_config, model_sdf, world_sdf
+from lirs_wct.geometry.viewpoint import overview
 
 
 def test_model_is_seen_and_felt_as_the_same_mesh() -> None:
@@ -24,6 +26,23 @@ def test_world_includes_model_light_physics_and_gravity_but_no_plane() -> None:
     assert world.findtext("world/physics/real_time_update_rate") == "500"
     assert world.find("world/light") is not None
     assert "plane" not in text
+
+
+def test_the_window_opens_on_a_view_of_the_world() -> None:
+    view = overview((-25, -20, 0), (25, 20, 6), 0.8)
+    pose = ET.fromstring(world_sdf("dune", view=view)).findtext("world/gui/camera/pose")
+    assert pose is not None
+    x, y, z, roll, pitch, yaw = map(float, pose.split())
+    assert (x, y, z) == pytest.approx(view.position, rel=1e-5)
+    assert z > 6
+    assert roll == 0
+    # Gazebo's camera looks along its x axis: towards the middle.
+    ahead = (math.cos(pitch) * math.cos(yaw), math.cos(pitch) * math.sin(yaw), -math.sin(pitch))
+    distance = math.dist(view.position, (0, 0, 3))
+    assert [p + distance * a for p, a in zip(view.position, ahead, strict=True)] == pytest.approx(
+        (0, 0, 3), abs=1e-3
+    )
+    assert "<gui>" not in world_sdf("dune")
 
 
 def test_config_names_the_sdf_and_escapes() -> None:
