@@ -28,7 +28,10 @@ def build(
         "worlds"
     ),
     to: Annotated[
-        str, typer.Option(metavar="F,F,...", help="What to write: dae, stl, sdf, mjcf, obj, hfield.")
+        str,
+        typer.Option(
+            metavar="F,F,...", help="What to write: dae, stl, sdf, mjcf, obj, hfield, glb, usd, map."
+        ),
     ] = "dae,stl,sdf,mjcf",
     terrain: Annotated[
         str,
@@ -37,6 +40,9 @@ def build(
             help="Gazebo's model: the solid mesh, or a heightmap (square, 2^n + 1 px, 8 bit).",
         ),
     ] = "solid",
+    map_height: Annotated[
+        float, typer.Option(metavar="METRES", help="Height of the lidar that --to map is made for.")
+    ] = 0.3,
     *,
     options: SourceOptions,
 ) -> None:
@@ -53,6 +59,7 @@ def build(
             formats=read_names(to, "--to"),
             terrain=gazebo_terrain(terrain),
             overwrite=options.name is not None,
+            map_height=map_height,
             progress=progress,
         )
     _say_what_was_built(world, folder, to)

@@ -9,23 +9,29 @@ from typing import Literal
 
 from lirs_wct.errors import ConfigError, OutputError, unknown_name
 from lirs_wct.export.appearance import ground_wear, squared, world_extent, world_parts
+from lirs_wct.export.ground_truth_map import ROBOT_HEIGHT, ground_truth_map
 from lirs_wct.export.mesh_writer import write_parts
 from lirs_wct.export.mjcf_file import write_hfield, write_mjcf
+from lirs_wct.export.usd_file import require_usd, write_usd
 from lirs_wct.files import atomic_folder
+from lirs_wct.formats.gazebo.gz_sim import gz_world_sdf
 from lirs_wct.formats.gazebo.heightmap import Layer, flat_normals, heightmap_sdf, write_heightmap
 from lirs_wct.formats.gazebo.sdf import model_config, model_sdf, world_sdf
 from lirs_wct.formats.images.image_writer import write_image
+from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.meshes.collada_stream import MeshPart
 from lirs_wct.formats.meshes.obj import write_obj_parts
 from lirs_wct.formats.meshes.stl import write_stl, write_triangles
+from lirs_wct.formats.meshes.textured import write_glb_parts
 from lirs_wct.formats.world_json import TEXTURES, recorded_source
 from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.viewpoint import overview
 from lirs_wct.meshing.solid import solid_triangles
 from lirs_wct.progress import Progress, Steps, no_progress
 from lirs_wct.world import World
 
-FORMATS = ("dae", "stl", "sdf", "mjcf", "obj", "hfield")
+FORMATS = ("dae", "stl", "sdf", "mjcf", "obj", "hfield", "glb", "usd", "map")
 """What a package can hold beside `world.json`."""
 DEFAULT_FORMATS = FORMATS[:4]
 GAZEBO_FOVY = 2 * math.atan(math.tan(math.radians(30)) * 3 / 4)
@@ -43,6 +49,7 @@ def write_package(
     formats: Collection[str] = DEFAULT_FORMATS,
     terrain: GazeboTerrain = "solid",
     overwrite: bool = False,
+    map_height: float = ROBOT_HEIGHT,
     progress: Progress = no_progress,
 ) -> Path:
     """Write `parent/NAME/`, whole or not at all, and return it; what the user put there stays.
@@ -52,6 +59,7 @@ def write_package(
         parent: folder for the world's folder.
         formats: of `FORMATS`.
         terrain: what Gazebo's model is: the solid mesh, or a heightmap (8 bit, as the paper compares with).
+        map_height: metres above the ground at which the map is made (see `ground_truth_map`).
         overwrite: whether the world of another source may be replaced.
         progress: called with the name of the file being written.
 
@@ -77,6 +85,9 @@ def write_package(
         if "hfield" in formats:
             steps.begin(f"{world.name}.hfield")
             write_hfield(temporary / f"{world.name}.hfield", world.surface)
+        if "map" in formats:
+            steps.begin("map.yaml")
+            write_map(temporary / "map", ground_truth_map(world, map_height))
     return folder
 
 
@@ -102,6 +113,8 @@ def _check(world: World, formats: Collection[str], terrain: str) -> None:
             raise unknown_name("format", wanted, FORMATS)
     if not formats:
         raise ConfigError(f"nothing to write; legal: {', '.join(FORMATS)}")
+    if "usd" in formats:
+        require_usd()
     if terrain not in ("solid", "heightmap"):
         raise unknown_name("terrain for Gazebo", terrain, ("solid", "heightmap"))
     if terrain == "heightmap" and (world.walls is not None or world.overhangs):
@@ -111,7 +124,7 @@ def _check(world: World, formats: Collection[str], terrain: str) -> None:
 
 
 def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: Steps) -> None:
-    kinds = [kind for kind in ("stl", "dae", "obj") if kind in formats]
+    kinds = [kind for kind in ("stl", "dae", "obj", "glb", "usd") if kind in formats]
     if kinds == ["stl"] and _streams(world):
         progress = steps.begin("meshes")
         write_triangles(_mesh_path(world, folder, "stl"), *solid_triangles(world.surface), progress)
@@ -133,6 +146,13 @@ def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: S
     if "obj" in kinds:
         steps.begin(f"{world.name}.obj")
         write_obj_parts(_mesh_path(world, folder, "obj"), [(p.name, p.mesh, p.texture) for p in parts])
+    if "glb" in kinds:
+        steps.begin(f"{world.name}.glb")
+        pictures = [(p.name, p.mesh, folder / str(p.texture).removeprefix("../")) for p in parts]
+        write_glb_parts(_mesh_path(world, folder, "glb"), pictures)
+    if "usd" in kinds:
+        steps.begin(f"{world.name}.usd")
+        write_usd(_mesh_path(world, folder, "usd"), world, parts)
 
 
 def _textured(world: World, folder: Path) -> list[MeshPart]:
@@ -171,15 +191,27 @@ def _write_model(world: World, folder: Path, formats: Collection[str], terrain: 
         model = heightmap_sdf(name, world.surface, picture.as_posix(), _heightmap_layer(world, folder))
     else:
         model = model_sdf(name, mesh=f"meshes/{name}.{'dae' if 'dae' in formats else 'stl'}")
+    classic = world_sdf(name, view=overview(*world_extent(world), GAZEBO_FOVY), place=world.place)
+    albedo = _albedo(world, folder) if terrain == "solid" and "dae" in formats else None
     for file, text in (
         ("model.config", model_config(name)),
         ("model.sdf", model),
-        (
-            f"{name}.world",
-            world_sdf(name, view=overview(*world_extent(world), GAZEBO_FOVY), place=world.place),
-        ),
+        (f"{name}.world", classic),
+        (f"{name}.sdf", gz_world_sdf(classic, model, starts=_starts(world), albedo=albedo)),
     ):
         (folder / file).write_text(text, encoding="utf-8")
+
+
+def _starts(world: World) -> list[Pose3]:
+    """Return the start poses on the ground."""
+    return [
+        Pose3.from_pose2(pose, float(world.surface.height_at(pose.x, pose.y))) for pose in world.spawn_poses
+    ]
+
+
+def _albedo(world: World, folder: Path) -> str | None:
+    """Return the texture of a world that wears one; floor and walls have their own in the mesh file."""
+    return None if world.walls is not None else ground_wear(world).write(world, folder).as_posix()
 
 
 def _heightmap_layer(world: World, folder: Path) -> Layer:

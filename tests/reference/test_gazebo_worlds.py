@@ -81,10 +81,11 @@ def test_the_strict_parser_has_nothing_to_say(
 ) -> None:
     world, *folders = package
     for folder in filter(None, folders):
-        said = run(programs / "sdfchk", folder / f"{world.name}.world", MODEL_PATH=folder.parent)
-        assert "code" not in said
-        assert "Warning" not in said
-        assert f"world[{world.name}] models 1 ({world.name} static 1 links 1 coll type" in said
+        for ending in ("world", "sdf"):
+            said = run(programs / "sdfchk", folder / f"{world.name}.{ending}", MODEL_PATH=folder.parent)
+            assert "code" not in said
+            assert "Warning" not in said
+            assert f"world[{world.name}] models 1 ({world.name} static 1 links 1 coll type" in said
 
 
 def test_the_mesh_loader_counts_ours_and_finds_the_texture(
@@ -100,12 +101,12 @@ def test_the_mesh_loader_counts_ours_and_finds_the_texture(
     vert, norm, idx, uv = map(int, found.groups())
     # A place with several normals may be more vertices than in the file; none is lost.
     assert n <= vert == norm == uv
-    assert idx == 3 * len(world.mesh.faces)
+    assert idx == 3 * len(world.file_mesh.faces)
     assert "Unable to find" not in said
     texture = Path(re.search(r"tex '([^']*)'", said)[1])  # type: ignore[index]
     assert texture.resolve() == (folder / "materials/textures" / f"{world.name}.png").resolve()
     low, high = (np.array(m.split()[:3], float) for m in re.search(r"min (.*) max (.*) mat", said).groups())  # type: ignore[union-attr]
-    np.testing.assert_allclose((low, high), world.mesh.bounds, rtol=1e-5, atol=2e-5)
+    np.testing.assert_allclose((low, high), world.file_mesh.bounds, rtol=1e-5, atol=2e-5)
 
 
 def test_a_sphere_rests_on_the_mesh(programs: Path, package: tuple[World, Path, Path | None]) -> None:
@@ -116,7 +117,7 @@ def test_a_sphere_rests_on_the_mesh(programs: Path, package: tuple[World, Path, 
     dae = folder / "meshes" / f"{world.name}.dae"
     said = run(programs / "physchk", "dartsim", dae, start.x, start.y, drop, 3000)
     at = np.array(re.search(r"final +(\S+) +(\S+) +(\S+)", said).groups(), float)  # type: ignore[union-attr]
-    mesh = trimesh.Trimesh(world.mesh.vertices, world.mesh.faces, process=False)
+    mesh = trimesh.Trimesh(world.file_mesh.vertices, world.file_mesh.faces, process=False)
     _, distance, _ = trimesh.proximity.closest_point(mesh, at[None])
     assert distance[0] == pytest.approx(RADIUS, abs=0.02)
     assert at[2] > float(world.surface.height_at(at[0], at[1]))
@@ -125,9 +126,9 @@ def test_a_sphere_rests_on_the_mesh(programs: Path, package: tuple[World, Path, 
 def test_whole_and_true_to_the_source(package: tuple[World, Path, Path | None]) -> None:
     """The same, without Gazebo: closed, the volume of its own surface, the source's integral of heights."""
     world = package[0]
-    mesh = trimesh.Trimesh(world.mesh.vertices, world.mesh.faces, process=False)
+    mesh = trimesh.Trimesh(world.file_mesh.vertices, world.file_mesh.faces, process=False)
     assert mesh.is_watertight
-    assert mesh.volume == pytest.approx(world.mesh.volume, rel=1e-6)
+    assert mesh.volume == pytest.approx(world.file_mesh.volume, rel=1e-6)
     if world.kind != "terrain":
         return
     width, depth = world.surface.size
@@ -136,7 +137,7 @@ def test_whole_and_true_to_the_source(package: tuple[World, Path, Path | None]) 
     sw, se, nw, ne = z[1:, :-1], z[1:, 1:], z[:-1, :-1], z[:-1, 1:]
     per_cell = world.surface.cell[0] * world.surface.cell[1] / 6
     integral = float((2 * sw + 2 * ne + se + nw).sum()) * per_cell
-    below = -world.mesh.bounds[0, 2] * width * depth
-    budget = (world.export_options.max_error or 0.0) * width * depth
+    below = -world.file_mesh.bounds[0, 2] * width * depth
+    budget = (world.file_options.max_error or 0.0) * width * depth
     if world.export_options.max_triangles is None:
-        assert world.mesh.volume == pytest.approx(integral + below, abs=budget + 1e-6 * integral)
+        assert world.file_mesh.volume == pytest.approx(integral + below, abs=budget + 1e-6 * integral)

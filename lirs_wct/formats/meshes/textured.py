@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -75,6 +76,28 @@ def write_glb(path: Path, mesh: TriangleMesh, picture: Image.Image | None = None
     )
     with atomic_write(path) as temporary:
         shape.export(temporary, include_normals=turned.normals is not None)
+
+
+def write_glb_parts(path: Path, parts: Sequence[tuple[str, TriangleMesh, Path]]) -> None:
+    """Write a GLB of named meshes in a frame with z up, each with the picture of its texture inside.
+
+    Raises:
+        SourceError: a picture cannot be read.
+        OutputError: the file cannot be written.
+    """
+    scene = trimesh.Scene()
+    for name, mesh, picture in parts:
+        material = trimesh.visual.material.PBRMaterial(
+            name=name, baseColorTexture=Image.open(picture), metallicFactor=0.0, roughnessFactor=1.0
+        )
+        turned = mesh.rotated_x(-90.0)
+        visual = trimesh.visual.TextureVisuals(uv=mesh.uv, material=material)
+        shape = trimesh.Trimesh(
+            turned.vertices, turned.faces, vertex_normals=turned.normals, visual=visual, process=False
+        )
+        scene.add_geometry(shape, node_name=name, geom_name=name)
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(trimesh.exchange.gltf.export_glb(scene, include_normals=True))
 
 
 def png(picture: Image.Image) -> bytes:

@@ -102,7 +102,7 @@ def test_to_writes_only_what_is_asked(folder: Path) -> None:
     built("hill.png", to="obj")
     assert files() == always | {"meshes/w.obj", "meshes/w.mtl", "materials/textures/w.png"}
     built("hill.png", to="stl,sdf")
-    assert files() == always | {"meshes/w.stl", "model.sdf", "model.config", "w.world"}
+    assert files() == always | {"meshes/w.stl", "model.sdf", "model.config", "w.world", "w.sdf"}
     assert "meshes/w.stl" in Path("out/w/model.sdf").read_text()
 
 
@@ -191,7 +191,7 @@ BAD = {
     "smoothing": (("build", "hill.png", "--smoothing", "0"), "smoothing must be a finite number above 0"),
     "format": (
         ("build", "hill.png", "--to", "dae,fbx"),
-        "unknown format 'fbx'; legal: dae, hfield",
+        "unknown format 'fbx'; legal: dae, glb, hfield, map",
     ),
     "sdf alone": (("build", "hill.png", "--to", "sdf"), "ask for dae or stl as well"),
     "terrain": (("build", "hill.png", "--terrain", "prisms"), "--terrain must be solid or heightmap"),

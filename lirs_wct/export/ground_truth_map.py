@@ -1,0 +1,118 @@
+"""The map that a robot's planar lidar should make of a world, for planners and as ground truth."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.contact.contact_grid import steep_nodes
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.sources.rasterize import rasterize_heights
+from lirs_wct.world import World
+
+ROBOT_HEIGHT = 0.3
+"""Metres above the ground at which the map is made, unless told otherwise."""
+RESOLUTION = 0.05
+"""Metres a cell; coarser where a world is larger than `CELLS` of them."""
+CELLS = 4000
+STEEP = math.radians(45)
+"""Slope of a face from which on it is a wall, as in `map.false_occupied`."""
+TOUCHING = 1e-4
+"""Metres by which what stands on the ground may reach into it."""
+
+
+def ground_truth_map(world: World, height: float = ROBOT_HEIGHT) -> OccupancyGrid:
+    """Return what stands in the way of a robot of this height: occupied, free, unknown (NaN).
+
+    Occupied are wall cells and holes of a laser map that is higher than the robot; of other worlds faces
+    steeper than 45 deg that rise by at least the height, what hangs lower than that, and where no ground is.
+
+    Args:
+        world: to be mapped.
+        height: of the robot's lidar above the ground, metres.
+
+    Raises:
+        ConfigError: the height is not above 0.
+    """
+    if not 0 < height < math.inf:
+        raise ConfigError(f"height of a map must be a finite number above 0 m, got {height}")
+    if world.walls is not None:
+        return _of_walls(world.walls, world.truth, height)
+    ground, blocked = world.surface, np.zeros(world.surface.shape, np.bool_)
+    if world.overhangs:
+        assert world.solid is not None
+        ground, low = _under_roofs(world.solid, world.surface, height)
+        blocked |= low
+    if world.no_ground is not None:
+        blocked |= world.no_ground
+    blocked |= tall_faces(ground, height)[::-1]
+    return _gridded(ground, blocked)
+
+
+def tall_faces(surface: HeightField, height: float) -> BoolArray:
+    """Return (rows, cols) nodes, row 0 = south, of faces of over 45 deg that rise by a height together."""
+    z = surface.south_up
+    steep = steep_nodes(z, surface.cell, STEEP)
+    count, labels = cv2.connectedComponents(steep.astype(np.uint8), connectivity=8)
+    low, high = np.full(count, np.inf), np.full(count, -np.inf)
+    np.minimum.at(low, labels.ravel(), z.ravel())
+    np.maximum.at(high, labels.ravel(), z.ravel())
+    tall = high - low >= height
+    tall[0] = False
+    found: BoolArray = tall[labels]
+    return found
+
+
+def _of_walls(walls: WallGrid, truth: OccupancyGrid | None, height: float) -> OccupancyGrid:
+    p = np.where(walls.solid & (walls.height >= height), 1.0, 0.0)
+    if truth is not None:
+        p[~truth.known & ~walls.solid] = np.nan
+    if walls.hole is not None:
+        p[walls.hole] = 1.0
+    return OccupancyGrid.from_probability(p, walls.resolution, walls.origin)
+
+
+def _under_roofs(solid: TriangleMesh, surface: HeightField, height: float) -> tuple[HeightField, BoolArray]:
+    """Return the lowest ground of a mesh with overhangs, and the nodes where too low a thing hangs."""
+    up = solid.face_normals[:, 2]
+    ground = _lowest(solid, up > 1e-9, surface)
+    lost = np.isnan(ground)
+    ground[lost] = surface.south_up[lost]
+    field = HeightField(np.ascontiguousarray(ground[::-1].astype(np.float32)), surface.cell, surface.origin)
+    middle = solid.vertices[solid.faces].mean(axis=1)
+    under = field.height_at(middle[:, 0], middle[:, 1])
+    roof = _lowest(solid, (up < -1e-9) & (middle[:, 2] >= under - TOUCHING), surface)
+    return field, (np.nan_to_num(roof - ground, nan=np.inf) < height)[::-1]
+
+
+def _lowest(solid: TriangleMesh, chosen: BoolArray, surface: HeightField) -> FloatArray:
+    """Return (rows, cols) the lowest of the chosen faces at each node, row 0 = south; NaN where none is."""
+    if not chosen.any():
+        return np.full(surface.shape, np.nan)
+    upside_down = TriangleMesh(solid.vertices * np.array((1.0, 1.0, -1.0)), solid.faces[chosen])
+    return -rasterize_heights(upside_down, (*surface.origin, *surface.cell), surface.shape)
+
+
+def _gridded(surface: HeightField, blocked: BoolArray) -> OccupancyGrid:
+    """Return a grid over the surface whose cells are occupied where one of their nodes is blocked."""
+    (width, depth), (west, south) = surface.size, surface.origin
+    resolution = max(RESOLUTION, max(width, depth) / CELLS)
+    shape = (max(1, round(depth / resolution)), max(1, round(width / resolution)))
+    rows, cols = (
+        np.clip(((np.arange(n) + 0.5) * resolution / step).round().astype(int), 0, count - 1)
+        for n, step, count in zip(shape, surface.cell[::-1], surface.shape, strict=True)
+    )
+    south_up = blocked[::-1]
+    p = south_up[np.ix_(rows, cols)].astype(np.float64)
+    at = np.argwhere(south_up) * np.array(surface.cell[::-1]) / resolution
+    cells = np.minimum(at.astype(int), np.array(shape) - 1)
+    p[cells[:, 0], cells[:, 1]] = 1.0
+    return OccupancyGrid.from_probability(p, resolution, Pose2(west, south))
