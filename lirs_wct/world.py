@@ -32,7 +32,7 @@ from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.picture import read_terrain
-from lirs_wct.sources.source import Source, find_source, warn_of_useless
+from lirs_wct.sources.source import Source, find_source, warn_of_shape, warn_of_useless
 from lirs_wct.sources.source_kind import SourceKind
 from lirs_wct.sources.window import Window, cut_nodes, cut_surface, leveled
 
@@ -255,6 +255,8 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
         raise LogSourceError(f"{found.path}: a log is mapped before it is a world")
     warn_of_useless(found, options)
     world = _built(found, options)
+    exact = world.walls is not None or world.overhangs
+    warn_of_shape(found, options, world.surface.size, exact)
     for texture in (options.texture, options.wall_texture):
         checked_texture(texture, options.max_pixels)
     return replace(world, export_options=export_settings(options, world))

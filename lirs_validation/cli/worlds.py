@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -41,14 +42,21 @@ def build(
         ),
     ] = "solid",
     map_height: Annotated[
-        float, typer.Option(metavar="METRES", help="Height of the lidar that --to map is made for.")
-    ] = 0.3,
+        float | None,
+        typer.Option(
+            metavar="METRES", show_default="0.3", help="Height of the lidar that --to map is made for."
+        ),
+    ] = None,
     *,
     options: SourceOptions,
 ) -> None:
     """Build a world: Gazebo model and world, MuJoCo MJCF, meshes, texture, world.json."""
+    from lirs_wct.export.ground_truth_map import ROBOT_HEIGHT
     from lirs_wct.export.package import write_package
     from lirs_wct.world import build_world
+
+    if map_height is not None and "map" not in read_names(to, "--to"):
+        warnings.warn("--map-height has no effect without --to map", stacklevel=1)
 
     with progress_bar(source, err) as progress:
         progress("build", 0.0)
@@ -59,7 +67,7 @@ def build(
             formats=read_names(to, "--to"),
             terrain=gazebo_terrain(terrain),
             overwrite=options.name is not None,
-            map_height=map_height,
+            map_height=ROBOT_HEIGHT if map_height is None else map_height,
             progress=progress,
         )
     _say_what_was_built(world, folder, to)

@@ -9,10 +9,14 @@ from pathlib import Path
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.clouds.point_file import is_cloud_ply
+from lirs_wct.formats.map_server import read_metadata
 from lirs_wct.formats.suffixes import CLOUDS, LOGS, MAPS, MESHES, ZSTD, is_bag_file
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.options import BuildOptions, without_effect
 from lirs_wct.sources.source_kind import SourceKind
+
+WHOLE = 0.98
+"""Share of a window's side from which on it counts as inside: it is cut by whole nodes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +46,30 @@ def find_source(given: str | Path, options: BuildOptions) -> Source:
         raise SourceError(
             f"{given}: no such file or folder, nor a bundled world (bundled: {', '.join(RECIPES)})"
         )
-    return Source(_kind(path, options), path, _name(_stem(path), options))
+    kind = _kind(path, options)
+    beside = _yaml_beside(path) if kind in (SourceKind.PICTURE, SourceKind.MAP_PICTURE) else None
+    if beside is not None and options.kind != "picture" and options.resolution is None:
+        warnings.warn(
+            f"{path}: read as the laser map that {beside.name} beside it says it is; "
+            "--as picture reads it as a terrain",
+            stacklevel=2,
+        )
+        kind, path = SourceKind.MAP, beside
+    return Source(kind, path, _name(_stem(path), options))
+
+
+def _yaml_beside(path: Path) -> Path | None:
+    """Return the YAML beside a picture, of the same name, that says it is a ROS map of this picture."""
+    for suffix in MAPS:
+        found = path.with_suffix(suffix)
+        if found.is_file():
+            try:
+                if read_metadata(found).image.resolve() == path.resolve():
+                    return found
+            except SourceError:
+                # No map's YAML: it says nothing of this picture.
+                continue
+    return None
 
 
 def is_log(path: Path) -> bool:
@@ -66,6 +93,29 @@ def warn_of_useless(source: Source, options: BuildOptions) -> None:
         verb = "has" if len(useless) == 1 else "have"
         warnings.warn(
             f"{source.path}: {', '.join(useless)} {verb} no effect on a {source.kind.value}", stacklevel=3
+        )
+
+
+def warn_of_shape(source: Source, options: BuildOptions, size: tuple[float, float], exact: bool) -> None:
+    """Warn of a window that reaches beyond the world, and of a budget where the mesh is never simplified.
+
+    Args:
+        source: of the world.
+        options: that were given.
+        size: of the world, metres.
+        exact: whether it is a laser map, or a mesh with overhangs.
+    """
+    if options.max_error and exact:
+        warnings.warn(
+            f"{source.path}: --max-error has no effect: walls and overhangs are written as they are",
+            stacklevel=3,
+        )
+    if options.window is not None and min(size) < WHOLE * options.window[2]:
+        x, y, side = options.window
+        warnings.warn(
+            f"{source.path}: --window {x:g},{y:g},{side:g} reaches beyond the world, {size[0]:.4g} x "
+            f"{size[1]:.4g} m of it are left",
+            stacklevel=3,
         )
 
 

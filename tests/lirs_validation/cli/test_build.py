@@ -18,6 +18,7 @@ from lirs_wct.contact.contact_parts import prisms
 from lirs_wct.formats.meshes.mesh_reader import read_upright
 from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.manifest import MANIFEST
 
 
@@ -174,6 +175,41 @@ def test_options_without_effect_are_told(folder: Path, capsys: pytest.CaptureFix
     assert "room.yaml: --size, --invert have no effect on a laser map" in told
     built("hill.png", "--speckle", "3")
     assert "--speckle has no effect on a picture of a terrain" in capsys.readouterr().err
+    built("room.yaml", "--max-error", "0.1")
+    assert "room.yaml: --max-error has no effect" in capsys.readouterr().err
+    built("hill.png", "--size", "20", "--map-height", "1")
+    assert "--map-height has no effect without --to map" in capsys.readouterr().err
+    built("hill.png", "--size", "20", "--window", "0,0,10", "--max-error", "0.1")
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("command", ["build", "info", "view"])
+def test_a_window_beyond_the_world_is_told_by_every_command(
+    command: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wct(command, "hill.png", "--size", "20", "--window", "5,0,40")
+    assert "hill.png: --window 5,0,40 reaches beyond the world, 20 x 14.92 m of it are left" in (
+        capsys.readouterr().err
+    )
+
+
+def test_a_picture_beside_its_yaml_is_that_laser_map(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    world = built("room.pgm")
+    assert "room.pgm: read as the laser map that room.yaml beside it says it is" in capsys.readouterr().err
+    assert world.kind == "map"
+    assert world.truth is not None
+    assert (world.truth.resolution, world.truth.origin) == (0.1, Pose2(-1, -2))
+    assert built("room.pgm", "--as", "map").truth.resolution == 0.1
+    assert built("room.pgm", "--as", "map", "--resolution", "0.2").truth.resolution == 0.2
+    assert built("room.pgm", "--as", "picture").kind == "terrain"
+    Path("hill.yaml").write_text("image: other.png\nresolution: 1\norigin: [0, 0, 0]\n")
+    assert built("hill.png").kind == "terrain"
+    Path("hill.yaml").write_text("these: are notes\n")
+    capsys.readouterr()
+    assert built("hill.png").kind == "terrain"
+    assert capsys.readouterr().err == ""
 
 
 BAD = {
