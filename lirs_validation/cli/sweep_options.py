@@ -49,7 +49,7 @@ Terrains = Annotated[
         metavar="hfield|mesh|prisms|convex",
         show_default="hfield",
         help="Geometry used for contacts: a height field; the same, and rays meet the mesh; a prism for each "
-        "triangle within --max-error; the convex parts of a closed mesh.",
+        "triangle within --max-error; the convex parts of a closed mesh, or its faces where they are many.",
         rich_help_panel=AXES,
     ),
 ]

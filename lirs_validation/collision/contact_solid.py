@@ -11,8 +11,13 @@ from lirs_validation.metrics.mesh import mesh_error
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.contact.contact_parts import PRISM_ERROR
+from lirs_wct.contact.surface_shell import touching_volume
+from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
+
+MOST_HULLS = 500
+"""Convex parts above which bodies are touched on their surface (see `shell_parts`)."""
 
 
 class ContactSolid:
@@ -21,6 +26,7 @@ class ContactSolid:
     def __init__(self, world: World, body: RobotModel, terrain: ContactGeometry) -> None:
         self._walls = world.walls
         self._hulls: list[FloatArray] = []
+        self._solid: TriangleMesh | None = None
         self._slack = 0.0
         self._heights = world.surface
         if terrain in ("hfield", "mesh"):
@@ -29,7 +35,10 @@ class ContactSolid:
             limited = world.export_options.limited or world.solid is not None
             self._slack = mesh_error(world) if limited else PRISM_ERROR
         else:
-            self._hulls = _hulls(body.model)
+            self._solid = world.solid
+            # Thin shells of the body lie inside it; parts by CoACD bulge out of it.
+            hulls = _hulls(body.model)
+            self._hulls = hulls if len(hulls) <= MOST_HULLS else hulls[:1]
 
     def holds(self, points: FloatArray) -> BoolArray:
         """Return (n,) whether points (n, 3) lie inside."""
@@ -37,6 +46,8 @@ class ContactSolid:
             inside = np.zeros(len(points), np.bool_)
             for planes in self._hulls:
                 inside |= (points @ planes[:, :3].T + planes[:, 3] < 0).all(axis=1)
+            if self._solid is not None:
+                inside |= touching_volume(self._solid, points)
             return inside
         x, y, z = points.T
         if self._walls is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from importlib import import_module
 from typing import Any
@@ -12,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.contact.contact_geometry import ContactGeometry
+from lirs_wct.contact.surface_shell import shell_parts
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.simplify import simplified_solid
@@ -24,6 +26,10 @@ PRISM_ERROR = 0.01
 """Vertical deviation of prisms from the ground where the world has no budget of its own, metres."""
 DEPTH = 1.0
 """Metres that a prism reaches below the lowest ground; contacts push out the shorter way: up."""
+FEW_FACES = 200
+"""Faces of a body that CoACD cuts into fewer parts than there are faces, within a second or so."""
+MAX_CONVEX = 5000
+"""Faces of a body above which nobody asks whether it is convex."""
 CONCAVITY = 0.01
 """How far a part's hull may be from the part, as CoACD measures it (Wei et al. 2022)."""
 
@@ -60,7 +66,11 @@ def prisms(world: World) -> Iterator[FloatArray]:
 
 
 def convex_parts(mesh: TriangleMesh) -> Iterator[FloatArray]:
-    """Yield the parts of an approximate convex decomposition.
+    """Yield the convex parts of closed bodies, each body on its own.
+
+    One that is convex is a part. One of few faces is cut up by CoACD, one of up to `MAX_PRISMS` is touched on
+    its very triangles (`shell_parts`): CoACD takes minutes for thousands of faces, and its parts bulge by
+    1 % of the body. Larger ones are left to CoACD.
 
     Wei et al. 2022, "Approximate convex decomposition for 3D meshes with collision-aware concavity and
     tree search" (CoACD); the same mesh gives the same parts. Each closed body is cut on its own: where bodies
@@ -75,11 +85,33 @@ def convex_parts(mesh: TriangleMesh) -> Iterator[FloatArray]:
         raise ConfigError("terrain convex needs the package coacd: pip install 'lirs-wct[mesh]'") from None
     coacd.set_log_level("error")
     for body in bodies(mesh):
+        if _is_convex(body):
+            yield np.unique(body.vertices, axis=0)
+            continue
+        if FEW_FACES < len(body.faces) <= MAX_PRISMS:
+            yield from shell_parts(body)
+            continue
+        if len(body.faces) > MAX_PRISMS:
+            warnings.warn(
+                f"convex parts: CoACD cuts a body of {len(body.faces)} faces, which takes minutes; one of "
+                f"up to {MAX_PRISMS} is touched on its faces at once",
+                stacklevel=2,
+            )
         parts = coacd.run_coacd(
             coacd.Mesh(body.vertices, body.faces), threshold=CONCAVITY, preprocess_mode="off", seed=0
         )
         for vertices, _ in parts:
             yield np.asarray(vertices, dtype=np.float64)
+
+
+def _is_convex(body: TriangleMesh) -> bool:
+    """Whether no vertex lies before the plane of a face, to rounding."""
+    if len(body.faces) > MAX_CONVEX:
+        return False
+    size = float(np.ptp(body.bounds, axis=0).max())
+    normals, on = body.face_normals, body.vertices[body.faces[:, 0]]
+    before = body.vertices @ normals.T - (normals * on).sum(axis=1)
+    return bool((before < 1e-6 * size).all())
 
 
 def bodies(mesh: TriangleMesh) -> Iterator[TriangleMesh]:
