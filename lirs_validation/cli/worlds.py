@@ -79,15 +79,16 @@ def view(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="PNG to write; default: NAME-view.png here.")
     ] = None,
+    oblique: Annotated[bool, typer.Option("--oblique", help="At an angle alone, large.")] = False,
     *,
     options: SourceOptions,
 ) -> None:
-    """Draw a picture of any source: hillshade, walls, start poses. No OpenGL needed."""
+    """Draw a picture of any source: hillshade, walls, start poses, and at an angle. No OpenGL needed."""
     from lirs_wct.world import build_world
 
     with err.status(f"drawing {source}"):
         world = build_world(source, options)
-    _draw(world, output or Path(f"{world.name}-view.png"))
+    _draw(world, output or Path(f"{world.name}-view.png"), oblique)
 
 
 @with_build_options
@@ -147,10 +148,11 @@ def _say_what_was_built(world: World, folder: Path, to: str) -> None:
         out.print("start poses: none, no robot on wheels fits", highlight=False)
 
 
-def _draw(world: World, target: Path) -> None:
-    from lirs_wct.drawing.world_view import view_figure
+def _draw(world: World, target: Path, oblique: bool = False) -> None:
+    from lirs_wct.drawing.world_view import oblique_figure, view_figure
     from lirs_wct.files import atomic_write
 
     with atomic_write(target) as path:
-        view_figure(world).savefig(path, format="png")
+        figure = oblique_figure(world) if oblique else view_figure(world)
+        figure.savefig(path, format="png")
     out.print(f"{target}", soft_wrap=True, highlight=False)

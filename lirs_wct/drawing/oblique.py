@@ -11,8 +11,8 @@ from numba import njit
 from lirs_wct.arrays import FloatArray
 from lirs_wct.drawing.canvas import Canvas
 
-TURN = math.radians(-28)
-"""The viewer stands to the south and a little to the west."""
+TURN, TILT = math.radians(-28), math.radians(35)
+"""The viewer stands to the south and a little to the west, and looks down by so much."""
 CUT = (0.62, 0.60, 0.57)
 """Colour of the block's cut faces."""
 
@@ -48,7 +48,7 @@ def oblique_view(
     canvas: Canvas,
     *,
     exaggeration: float = 1.0,
-    tilt: float = math.radians(35),
+    tilt: float = TILT,
     width: int = 1100,
 ) -> FloatArray:
     """Return (rows, width, 4) an orthographic view of a block of ground; transparent around it.
@@ -64,7 +64,7 @@ def oblique_view(
     """
     w, s, e, n = canvas.bounds
     corners = np.array([(x - (w + e) / 2, y - (s + n) / 2) for x in (w, e) for y in (s, n)])
-    right, depth = _turned(corners)
+    right, depth = turned(corners)
     low = float(np.nanmin(z))
     heights = (z - low) * exaggeration
     base = 0.04 * max(e - w, n - s)
@@ -87,7 +87,7 @@ def oblique_view(
     return picture[::-1]
 
 
-def _turned(xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+def turned(xy: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return rightward and depthward coordinates of points (n, 2) about the middle."""
     c, s = math.cos(TURN), math.sin(TURN)
     return c * xy[:, 0] + s * xy[:, 1], -s * xy[:, 0] + c * xy[:, 1]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+import textwrap
 
-import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -17,7 +17,9 @@ from matplotlib.patheffects import withStroke
 from lirs_wct.arrays import FloatArray
 from lirs_wct.drawing.canvas import Canvas
 from lirs_wct.drawing.hillshade import WALL, height_colors, shaded_heights
+from lirs_wct.drawing.mesh_view import mesh_view
 from lirs_wct.drawing.oblique import oblique_view
+from lirs_wct.drawing.panels import headline
 from lirs_wct.drawing.style import (
     BLACK,
     SMALL,
@@ -30,9 +32,16 @@ from lirs_wct.drawing.style import (
     plain_axes,
     title,
 )
+from lirs_wct.geometry.grid_sampling import resized
 from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.world import World
 
+TITLE_LETTERS = 62
+"""Letters of a title that fit above a panel."""
+BLOCK_NODES = 700
+"""Nodes along each side of the terrain that is shown at an angle, at most."""
 WALL_TOP, WALL_SIDE = (0.47, 0.50, 0.56), (0.30, 0.32, 0.38)
 
 
@@ -40,61 +49,84 @@ def view_figure(world: World) -> Drawing:
     """Draw a world from above and at an angle, with its start poses; no OpenGL, no pyplot."""
     canvas = Canvas.over(world.surface.bounds)
     shaded = shaded_heights(world, canvas)
-    exaggeration = _exaggeration(world)
     block = block_picture(world, canvas)
     rows, cols = canvas.shape
     taller = max(5.1 * rows / cols, 5.6 * block.shape[0] / block.shape[1])
     figure = new_figure(12.0, 0.9 + min(taller, 9.0))
     above, oblique = figure.subplots(1, 2, gridspec_kw={"width_ratios": (1, 1.1)})
     map_axes(above, canvas, shaded)
-    _starts(above, world)
-    width, depth = world.surface.size
-    above_title = f"{world.name}, {width:g} m x {depth:g} m"
-    title(
-        above,
-        above_title if world.walls is not None else f"{above_title}, relief {world.surface.relief:.3g} m",
-    )
+    legend_above = _starts(above, world)
+    title(above, _wrapped(world_title(world)), above_legend=legend_above)
     oblique.imshow(block, interpolation="antialiased")
     oblique.set_axis_off()
-    stretched = "" if exaggeration == 1 else f", heights stretched {exaggeration:g} times"
-    title(oblique, f"from the south-south-west{stretched}")
+    title(oblique, _seen_from(world), above_legend=legend_above)
     for axes in (above, oblique):
         axes.set_anchor("N")
     height_scale(figure, oblique, world.surface)
     return figure
 
 
-def block_picture(world: World, canvas: Canvas) -> FloatArray:
-    """Return (rows, cols, 4) the world as a block seen at an angle; transparent around it."""
-    tilt = math.radians(35 if world.walls is None else 50)
-    tops, sides = _block_colors(world, canvas, shaded_heights(world, canvas))
-    return oblique_view(
-        _standing(world, canvas), tops, sides, canvas, exaggeration=_exaggeration(world), tilt=tilt
-    )
+def oblique_figure(world: World) -> Drawing:
+    """Draw a world at an angle alone, large."""
+    block = block_picture(world, Canvas.over(world.surface.bounds, 1400), width=1700)
+    ratio = block.shape[0] / block.shape[1]
+    height = float(np.clip(10.5 * ratio, 3.0, 10.0))
+    figure = new_figure(float(np.clip(height / ratio + 1.5, 6.0, 12.0)), 0.9 + height)
+    axes = figure.subplots()
+    axes.imshow(block, interpolation="antialiased")
+    axes.set_axis_off()
+    headline(figure, f"{_wrapped(world_title(world))}\n{_seen_from(world)}")
+    height_scale(figure, axes, world.surface)
+    return figure
 
 
-def _block_colors(world: World, canvas: Canvas, shaded: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (rows, cols, 3) colors of what lies level and of faces that rise, for the oblique view."""
-    tops = shaded.copy()
-    if world.walls is not None:
-        tops[canvas.walls(world.walls)] = WALL_TOP
-        return tops, np.broadcast_to(np.array(WALL_SIDE), tops.shape)
-    z = np.nan_to_num(canvas.heights(world.surface)).astype(np.float32)
-    north, east = np.gradient(cv2.blur(z, (5, 5)), -canvas.pixel, canvas.pixel)
-    steepness = np.hypot(north, east)
-    low = float(world.surface.z.min())
-    summit = cv2.dilate(z, np.ones((7, 7)))
-    tint = height_colors()((summit - low) / max(world.surface.relief, 1e-9))[..., :3]
-    # Faces that fall to the west are lit, those that fall to the south lie in shade.
-    facing_west = east / np.maximum(steepness, 1e-6)
-    # Under the rim of a face the hillshade is dark, which would fray its upper edge.
-    rim = (steepness > 1.0) & (z > summit - 0.3)
-    tops[rim] = tint[rim]
-    return tops, tint * (0.60 + 0.12 * facing_west[..., None])
+def world_title(world: World) -> str:
+    """Return a world's name and extent."""
+    width, depth = world.surface.size
+    extent = f"{world.name}, {width:g} m x {depth:g} m"
+    return extent if world.walls is not None else f"{extent}, relief {world.surface.relief:.3g} m"
 
 
-def _starts(axes: Axes, world: World) -> None:
-    """Draw an arrow at each spawn pose, numbered as in `World.spawn_poses`."""
+def _wrapped(text: str) -> str:
+    return "\n".join(textwrap.wrap(text, TITLE_LETTERS))
+
+
+def _seen_from(world: World) -> str:
+    exaggeration = _exaggeration(world)
+    stretched = "" if exaggeration == 1 else f", heights stretched {exaggeration:g} times"
+    return f"from the south-south-west{stretched}"
+
+
+def block_picture(world: World, canvas: Canvas, width: int = 1100) -> FloatArray:
+    """Return (rows, cols, 4) the world as a block seen at an angle; transparent around it.
+
+    A mesh is shown itself, with its overhangs and in its own proportions.
+    """
+    if world.solid is not None:
+        return mesh_view(world.solid, width=width)
+    if world.walls is None:
+        return mesh_view(_block(world), width=width)
+    tops = shaded_heights(world, canvas)
+    tops[canvas.walls(world.walls)] = WALL_TOP
+    sides = np.broadcast_to(np.array(WALL_SIDE), tops.shape)
+    return oblique_view(_standing(world, canvas), tops, sides, canvas, tilt=math.radians(50), width=width)
+
+
+def _block(world: World) -> TriangleMesh:
+    """Return the terrain as a solid, on a grid as fine as pixels show, its heights stretched."""
+    surface = world.surface
+    rows, cols = (min(n, BLOCK_NODES) for n in surface.shape)
+    width, depth = surface.size
+    z = resized(surface.z, cols, rows) * np.float32(_exaggeration(world))
+    return solid_mesh(HeightField(z, (width / (cols - 1), depth / (rows - 1)), surface.origin))
+
+
+def _starts(axes: Axes, world: World) -> bool:
+    """Draw an arrow at each spawn pose, numbered as in `World.spawn_poses`.
+
+    Returns:
+        Whether there is a legend.
+    """
     west, _, east, _ = world.surface.bounds
     length = 0.035 * (east - west)
     for number, pose in enumerate(world.spawn_poses, start=1):
@@ -114,6 +146,7 @@ def _starts(axes: Axes, world: World) -> None:
         handles.append(Patch(color=WALL, label=f"wall, {world.walls.height:g} m"))
     if handles:
         legend(axes, handles)
+    return bool(handles)
 
 
 def _standing(world: World, canvas: Canvas) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
@@ -127,7 +160,7 @@ def _standing(world: World, canvas: Canvas) -> np.ndarray[tuple[int, int], np.dt
 def _exaggeration(world: World) -> float:
     """Return how much to stretch heights so that the relief is a tenth of the width, at most 3 times."""
     relief = world.surface.relief
-    if world.walls is not None or relief <= 0:
+    if world.walls is not None or world.solid is not None or relief <= 0:
         return 1.0
     return float(np.clip(round(0.2 * max(world.surface.size) / relief) / 2, 1.0, 3.0))
 

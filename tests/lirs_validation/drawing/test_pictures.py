@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import trimesh
 
 from lirs_validation.config import RunConfig
 from lirs_validation.drawing.run_overview import overview_figure, shown_bounds
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.drawing.canvas import Canvas, bounds_of
 from lirs_wct.drawing.hillshade import shaded_heights, shading
-from lirs_wct.drawing.oblique import oblique_view
-from lirs_wct.drawing.world_view import view_figure
+from lirs_wct.drawing.mesh_view import mesh_view
+from lirs_wct.drawing.oblique import TILT, TURN, oblique_view
+from lirs_wct.drawing.style import Drawing
+from lirs_wct.drawing.world_view import block_picture, oblique_figure, view_figure
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.geometry.walls import WallGrid
@@ -112,6 +117,74 @@ def test_a_world_becomes_a_picture(kind: str, tmp_path: Path) -> None:
     assert image is not None
     assert image.shape[1] == 1800
     assert 0.05 < (image.min(axis=2) < 240).mean() < 0.95
+
+
+def boxes_apart(figure: Drawing) -> None:
+    """No two texts above a panel lie on one another, and none leaves the picture."""
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        texts = [t for t in (axes.title, axes._left_title, axes._right_title) if t.get_text()]  # type: ignore[attr-defined]
+        boxes = [t.get_window_extent() for t in texts]
+        boxes += [axes.get_legend().get_window_extent()] if axes.get_legend() else []
+        assert all(not a.overlaps(b) for k, a in enumerate(boxes) for b in boxes[:k])
+        assert all(b.x1 <= figure.bbox.x1 and b.y1 <= figure.bbox.y1 + 1 for b in boxes)
+
+
+@pytest.mark.parametrize("name", ["room", "a_world_whose_name_is_so_long_that_it_takes_two_lines_of_a_panel"])
+def test_title_and_legend_are_apart(name: str) -> None:
+    boxes_apart(view_figure(replace(room(), name=name)))
+    boxes_apart(oblique_figure(replace(room(), name=name)))
+
+
+def ring(height: float = 1.0) -> TriangleMesh:
+    """A ring that stands on its edge, 4 m across."""
+    shape = trimesh.creation.annulus(1.0, 2.0, 1.5)
+    shape.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
+    return TriangleMesh(np.array(shape.vertices) * (1, 1, height), np.array(shape.faces, np.int32))
+
+
+def test_a_mesh_is_seen_with_its_holes() -> None:
+    image = mesh_view(ring(), width=300)
+    middle = image[image.shape[0] // 2 - 8 : image.shape[0] // 2, 140:150, 3]
+    assert image[..., 3].mean() > 0.4
+    assert (middle == 0).any()
+    assert not (image[:, 5, 3] == 1).all()
+
+
+@pytest.mark.parametrize("height", [0.3, 1.0, 40.0])
+def test_a_mesh_is_seen_in_its_own_proportions(height: float) -> None:
+    mesh = ring(height)
+    image = mesh_view(mesh, width=300)
+    right = mesh.vertices[:, 0] * math.cos(TURN) + mesh.vertices[:, 1] * math.sin(TURN)
+    away = -mesh.vertices[:, 0] * math.sin(TURN) + mesh.vertices[:, 1] * math.cos(TURN)
+    up = away * math.sin(TILT) + mesh.vertices[:, 2] * math.cos(TILT)
+    seen = np.nonzero(image[..., 3])
+    tall, wide = (float(np.ptp(at)) + 1 for at in seen)
+    assert tall / wide == pytest.approx(float(np.ptp(up) / np.ptp(right)), rel=0.05)
+    assert image.shape[0] <= 1602
+    assert image.shape[1] <= 300
+
+
+def test_a_terrain_that_is_not_square_is_seen_as_its_mesh() -> None:
+    slope = np.tile(np.linspace(0, 8, 91, dtype=np.float32), (31, 1))
+    world = World("slope", Terrain(HeightField.centered(slope, (0.5, 0.5))))
+    canvas = Canvas.over(world.surface.bounds)
+    np.testing.assert_allclose(block_picture(world, canvas, 300), mesh_view(world.mesh, width=300), atol=0.02)
+
+
+def test_of_two_faces_the_nearer_is_seen() -> None:
+    """A post before a wall, drawn before and after it: the same picture."""
+    wall = trimesh.creation.box((4, 0.2, 3), trimesh.transformations.translation_matrix((0, 2, 1.5)))
+    post = trimesh.creation.box((0.5, 0.5, 1), trimesh.transformations.translation_matrix((0, -2, 0.5)))
+    images = []
+    for order in ((wall, post), (post, wall)):
+        both = trimesh.util.concatenate(order)
+        images.append(
+            mesh_view(TriangleMesh(np.array(both.vertices), np.array(both.faces, np.int32)), width=200)
+        )
+    np.testing.assert_array_equal(*images)
+    alone = mesh_view(TriangleMesh(np.array(wall.vertices), np.array(wall.faces, np.int32)), width=200)
+    assert images[0][..., 3].sum() != alone[..., 3].sum()
 
 
 def record(status: str = "ok", series: tuple[float, ...] = (40.0, 50.0, 60.0)) -> RunRecord:

@@ -1,0 +1,78 @@
+"""A mesh seen at an angle, overhangs and all, drawn with a depth buffer; needs no OpenGL."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from lirs_wct.arrays import FloatArray, Int32Array
+from lirs_wct.drawing.hillshade import height_colors
+from lirs_wct.drawing.oblique import TILT, turned
+from lirs_wct.geometry.mesh import TriangleMesh
+
+LIGHT = np.array((-0.62, -0.34, 0.71))
+"""Unit vector towards the light: what faces the viewer is lit from the left."""
+TINTS = 256
+MOST_ROWS = 1600
+"""Pixels of a picture's height; of what is taller, the picture is narrower."""
+
+
+def mesh_view(mesh: TriangleMesh, *, tilt: float = TILT, width: int = 1100) -> FloatArray:
+    """Return (rows, width or less, 4) an orthographic view in true proportions; transparent around it.
+
+    Args:
+        mesh: to be seen; tinted by height.
+        tilt: angle by which the viewer looks down, radians.
+        width: of the picture in pixels, at most.
+    """
+    right, depth = turned(mesh.vertices[:, :2] - mesh.bounds[:, :2].mean(axis=0))
+    z = mesh.vertices[:, 2]
+    up, away = depth * math.sin(tilt) + z * math.cos(tilt), depth * math.cos(tilt) - z * math.sin(tilt)
+    unit = max(float(np.ptp(right)) / (width - 1), float(np.ptp(up)) / MOST_ROWS)
+    points = np.column_stack(((right - right.min()) / unit, (up.max() - up) / unit, away))
+    cols, rows = (math.ceil(float(points[:, k].max())) + 1 for k in (0, 1))
+    low, high = mesh.bounds[:, 2]
+    tint = (z - low) / max(high - low, 1e-9) * (TINTS - 1)
+    table = height_colors()(np.linspace(0, 1, TINTS))[:, :3]
+    light = 0.5 + 0.55 * np.clip(mesh.face_normals @ LIGHT, 0, 1)
+    picture = np.zeros((rows, cols, 4))
+    _draw(picture, np.full((rows, cols), np.inf), np.column_stack((points, tint)), mesh.faces, light, table)
+    return np.clip(picture, 0, 1)
+
+
+@njit(cache=True)
+def _draw(
+    picture: FloatArray,
+    nearest: FloatArray,
+    points: FloatArray,
+    faces: Int32Array,
+    light: FloatArray,
+    table: FloatArray,
+) -> None:
+    """Paint each triangle where it is nearer than what was painted before.
+
+    Points are column, row, depth and row of the table of colors; light is that of each triangle.
+    """
+    rows, cols = nearest.shape
+    for k in range(len(faces)):
+        ax, ay, az, at = points[faces[k, 0]]
+        bx, by, bz, bt = points[faces[k, 1]]
+        cx, cy, cz, ct = points[faces[k, 2]]
+        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        if area == 0.0:
+            continue
+        for row in range(max(0, math.ceil(min(ay, by, cy))), min(rows - 1, math.floor(max(ay, by, cy))) + 1):
+            first, last = math.ceil(min(ax, bx, cx)), math.floor(max(ax, bx, cx))
+            for col in range(max(0, first), min(cols - 1, last) + 1):
+                b = ((col - ax) * (cy - ay) - (row - ay) * (cx - ax)) / area
+                c = ((bx - ax) * (row - ay) - (by - ay) * (col - ax)) / area
+                if b < 0 or c < 0 or b + c > 1:
+                    continue
+                depth = az + b * (bz - az) + c * (cz - az)
+                if depth < nearest[row, col]:
+                    nearest[row, col] = depth
+                    tint = int(at + b * (bt - at) + c * (ct - at))
+                    picture[row, col, :3] = table[tint] * light[k]
+                    picture[row, col, 3] = 1.0
