@@ -36,7 +36,8 @@ from lirs_validation.metrics.relative_pose_constraints import (
     constraint_errors,
     read_constraints,
 )
-from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
+from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.mapper import MAPPERS, Mapper, make_mapper
 
@@ -143,7 +144,7 @@ def measure(job: tuple[str, str, int, float, Path]) -> dict[str, Any]:
     return row | judge(log_name, mapper.trajectory(), log, data)
 
 
-def drive(mapper: Mapper, log: CarmenLog, scans: int) -> tuple[list[float], float]:
+def drive(mapper: Mapper, log: LaserLog, scans: int) -> tuple[list[float], float]:
     """Feed the log; return CPU milliseconds of each update and CPU seconds of all."""
     # One look at the clock an update: it is a system call and takes a microsecond or two.
     times = [time.process_time_ns()]
@@ -153,7 +154,7 @@ def drive(mapper: Mapper, log: CarmenLog, scans: int) -> tuple[list[float], floa
     return (1e-6 * np.diff(times)).tolist(), 1e-9 * (times[-1] - times[0])
 
 
-def judge(log_name: str, estimate: Trajectory, log: CarmenLog, data: Path) -> dict[str, float]:
+def judge(log_name: str, estimate: Trajectory, log: LaserLog, data: Path) -> dict[str, float]:
     """Return the errors of an estimate, metres and degrees."""
     if log_name in REFERENCES:
         errors = reference_errors(estimate, read_reference(data / REFERENCES[log_name]))
@@ -166,7 +167,7 @@ def judge(log_name: str, estimate: Trajectory, log: CarmenLog, data: Path) -> di
 
 
 def relation_figures(
-    estimate: Trajectory, relations: tuple[RelativePoseConstraint, ...], log: CarmenLog
+    estimate: Trajectory, relations: tuple[RelativePoseConstraint, ...], log: LaserLog
 ) -> dict[str, float]:
     """Return the mean absolute errors over relations; nothing where none lies within the estimate."""
     errors = constraint_errors(estimate, relations, log.track)
@@ -176,7 +177,7 @@ def relation_figures(
 
 
 def at_scans(
-    relations: tuple[RelativePoseConstraint, ...], log: CarmenLog, within: float = 1e-3
+    relations: tuple[RelativePoseConstraint, ...], log: LaserLog, within: float = 1e-3
 ) -> tuple[RelativePoseConstraint, ...]:
     """Return the relations of which both stamps are those of scans."""
     asked = np.array([(r.stamp_a, r.stamp_b) for r in relations])

@@ -10,13 +10,13 @@ import numpy as np
 from lirs_validation.config import MapConfig
 from lirs_validation.metrics.association import MAX_GAP, associated
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.carmen.log import CarmenLog
 from lirs_wct.formats.carmen.mount import read_mount
 from lirs_wct.formats.imu_csv import read_imu
+from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.geometry.scan import Imu
 
 
-def inertial_readings(config: MapConfig, log: CarmenLog) -> list[Imu | None]:
+def inertial_readings(config: MapConfig, log: LaserLog) -> list[Imu | None]:
     """Return the reading at each scan; None where no file was given or it has none within 0.02 s.
 
     Raises:
@@ -38,7 +38,7 @@ def inertial_readings(config: MapConfig, log: CarmenLog) -> list[Imu | None]:
     return readings
 
 
-def with_recorded_mount(config: MapConfig, log: CarmenLog) -> CarmenLog:
+def with_recorded_mount(config: MapConfig, log: LaserLog) -> LaserLog:
     """Return the log with the laser where a comment of the file says, out of the plane included."""
     T_base_laser = read_mount(Path(config.log))
     if T_base_laser is None:

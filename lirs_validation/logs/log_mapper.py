@@ -7,7 +7,7 @@ from typing import Any
 from lirs_validation.config import MapConfig
 from lirs_validation.experiment.mappers.loading import planar_mapper_named
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.carmen.log import CarmenLog
+from lirs_wct.formats.laser_log import LaserLog
 from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS, Mapper, make_mapper, parameters, requires_odometry
 from slam_baselines.warm_up import warm_up
 
@@ -36,7 +36,7 @@ def make_log_mapper(config: MapConfig) -> Mapper:
     return planar_mapper_named(config.mapper, config.seed)
 
 
-def check_log(config: MapConfig, mapper: Mapper, log: CarmenLog) -> None:
+def check_log(config: MapConfig, mapper: Mapper, log: LaserLog) -> None:
     """Tell whether a log holds what the mapper needs.
 
     Raises:

@@ -25,7 +25,8 @@ from lirs_validation.record.map_record import MapRecord, describe_log, describe_
 from lirs_validation.record.verdict import LostRule, incompleteness
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import LaserFacts
-from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
+from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.rosbag.library import METADATA, require_rosbags
 from lirs_wct.formats.suffixes import is_bag_file
 from lirs_wct.geometry.scan import Imu
@@ -140,7 +141,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
     return mapped if out is None else replace(mapped, folder=_write(mapped, out, progress))
 
 
-def read_log(config: MapConfig) -> CarmenLog:
+def read_log(config: MapConfig) -> LaserLog:
     """Read the log with what the config says about its laser.
 
     Raises:
@@ -190,7 +191,7 @@ def _digests(folder: Path) -> bytes:
 def replay(
     config: MapConfig,
     mapper: Mapper,
-    log: CarmenLog,
+    log: LaserLog,
     readings: Sequence[Imu | None],
     progress: Progress,
 ) -> LostRule:

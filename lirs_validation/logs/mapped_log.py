@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from lirs_validation.metrics.log_accuracy import Accuracy
 from lirs_validation.record.map_record import MapRecord
-from lirs_wct.formats.carmen.log import CarmenLog
+from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory
 
@@ -31,7 +31,7 @@ class MappedLog:
     """
 
     record: MapRecord
-    log: CarmenLog
+    log: LaserLog
     grid: OccupancyGrid
     trajectory: Trajectory
     reference: Trajectory | None

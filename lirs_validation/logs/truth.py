@@ -13,7 +13,7 @@ from lirs_validation.config import MapConfig
 from lirs_validation.logs.reference import read_reference
 from lirs_validation.metrics.log_accuracy import trajectory_accuracy
 from lirs_validation.metrics.relative_pose_constraints import RelativePoseConstraint, read_constraints
-from lirs_wct.formats.carmen.stamps import LineStamps
+from lirs_wct.formats.laser_log import LineStamps
 from lirs_wct.geometry.trajectory import Trajectory
 
 

@@ -12,7 +12,7 @@ from lirs_validation.config import MapConfig
 from lirs_validation.record.provenance import machine, versions
 from lirs_validation.record.run_record import plain
 from lirs_wct.files import atomic_write
-from lirs_wct.formats.carmen.log import CarmenLog
+from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.geometry.grid import OccupancyGrid
 
 SCHEMA = 2
@@ -76,7 +76,7 @@ def is_mapped_log(folder: Path) -> bool:
     return isinstance(entry, dict) and entry.get("kind") == KIND
 
 
-def describe_log(log: CarmenLog) -> dict[str, Any]:
+def describe_log(log: LaserLog) -> dict[str, Any]:
     """Return what a record holds of a log."""
     first, stamps = log.scans[0], log.stamps
     return {

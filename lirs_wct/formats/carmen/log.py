@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +18,8 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import REAR, LaserFacts, scans_of
 from lirs_wct.formats.carmen.lines import PARSERS, Lines, Message, messages_of, parameters_of, read_lines
 from lirs_wct.formats.carmen.odometry import odometry_of
-from lirs_wct.formats.carmen.stamps import LineStamps, in_file_order
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.scan import Imu, LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.formats.carmen.stamps import in_file_order
+from lirs_wct.formats.laser_log import LaserLog
 
 DAY = 86_400.0
 """A stamp farther than this from the log's middle is damaged, seconds ..."""
@@ -32,39 +29,7 @@ REASONS = 5
 """Reasons that an error tells."""
 
 
-@dataclass(frozen=True)
-class CarmenLog:
-    """A log as read, in the order of the file.
-
-    Attributes:
-        scans: in the order of the file; their stamps increase strictly.
-        odometry: `T_odom_base` of each scan, as many as scans; all None where the log holds no odometry.
-        track: every pose that the log's odometry gives, of messages with and without a scan; may be empty.
-        lines: stamps of the lines as logged and as repaired; scans and track have the repaired ones.
-        skipped: how many lines were left out, by reason.
-        late: lines whose logged stamp is before that of an earlier line.
-        repaired: how often something was put right, by what.
-        laser: name of the messages that the scans are from.
-        imu: inertial readings that the log itself holds; a CARMEN log holds none.
-    """
-
-    scans: tuple[LaserScan, ...]
-    odometry: tuple[Pose2 | None, ...]
-    track: Trajectory
-    lines: LineStamps
-    skipped: Mapping[str, int] = field(default_factory=dict)
-    late: int = 0
-    repaired: Mapping[str, int] = field(default_factory=dict)
-    laser: str = "FLASER"
-    imu: tuple[Imu, ...] = ()
-
-    @property
-    def stamps(self) -> FloatArray:
-        """(n,) seconds, of the scans."""
-        return np.array([scan.stamp for scan in self.scans])
-
-
-def read_carmen(path: Path, facts: LaserFacts | None = None) -> CarmenLog:
+def read_carmen(path: Path, facts: LaserFacts | None = None) -> LaserLog:
     """Read a CARMEN log; lines that cannot be used are skipped and counted.
 
     The order of the file is kept. Where stamps go back or repeat while the robot moves, they are repaired and
@@ -97,7 +62,7 @@ def read_carmen(path: Path, facts: LaserFacts | None = None) -> CarmenLog:
         found = scans_of(laser, scans, parameters, facts or LaserFacts(), repaired)
     except ConfigError as error:
         raise SourceError(f"{path}: {error}") from error
-    return CarmenLog(
+    return LaserLog(
         tuple(found),
         tuple(odometry),
         track,

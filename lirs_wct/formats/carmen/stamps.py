@@ -11,7 +11,7 @@ A burst is thereby spread over the gap around it. Stamps that rise as they shoul
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,6 +19,7 @@ from scipy.optimize import isotonic_regression
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.formats.carmen.lines import Message
+from lirs_wct.formats.laser_log import LineStamps
 from lirs_wct.geometry.pose import Pose2
 
 LEAP = 10.0
@@ -35,59 +36,6 @@ USUAL_STEP = 0.1
 """Seconds between the lines of a log whose stamps are all the same."""
 SAME = 1e-6
 """Stamps are written with six decimals, seconds."""
-
-
-@dataclass(frozen=True)
-class LineStamps:
-    """Stamps of every line that is used, in the order of the file.
-
-    Attributes:
-        logged: (n,) seconds, as the lines have them.
-        repaired: (n,) seconds, rising; the same where nothing had to be repaired.
-        scans: (n,) whether a line holds a scan.
-    """
-
-    logged: FloatArray
-    repaired: FloatArray
-    scans: BoolArray
-
-    @property
-    def back(self) -> int:
-        """Steps from line to line in which the stamps go back."""
-        return int((np.diff(self.logged) < 0).sum())
-
-    @property
-    def repeated(self) -> int:
-        """Steps from line to line in which they stand still."""
-        return int((np.diff(self.logged) == 0).sum())
-
-    @property
-    def moved(self) -> int:
-        """Lines whose stamp was repaired."""
-        return int((self.repaired != self.logged).sum())
-
-    @property
-    def furthest(self) -> float:
-        """By how much at most, seconds."""
-        return float(np.abs(self.repaired - self.logged).max(initial=0.0))
-
-    def repaired_at(self, stamps: FloatArray) -> FloatArray:
-        """Return (m,) logged stamps as repaired: each moves as the line nearest to it; scans come first."""
-        order = np.lexsort((~self.scans, self.logged))
-        logged, shift = self.logged[order], (self.repaired - self.logged)[order]
-        after = np.clip(np.searchsorted(logged, stamps), 0, len(logged) - 1)
-        before = np.maximum(after - 1, 0)
-        nearest = np.where(stamps - logged[before] < logged[after] - stamps, before, after)
-        moved: FloatArray = stamps + shift[nearest]
-        return moved
-
-    def summary(self) -> str:
-        """Return what was wrong and what was done about it, one line."""
-        steps = f"{len(self.logged) - 1:,}"
-        return (
-            f"stamps go back at {self.back:,} of {steps} steps and repeat at {self.repeated:,}: "
-            f"the order of the file is kept, {self.moved:,} stamps moved by up to {self.furthest:.2f} s"
-        )
 
 
 def in_file_order(

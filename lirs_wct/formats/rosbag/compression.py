@@ -24,6 +24,17 @@ def inflated_message(data: bytes | memoryview) -> bytes | memoryview:
     return zstd.decompress(data) if data[: len(MAGIC)] == MAGIC else data
 
 
+class ZstdStream(zstd.ZstdFile):
+    """What zstd compressed, to be read; damage is an OSError, as gzip's is."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Return so many bytes, fewer at the end; all by default."""
+        try:
+            return bytes(super().read(size))
+        except zstd.ZstdError as error:
+            raise OSError(str(error)) from error
+
+
 def inflated_file(path: Path, target: Path) -> str:
     """Decompress a file as far as it goes; return what is wrong with it, empty = nothing."""
     inflater = zstd.ZstdDecompressor()

@@ -15,9 +15,9 @@ import numpy as np
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen.lines import Message
-from lirs_wct.formats.carmen.log import CarmenLog
 from lirs_wct.formats.carmen.odometry import odometry_of
 from lirs_wct.formats.carmen.stamps import in_file_order
+from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.rosbag.frames import Frames, pose_of, seconds
 from lirs_wct.formats.rosbag.opened import Bag, open_bag
 from lirs_wct.formats.rosbag.topics import TRANSFORMS, Topics, of_kinds
@@ -69,7 +69,7 @@ class _Contents:
     skipped: Counter[str] = field(default_factory=Counter)
 
 
-def read_bag(path: Path, topics: Topics) -> CarmenLog:
+def read_bag(path: Path, topics: Topics) -> LaserLog:
     """Read a bag; of one that is damaged what is there, with a warning.
 
     Args:
@@ -123,7 +123,7 @@ def _needs_transforms(c: _Contents) -> bool:
     return not c.base or c.frames.mount(c.base, c.laser) is None
 
 
-def _log(path: Path, c: _Contents) -> CarmenLog:
+def _log(path: Path, c: _Contents) -> LaserLog:
     laser = c.laser
     base = c.base or c.frames.moving_base(laser)
     odometry = c.odometry or [
@@ -143,7 +143,7 @@ def _log(path: Path, c: _Contents) -> CarmenLog:
     mounts = {frame: c.frames.mount(base, frame) or Pose3() for frame in {reading.frame for reading in c.imu}}
     if c.without_attitude:
         skipped["inertial reading without an attitude"] = c.without_attitude
-    return CarmenLog(
+    return LaserLog(
         tuple(found),
         tuple(poses),
         track,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.lirs_validation.experiment.test_attitude import NOTING
+from tests.lirs_validation.experiment.mappers.test_attitude import NOTING
 
 from lirs_validation import map_log
 from lirs_validation.config import MapConfig

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
+from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.laser_log import LaserLog
 from tests.lirs_wct.formats.carmen.carmen_room import START, room_lines, write_log
 
 LINES, _ = room_lines(12, beams=181)
@@ -25,7 +26,7 @@ def with_word(at: int, word: str) -> str:
     return " ".join(words)
 
 
-def read(tmp_path: Path, lines: list[str]) -> CarmenLog:
+def read(tmp_path: Path, lines: list[str]) -> LaserLog:
     return read_carmen(write_log(tmp_path / "x.clf", lines))
 
 

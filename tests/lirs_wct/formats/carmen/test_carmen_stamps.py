@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.formats.carmen.lines import Message
-from lirs_wct.formats.carmen.log import CarmenLog, read_carmen
-from lirs_wct.formats.carmen.stamps import LEAST_STEP, LineStamps, in_file_order
+from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.carmen.stamps import LEAST_STEP, in_file_order
+from lirs_wct.formats.laser_log import LaserLog, LineStamps
 from lirs_wct.geometry.pose import Pose2
 from tests.lirs_wct.formats.carmen.carmen_room import PERIOD, START, room_lines, write_log
 
@@ -158,7 +159,7 @@ def test_a_file_of_scans_after_odometry_is_merged_by_stamp() -> None:
     assert lines.repaired.tolist() == steady(200).tolist()
 
 
-def read_with_stamps(tmp_path: Path, stamps: list[float]) -> CarmenLog:
+def read_with_stamps(tmp_path: Path, stamps: list[float]) -> LaserLog:
     lines, _ = room_lines(len(stamps))
     late = [
         line.replace(f" {START + PERIOD * k:.6f} ", f" {t:.6f} ")

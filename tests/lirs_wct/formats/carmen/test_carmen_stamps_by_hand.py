@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lirs_wct.formats.carmen.lines import Message
-from lirs_wct.formats.carmen.stamps import LineStamps, in_file_order
+from lirs_wct.formats.carmen.stamps import in_file_order
+from lirs_wct.formats.laser_log import LineStamps
 from lirs_wct.geometry.pose import Pose2
 
 RANGES = np.full(3, 2.0, np.float32)

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.carmen.log import CarmenLog
+from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.rosbag.library import STORAGES, Storage
 from lirs_wct.formats.rosbag.reader import read_bag
 from lirs_wct.formats.rosbag.topics import Topics
@@ -34,7 +34,7 @@ def bag(given: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def check(log: CarmenLog, given: Drive) -> None:
+def check(log: LaserLog, given: Drive) -> None:
     assert len(log.scans) == len(given.ticks)
     for scan, tick in zip(log.scans, given.ticks, strict=True):
         wanted = tick.scan

@@ -21,7 +21,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.carmen.log import CarmenLog
+from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.rosbag.reader import read_bag
 from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.formats.rosbag.writer import Drive, write_bag
@@ -44,7 +44,7 @@ def bag(given: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def check(log: CarmenLog, given: Drive, count: int = SCANS, first: int = 0) -> None:
+def check(log: LaserLog, given: Drive, count: int = SCANS, first: int = 0) -> None:
     assert len(log.scans) == count
     for scan, tick in zip(log.scans, given.ticks[first : first + count], strict=True):
         np.testing.assert_array_equal(scan.ranges, tick.scan.ranges)
