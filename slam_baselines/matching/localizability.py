@@ -29,8 +29,8 @@ class LocalizabilityConfig:
         seconds: ... within this time.
         drawn_share: share of all scans that must have fitted for walls to be drawn, half of it ...
         recent_share: ... where this share of the latest scans fitted ...
-        first_meters: ... after this distance, metres, or where `memory` scans were matched: until then dead
-            reckoning is good enough.
+        first_meters: ... after this distance, metres, or where `memory` scans were matched, of the latest of
+            which fewer than `drawn_share` fitted: until then dead reckoning is good enough.
 
     Raises:
         ConfigError: a score or share outside (0, 1), a least_share above the share, a memory below 1, or
@@ -105,6 +105,16 @@ class LocalizabilityMonitor:
         """Whether walls localized the robot for so long that what contradicts them means that it is lost."""
         return self._localizable >= self._config.memory
 
+    @property
+    def _doubtful(self) -> bool:
+        """Whether enough scans were matched to tell that they fit no walls.
+
+        The first scans of a slow robot fit a map that is yet too faint: they do not tell.
+        """
+        c = self._config
+        fit = self._share >= c.drawn_share and abs(self._turned) <= c.turn
+        return self._matched >= c.memory and not fit
+
     def draws(self, distance: float) -> bool:
         """Return whether walls may be drawn after a distance driven, metres.
 
@@ -112,7 +122,7 @@ class LocalizabilityMonitor:
         for walls may be ground.
         """
         c = self._config
-        if self.scans == 0 or (distance <= c.first_meters and self._matched < c.memory):
+        if self.scans == 0 or (distance <= c.first_meters and not self._doubtful):
             return True
         recently = self.proven and self._steadiness >= c.recent_share
         return self._fitted >= (0.5 if recently else 1.0) * c.drawn_share * self.scans

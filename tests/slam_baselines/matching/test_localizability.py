@@ -90,6 +90,15 @@ def test_the_first_metres_are_drawn_until_enough_scans_were_matched() -> None:
     assert not observed(*[0.3] * 80).draws(4.0)
 
 
+def test_a_slow_robots_first_faint_walls_are_drawn_while_the_latest_fit() -> None:
+    """While it creeps, a map of few scans is faint: they score low, and walls are there all the same."""
+    slow = observed(*[0.51] * 20, *[0.7] * 35)
+    assert not slow.localizable
+    assert slow.draws(1.4)
+    assert not slow.draws(6.0)
+    assert not observed(*[0.51] * 20, *[0.7] * 35, *[0.3] * 30).draws(2.0)
+
+
 @given(st.lists(st.none() | st.floats(0.0, 1.0), max_size=200))
 def test_no_more_is_proven_than_was_held(scores: list[float | None]) -> None:
     monitor = observed(*scores)
