@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 
@@ -17,15 +18,15 @@ from lirs_wct.errors import SourceError
 from lirs_wct.field_validators import require_above
 from lirs_wct.files import remove_orphans
 from lirs_wct.formats.images.header import MAX_PIXELS
-from lirs_wct.formats.suffixes import BAGS, CLOUDS, LOGS, MAPS, MESHES, RASTERS
+from lirs_wct.formats.suffixes import BAGS, CLOUDS, LOGS, MAPS, MESHES, RASTERS, ZSTD
 
 PICTURES = (".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".tif", ".tiff", ".gif", ".bmp")
-SUFFIXES = (*PICTURES, *RASTERS, *MAPS, *MESHES, *CLOUDS, *LOGS, ".gz", *BAGS)
+SUFFIXES = (*PICTURES, *RASTERS, *MAPS, *MESHES, *CLOUDS, *LOGS, ".gz", *BAGS, ZSTD)
 """Of files that can be sources, textures or a map's picture."""
 LONGEST = 80
 """Characters of a name."""
 UNPACKED = 8
-"""A compressed log may be this many times as large as an upload."""
+"""A compressed log or bag may be this many times as large as an upload."""
 PREFIX = "lirs-wct-gui-"
 
 
@@ -73,7 +74,7 @@ class Uploads:
         if suffix not in SUFFIXES:
             raise SourceError(f"{safe}: not a file that is read; legal: {', '.join(SUFFIXES)}")
         self.check_room(safe, len(content))
-        if suffix == ".gz":
+        if suffix in (".gz", ZSTD):
             self._check_unpacked(safe, content)
         if suffix in MAPS:
             content = _beside(safe, content)
@@ -94,17 +95,36 @@ class Uploads:
     def _check_unpacked(self, name: str, content: bytes) -> None:
         most, size = UNPACKED * self._limits.upload, 0
         try:
-            with gzip.open(io.BytesIO(content)) as file:
-                while size <= most and (part := file.read(1 << 20)):
-                    size += len(part)
-        except (OSError, EOFError):
-            return  # damaged: its reader says how
+            for part in _unpacked(name, content):
+                size += len(part)
+                if size > most:
+                    break
+        except (OSError, EOFError, ImportError):
+            return  # damaged, or without the library of bags: its reader says how
         if size > most:
             raise SourceError(f"{name}: unpacks to more than {most / 2**20:g} MiB")
 
     def close(self) -> None:
         """Remove the folder."""
         shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _unpacked(name: str, content: bytes) -> Iterator[bytes]:
+    """Yield what a compressed file holds, in parts.
+
+    Raises:
+        OSError, EOFError: it is damaged.
+        ImportError: it is a bag, and the library is not installed.
+    """
+    if name.lower().endswith(ZSTD):
+        from lirs_wct.formats.rosbag.compression import ZstdStream
+
+        file: io.BufferedIOBase = ZstdStream(io.BytesIO(content))
+    else:
+        file = gzip.GzipFile(fileobj=io.BytesIO(content))
+    with file:
+        while part := file.read(1 << 20):
+            yield part
 
 
 def harmless(name: str) -> str:

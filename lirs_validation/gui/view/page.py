@@ -13,6 +13,7 @@ from lirs_validation.gui.session.worker import Worker
 from lirs_validation.gui.view.drive_scene import DriveScene
 from lirs_validation.gui.view.drive_tab import DriveTab
 from lirs_validation.gui.view.guard import Guard
+from lirs_validation.gui.view.page_context import PageContext
 from lirs_validation.gui.view.replay_tab import ReplayTab
 from lirs_validation.gui.view.scene import Detail, Scene
 from lirs_validation.gui.view.upload_limit import limit_uploads
@@ -43,47 +44,28 @@ class Page:
         self.guard = Guard(client, self.uploads.folder)
         self.worker = Worker(self.guard.show, name=f"page {client.client_id}")
         limit_uploads(client, self.uploads.check_room, self.guard.show)
-        scene, scenarios = Scene(client, detail), ScenarioCache()
         self._drive_scene = DriveScene(client)
-        tabs = client.gui.add_tab_group()
-        with tabs.add_tab("World", viser.Icon.MOUNTAIN):
-            self.world = WorldTab(
-                client,
-                self.worker,
-                self.guard,
-                scene,
-                self.uploads,
-                scenarios,
-                limits,
-                first_sources(source),
-                self._world_changed,
-            )
-        with tabs.add_tab("Drive", viser.Icon.STEERING_WHEEL):
-            self.drive = DriveTab(
-                client,
-                self.worker,
-                self.guard,
-                scene,
-                self._drive_scene,
-                scenarios,
-                self.uploads.folder / "runs",
-                lambda: self.world.shown,
-                self._drive_begins,
-            )
-        with tabs.add_tab("Replay", viser.Icon.HISTORY):
-            self.replay = ReplayTab(
-                client,
-                self.worker,
-                self.guard,
-                scene,
-                self._drive_scene,
-                scenarios,
-                runs,
-                self.uploads.folder / "replayed",
-                limits,
-                self._replay_begins,
-            )
+        context = PageContext(
+            client,
+            self.worker,
+            self.guard,
+            Scene(client, detail),
+            self._drive_scene,
+            self.uploads,
+            ScenarioCache(),
+            limits,
+        )
+        self._add_tabs(context, source, runs)
         self.world.preview()
+
+    def _add_tabs(self, context: PageContext, source: str | None, runs: Path | None) -> None:
+        tabs = context.client.gui.add_tab_group()
+        with tabs.add_tab("World", viser.Icon.MOUNTAIN):
+            self.world = WorldTab(context, first_sources(source), self._world_changed)
+        with tabs.add_tab("Drive", viser.Icon.STEERING_WHEEL):
+            self.drive = DriveTab(context, lambda: self.world.shown, self._drive_begins)
+        with tabs.add_tab("Replay", viser.Icon.HISTORY):
+            self.replay = ReplayTab(context, runs, self._replay_begins)
 
     def _world_changed(self, _: Shown) -> None:
         """Drop drive and replay: their world is no longer shown."""

@@ -8,15 +8,11 @@ from typing import Any
 
 import viser
 
-from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Construction, Shown, zipped
 from lirs_validation.gui.session.controls import read_controls
-from lirs_validation.gui.session.uploads import Limits, Uploads
-from lirs_validation.gui.session.worker import Worker
 from lirs_validation.gui.session.world_facts import Facts
-from lirs_validation.gui.view.guard import Guard
+from lirs_validation.gui.view.page_context import PageContext
 from lirs_validation.gui.view.player import as_table
-from lirs_validation.gui.view.scene import Scene
 from lirs_validation.gui.view.widgets.drop_zone import add_drop_zone
 from lirs_validation.gui.view.widgets.option_controls import OptionControls
 from lirs_validation.gui.view.widgets.progress import ProgressLine
@@ -34,37 +30,20 @@ class WorldTab:
         shown: the world that the page shows; None before the first.
 
     Args:
-        client: the page.
-        worker: does the page's work.
-        guard: shows its errors.
-        scene: shows its world.
-        uploads: keeps its files.
-        scenarios: the worlds of its drives.
-        limits: of the server.
+        page: whose tab it is.
         sources: names and what they stand for, the first one is shown.
         changed: called with each world that is shown.
     """
 
-    def __init__(
-        self,
-        client: viser.ClientHandle,
-        worker: Worker,
-        guard: Guard,
-        scene: Scene,
-        uploads: Uploads,
-        scenarios: ScenarioCache,
-        limits: Limits,
-        sources: dict[str, str],
-        changed: Callable[[Shown], None],
-    ) -> None:
-        self._client, self._worker, self._guard, self._scene = client, worker, guard, scene
-        self._uploads, self._limits, self._sources, self._tell = uploads, limits, dict(sources), changed
-        self._construction = Construction(uploads.folder, scenarios=scenarios)
+    def __init__(self, page: PageContext, sources: dict[str, str], changed: Callable[[Shown], None]) -> None:
+        self._page, self._sources, self._tell = page, dict(sources), changed
+        self._construction = Construction(page.uploads.folder, scenarios=page.scenarios)
         self.shown: Shown | None = None
-        self._add_source(client.gui)
-        self._add_results(client.gui)
-        self._options = OptionControls(client.gui, guard, self.preview, self._keep)
-        self._add_files(client.gui)
+        gui = page.client.gui
+        self._add_source(gui)
+        self._add_results(gui)
+        self._options = OptionControls(gui, page.guard, self.preview, self._keep)
+        self._add_files(gui)
 
     def _add_source(self, gui: viser.GuiApi) -> None:
         self._source = gui.add_dropdown(
@@ -72,20 +51,20 @@ class WorldTab:
             tuple(self._sources),
             hint="A bundled world, or a file that was opened here.",
         )
-        self._source.on_update(self._guard(lambda _: self.preview()))
+        self._source.on_update(self._page.guard(lambda _: self.preview()))
         upload = gui.add_upload_button(
             "Open a file ...",
             icon=viser.Icon.UPLOAD,
             hint="Picture of heights, laser map (first its picture, then its YAML), mesh, laser log or bag.",
         )
-        upload.on_upload(self._guard(lambda _: self._open(upload.value.name, upload.value.content)))
+        upload.on_upload(self._page.guard(lambda _: self._open(upload.value.name, upload.value.content)))
         add_drop_zone(gui, "Open a file")
 
     def _add_results(self, gui: viser.GuiApi) -> None:
         self._build = gui.add_button("Build", color="green", icon=viser.Icon.HAMMER)
-        self._build.on_click(self._guard(lambda _: self.build()))
+        self._build.on_click(self._page.guard(lambda _: self.build()))
         self._download = gui.add_button("Download the package", icon=viser.Icon.DOWNLOAD, disabled=True)
-        self._download.on_click(self._guard(lambda _: self._worker.submit("download", self._send)))
+        self._download.on_click(self._page.guard(lambda _: self._page.worker.submit("download", self._send)))
         self._progress = ProgressLine(gui)
         self._facts = gui.add_markdown("")
 
@@ -101,15 +80,15 @@ class WorldTab:
 
     def preview(self) -> None:
         """Show what the controls say, soon and coarsely."""
-        self._worker.submit("preview", self._preview)
+        self._page.worker.submit("preview", self._preview)
 
     def build(self) -> None:
         """Show what the controls say at full quality, and write the package."""
         self._build.disabled = True
-        self._worker.submit("build", self._build_now)
+        self._page.worker.submit("build", self._build_now)
 
     def _keep(self, name: str, content: bytes) -> str:
-        path = self._uploads.add(name, content)
+        path = self._page.uploads.add(name, content)
         self._construction.forget()
         return str(path)
 
@@ -121,14 +100,16 @@ class WorldTab:
         self.preview()
 
     def _read(self) -> tuple[str, Any]:
-        return self._sources[self._source.value], read_controls(self._options.values(), self._limits.pixels)
+        return self._sources[self._source.value], read_controls(
+            self._options.values(), self._page.limits.pixels
+        )
 
     def _preview(self) -> None:
         source, options = self._read()
         self._options.show_for(self._construction.kind(source, options))
         with self._progress.shown(self._source.value) as progress:
             shown = self._construction.preview(source, options, progress)
-            triangles = self._scene.show_world(shown.world, coarse=True)
+            triangles = self._page.scene.show_world(shown.world, coarse=True)
         self._download.disabled = True
         self._show(shown, (("preview", f"{triangles:,} triangles"),))
 
@@ -140,7 +121,7 @@ class WorldTab:
                 raise ConfigError(f"nothing to write; legal: {', '.join(FORMATS)}")
             with self._progress.shown(self._source.value) as progress:
                 shown = self._construction.build(source, options, formats, self._terrain.value, progress)
-                triangles = self._scene.show_world(shown.world, coarse=False)
+                triangles = self._page.scene.show_world(shown.world, coarse=False)
         finally:
             self._build.disabled = False
         self._download.disabled = False
@@ -149,14 +130,14 @@ class WorldTab:
     def _show(self, shown: Shown, more: Facts) -> None:
         self.shown = shown
         self._facts.content = as_table((*shown.facts, *more))
-        self._guard.done()
+        self._page.guard.done()
         self._tell(shown)
 
     def _send(self) -> None:
         if self.shown is None or self.shown.package is None:
             raise ConfigError("nothing is built yet: Build comes first")
         folder = self.shown.package
-        self._client.send_file_download(f"{folder.name}.zip", zipped(folder), save_immediately=True)
+        self._page.client.send_file_download(f"{folder.name}.zip", zipped(folder), save_immediately=True)
 
 
 def first_sources(given: str | None) -> dict[str, str]:

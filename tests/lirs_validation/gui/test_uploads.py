@@ -59,6 +59,15 @@ def test_a_log_that_unpacks_without_end_is_refused(uploads: Uploads) -> None:
         uploads.add("bomb.clf.gz", gzip.compress(bytes(10_000_000)))
 
 
+def test_a_compressed_bag_is_kept_unless_it_unpacks_without_end(uploads: Uploads) -> None:
+    compression = pytest.importorskip("lirs_wct.formats.rosbag.compression", reason="[ros] is not installed")
+    whole = compression.zstd.compress(bytes(range(256)) * 40)
+    for content in (whole, whole[:-3], b"no zstd at all"):  # what is damaged, its reader says
+        assert uploads.add("run_0.mcap.zstd", content).name == "run_0.mcap.zstd"
+    with pytest.raises(SourceError, match=r"bomb\.mcap\.zstd: unpacks to more"):
+        uploads.add("bomb.mcap.zstd", compression.zstd.compress(bytes(10_000_000)))
+
+
 @pytest.mark.parametrize("image", ["/etc/passwd.pgm", "../../secret.pgm", "floor.pgm", "a/b/c.pgm"])
 def test_a_map_names_uploaded_pictures_only(uploads: Uploads, image: str) -> None:
     path = uploads.add("map.yaml", yaml.safe_dump({"image": image, "resolution": 0.05}).encode())

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from lirs_wct.formats.carmen.writer import write_log
 from lirs_wct.world import World
 from tests.lirs_validation.gui.pages import drop, field, upload, wait_for
 
@@ -87,6 +88,27 @@ def test_a_map_and_its_picture_are_dropped_together(open_page: Open, tmp_path: P
     page.get_by_text("8 x 6 m").wait_for()
     page.locator("label", has_text="wall height").wait_for()
     assert not page.locator("label", has_text="smoothing").count()
+
+
+def test_logs_and_compressed_bags_are_dropped(open_page: Open, tmp_path: Path) -> None:
+    pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
+    from lirs_wct.formats.rosbag.compression import zstd
+    from lirs_wct.formats.rosbag.writer import Drive, write_bag
+    from tests.lirs_wct.formats.rosbag import drives
+
+    ticks = drives.drive(40).ticks
+    log, bag = tmp_path / "office.clf.gz", tmp_path / "walls_0.mcap.zstd"
+    write_log(log, [(tick.scan, tick.odometry) for tick in ticks])
+    write_bag(tmp_path / "walls", Drive(ticks=ticks))
+    bag.write_bytes(zstd.compress((tmp_path / "walls" / "walls.mcap").read_bytes()))
+    page = open_page()
+    for path in (log, bag):
+        drop(page, path)
+        page.get_by_text(f"{path.name.partition('.')[0]} (map)").wait_for()
+        page.locator("label", has_text="wall height").wait_for()
+    (tmp_path / "cut.mcap.zstd").write_bytes(bag.read_bytes()[:30])
+    drop(page, tmp_path / "cut.mcap.zstd")
+    page.get_by_text("cut.mcap.zstd: not a bag that can be read").wait_for()
 
 
 def test_uploads_are_capped(open_page: Open, server: Any, tmp_path: Path) -> None:
