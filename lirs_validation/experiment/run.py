@@ -22,13 +22,14 @@ from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.cpu_contention import cpu_contention
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
+from lirs_validation.experiment.heap import heap_at_rest
 from lirs_validation.experiment.loop import Recorder, drive
 from lirs_validation.experiment.mappers.guard import GuardedMapper
 from lirs_validation.experiment.mappers.loading import mapper_named
 from lirs_validation.experiment.recording import Recording, recording
 from lirs_validation.experiment.results import write_results
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache
-from lirs_validation.experiment.warm_up import heap_at_rest, warm_up
+from lirs_validation.experiment.warm_up import warm_up
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.drawing.style import Drawing

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 
 from lirs_envs.robots.robot import Robot
@@ -41,17 +38,3 @@ def warm_up(scenario: Scenario, robot: Robot) -> None:
     driver = make_driver(scenario.world, robot, config, occupancy_map(mapper))
     drive(scenario.simulation(robot), driver, mapper, config.seconds)
     _WARM.add(kind)
-
-
-@contextmanager
-def heap_at_rest() -> Iterator[None]:
-    """Leave what is there to Python's garbage collector until the block is over.
-
-    The compiler and its modules hold a million objects: a look through them takes 0.1 s, in the middle of
-    whichever scan it falls on. What the block makes is collected as ever.
-    """
-    gc.freeze()
-    try:
-        yield
-    finally:
-        gc.unfreeze()

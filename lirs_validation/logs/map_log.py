@@ -12,9 +12,9 @@ from pathlib import Path
 
 from lirs_validation.config import Attitude, MapConfig
 from lirs_validation.experiment.cost import CostMeter, compile_timer
+from lirs_validation.experiment.heap import heap_at_rest
 from lirs_validation.experiment.mappers.attitude import with_attitude
 from lirs_validation.experiment.mappers.guard import GuardedMapper
-from lirs_validation.experiment.warm_up import heap_at_rest
 from lirs_validation.logs.inertial import inertial_readings, with_recorded_mount
 from lirs_validation.logs.log_mapper import check_log, make_log_mapper, warm_up_log_mapper
 from lirs_validation.logs.mapped_log import MappedLog

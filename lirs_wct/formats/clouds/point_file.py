@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import SourceError
@@ -74,6 +73,8 @@ def read_points(path: Path) -> PointFile:
 
 
 def _read_ply(path: Path) -> PointFile:
+    import trimesh  # here: a log's first scan does not wait for it
+
     loaded = trimesh.load(path, process=False)
     return PointFile(np.asarray(loaded.vertices, np.float64).reshape(-1, 3))
 
