@@ -10,6 +10,9 @@ from scipy import interpolate, ndimage
 
 from lirs_wct.arrays import BoolArray, FloatArray
 
+SMOOTH = 2.0
+"""Nodes of a Gaussian's standard deviation by which slopes are smoothed."""
+
 
 @dataclass(frozen=True, slots=True)
 class NodeGrid:
@@ -50,18 +53,45 @@ class NodeGrid:
         return np.where(np.isfinite(z), z, np.nan)
 
     def mean(self, xyz: FloatArray) -> FloatArray:
-        """Return (rows, cols) the mean height of the points at each node; NaN where there is none."""
+        """Return (rows, cols) the mean height of the points at each node; NaN where there is none.
+
+        The points' middle lies beside the node: the slope around takes their mean to the node itself.
+        """
         node, size = self.node_of(xyz), self.shape[0] * self.shape[1]
+        row, col = np.divmod(node, self.shape[1])
         count = np.bincount(node, minlength=size)
-        total = np.bincount(node, xyz[:, 2], minlength=size)
-        found: FloatArray = np.divide(total, count, out=np.full(size, np.nan), where=count > 0)
-        return found.reshape(self.shape)
+        z, east, north = (
+            np.divide(np.bincount(node, v, size), count, out=np.full(size, np.nan), where=count > 0)
+            for v in (
+                xyz[:, 2],
+                (xyz[:, 0] - self.west) / self.spacing - col,
+                (xyz[:, 1] - self.south) / self.spacing - row,
+            )
+        )
+        level = z
+        for _ in range(2):
+            along_y, along_x = np.gradient(_nearest(level.reshape(self.shape)))
+            slope_x, slope_y = (
+                ndimage.gaussian_filter(g, SMOOTH, mode="nearest") for g in (along_x, along_y)
+            )
+            level = z - slope_x.ravel() * east - slope_y.ravel() * north
+        return np.asarray(level.reshape(self.shape), np.float64)
 
     def sampled(self, values: FloatArray, xy: FloatArray) -> FloatArray:
         """Return (n,) values of the grid at points, linearly between nodes."""
         at = ((xy[:, 1] - self.south) / self.spacing, (xy[:, 0] - self.west) / self.spacing)
         found: FloatArray = ndimage.map_coordinates(values, at, order=1, mode="nearest")
         return found
+
+
+def _nearest(values: FloatArray) -> FloatArray:
+    """Return the grid with its NaN replaced by their nearest values, an array of its own."""
+    missing = np.isnan(values)
+    if not missing.any():
+        return values.copy()
+    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
+    found: FloatArray = values[tuple(nearest)]
+    return found
 
 
 def filled(values: FloatArray) -> FloatArray:
@@ -74,9 +104,7 @@ def filled(values: FloatArray) -> FloatArray:
         return values
     rim = ndimage.binary_dilation(missing, np.ones((3, 3), np.bool_)) & ~missing
     known, wanted = np.argwhere(rim), np.argwhere(missing)
-    out = values.copy()
-    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
-    out[missing] = values[tuple(nearest)][missing]
+    out = _nearest(values)
     if len(known) >= 3 and min(np.ptp(known, axis=0)) > 0:
         linear = interpolate.LinearNDInterpolator(known, values[rim])(wanted)
         there = np.isfinite(linear)
