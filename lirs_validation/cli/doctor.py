@@ -35,6 +35,7 @@ EXTRAS = {
     "rl": ("stable-baselines3",),
     "dist": ("ray",),
     "notebooks": ("ipykernel", "nbclient"),
+    "usd": ("usd-core",),
 }
 """What each extra brings that is looked for."""
 BACKENDS = {
