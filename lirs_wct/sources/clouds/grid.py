@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import interpolate, ndimage
+from scipy import ndimage
 
 from lirs_wct.arrays import BoolArray, FloatArray
 
@@ -99,6 +99,8 @@ def filled(values: FloatArray) -> FloatArray:
 
     A plane stays a plane. Outside the rims' hull a node takes its nearest value.
     """
+    from scipy.interpolate import LinearNDInterpolator  # here: worlds of other kinds do not wait for it
+
     missing = np.isnan(values)
     if not missing.any():
         return values
@@ -106,7 +108,7 @@ def filled(values: FloatArray) -> FloatArray:
     known, wanted = np.argwhere(rim), np.argwhere(missing)
     out = _nearest(values)
     if len(known) >= 3 and min(np.ptp(known, axis=0)) > 0:
-        linear = interpolate.LinearNDInterpolator(known, values[rim])(wanted)
+        linear = LinearNDInterpolator(known, values[rim])(wanted)
         there = np.isfinite(linear)
         out[tuple(wanted[there].T)] = linear[there]
     return out
