@@ -301,7 +301,8 @@ def match_alone(view: Any, beams: Any, expected: Any, covariance: Any, wide: boo
     """Return the pose that fits best, and the weights of beams that end at a wall and on known cells."""
     prior = Prior(expected, np.linalg.inv(covariance))
     if wide:
-        return find_peak(view, beams, prior, expected, True, tuning, np.empty((3, 3)))[:3]
+        # Not `True`: of a literal Numba would compile the search once more.
+        return find_peak(view, beams, prior, expected, wide, tuning, np.empty((3, 3)))[:3]
     pose = match(view, beams, prior, expected, tuning, np.empty((3, 3)))
     _, hit, known = log_likelihood(
         view, beams, pose, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution

@@ -224,12 +224,10 @@ def enter_scan(
             touched[row, col] = mark
             _change(layers, row + corner[0], col + corner[1], steps[1], wall_slope, steps[2])
     start = origin[1] * scale - north, origin[0] * scale - east, origin[2]
-    for i in range(len(hits)):
-        end = hits[i, 1] * scale - north, hits[i, 0] * scale - east, hits[i, 2]
-        _pass(layers, scratch, start, end, -1, wall_slope, steps)
-    for i in range(len(free)):
-        end = free[i, 1] * scale - north, free[i, 0] * scale - east, free[i, 2]
-        _pass(layers, scratch, start, end, 1, wall_slope, steps)
+    for ends, more in ((hits, -1), (free, 1)):
+        for i in range(len(ends)):
+            end = ends[i, 1] * scale - north, ends[i, 0] * scale - east, ends[i, 2]
+            _pass(layers, scratch, start, end, more, wall_slope, steps)
 
 
 @njit(cache=True)

@@ -186,7 +186,7 @@ def _iterate(
     """
     g, A, b = np.empty(3), np.empty((3, 3)), np.empty(3)
     score = known = 0.0
-    converged_step = False
+    converged_step, stride = False, 1
     converged = settings.converged
     for level in range(min(levels, len(settings.iterations)) - 1, -1, -1):
         value, frame = pyramid.values[level], pyramid.frames[level]
@@ -206,7 +206,8 @@ def _iterate(
             if converged_step:
                 break
     if settings.exact or not converged_step:
-        score, known = linearize(pyramid.values[0], pyramid.frames[0], points, weights, 1, pose, H, g)
+        # The stride is the finest level's, 1: of a literal Numba would compile the kernel once more.
+        score, known = linearize(pyramid.values[0], pyramid.frames[0], points, weights, stride, pose, H, g)
     return score, known
 
 
