@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,7 +10,7 @@ import typer
 
 from lirs_validation.cli import sweep_options as option
 from lirs_validation.cli.console import err, out
-from lirs_validation.cli.sweeping import run_sweep
+from lirs_validation.cli.sweeping import executor_for, manifest_of_command, run_sweep
 from lirs_wct.errors import ConfigError, SourceError
 
 if TYPE_CHECKING:
@@ -24,42 +22,42 @@ POLICY_HELP = (
     "random, straight, go_to_goal, frontier, astar (on the true map: the upper bound), or module:name of "
     "your own: a class or function that makes something with reset(info) and act(observation) -> action."
 )
+SetName = Annotated[
+    str, typer.Option("--set", metavar="indoor|hills|lirs|generated|FILE.json", help="Set of tasks.")
+]
+TaskName = Annotated[str, typer.Option(metavar="navigation|mapping|traverse", help="What is to be done.")]
+Split = Annotated[str, typer.Option(metavar="train|validation|test|all", help="Which part of the set.")]
+Data = Annotated[
+    Path | None,
+    typer.Option(help="Folder with the maps and pictures that do not ship; found by their content."),
+]
+PolicyArguments = Annotated[
+    list[str] | None,
+    typer.Option("--policy-arg", metavar="NAME=VALUE", help="Keyword for your own policy; repeatable."),
+]
+Pictures = Annotated[bool, typer.Option("--pictures", help="Write a map with the path of each episode.")]
+Output = Annotated[
+    Path, typer.Option("-o", "--output", help="Folder for the episodes' folders and scores.json.")
+]
 FEW = 3
 """Episodes in which a policy failed that are named one by one."""
 
 
 def bench(
     policies: Annotated[list[str], typer.Argument(help=POLICY_HELP)],
-    set_name: Annotated[
-        str,
-        typer.Option("--set", metavar="indoor|hills|lirs|generated|FILE.json", help="Set of tasks."),
-    ] = "lirs",
-    task: Annotated[
-        str, typer.Option(metavar="navigation|mapping|traverse", help="What is to be done.")
-    ] = "navigation",
-    split: Annotated[
-        str, typer.Option(metavar="train|validation|test|all", help="Which part of the set.")
-    ] = "test",
-    data: Annotated[
-        Path | None,
-        typer.Option(help="Folder with the maps and pictures that do not ship; found by their content."),
-    ] = None,
-    arguments: Annotated[
-        list[str] | None,
-        typer.Option("--policy-arg", metavar="NAME=VALUE", help="Keyword for your own policy; repeatable."),
-    ] = None,
-    pictures: Annotated[
-        bool, typer.Option("--pictures", help="Write a map with the path of each episode.")
-    ] = False,
+    set_name: SetName = "lirs",
+    task: TaskName = "navigation",
+    split: Split = "test",
+    data: Data = None,
+    arguments: PolicyArguments = None,
+    pictures: Pictures = False,
     engine: option.EngineName = None,
     jobs: option.Jobs = None,
     address: option.Address = None,
     cell_timeout: option.CellTimeout = None,
     cell_memory: option.CellMemory = None,
     retry_failed: option.RetryFailed = False,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Folder for the episodes' folders and scores.json.")
-    ] = Path("out"),
+    output: Output = Path("out"),
 ) -> None:
     """Score policies on fixed tasks, and compare them with all that ran on these into the same folder.
 
@@ -67,9 +65,6 @@ def bench(
     """
     from lirs_validation.bench.experiment import BenchExperiment
     from lirs_validation.bench.tasks import task_set
-    from lirs_validation.sweep.engines.base import Limits
-    from lirs_validation.sweep.engines.factory import make_executor
-    from lirs_validation.sweep.manifest import Manifest
     from lirs_validation.sweep.sweep import Sweep
 
     tasks = task_set(set_name)
@@ -87,14 +82,8 @@ def bench(
         for policy in choices
         for each in chosen
     ]
-    limits = Limits(seconds=cell_timeout, memory=None if cell_memory is None else cell_memory * 1e9)
-    executor = make_executor(engine, jobs=jobs, address=address, limits=limits)
-    sweep = Sweep(
-        experiments,
-        output,
-        manifest=Manifest(command=shlex.join(["lirs-wct", *sys.argv[1:]])),
-        retry_failed=retry_failed,
-    )
+    executor = executor_for(engine, jobs, address, cell_timeout, cell_memory)
+    sweep = Sweep(experiments, output, manifest=manifest_of_command(), retry_failed=retry_failed)
     run_sweep(sweep, executor, lambda: _show(output, tasks, chosen, choices))
 
 

@@ -15,6 +15,24 @@ from lirs_wct.errors import ConfigError
 CsvFile = Annotated[Path | None, typer.Option("--csv", help="Write the table there as CSV, too.")]
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the table there as JSON, too.")]
 
+Across = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FIELD,...",
+        help="Pair runs that differ in these: world, robot, mapper, terrain, rays, lidar, "
+        "seconds, attitude, driver, actors.",
+    ),
+]
+OnlyA = Annotated[
+    str | None,
+    typer.Option(metavar="FIELD=VALUE,...", help="Of A take these runs only, such as mapper=hector."),
+]
+OnlyB = Annotated[str | None, typer.Option(metavar="FIELD=VALUE,...", help="Of B take these runs only.")]
+Figures = Annotated[
+    str | None,
+    typer.Option(metavar="KEY,...", help="Metrics of the record to compare, such as map.f1,rtf.mean."),
+]
+
 
 def report(
     results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Folder of a sweep, or of one run.")],
@@ -55,25 +73,10 @@ def report(
 def compare(
     a: Annotated[Path, typer.Argument(metavar="A", help="Folder of results.")],
     b: Annotated[Path, typer.Argument(metavar="B", help="Folder of results to compare with A.")],
-    across: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FIELD,...",
-            help="Pair runs that differ in these: world, robot, mapper, terrain, rays, lidar, "
-            "seconds, attitude, driver, actors.",
-        ),
-    ] = None,
-    only_a: Annotated[
-        str | None,
-        typer.Option(metavar="FIELD=VALUE,...", help="Of A take these runs only, such as mapper=hector."),
-    ] = None,
-    only_b: Annotated[
-        str | None, typer.Option(metavar="FIELD=VALUE,...", help="Of B take these runs only.")
-    ] = None,
-    figures: Annotated[
-        str | None,
-        typer.Option(metavar="KEY,...", help="Metrics of the record to compare, such as map.f1,rtf.mean."),
-    ] = None,
+    across: Across = None,
+    only_a: OnlyA = None,
+    only_b: OnlyB = None,
+    figures: Figures = None,
     csv: CsvFile = None,
     json: JsonFile = None,
 ) -> None:

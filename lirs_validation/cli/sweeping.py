@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -12,7 +14,30 @@ from lirs_wct.errors import OutputError
 
 if TYPE_CHECKING:
     from lirs_validation.sweep.engines.base import Executor
+    from lirs_validation.sweep.manifest import Manifest
     from lirs_validation.sweep.sweep import Sweep
+
+
+def executor_for(
+    engine: str | None,
+    jobs: int | None,
+    address: str | None,
+    cell_timeout: float | None,
+    cell_memory: float | None,
+) -> Executor:
+    """Return what runs a command's experiments, by its options: see `sweep_options`."""
+    from lirs_validation.sweep.engines.base import Limits
+    from lirs_validation.sweep.engines.factory import make_executor
+
+    limits = Limits(seconds=cell_timeout, memory=None if cell_memory is None else cell_memory * 1e9)
+    return make_executor(engine, jobs=jobs, address=address, limits=limits)
+
+
+def manifest_of_command(suite: str | None = None) -> Manifest:
+    """Return the manifest of the command that was typed."""
+    from lirs_validation.sweep.manifest import Manifest
+
+    return Manifest(command=shlex.join(["lirs-wct", *sys.argv[1:]]), suite=suite)
 
 
 def run_sweep(sweep: Sweep, executor: Executor, show: Callable[[], None]) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import shlex
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +13,7 @@ import typer
 from lirs_validation.cli import sweep_options as option
 from lirs_validation.cli.arguments import SOURCE_HELP
 from lirs_validation.cli.console import out
-from lirs_validation.cli.sweeping import run_sweep
+from lirs_validation.cli.sweeping import executor_for, manifest_of_command, run_sweep
 from lirs_validation.cli.typer_options import with_build_options
 from lirs_validation.config import SourceOptions
 
@@ -117,16 +115,12 @@ def _run(
     experiments: Sequence[Experiment], given: Mapping[str, Any], out: Path, *, listed: bool = True
 ) -> None:
     """Run experiments as the options say."""
-    from lirs_validation.sweep.engines.base import Limits
-    from lirs_validation.sweep.engines.factory import make_executor
-    from lirs_validation.sweep.manifest import Manifest
     from lirs_validation.sweep.sweep import Sweep
 
-    memory = given["cell_memory"]
-    limits = Limits(seconds=given["cell_timeout"], memory=None if memory is None else memory * 1e9)
-    executor = make_executor(given["engine"], jobs=given["jobs"], address=given["address"], limits=limits)
-    asked = Manifest(command=shlex.join(["lirs-wct", *sys.argv[1:]]), suite=given["suite"])
-    retry = given["retry_failed"]
+    executor = executor_for(
+        given["engine"], given["jobs"], given["address"], given["cell_timeout"], given["cell_memory"]
+    )
+    asked, retry = manifest_of_command(given["suite"]), given["retry_failed"]
     sweep = Sweep(experiments, out, manifest=asked, listed=listed, retry_failed=retry)
     run_sweep(sweep, executor, lambda: _show(sweep))
 
