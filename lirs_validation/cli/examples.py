@@ -21,7 +21,10 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "lirs-wct bench my_policy:MyPolicy --set hills -o out/",
     ),
     "collide": ("lirs-wct collide simple advanced --robot husky,turtlebot2 --seconds 60 -o out/",),
-    "view": ("lirs-wct view examples/data/dunes.png -o dunes-view.png",),
+    "view": (
+        "lirs-wct view examples/data/dunes.png -o dunes-view.png",
+        "lirs-wct view examples/data/office.yaml --oblique -o office.png",
+    ),
     "info": ("lirs-wct info examples/data/office.yaml --robot turtlebot2",),
     "convert": ("lirs-wct convert terrain.stl terrain.dae",),
     "robot": ("lirs-wct robot husky",),
