@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import FloatArray, Int32Array, IntArray
+from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.mesh import TriangleMesh
 
@@ -47,7 +47,10 @@ def cube_uv(mesh: TriangleMesh, size: float | None = None) -> TriangleMesh:
     if not 0 < span < float("inf"):
         raise ConfigError(f"texture size must be a finite number above 0 m, got {span}")
     split = _split(mesh)
-    return split.with_uv(_unfold(split.points, split.top, split.side, bounds, span))
+    # A skirt hangs from its rim; a vertical face of another outline has none.
+    on_side = (split.side >= FLAT) & (split.side < FLAT + UP)
+    top = split.top if split.hangs[on_side].all() else np.full_like(split.top, bounds[1, 2])
+    return split.with_uv(_unfold(split.points, top, split.side, bounds, span))
 
 
 def draped_uv(
@@ -91,6 +94,7 @@ class _Split:
         normals: (n, 3).
         side: (n,) labels of the vertices.
         top: (n,) z of the rim above a vertex of a skirt.
+        hangs: (n,) whether a vertical edge of a vertical face ends here.
     """
 
     points: FloatArray
@@ -98,6 +102,7 @@ class _Split:
     normals: FloatArray
     side: NDArray[np.int8]
     top: FloatArray
+    hangs: BoolArray
 
     def with_uv(self, uv: FloatArray) -> TriangleMesh:
         return TriangleMesh(self.points, self.faces, uv, self.normals)
@@ -105,11 +110,11 @@ class _Split:
 
 def _split(mesh: TriangleMesh, *, vertical: float = VERTICAL, draped: bool = False) -> _Split:
     vertices, faces = np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces)
-    label, mask, top = _label_faces(vertices, faces, vertical, draped)
+    label, mask, top, hangs = _label_faces(vertices, faces, vertical, draped)
     first = np.concatenate(([0], np.cumsum(_COUNT[mask])))
     split = np.repeat(np.arange(len(vertices)), _COUNT[mask])
     new_faces, normals = _split_faces(vertices, faces, label, mask, first[:-1], len(split))
-    return _Split(vertices[split], new_faces, normals, _sides(mask), top[split])
+    return _Split(vertices[split], new_faces, normals, _sides(mask), top[split], hangs[split])
 
 
 _COUNT = np.array([int(m).bit_count() for m in range(1 << LABELS)], dtype=np.int64)
@@ -164,8 +169,8 @@ def _normal(vertices: FloatArray, a: int, b: int, c: int) -> tuple[float, float,
 @njit(cache=True)
 def _label_faces(
     vertices: FloatArray, faces: Int32Array, vertical: float, draped: bool
-) -> tuple[NDArray[np.int8], NDArray[np.uint16], FloatArray]:
-    """Return the label of each face, the labels around each vertex as bits, and the rim above it (z).
+) -> tuple[NDArray[np.int8], NDArray[np.uint16], FloatArray, BoolArray]:
+    """Return labels of the faces, labels around each vertex as bits, the rim above it, if an edge hangs there.
 
     Args:
         vertices: (n, 3).
@@ -176,6 +181,7 @@ def _label_faces(
     label = np.empty(len(faces), np.int8)
     mask = np.zeros(len(vertices), np.uint16)
     top = vertices[:, 2].copy()
+    hangs = np.zeros(len(vertices), np.bool_)
     for i in range(len(faces)):
         a, b, c = faces[i]
         nx, ny, nz = _normal(vertices, a, b, c)
@@ -196,10 +202,11 @@ def _label_faces(
                     rim = max(top[p], top[q])
                     top[p] = rim
                     top[q] = rim
+                    hangs[p] = hangs[q] = True
         label[i] = side
         for k in range(3):
             mask[faces[i, k]] |= np.uint16(1 << side)
-    return label, mask, top
+    return label, mask, top, hangs
 
 
 @njit(cache=True)

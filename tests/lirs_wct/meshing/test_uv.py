@@ -84,6 +84,20 @@ def test_steep_ground_is_seen_from_the_side() -> None:
     assert (area_uv[ground] >= area[ground] / np.sqrt(3) * (1 - 1e-9)).all()
 
 
+def test_vertical_faces_of_any_outline_are_not_striped() -> None:
+    """The face of a standing ring, whose edges run in all directions: texels as large as on its top."""
+    ring = trimesh.creation.annulus(1.0, 2.0, 1.5)
+    ring.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
+    textured = cube_uv(TriangleMesh(np.asarray(ring.vertices), np.asarray(ring.faces, np.int32)), size=1.0)
+    assert textured.uv is not None
+    corners, flat = textured.vertices[textured.faces], textured.uv[textured.faces]
+    u, v = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    area_uv = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    caps = np.abs(textured.face_normals[:, 1]) > 0.99
+    np.testing.assert_allclose(area_uv[caps], area[caps], rtol=1e-9)
+
+
 def test_a_box_keeps_its_edges_sharp() -> None:
     textured = cube_uv(box())
     assert textured.normals is not None
