@@ -18,6 +18,7 @@ from lirs_wct.drawing.style import (
     VERMILLION,
     Drawing,
     legend,
+    length,
     map_axes,
     new_figure,
     plain_axes,
@@ -53,7 +54,7 @@ def surface_figure(surface: HeightField) -> Drawing:
     figure, axes, canvas = _map_figure(surface.bounds)
     map_axes(axes, canvas, shaded_surface(surface, canvas))
     width, depth = surface.size
-    title(axes, f"{width:.4g} m x {depth:.4g} m, relief {surface.relief:.3g} m")
+    title(axes, f"{length(width)} x {length(depth)}, relief {length(surface.relief)}")
     height_scale(figure, axes, surface)
     return figure
 

@@ -35,6 +35,11 @@ def title(axes: Axes, text: str, *, above_legend: bool = False) -> None:
     axes.set_title(text, fontsize=TITLE, loc="left", color=BLACK, pad=pad)
 
 
+def length(metres: float) -> str:
+    """Return a length to three or four figures, as a title has it."""
+    return f"{metres:,.0f} m" if metres >= 1000 else f"{metres:.4g} m" if metres >= 100 else f"{metres:.3g} m"
+
+
 def plain_axes(axes: Axes, x: str, y: str) -> None:
     """Label axes, make ticks small, take away the frame's upper and right side."""
     axes.set_xlabel(x, fontsize=TEXT, color=BLACK)

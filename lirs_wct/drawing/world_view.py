@@ -27,6 +27,7 @@ from lirs_wct.drawing.style import (
     VERMILLION,
     Drawing,
     legend,
+    length,
     map_axes,
     new_figure,
     plain_axes,
@@ -83,8 +84,8 @@ def oblique_figure(world: World) -> Drawing:
 def world_title(world: World) -> str:
     """Return a world's name and extent."""
     width, depth = world.surface.size
-    extent = f"{world.name}, {width:g} m x {depth:g} m"
-    return extent if world.walls is not None else f"{extent}, relief {world.surface.relief:.3g} m"
+    extent = f"{world.name}, {length(width)} x {length(depth)}"
+    return extent if world.walls is not None else f"{extent}, relief {length(world.surface.relief)}"
 
 
 def _wrapped(text: str) -> str:
