@@ -170,7 +170,7 @@ def _normal(vertices: FloatArray, a: int, b: int, c: int) -> tuple[float, float,
 def _label_faces(
     vertices: FloatArray, faces: Int32Array, vertical: float, draped: bool
 ) -> tuple[NDArray[np.int8], NDArray[np.uint16], FloatArray, BoolArray]:
-    """Return labels of the faces, labels around each vertex as bits, the rim above it, if an edge hangs there.
+    """Return labels of faces; of each vertex the labels as bits, the rim above, and if an edge hangs there.
 
     Args:
         vertices: (n, 3).
