@@ -38,7 +38,7 @@ class DriveLog:
     """
 
     observations: ObservationLog
-    walker_beams: ArraySpool[np.bool_]
+    walker_beams: ArraySpool[np.bool]
     estimates: Rows[Pose2] | Rows[Pose3]
     clouds: CloudSample = field(default_factory=CloudSample)
     truth: Rows[Pose3] = field(default_factory=lambda: Rows.of(Pose3))

@@ -91,8 +91,10 @@ def test_a_saved_world_comes_back_exactly(
     assert same(build_world(tmp_path / "saved"), world)
 
 
-def test_a_map_picture_without_yaml_needs_a_resolution(floor: Path) -> None:
-    image = floor.with_suffix(".pgm")
+def test_a_map_picture_without_yaml_needs_a_resolution(floor: Path, tmp_path: Path) -> None:
+    image = tmp_path / "alone" / "floor.pgm"
+    image.parent.mkdir()
+    image.write_bytes(floor.with_suffix(".pgm").read_bytes())
     with pytest.raises(ConfigError, match="--resolution"):
         build_world(image, BuildOptions(kind="map"))
     world = build_world(image, BuildOptions(kind="map", resolution=0.05, origin=Pose2(-1.0, -2.0, 0.3)))
