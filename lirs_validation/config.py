@@ -28,7 +28,16 @@ MANUAL = "manual"
 """What records say where a person drove in the live page; such a drive is repeated as `replay:RUN`."""
 LATER: dict[str, Any] = {"attitude": "imu", "driver": TOUR, "actors": 0}
 """Options of a run that came later: with these values they are in no digest, and folders keep their names."""
-LATER_OF_BUILDS: dict[str, Any] = {"start": None}
+LATER_OF_BUILDS: dict[str, Any] = {
+    "start": None,
+    "zero": None,
+    "nodata": None,
+    "encoding": "gray",
+    "cloud_surface": "ground",
+    "ground_slope": 0.15,
+    "drape": False,
+    "wall_texture": None,
+}
 """The same of how a source becomes a world."""
 OUTSIDE_DIGEST = ("wall_limit", "bag", "sensors_only")
 """Options of a run that say nothing of what is tried: how long one waits, and what is recorded."""

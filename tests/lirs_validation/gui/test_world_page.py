@@ -34,7 +34,6 @@ def test_a_picture_is_opened_changed_built_and_downloaded(
     page.get_by_text("0.00 to 6.00 m").wait_for()
     page.get_by_role("button", name="Build").click()
     page.get_by_text("watertight").wait_for()
-    page.get_by_text(f"{2 * 64 * 64 + 6 * 128:,}", exact=True).first.wait_for()
     with page.expect_download() as download:
         page.get_by_role("button", name="Download the package").click()
     archive = zipfile.ZipFile(io.BytesIO(Path(download.value.path()).read_bytes()))
@@ -45,6 +44,8 @@ def test_a_picture_is_opened_changed_built_and_downloaded(
     world = World.load(tmp_path / "hill")
     assert world.surface.relief == 6.0
     assert world.surface.size == (50.0, 50.0)
+    assert len(world.file_mesh.faces) < 2 * 64 * 64
+    page.get_by_text(f"{len(world.file_mesh.faces):,}", exact=True).first.wait_for()
 
 
 def test_what_is_wrong_is_said_once_and_the_page_lives_on(

@@ -61,4 +61,5 @@ def test_an_experiment_that_makes_its_world_itself_needs_none(tmp_path: Path, li
     experiment = FakeExperiment("alone", str(tmp_path / "notes"))
     outcome, files = perform_remotely(experiment, None, limits, str(ROOT))
     assert outcome.status == "ok"
-    assert files == {"result": b"alone True"}
+    assert files["result"] == b"alone True"
+    assert set(files) == {"result", "manifest-sha256.txt"}
