@@ -10,7 +10,7 @@ from numba import njit
 from lirs_wct.arrays import FloatArray
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def solve3(A: Any, b: Any) -> Any:
     """Solve a symmetric positive definite 3x3 system by Cramer's rule; zero where it is singular."""
     inverse = invert3(A)
@@ -21,7 +21,7 @@ def solve3(A: Any, b: Any) -> Any:
     return x
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def invert3(A: Any) -> Any:
     """Return the inverse of a symmetric positive definite matrix; zeros where it is singular."""
     c00 = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
@@ -39,7 +39,7 @@ def invert3(A: Any) -> Any:
     return B
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def moved_covariance(P: Any, dx: float, dy: float, shift: float, turn: float) -> Any:
     """Return the covariance of x, y, yaw after a step of (dx, dy) in the map frame with its own variances.
 

@@ -183,7 +183,7 @@ class Scratch(NamedTuple):
     window: IntArray
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def enter_scans(
     maps: Any, poses: Any, scan: Any, min_slopes: Any, wall_slope: int, steps: Any, limits: Any, first: int
 ) -> int:
@@ -213,7 +213,7 @@ def enter_scans(
     return len(poses)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _hit(view: Any, scratch: Any, end: Any, min_slope: int, steps: Any) -> None:
     """Raise the cell where a beam ends (u, v in cells), once a scan, and move its mean."""
     table, corner, patches, _, _ = view
@@ -243,7 +243,7 @@ def _hit(view: Any, scratch: Any, end: Any, min_slope: int, steps: Any) -> None:
         patches.log_odds[p, cell] = min(steps[2], (0 if before == UNKNOWN else before) + steps[1])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _pass(view: Any, scratch: Any, start: Any, end: Any, to_end: bool, steps: Any) -> None:
     """Lower the cells between the laser and the end of one beam (u, v in cells), each once a scan.
 
@@ -280,7 +280,7 @@ def _pass(view: Any, scratch: Any, start: Any, end: Any, to_end: bool, steps: An
         log_odds[p, cell] = max(-most, (0 if before == UNKNOWN else before) + miss)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def look_up(view: Any, points: Any, out: Any) -> None:
     """Read the layer `min_slope` of one map at points; 0 where nothing was drawn."""
     table, corner, patches, res, _ = view

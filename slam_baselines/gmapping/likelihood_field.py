@@ -86,7 +86,7 @@ def _attraction(
     return w, du, dv, k * cvv, -k * cuv, k * cuu
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def log_likelihood(view: Any, beams: Any, pose: Any, reach: int, lsigma: float, width: float) -> Any:
     """Return the log-likelihood of a scan, and the weights of beams that end at a wall and on known cells.
 
@@ -130,7 +130,7 @@ def log_likelihood(view: Any, beams: Any, pose: Any, reach: int, lsigma: float, 
     return total, hit, known
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def linearize(view: Any, beams: Any, stride: int, pose: Any, reach: int, width: float, H: Any, g: Any) -> Any:
     """Fill H (3, 3) and g (3,) of a Gauss-Newton step that moves the beams' ends onto the walls.
 
@@ -210,21 +210,21 @@ class Tuning(NamedTuple):
     min_beams: int
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def score(view: Any, beams: Any, pose: Any, tuning: Any) -> Any:
     """Return the log-likelihood of a scan at a pose."""
     spread = tuning.sigma / view.resolution
     return log_likelihood(view, beams, pose, tuning.kernelSize, tuning.lsigma, spread)[0]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def log_prior(pose: Any, prior: Any) -> Any:
     """Return the logarithm of the odometry's density at a pose, up to a constant."""
     d = _difference(pose, prior.pose)
     return -0.5 * (d @ (prior.information @ d))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def match(view: Any, beams: Any, prior: Any, start: Any, tuning: Any, H: Any) -> Any:
     """Return the (3,) pose at which the scan fits best near the start; fill H with its information.
 
@@ -247,7 +247,7 @@ def match(view: Any, beams: Any, prior: Any, start: Any, tuning: Any, H: Any) ->
     return pose
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def search(view: Any, beams: Any, prior: Any, tuning: Any) -> Any:
     """Return the (3,) pose of the best score in a window around the prior, by trying all.
 
@@ -283,7 +283,7 @@ def search(view: Any, beams: Any, prior: Any, tuning: Any) -> Any:
     return best
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _coarse_walls(view: Any, points: Any, pose: Any, cell: float, margin: float) -> Any:
     """Return (rows, cols) 2 on walls, 1 beside them, 0 elsewhere; and row and column of the first cell.
 
@@ -314,14 +314,14 @@ def _coarse_walls(view: Any, points: Any, pose: Any, cell: float, margin: float)
     return walls, row0, col0
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def moved(pose: Any, by: Any) -> Any:
     """Return pose @ by, all (3,)."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return np.array((pose[0] + c * by[0] - s * by[1], pose[1] + s * by[0] + c * by[1], pose[2] + by[2]))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def between(a: Any, b: Any) -> Any:
     """Return a^-1 @ b, all (3,)."""
     c, s = np.cos(a[2]), np.sin(a[2])
@@ -329,7 +329,7 @@ def between(a: Any, b: Any) -> Any:
     return np.array((c * dx + s * dy, c * dy - s * dx, b[2] - a[2]))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _difference(pose: Any, other: Any) -> Any:
     d = pose - other
     d[2] = (d[2] + np.pi) % (2 * np.pi) - np.pi

@@ -98,7 +98,7 @@ def list_free(patches: Patches) -> None:
         free[1 : 1 + len(left)] = left
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def records_needed(table: Any, patches: Any, hits: int) -> int:
     """Return how many records one scan into a map may take: copies of shared ones, and one for each hit."""
     shared = 0
@@ -108,7 +108,7 @@ def records_needed(table: Any, patches: Any, hits: int) -> int:
     return shared + hits
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def own_patch(table: Any, patches: Any, row: int, col: int) -> Any:
     """Put a patch of its own, new or copied, at a place of a table; return which."""
     p = table[row, col]
@@ -133,7 +133,7 @@ def own_patch(table: Any, patches: Any, row: int, col: int) -> Any:
     return q
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def own_record(patches: Any, p: int) -> Any:
     """Return the record of a patch's hits, a new one where it has none."""
     if patches.record[p] == ABSENT:
@@ -144,7 +144,7 @@ def own_record(patches: Any, p: int) -> Any:
     return patches.record[p]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _free_record(patches: Any) -> Any:
     patches.free_records[0] -= 1
     return patches.free_records[1 + patches.free_records[0]]

@@ -226,7 +226,7 @@ class Samples(NamedTuple):
     normals: FloatArray
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def propose(
     maps: Any,
     wall_slope: int,
@@ -268,7 +268,7 @@ def propose(
     return searches
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def find_peak(view: Any, beams: Any, prior: Any, start: Any, wide: bool, tuning: Any, H: Any) -> Any:
     """Return the (3,) pose at which a scan fits best; fill H with its information.
 
@@ -296,7 +296,7 @@ def find_peak(view: Any, beams: Any, prior: Any, start: Any, wide: bool, tuning:
     return peak, hit, known, True
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def match_alone(view: Any, beams: Any, expected: Any, covariance: Any, wide: bool, tuning: Any) -> Any:
     """Return the pose that fits best, and the weights of beams that end at a wall and on known cells."""
     prior = Prior(expected, np.linalg.inv(covariance))
@@ -310,7 +310,7 @@ def match_alone(view: Any, beams: Any, expected: Any, covariance: Any, wide: boo
     return pose, hit, known
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _fit(
     view: Any, beams: Any, prior: Any, peak: Any, around: Any, cube: Any, tuning: Any, mu: Any, Sigma: Any
 ) -> Any:

@@ -89,7 +89,7 @@ class OriginalMap:
         return OccupancyGrid(values, resolution, Pose2(west * resolution, south * resolution))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _match(probability: Any, middle: int, resolution: float, ends: Any, pose: Any, steps: int) -> Any:
     """Gauss-Newton in cells: the probability at the ends of the beams shall become 1 (Eq. 7)."""
     scale = 1 / resolution
@@ -116,7 +116,7 @@ def _match(probability: Any, middle: int, resolution: float, ends: Any, pose: An
     return np.array(((x - middle) / scale, (y - middle) / scale, yaw))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _interpolated(probability: Any, x: float, y: float) -> Any:
     """Return probability and its derivatives at a point in cells (Eqs. 4-6); zeros outside.
 
@@ -134,7 +134,7 @@ def _interpolated(probability: Any, x: float, y: float) -> Any:
     return value, (b - a) * (1 - fx) + (d - c) * fx, (c - a) * (1 - fy) + (d - b) * fy
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _draw(layers: Any, cells: Any, scan: int, odds: Any) -> None:
     """Draw the lines from cells[0] to all others; `scan` marks a cell as passed, `scan` + 1 as hit."""
     log_odds, probability, drawn = layers

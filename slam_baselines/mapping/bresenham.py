@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def line_cells(row: int, col: int, last_row: int, last_col: int) -> Any:
     """Return (n, 2) row and column of the cells from the first to the last, which is left out."""
     dy, dx = last_row - row, last_col - col

@@ -253,7 +253,7 @@ def _neighbors(resolution: float) -> Neighbors:
     return Neighbors(cells, distance, int(np.abs(cells).max()))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def lower(
     upper_bound: Any, frame: Any, origin: Any, ends: Any, with_end: bool, near: float, far: float
 ) -> None:
@@ -272,7 +272,7 @@ def lower(
                 upper_bound[row, col] = z
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def stand(upper_bound: Any, frame: Any, ground: Any, footprint: float, old: float) -> None:
     """The robot stands here: the ground is where its wheels are."""
     reach = int(footprint / frame[2])
@@ -282,7 +282,7 @@ def stand(upper_bound: Any, frame: Any, ground: Any, footprint: float, old: floa
             upper_bound[row, col] = min(upper_bound[row, col], np.float32(ground[2] - old))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def min_slopes(upper_bound: Any, frame: Any, scan: Any, ground: Any, bounds: Any, neighbors: Any) -> Any:
     """Return (n,) the largest rise over run that must lie before each hit, SLOPE_STEP."""
     old, near, far = bounds

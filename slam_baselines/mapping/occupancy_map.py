@@ -193,7 +193,7 @@ class Scratch(NamedTuple):
     corner: tuple[int, int]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def enter_scan(
     layers: Any, frame: Any, scratch: Any, scan: Any, min_slopes: Any, wall_slope: int, steps: Any
 ) -> None:
@@ -230,7 +230,7 @@ def enter_scan(
             _pass(layers, scratch, start, end, more, wall_slope, steps)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _pass(layers: Any, scratch: Any, start: Any, end: Any, more: int, wall_slope: int, steps: Any) -> None:
     """Lower the cells between laser and end of a beam, given in cells of the scratch.
 
@@ -276,7 +276,7 @@ def _change(layers: Any, r: int, c: int, step: int, wall_slope: int, limit: int)
     )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def bounding_box(scan: Any) -> Any:
     """Return (4,) west, south, east, north of the laser and all ends of a scan's beams, metres."""
     west = east = scan.origin[0]
@@ -288,7 +288,7 @@ def bounding_box(scan: Any) -> Any:
     return np.array((west, south, east, north))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def look_up(layer: Any, frame: Any, points: Any, out: Any) -> None:
     """Read a layer under points (n, 2 or more) into `out`; what lies outside keeps its value there."""
     rows, cols = layer.shape

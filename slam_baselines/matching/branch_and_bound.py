@@ -172,7 +172,7 @@ def branch_and_bound(
     return SearchResult(out[:3].copy(), float(out[3]), int(out[4]), bool(out[5]))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _rotated_cells(points: Any, start: Any, yaw: float, lattice: _Lattice, rows: Any, cols: Any) -> None:
     """Fill the cells of the points at one yaw and no shift."""
     c, s = np.cos(yaw), np.sin(yaw)
@@ -182,7 +182,7 @@ def _rotated_cells(points: Any, start: Any, yaw: float, lattice: _Lattice, rows:
         rows[i] = int(np.floor(y / lattice.resolution)) - lattice.row0
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _sum(level: Any, rows: Any, cols: Any, dr: int, dc: int) -> int:
     """Add up a level at shifted cells."""
     height, width = level.shape
@@ -194,12 +194,12 @@ def _sum(level: Any, rows: Any, cols: Any, dr: int, dc: int) -> int:
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _put(row: Any, score: int, level: int, turn: int, dr: int, dc: int) -> None:
     row[0], row[1], row[2], row[3], row[4] = score, level, turn, dr, dc
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _roots(lattice: _Lattice, points: Any, tree: _Tree, rows: Any, cols: Any) -> Any:
     """Fill the cells of every turn; return the (k, 5) roots: score, level, turn, row, column."""
     depth, count = len(lattice.levels) - 1, 2 * tree.turns + 1
@@ -218,7 +218,7 @@ def _roots(lattice: _Lattice, points: Any, tree: _Tree, rows: Any, cols: Any) ->
     return roots
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _branch(levels: Any, rows: Any, cols: Any, node: Any, reach: int, children: Any) -> int:
     """Fill the up to four children of a node (5,), in ascending order of their scores; return how many."""
     h, t, dr, dc = node[1], node[2], node[3], node[4]
@@ -237,7 +237,7 @@ def _branch(levels: Any, rows: Any, cols: Any, node: Any, reach: int, children: 
     return m
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _search(lattice: _Lattice, points: Any, tree: _Tree, limits: _Limits, out: Any) -> None:
     """Depth-first search, the most promising branch first; fill `out` (6,)."""
     levels, start, excluded, res = lattice.levels, tree.start, limits.excluded, lattice.resolution

@@ -91,7 +91,7 @@ def correlative_search(
     return best
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _search(cells: _Cells, points: Any, weights: Any, start: Any, window: _Window, best: Any) -> None:
     """Fill `best` (3,) with the pose of the highest mean value, less the loss for its distance."""
     rows, cols = cells.value.shape

@@ -138,7 +138,7 @@ class ScanMatcher:
         return Match(out[:3], out[3:12].reshape(3, 3), out[12:21].reshape(3, 3), score, known)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def levels_for(frames: Any, covariance: Any, lever: float) -> int:
     """Return how many levels it takes to catch an error of two standard deviations.
 
@@ -152,7 +152,7 @@ def levels_for(frames: Any, covariance: Any, lever: float) -> int:
     return levels
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _match(
     pyramid: Levels, points: Any, weights: Any, prior: Prior, start: Any, levels: int, settings: _Settings,
     variance: float, out: Any,
@@ -175,7 +175,7 @@ def _match(
     out[21], out[22] = score / max(known, 1e-9), known / max(weights.sum(), 1e-9)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _iterate(
     pyramid: Levels, points: Any, weights: Any, prior: Any, information: Any, levels: int,
     settings: _Settings, variance: float, pose: Any, H: Any,
@@ -211,7 +211,7 @@ def _iterate(
     return score, known
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def linearize(
     value: Any, frame: Any, points: Any, weights: Any, stride: int, pose: Any, H: Any, g: Any
 ) -> tuple[float, float]:

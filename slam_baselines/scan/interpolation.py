@@ -62,7 +62,7 @@ def interpolate_hits(
     return ScanPoints(scan.origin, hits, scan.free), slopes
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _count_between(origin: Any, hits: Any, spacing: float, limits: Any, count: Any) -> None:
     """Fill `count` (n,) with the number of hits to insert after each."""
     max_gap, max_obliqueness, straight = limits
@@ -86,7 +86,7 @@ def _count_between(origin: Any, hits: Any, spacing: float, limits: Any, count: A
                 count[i] = int(gap / spacing)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _fill(hits: Any, slopes: Any, count: Any, out: Any, out_slopes: Any) -> None:
     """Copy hits (n, 3) and slopes (n,), and insert `count` (n,) evenly spaced ones after each."""
     m = 0

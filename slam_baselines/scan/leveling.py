@@ -114,7 +114,7 @@ class Mount(NamedTuple):
     position: FloatArray
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _transform(scan: Any, pose: Any, out: Any) -> None:
     """Fill `out` with a scan turned by the yaw of a pose (x, y, yaw, z) and shifted."""
     x, y, yaw, z = pose
@@ -126,7 +126,7 @@ def _transform(scan: Any, pose: Any, out: Any) -> None:
             new[i, 0], new[i, 1], new[i, 2] = x + c * u - s * v, y + s * u + c * v, z + old[i, 2]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _level(
     ranges: Any, directions: Any, mount: Any, limits: Any, attitude: Any, ends: Any, origin: Any
 ) -> tuple[int, int]:

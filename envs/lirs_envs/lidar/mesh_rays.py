@@ -72,7 +72,7 @@ class MeshCaster:
         return ranges
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _refine(
     vertices: FloatArray,
     faces: Int32Array,

@@ -64,7 +64,7 @@ class BlockPattern:
         return sparse.bsr_matrix((blocks, self.col, begin), shape=(3 * s, 3 * s)).tocsc()
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _pairs(first: IntArray, submap: IntArray, submaps: int) -> IntArray:
     """Return row * submaps + column of each two constraints of a node, whose constraints begin at `first`."""
     total = 0
@@ -81,7 +81,7 @@ def _pairs(first: IntArray, submap: IntArray, submaps: int) -> IntArray:
     return keys
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def robust_cost(rows: Rows, submaps: FloatArray, targets: FloatArray, scale: float) -> float:
     """Return the sum of e'We, of robust constraints under Cauchy's loss of a scale."""
     a, b, z, information, robust = rows
@@ -93,7 +93,7 @@ def robust_cost(rows: Rows, submaps: FloatArray, targets: FloatArray, scale: flo
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def linearize(
     rows: Rows,
     submaps: FloatArray,
@@ -134,7 +134,7 @@ def linearize(
                 cross[k, r, q] = -weight * MK[r, q]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def eliminate_nodes(
     pattern: tuple[IntArray, IntArray, IntArray],
     submap: IntArray,
@@ -181,7 +181,7 @@ def eliminate_nodes(
         begin = end
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def node_steps(
     rows: Rows, cross: FloatArray, submap_steps: FloatArray, gradient: FloatArray, inverse: FloatArray
 ) -> FloatArray:
@@ -199,7 +199,7 @@ def node_steps(
     return steps
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def pose_error(a: FloatArray, b: FloatArray, z: FloatArray) -> tuple[float, float, float]:
     """Return the estimated minus the measured pose of b in the frame of a (eq. 6), each pose (3,)."""
     c, s, dx, dy = math.cos(a[2]), math.sin(a[2]), b[0] - a[0], b[1] - a[1]
@@ -207,7 +207,7 @@ def pose_error(a: FloatArray, b: FloatArray, z: FloatArray) -> tuple[float, floa
     return c * dx + s * dy - z[0], c * dy - s * dx - z[1], yaw
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _squared(W: FloatArray, x: float, y: float, yaw: float) -> float:
     """Return e'We."""
     total = x * (W[0, 0] * x + W[0, 1] * y + W[0, 2] * yaw)
@@ -216,7 +216,7 @@ def _squared(W: FloatArray, x: float, y: float, yaw: float) -> float:
     return float(total)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _multiply(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
     """Fill `out` with A B, each (3, 3)."""
     for i in range(3):
@@ -224,7 +224,7 @@ def _multiply(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
             out[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _multiply_transposed(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
     """Fill `out` with A' B, each (3, 3)."""
     for i in range(3):

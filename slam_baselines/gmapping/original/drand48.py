@@ -36,13 +36,13 @@ class Drand48:
         return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _uniform(state: Any) -> Any:
     state[0] = (state[0] * MULTIPLIER + INCREMENT) & MASK
     return np.float64(state[0]) / 281474976710656.0  # 2^48
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _fill_normal(state: Any, out: Any) -> None:
     """Fill `out` by Marsaglia's polar method as the original has it: every second number is thrown away."""
     for k in range(len(out)):

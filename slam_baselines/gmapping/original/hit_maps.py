@@ -148,7 +148,7 @@ def cell_of(x: float, delta: float) -> int:
     return math.floor(q + 0.5) if q >= 0 else -math.floor(0.5 - q)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _register(tables: Any, corner: Any, patches: Any, delta: float, poses: Any, ends: Any, first: int) -> int:
     """Add a scan to the maps from the first on; return how many are done when patches run out."""
     for k in range(first, len(poses)):
@@ -170,7 +170,7 @@ def _register(tables: Any, corner: Any, patches: Any, delta: float, poses: Any, 
     return len(poses)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _own(table: Any, patches: Any, row: int, col: int) -> Any:
     """Put a patch of its own, new or copied, at a place of a table; return which."""
     p = table[row, col]

@@ -63,7 +63,7 @@ def _occupancy(grid: GrowingGrid, occ_thresh: float) -> OccupancyGrid:
     return OccupancyGrid.from_probability(p, delta, corner)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _draw(hits: Any, visits: Any, cells: Any, is_hit: Any) -> None:
     """Count the beams from cells[0] to all others, each (col, row)."""
     for k in range(1, len(cells)):

@@ -52,7 +52,7 @@ def match_scan(hits: HitMap, expected: FloatArray, ends: FloatArray, parameters:
     return Match(pose, float(_score(hits, pose, ends, parameters)[1]))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _climb(hits: Any, start: Any, ends: Any, parameters: Any) -> Any:
     """Go to the best of six neighbors while one is better, in steps that are halved; return its score."""
     _, _, linear, angular, iterations, _ = parameters
@@ -73,7 +73,7 @@ def _climb(hits: Any, start: Any, ends: Any, parameters: Any) -> Any:
             return pose, best
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _score(hits: Any, pose: Any, ends: Any, parameters: Any) -> Any:
     """Return the score that the climb raises, and the log-likelihood that weighs a particle.
 
