@@ -14,10 +14,10 @@ from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.display import ShownAsPicture
 from lirs_wct.errors import ConfigError, LogSourceError
 from lirs_wct.formats.world_json import WorldFile, checked_content, read_world, write_world
+from lirs_wct.geometry.geodesy.place import Place
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.geometry.place import Place
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
@@ -31,7 +31,7 @@ from lirs_wct.sources.clouds.source import read_point_cloud
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.picture import read_terrain
+from lirs_wct.sources.pictures.picture import read_terrain
 from lirs_wct.sources.source import Source, find_source, warn_of_shape, warn_of_useless
 from lirs_wct.sources.source_kind import SourceKind
 from lirs_wct.sources.window import Window, cut_nodes, cut_surface, leveled
@@ -189,6 +189,16 @@ class World(ShownAsPicture):
             raise ConfigError(f"{self.name}: its source does not say where on the earth it lies")
         return self.place.to_geographic(x, y)
 
+    def with_export(self, given: ExportOptions) -> World:
+        """Return the world with mesh files as the options say; what they do not mention stays as it was.
+
+        Raises:
+            ConfigError: a texture is to be draped, or hung on walls, where there is none, or there are none.
+        """
+        if given.wall_texture and self.walls is None:
+            raise ConfigError(f"{self.name}: --wall-texture is for the walls of a laser map, it has none")
+        return replace(self, export_options=self.export_options.updated(given))
+
     def save(self, folder: str | Path) -> Path:
         """Write `world.json` and its arrays; `World.load` gives the same world back exactly."""
         content = WorldFile(
@@ -259,7 +269,7 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
     warn_of_shape(found, options, world.surface.size, exact)
     for texture in (options.texture, options.wall_texture):
         checked_texture(texture, options.max_pixels)
-    return replace(world, export_options=export_settings(options, world))
+    return world.with_export(options)
 
 
 def _built(found: Source, options: BuildOptions) -> World:
@@ -329,30 +339,3 @@ def _with_spawn_poses(world: World) -> World:
             "a wall, steep ground or the border"
         )
     return replace(world, spawn_poses=(), spawn_for="")
-
-
-def export_settings(options: BuildOptions, world: World) -> ExportOptions:
-    """Return what the options ask for; of what they do not mention, the world's former settings stay.
-
-    Raises:
-        ConfigError: a texture is to be draped, or hung on walls, where there is none, or there are none.
-    """
-    former = world.export_options
-    budget = options.max_error, options.max_triangles
-    if budget == (None, None):
-        budget = former.max_error, former.max_triangles
-    if options.drape and not (options.texture or former.texture):
-        raise ConfigError("--drape lays a picture over the world: give --texture FILE")
-    if options.wall_texture and world.walls is None:
-        raise ConfigError(f"{world.name}: --wall-texture is for the walls of a laser map, it has none")
-    same = options.texture is None
-    drape = options.drape or (same and former.drape and options.texture_size is None)
-    return ExportOptions(
-        max_error=budget[0],
-        max_triangles=budget[1],
-        rotate_x=options.rotate_x or former.rotate_x,
-        texture=options.texture or former.texture,
-        drape=drape,
-        wall_texture=options.wall_texture or former.wall_texture,
-        texture_size=options.texture_size or (None if drape else former.texture_size),
-    )

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from lirs_wct.arrays import BoolArray
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
-from lirs_wct.geometry.earth import CoordinateSystem
+from lirs_wct.geometry.geodesy.earth import CoordinateSystem
+from lirs_wct.geometry.geodesy.place import Place
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.geometry.place import Place
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 

@@ -104,3 +104,26 @@ class ExportOptions(Options):
         if self.limited or self.max_error == 0 or relief == 0:
             return self
         return replace(self, max_error=DEFAULT_SHARE * relief)
+
+    def updated(self, given: ExportOptions) -> ExportOptions:
+        """Return what other options ask for; what they do not mention stays as it is here.
+
+        Raises:
+            ConfigError: a texture is to be draped where there is none.
+        """
+        if given.drape and not (given.texture or self.texture):
+            raise ConfigError("--drape lays a picture over the world: give --texture FILE")
+        budget = given.max_error, given.max_triangles
+        if budget == (None, None):
+            budget = self.max_error, self.max_triangles
+        kept = given.texture is None and self.drape and given.texture_size is None
+        drape = given.drape or kept
+        return ExportOptions(
+            max_error=budget[0],
+            max_triangles=budget[1],
+            rotate_x=given.rotate_x or self.rotate_x,
+            texture=given.texture or self.texture,
+            drape=drape,
+            wall_texture=given.wall_texture or self.wall_texture,
+            texture_size=given.texture_size or (None if drape else self.texture_size),
+        )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from lirs_validation.config import SourceOptions
@@ -19,11 +19,11 @@ from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.clouds.source import read_point_cloud
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
-from lirs_wct.sources.picture import TerrainPicture, decimated, height_field, open_picture
+from lirs_wct.sources.pictures.picture import TerrainPicture, decimated, height_field, open_picture
 from lirs_wct.sources.source import Source, find_source
 from lirs_wct.sources.source_kind import SourceKind
 from lirs_wct.sources.window import cut_surface
-from lirs_wct.world import World, build_world, export_settings
+from lirs_wct.world import World, build_world
 
 PREVIEW_NODES = 129
 """Nodes of a preview along its longer side."""
@@ -83,8 +83,7 @@ class Construction:
         ground, scale = self._coarse(found, options)
         for texture in (options.texture, options.wall_texture):
             checked_texture(texture, options.max_pixels)
-        world = World(found.name, ground, scale=scale)
-        world = replace(world, export_options=export_settings(options, world))
+        world = World(found.name, ground, scale=scale).with_export(options)
         return Shown(world, preview_facts(world), source, options)
 
     def build(

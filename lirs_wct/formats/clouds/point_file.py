@@ -13,7 +13,7 @@ from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.elevation.wkt import system_of_text
 from lirs_wct.formats.images.geotiff import system_of_keys
-from lirs_wct.geometry.earth import CoordinateSystem
+from lirs_wct.geometry.geodesy.earth import CoordinateSystem
 
 EXTRA = "pip install 'lirs-wct[clouds]'"
 GROUND, NOISE = 2, (7, 18)

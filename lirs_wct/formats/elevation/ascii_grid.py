@@ -13,8 +13,8 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.elevation.wkt import system_of_text
 from lirs_wct.formats.images.geotiff import DEGREES, RasterInfo, located, looks_geographic
 from lirs_wct.formats.images.picture import check_size
-from lirs_wct.geometry.earth import CoordinateSystem
-from lirs_wct.geometry.georeference import Affine
+from lirs_wct.geometry.geodesy.earth import CoordinateSystem
+from lirs_wct.geometry.geodesy.georeference import Affine
 
 _KEYS = (
     "ncols",

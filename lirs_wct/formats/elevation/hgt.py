@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.images.geotiff import RasterInfo
 from lirs_wct.formats.images.picture import check_size
-from lirs_wct.geometry.earth import CoordinateSystem
-from lirs_wct.geometry.georeference import Georeference
+from lirs_wct.geometry.geodesy.earth import CoordinateSystem
+from lirs_wct.geometry.geodesy.georeference import Georeference
 
 SHAPES = {rows * cols * 2: (rows, cols) for rows, cols in ((1201, 1201), (3601, 3601), (3601, 1801))}
 """Bytes of a file -> rows and columns: 3 and 1 arc seconds, and beyond 50 degrees 1 by 2."""

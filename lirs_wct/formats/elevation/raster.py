@@ -16,8 +16,8 @@ from lirs_wct.formats.images.geotiff import RasterInfo, height_unit, located, ra
 from lirs_wct.formats.images.header import MAX_PIXELS
 from lirs_wct.formats.images.picture import check_size, read_picture
 from lirs_wct.formats.suffixes import RASTERS
-from lirs_wct.geometry.earth import CoordinateSystem
-from lirs_wct.geometry.georeference import Georeference, middle_of_pixels
+from lirs_wct.geometry.geodesy.earth import CoordinateSystem
+from lirs_wct.geometry.geodesy.georeference import Georeference, middle_of_pixels
 
 
 @dataclass(frozen=True, slots=True)

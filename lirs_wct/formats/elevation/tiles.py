@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry.earth import WGS84, CoordinateSystem
-from lirs_wct.geometry.georeference import Georeference
+from lirs_wct.geometry.geodesy.earth import WGS84, CoordinateSystem
+from lirs_wct.geometry.geodesy.georeference import Georeference
 
 Encoding = Literal["gray", "terrain-rgb", "terrarium"]
 ENCODINGS: tuple[Encoding, ...] = ("gray", "terrain-rgb", "terrarium")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from lirs_wct.geometry.earth import CoordinateSystem
+from lirs_wct.geometry.geodesy.earth import CoordinateSystem
 
 _NAMED = re.compile(r'(?:AUTHORITY|ID)\["EPSG",\s*"?(\d+)"?\]\]\s*$')
 """The code of the whole system, which stands last in its WKT."""

@@ -7,7 +7,7 @@ from xml.sax.saxutils import escape, quoteattr
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above, require_at_least
-from lirs_wct.geometry.place import Place
+from lirs_wct.geometry.geodesy.place import Place
 from lirs_wct.geometry.viewpoint import Viewpoint
 
 VERSION = "1.6"

@@ -12,8 +12,8 @@ from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.clouds.point_file import PointFile, read_points
 from lirs_wct.formats.images.geotiff import located
+from lirs_wct.geometry.geodesy.place import Place
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.place import Place
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.clouds.grid import NodeGrid, filled, gap_distance
 from lirs_wct.sources.clouds.smrf import Smrf, ground_points

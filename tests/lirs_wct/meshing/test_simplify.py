@@ -18,7 +18,7 @@ from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.simplify import simplified_solid, triangulate
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.picture import read_height_field
+from lirs_wct.sources.pictures.picture import read_height_field
 from lirs_wct.sources.rasterize import rasterize_heights
 
 

@@ -11,7 +11,7 @@ import pytest
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.sources.bundled import PIXELS, RECIPES, SIZE, bundled_picture, slope_over
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.picture import read_terrain
+from lirs_wct.sources.pictures.picture import read_terrain
 from lirs_wct.sources.source import find_source
 from lirs_wct.world import build_world
 

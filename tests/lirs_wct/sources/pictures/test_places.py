@@ -132,7 +132,7 @@ def test_gazebo_and_info_are_told(folder: Path, tmp_path: Path) -> None:
 
 def test_a_utm_world_says_that_its_x_axis_is_not_east(tmp_path: Path) -> None:
     """Grid convergence of 32618 at 74 W, 40.7 N: .65 deg, by (longitude - meridian) sin latitude."""
-    rasters = Path(__file__).parents[1] / "formats/elevation/rasters"
+    rasters = Path(__file__).parents[2] / "formats/elevation/rasters"
     world = built(rasters / "utm.tif")
     package = write_package(world, tmp_path, formats=("stl", "sdf"))
     path = "world/spherical_coordinates/heading_deg"

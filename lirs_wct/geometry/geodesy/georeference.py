@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry.earth import CoordinateSystem
+from lirs_wct.geometry.geodesy.earth import CoordinateSystem
 
 Affine = tuple[float, float, float, float, float, float]
 """a, b, c, d, e, f of x = a u + b v + c, y = d u + e v + f."""

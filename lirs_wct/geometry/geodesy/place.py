@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.earth import CoordinateSystem, metres_per_degree
-from lirs_wct.geometry.georeference import Affine
+from lirs_wct.geometry.geodesy.earth import CoordinateSystem, metres_per_degree
+from lirs_wct.geometry.geodesy.georeference import Affine
 
 
 @dataclass(frozen=True, slots=True)

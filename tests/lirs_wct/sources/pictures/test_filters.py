@@ -12,9 +12,9 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.geometry.grid_sampling import resized
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.sources.filters import denoised, sharpened, smoothed
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.picture import read_height_field
+from lirs_wct.sources.pictures.filters import denoised, sharpened, smoothed
+from lirs_wct.sources.pictures.picture import read_height_field
 
 RAMP = np.tile(np.arange(40, dtype=np.float32), (30, 1))
 

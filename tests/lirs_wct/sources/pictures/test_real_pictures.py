@@ -9,7 +9,7 @@ import pytest
 
 from lirs_wct.errors import SourceError
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.picture import read_height_field
+from lirs_wct.sources.pictures.picture import read_height_field
 
 COLOUR = "is in colour"
 HOLES = "pixels have no height"

@@ -14,15 +14,15 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.elevation.raster import Raster, read_raster
 from lirs_wct.formats.images.geotiff import RasterInfo
 from lirs_wct.formats.images.picture import check_size
+from lirs_wct.geometry.geodesy.place import Place
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.place import Place
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.bundled import SIZE, bundled_picture
-from lirs_wct.sources.dequantize import dequantize
-from lirs_wct.sources.elevation import decoded, pixel_of, place_of, tell_slopes, way_out
-from lirs_wct.sources.filters import apply_filters
-from lirs_wct.sources.nodata import fill_nodata, tell_border
 from lirs_wct.sources.options import DEFAULT_HEIGHT, DEFAULT_SIZE, BuildOptions
+from lirs_wct.sources.pictures.dequantize import dequantize
+from lirs_wct.sources.pictures.elevation import decoded, pixel_of, place_of, tell_slopes, way_out
+from lirs_wct.sources.pictures.filters import apply_filters
+from lirs_wct.sources.pictures.nodata import fill_nodata, tell_border
 from lirs_wct.sources.source import Source
 from lirs_wct.sources.source_kind import SourceKind
 from lirs_wct.sources.window import cut_surface, leveled

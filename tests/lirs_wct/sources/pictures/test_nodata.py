@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_wct.sources.nodata import tell_border
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.picture import read_height_field
+from lirs_wct.sources.pictures.nodata import tell_border
+from lirs_wct.sources.pictures.picture import read_height_field
 
 HILLS = 3000 + 40 * np.sin(np.arange(40) / 6)[:, None] + 30 * np.cos(np.arange(50) / 5)[None, :]
 
