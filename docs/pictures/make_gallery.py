@@ -14,7 +14,7 @@ import cv2
 
 from lirs_envs.robots.catalog import ROBOTS
 from lirs_validation import validate
-from lirs_validation.cli.robot_card import draw
+from lirs_validation.cli.commands.robot_card import draw
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.drawing.canvas import Canvas
 from lirs_wct.drawing.style import new_figure, title

@@ -1,4 +1,4 @@
-"""The command line, `lirs-wct`: one theme of commands a file, put together in `app`."""
+"""The command line, `lirs-wct`: the commands, their options, and `app`, which puts them together."""
 
 from lirs_validation.cli.app import main
 

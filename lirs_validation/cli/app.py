@@ -1,4 +1,4 @@
-"""The command line, `lirs-wct`: every command is a function of a module beside this one."""
+"""The command line, `lirs-wct`: every command is a function of a module in `commands`."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from typing import Annotated, Any
 import typer
 from typer.exceptions import TyperException
 
-from lirs_validation.cli.bench import bench
-from lirs_validation.cli.collide import collide
+from lirs_validation.cli.commands.bench import bench
+from lirs_validation.cli.commands.collide import collide
+from lirs_validation.cli.commands.doctor import doctor
+from lirs_validation.cli.commands.export import export
+from lirs_validation.cli.commands.gui import gui
+from lirs_validation.cli.commands.map import map_log
+from lirs_validation.cli.commands.mappers import mappers
+from lirs_validation.cli.commands.reports import compare, report, score
+from lirs_validation.cli.commands.robot_card import robot
+from lirs_validation.cli.commands.validate import record, validate
+from lirs_validation.cli.commands.worlds import build, convert, info, view
 from lirs_validation.cli.console import BAD_INPUT, INTERRUPTED, RUN_FAILED, err, out
-from lirs_validation.cli.doctor import doctor
 from lirs_validation.cli.examples import epilog
-from lirs_validation.cli.export import export
-from lirs_validation.cli.gui import gui
-from lirs_validation.cli.map import map_log
-from lirs_validation.cli.mappers import mappers
-from lirs_validation.cli.reports import compare, report, score
-from lirs_validation.cli.robot_card import robot
-from lirs_validation.cli.validate import record, validate
-from lirs_validation.cli.worlds import build, convert, info, view
 from lirs_validation.experiment.own_code import importable
 from lirs_validation.interrupts import is_interrupt
 from lirs_wct.errors import MapperError, WctError

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_type_hints
 
 import typer
 
-from lirs_validation.cli.map import with_logs_mapped
+from lirs_validation.cli.log_sources import with_logs_mapped
 from lirs_validation.config import SourceOptions
 from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
 from lirs_wct.option import Option, Options, declared

@@ -11,12 +11,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lirs_validation.driving.clearance import room_at
 from lirs_validation.driving.driver import Frame
-from lirs_validation.driving.exploration_map import ExplorationMap, distance_in_sight, exploration_map
-from lirs_validation.driving.grid_search import cells_ahead, nearest, penalize_behind
 from lirs_validation.driving.path_driver import DriverConfig, Path
-from lirs_validation.driving.path_smoothing import smoothed
+from lirs_validation.driving.planning.clearance import room_at
+from lirs_validation.driving.planning.exploration_map import (
+    ExplorationMap,
+    distance_in_sight,
+    exploration_map,
+)
+from lirs_validation.driving.planning.grid_search import cells_ahead, nearest, penalize_behind
+from lirs_validation.driving.planning.path_smoothing import smoothed
 from lirs_validation.driving.pursuit import speed_profile
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.geometry.grid import OccupancyGrid

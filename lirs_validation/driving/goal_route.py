@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from lirs_validation.driving.exploration_map import ExplorationMap
 from lirs_validation.driving.frontier_route import FrontierRoute
-from lirs_validation.driving.grid_search import penalize_behind
+from lirs_validation.driving.planning.exploration_map import ExplorationMap
+from lirs_validation.driving.planning.grid_search import penalize_behind
 from lirs_wct.arrays import IntArray
 from lirs_wct.geometry.grid_search import Reach, search
 from lirs_wct.geometry.pose import Pose2

@@ -8,7 +8,7 @@ import numpy as np
 
 from lirs_validation.driving.driver import Frame
 from lirs_validation.driving.path_driver import DriverConfig, Path, PathDriver
-from lirs_validation.driving.planning import CoveragePlanner
+from lirs_validation.driving.planning.coverage_planner import CoveragePlanner
 from lirs_validation.driving.pursuit import speed_profile
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField

@@ -7,11 +7,11 @@ from pathlib import Path as File
 
 import numpy as np
 
-from lirs_validation.driving.clearance import path_weight, room_at, room_in
 from lirs_validation.driving.driver import Frame
-from lirs_validation.driving.grid_search import area_round, nearest
 from lirs_validation.driving.path_driver import DriverConfig, Path
-from lirs_validation.driving.path_smoothing import arc_length, smoothed
+from lirs_validation.driving.planning.clearance import path_weight, room_at, room_in
+from lirs_validation.driving.planning.grid_search import area_round, nearest
+from lirs_validation.driving.planning.path_smoothing import arc_length, smoothed
 from lirs_validation.driving.pursuit import speed_profile
 from lirs_validation.driving.tour import ground_height
 from lirs_wct.arrays import FloatArray

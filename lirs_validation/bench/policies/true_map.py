@@ -19,12 +19,12 @@ from lirs_envs.policies.policy import PolicyContext
 from lirs_envs.tasks.site import SEEN_CELL
 from lirs_validation.bench.policies.driven import DrivenPolicy
 from lirs_validation.driving.choice import MARGIN
-from lirs_validation.driving.clearance import path_weight, room_at, room_in
 from lirs_validation.driving.driver import Driver, Frame
-from lirs_validation.driving.grid_search import area_round, nearest, penalize_behind
 from lirs_validation.driving.pace import driver_config
 from lirs_validation.driving.path_driver import DriverConfig, Path, PathDriver
-from lirs_validation.driving.path_smoothing import smoothed
+from lirs_validation.driving.planning.clearance import path_weight, room_at, room_in
+from lirs_validation.driving.planning.grid_search import area_round, nearest, penalize_behind
+from lirs_validation.driving.planning.path_smoothing import smoothed
 from lirs_validation.driving.pursuit import speed_profile
 from lirs_validation.driving.tour import ground_height
 from lirs_validation.driving.waypoint_route import WaypointRoute

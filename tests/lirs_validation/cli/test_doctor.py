@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from lirs_validation.cli import doctor
+from lirs_validation.cli.commands import doctor
 
 
 @pytest.fixture

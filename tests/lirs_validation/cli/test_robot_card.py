@@ -13,7 +13,7 @@ from rich.console import Console
 from lirs_envs.robots.catalog import ROBOTS
 from lirs_envs.robots.urdf import robot_urdf
 from lirs_validation import cli
-from lirs_validation.cli import robot_card
+from lirs_validation.cli.commands import robot_card
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lirs_validation.driving.path_driver import DriverConfig
-from lirs_validation.driving.planning import CoveragePlanner, TourConfig
+from lirs_validation.driving.planning.coverage_planner import CoveragePlanner, TourConfig
 from lirs_validation.driving.pursuit import PursuitConfig
 from lirs_validation.driving.tour import CoverageDriver, plan_coverage
 from lirs_wct.errors import ConfigError

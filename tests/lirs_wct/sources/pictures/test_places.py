@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from lirs_validation.cli.info import facts_table, world_facts
+from lirs_validation.cli.commands.info import facts_table, world_facts
 from lirs_validation.gui.session.world_facts import built_facts
 from lirs_wct import World, write_package
 from lirs_wct.errors import ConfigError

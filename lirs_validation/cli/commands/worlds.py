@@ -103,7 +103,7 @@ def info(
 ) -> None:
     """Say what a source is: size, heights, slopes, where robots drive, walls in sight, triangles, error."""
     from lirs_envs.robots.catalog import make_robot
-    from lirs_validation.cli.info import facts_table, world_facts
+    from lirs_validation.cli.commands.info import facts_table, world_facts
     from lirs_wct.world import build_world
 
     make_robot(robot)

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lirs_validation.driving.clearance import COMFORTABLE, NARROW, path_weight, room_at, room_in
-from lirs_validation.driving.grid_search import area_round, cells_ahead, penalize_behind
-from lirs_validation.driving.path_smoothing import arc_length, smoothed
+from lirs_validation.driving.planning.clearance import COMFORTABLE, NARROW, path_weight, room_at, room_in
+from lirs_validation.driving.planning.grid_search import area_round, cells_ahead, penalize_behind
+from lirs_validation.driving.planning.path_smoothing import arc_length, smoothed
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.grid import OccupancyGrid

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from lirs_validation.driving.clearance import path_weight, room_in
+from lirs_validation.driving.planning.clearance import path_weight, room_in
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.geometry.grid import OCCUPIED, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2

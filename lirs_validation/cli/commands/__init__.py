@@ -1,0 +1,1 @@
+"""Every command is a function of a module of this folder."""

@@ -1,0 +1,1 @@
+"""Paths over the cells of a grid: search, clearance, coverage, smoothing."""
