@@ -12,9 +12,9 @@ from lirs_wct.drawing.style import BLACK, GRAY, TEXT, TITLE
 from lirs_wct.geometry.trajectory import Trajectory
 
 
-def headline(figure: Figure, text: str) -> None:
-    """Set the title of the whole picture."""
-    figure.suptitle(text, fontsize=TITLE + 1.5, x=0.012, ha="left", color=BLACK)
+def headline(figure: Figure, text: str, **place: float) -> None:
+    """Set the title of the whole picture; its upper edge is `y`, a share of the height."""
+    figure.suptitle(text, fontsize=TITLE + 1.5, x=0.012, ha="left", color=BLACK, **place)
 
 
 def value_list(axes: Axes, lines: Sequence[tuple[str, str]]) -> None:

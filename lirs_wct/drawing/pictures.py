@@ -55,7 +55,7 @@ def surface_figure(surface: HeightField) -> Drawing:
     map_axes(axes, canvas, shaded_surface(surface, canvas))
     width, depth = surface.size
     title(axes, f"{length(width)} x {length(depth)}, relief {length(surface.relief)}")
-    height_scale(figure, axes, surface)
+    height_scale(figure, surface, ax=axes, shrink=0.6, aspect=28, pad=0.01)
     return figure
 
 

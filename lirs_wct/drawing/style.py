@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from io import BytesIO
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -65,12 +65,12 @@ def map_axes(axes: Axes, canvas: Canvas, picture: FloatArray) -> None:
     axes.locator_params(nbins=7)
 
 
-def legend(axes: Axes, handles: Sequence[Any]) -> None:
-    """Put a small legend above a panel's right end, where it hides nothing."""
+def legend(axes: Axes, handles: Sequence[Any], *, side: Literal["left", "right"] = "right") -> None:
+    """Put a small legend above an end of a panel, where it hides nothing."""
     axes.legend(
         handles=handles,
-        loc="lower right",
-        bbox_to_anchor=(1.0, 1.0),
+        loc="lower left" if side == "left" else "lower right",
+        bbox_to_anchor=(float(side == "right"), 1.0),
         ncols=len(handles),
         fontsize=SMALL,
         frameon=False,
@@ -93,9 +93,15 @@ class Drawing(Figure):
         return small.getvalue()
 
 
+def bare_figure(width: float, height: float) -> Drawing:
+    """Return a white figure in inches; its panels are placed by whoever draws them."""
+    return Drawing(figsize=(width, height), dpi=DPI, facecolor="white")
+
+
 def new_figure(width: float, height: float) -> Drawing:
     """Return a white figure in inches that lays its panels out by itself."""
-    figure = Drawing(figsize=(width, height), dpi=DPI, layout="constrained", facecolor="white")
+    figure = bare_figure(width, height)
+    figure.set_layout_engine("constrained")
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.set(w_pad=0.06, h_pad=0.06, wspace=0.02, hspace=0.02)  # type: ignore[call-arg]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,16 +21,30 @@ from lirs_wct.drawing.hillshade import WALL, height_colors, shaded_heights
 from lirs_wct.drawing.mesh_view import mesh_view
 from lirs_wct.drawing.oblique import oblique_view
 from lirs_wct.drawing.panels import headline
+from lirs_wct.drawing.placing import (
+    BELOW,
+    GAP,
+    LEFT,
+    LETTERS,
+    LINE,
+    NARROW,
+    RIM,
+    SCALE,
+    Size,
+    fewer_ticks,
+    fitted,
+    placed,
+)
 from lirs_wct.drawing.style import (
     BLACK,
     SMALL,
     TEXT,
     VERMILLION,
     Drawing,
+    bare_figure,
     legend,
     length,
     map_axes,
-    new_figure,
     plain_axes,
     title,
 )
@@ -39,8 +54,12 @@ from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.world import World
 
-TITLE_LETTERS = 62
-"""Letters of a title that fit above a panel."""
+WIDTH, HALF, TALL = 12.0, 4.9, 9.0
+"""Inches at most: of the picture's width, of a panel's where two stand side by side, of a panel's height."""
+TITLE_WIDTH, LEAST = 3.6, 1.2
+"""Inches that a panel's title has at least, and of the color scale's height at least."""
+WIDE = 2.5
+"""Ratio of width to depth from which on the panels stand one above the other."""
 BLOCK_NODES = 700
 """Nodes along each side of the terrain that is shown at an angle, at most."""
 WALL_TOP, WALL_SIDE = (0.47, 0.50, 0.56), (0.30, 0.32, 0.38)
@@ -49,36 +68,59 @@ WALL_TOP, WALL_SIDE = (0.47, 0.50, 0.56), (0.30, 0.32, 0.38)
 def view_figure(world: World) -> Drawing:
     """Draw a world from above and at an angle, with its start poses; no OpenGL, no pyplot."""
     canvas = Canvas.over(world.surface.bounds)
-    shaded = shaded_heights(world, canvas)
     block = block_picture(world, canvas)
     rows, cols = canvas.shape
-    taller = max(5.1 * rows / cols, 5.6 * block.shape[0] / block.shape[1])
-    figure = new_figure(12.0, 0.9 + min(taller, 9.0))
-    above, oblique = figure.subplots(1, 2, gridspec_kw={"width_ratios": (1, 1.1)})
-    map_axes(above, canvas, shaded)
-    legend_above = _starts(above, world)
-    title(above, _wrapped(world_title(world)), above_legend=legend_above)
-    oblique.imshow(block, interpolation="antialiased")
-    oblique.set_axis_off()
-    title(oblique, _seen_from(world), above_legend=legend_above)
-    for axes in (above, oblique):
-        axes.set_anchor("N")
-    height_scale(figure, oblique, world.surface)
+    stacked = cols > WIDE * rows
+    above, oblique = (
+        fitted(ratio, Size(WIDTH - LEFT - SCALE if stacked else HALF, TALL))
+        for ratio in (cols / rows, block.shape[1] / block.shape[0])
+    )
+    boxes = [max(size.width, TITLE_WIDTH) for size in (above, oblique)]
+    titles = [_wrapped(world_title(world), boxes[0]), _wrapped(_seen_from(world), boxes[1])]
+    head = RIM + LINE * max(text.count("\n") + 2 for text in titles) + 0.2
+    if stacked:
+        left, top = LEFT, head + above.height + BELOW + head
+        width, height = WIDTH, top + oblique.height + RIM
+    else:
+        left, top = LEFT + boxes[0] + GAP, head
+        width, height = left + boxes[1] + SCALE, head + max(above.height + BELOW, oblique.height + RIM)
+    figure = bare_figure(width, height)
+    axes = placed(figure, LEFT, head, above)
+    map_axes(axes, canvas, shaded_heights(world, canvas))
+    fewer_ticks(axes, above)
+    title(axes, titles[0], above_legend=_starts(axes, world, above))
+    axes = placed(figure, left, top, oblique)
+    _show_block(axes, block)
+    title(axes, titles[1], above_legend=not stacked)
+    _height_scale_beside(figure, world.surface, left + oblique.width, top, oblique.height)
     return figure
 
 
 def oblique_figure(world: World) -> Drawing:
     """Draw a world at an angle alone, large."""
     block = block_picture(world, Canvas.over(world.surface.bounds, 1400), width=1700)
-    ratio = block.shape[0] / block.shape[1]
-    height = float(np.clip(10.5 * ratio, 3.0, 10.0))
-    figure = new_figure(float(np.clip(height / ratio + 1.5, 6.0, 12.0)), 0.9 + height)
-    axes = figure.subplots()
+    size = fitted(block.shape[1] / block.shape[0], Size(WIDTH - RIM - SCALE, TALL))
+    width = max(size.width + RIM + SCALE, WIDTH / 2)
+    text = f"{_wrapped(world_title(world), width)}\n{_wrapped(_seen_from(world), width)}"
+    head = 2 * RIM + 1.2 * LINE * (text.count("\n") + 1)
+    figure = bare_figure(width, head + max(size.height, LEAST) + RIM)
+    headline(figure, text, y=1 - RIM / figure.get_figheight())
+    _show_block(placed(figure, RIM, head, size), block)
+    _height_scale_beside(figure, world.surface, RIM + size.width, head, max(size.height, LEAST))
+    return figure
+
+
+def _show_block(axes: Axes, block: FloatArray) -> None:
     axes.imshow(block, interpolation="antialiased")
     axes.set_axis_off()
-    headline(figure, f"{_wrapped(world_title(world))}\n{_seen_from(world)}")
-    height_scale(figure, axes, world.surface)
-    return figure
+
+
+def _height_scale_beside(figure: Figure, surface: HeightField, x: float, top: float, height: float) -> None:
+    """Add the color scale right of a panel, over two thirds of its height, where there are heights."""
+    if surface.relief > 0:
+        size = Size(0.13, max(2 * height / 3, LEAST))
+        bar = placed(figure, x + RIM, top + (height - size.height) / 2, size)
+        height_scale(figure, surface, cax=bar)
 
 
 def world_title(world: World) -> str:
@@ -88,8 +130,8 @@ def world_title(world: World) -> str:
     return extent if world.walls is not None else f"{extent}, relief {length(world.surface.relief)}"
 
 
-def _wrapped(text: str) -> str:
-    return "\n".join(textwrap.wrap(text, TITLE_LETTERS))
+def _wrapped(text: str, width: float) -> str:
+    return "\n".join(textwrap.wrap(text, int(LETTERS * width)))
 
 
 def _seen_from(world: World) -> str:
@@ -122,7 +164,7 @@ def _block(world: World) -> TriangleMesh:
     return solid_mesh(HeightField(z, (width / (cols - 1), depth / (rows - 1)), surface.origin))
 
 
-def _starts(axes: Axes, world: World) -> bool:
+def _starts(axes: Axes, world: World, size: Size) -> bool:
     """Draw an arrow at each spawn pose, numbered as in `World.spawn_poses`.
 
     Returns:
@@ -146,7 +188,7 @@ def _starts(axes: Axes, world: World) -> bool:
     if world.walls is not None:
         handles.append(Patch(color=WALL, label=f"wall, {world.walls.height:g} m"))
     if handles:
-        legend(axes, handles)
+        legend(axes, handles, side="left" if size.width < NARROW else "right")
     return bool(handles)
 
 
@@ -166,12 +208,12 @@ def _exaggeration(world: World) -> float:
     return float(np.clip(round(0.2 * max(world.surface.size) / relief) / 2, 1.0, 3.0))
 
 
-def height_scale(figure: Figure, axes: Axes, surface: HeightField) -> None:
-    """Add the color scale of the heights, where there are heights."""
+def height_scale(figure: Figure, surface: HeightField, **where: Any) -> None:
+    """Add the color scale of the heights, where there are heights; see `Figure.colorbar`."""
     if surface.relief <= 0:
         return
     limits = Normalize(float(surface.z.min()), float(surface.z.max()))
-    bar = figure.colorbar(ScalarMappable(limits, height_colors()), ax=axes, shrink=0.6, aspect=28, pad=0.01)
+    bar = figure.colorbar(ScalarMappable(limits, height_colors()), **where)
     plain_axes(bar.ax, "", "")
     bar.set_label("height [m]", fontsize=TEXT)
     bar.outline.set_visible(False)

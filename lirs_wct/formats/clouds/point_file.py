@@ -13,13 +13,12 @@ from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.elevation.wkt import system_of_text
 from lirs_wct.formats.images.geotiff import system_of_keys
+from lirs_wct.formats.meshes.ply_header import ply_elements, require_positions, require_xyz
 from lirs_wct.geometry.geodesy.earth import CoordinateSystem
 
 EXTRA = "pip install 'lirs-wct[clouds]'"
 GROUND, NOISE = 2, (7, 18)
 """Classes of the ASPRS LAS specification 1.4, table 17."""
-_HEADER = 1 << 16
-"""Bytes of a PLY file in which its header stands."""
 
 
 @dataclass(frozen=True)
@@ -39,14 +38,8 @@ class PointFile:
 
 def is_cloud_ply(path: Path) -> bool:
     """Return whether a PLY file holds points and no faces."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEADER)
-    except OSError:
-        return False
-    lines = head.partition(b"end_header")[0].split(b"\n")
-    faces = [line.split()[2:] for line in lines if line.split()[:2] == [b"element", b"face"]]
-    return head.startswith(b"ply") and all(count == [b"0"] for count in faces)
+    elements = ply_elements(path)
+    return elements is not None and elements.get("face", (0, ()))[0] == 0
 
 
 def read_points(path: Path) -> PointFile:
@@ -75,6 +68,7 @@ def read_points(path: Path) -> PointFile:
 def _read_ply(path: Path) -> PointFile:
     import trimesh  # here: a log's first scan does not wait for it
 
+    require_positions(path)
     loaded = trimesh.load(path, process=False)
     return PointFile(np.asarray(loaded.vertices, np.float64).reshape(-1, 3))
 
@@ -83,7 +77,9 @@ def _read_pcd(path: Path) -> PointFile:
     _require(path, "pypcd4")
     from pypcd4 import PointCloud
 
-    xyz = PointCloud.from_path(path).numpy(("x", "y", "z"))
+    loaded = PointCloud.from_path(path)
+    require_xyz(path, loaded.fields)
+    xyz = loaded.numpy(("x", "y", "z"))
     return PointFile(np.asarray(xyz, np.float64).reshape(-1, 3))
 
 

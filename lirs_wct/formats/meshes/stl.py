@@ -14,6 +14,7 @@ from trimesh.resolvers import FilePathResolver
 from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
+from lirs_wct.formats.meshes.ply_header import require_positions
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.progress import Progress, no_progress, tracked
 
@@ -90,6 +91,8 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     """
     if not path.is_file():
         raise SourceError(f"{path}: no such file")
+    if path.suffix.lower() == ".ply":
+        require_positions(path)
     textures = FilePathResolver(str(path))
     # Gazebo's packages have theirs in ../materials/textures.
     textures.allow_anywhere = True

@@ -173,6 +173,37 @@ def test_clouds_that_are_none(tmp_path: Path) -> None:
             build_world(tmp_path / f"{name}.ply")
 
 
+PLY = "ply\nformat ascii 1.0\nelement {} 3\nproperty float x\nproperty uchar y\nproperty float {}\n"
+FACES = "element face 1\nproperty list uchar int vertex_indices\n"
+ROWS = "end_header\n1 2 3\n4 5 6\n7 8 8\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (PLY.format("vertex", "red") + ROWS, "points need x, y and z; missing: z; got: x, y, red"),
+        (PLY.format("vertex", "Z") + FACES + ROWS + "3 0 1 2\n", "missing: z; got: x, y, Z"),
+        (
+            PLY.format("point", "z") + ROWS,
+            "an element 'vertex' with x, y and z; its elements are: point",
+        ),
+    ],
+)
+def test_a_ply_without_positions_says_what_it_has(text: str, reason: str, tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_text(text)
+    with pytest.raises(SourceError, match=rf"a\.ply: .*{reason}"):
+        build_world(tmp_path / "a.ply")
+
+
+def test_a_pcd_without_positions_says_what_it_has(tmp_path: Path) -> None:
+    pypcd4 = pytest.importorskip("pypcd4")
+    points = np.ones((5, 2), np.float32)
+    cloud = pypcd4.PointCloud.from_points(points, ("x", "intensity"), (np.float32,) * 2)
+    cloud.save(tmp_path / "a.pcd")
+    with pytest.raises(SourceError, match=r"a\.pcd: .*missing: y, z; got: x, intensity"):
+        build_world(tmp_path / "a.pcd")
+
+
 def test_a_window_beside_the_cloud(scene: Scene, tmp_path: Path) -> None:
     trimesh.PointCloud(scene.xyz).export(tmp_path / "a.ply")
     with pytest.raises(
