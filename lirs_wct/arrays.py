@@ -11,6 +11,8 @@ IntArray = NDArray[np.int64]
 Int32Array = NDArray[np.int32]
 ByteArray = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
+RecordArray = NDArray[np.void]
+"""Of a structured type: fields with names."""
 
 Vector3 = tuple[float, float, float]
 """x, y, z as plain numbers: in a hot loop a small array costs more than the arithmetic."""

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numba import njit
 
-from lirs_wct.arrays import ByteArray, FloatArray, Int32Array
+from lirs_wct.arrays import ByteArray, FloatArray, Int32Array, IntArray
 from lirs_wct.errors import SimulationError
 
 DIVERGENCE_WARNINGS = {
@@ -20,7 +20,7 @@ DIVERGENCE_WARNINGS = {
     mujoco.mjtWarning.mjWARN_CONTACTFULL: "there are more contacts than memory for them",
     mujoco.mjtWarning.mjWARN_CNSTRFULL: "there are more constraints than memory for them",
 }
-KINDS = [int(kind) for kind in DIVERGENCE_WARNINGS]
+KINDS: IntArray = np.array([int(kind) for kind in DIVERGENCE_WARNINGS], np.int64)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,8 @@ class ContactMonitor:
             return
         if self._roles is None:
             self._roles = _roles(data.model.ngeom, self.wheel_geoms, self.own_geoms)
-        depth, touching = contact_state(data.contact.dist, data.contact.geom, self._roles)
+        contact = data.contact
+        depth, touching = contact_state(contact.dist, contact.geom, self._roles)
         self.penetrations.append(depth)
         self.body_contacts += touching and not self._touching
         self.body_seconds += dt * touching
@@ -114,11 +115,21 @@ def check_divergence(data: mujoco.MjData) -> None:
     Raises:
         SimulationError: MuJoCo warned, or the state is not finite.
     """
-    if data.warning.number[KINDS].any():
-        reasons = (reason for kind, reason in DIVERGENCE_WARNINGS.items() if data.warning[kind].number)
-        raise SimulationError(f"the simulation diverged at {data.time:.3f} s: {next(reasons)}")
-    if not (is_finite(data.qpos) and is_finite(data.qvel)):
-        raise SimulationError(f"the simulation diverged at {data.time:.3f} s: the state is not finite")
+    if is_sound(data.warning.number, KINDS, data.qpos, data.qvel):
+        return
+    for kind, reason in DIVERGENCE_WARNINGS.items():
+        if data.warning[kind].number:
+            raise SimulationError(f"the simulation diverged at {data.time:.3f} s: {reason}")
+    raise SimulationError(f"the simulation diverged at {data.time:.3f} s: the state is not finite")
+
+
+@njit(cache=True, nogil=True)
+def is_sound(warned: Int32Array, kinds: IntArray, qpos: FloatArray, qvel: FloatArray) -> bool:
+    """Return whether a state is finite and MuJoCo has given no warning (n,) of some kinds."""
+    for kind in kinds:
+        if warned[kind]:
+            return False
+    return bool(is_finite(qpos) and is_finite(qvel))
 
 
 @njit(cache=True, nogil=True)

@@ -51,6 +51,8 @@ class RobotModel:
         actuators: ids of the actuators of the wheels on the left and on the right, or of each rotor.
         left_angles: where `qpos` holds the angles of the driven wheels on the left.
         right_angles: the same on the right.
+        qpos: (nq,) positions, live; the first seven are those of `T_world_base`.
+        qvel: (nv,) velocities, live.
 
     Args:
         world: ground and walls.
@@ -120,13 +122,15 @@ class RobotModel:
 
     def _make_views(self) -> None:
         """Make views into the data once: making one costs as much as reading it."""
-        self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
+        self.qpos: FloatArray = self.data.qpos
+        self.qvel: FloatArray = self.data.qvel
+        self._ctrl = self.data.ctrl
         self._force = self.data.sensor("accelerometer").data
         self._walker_centers = self.data.mocap_pos
 
     def __getstate__(self) -> dict[str, Any]:
         # The data holds the model, and a copied view would be an array that nobody writes any more.
-        left_out = ("model", "_qpos", "_qvel", "_ctrl", "_force", "_walker_centers")
+        left_out = ("model", "qpos", "qvel", "_ctrl", "_force", "_walker_centers")
         return {name: value for name, value in self.__dict__.items() if name not in left_out}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -150,7 +154,7 @@ class RobotModel:
 
     def pose(self) -> Pose3:
         """Return `T_world_base`."""
-        return base_pose(self._qpos)
+        return base_pose(self.qpos)
 
     @property
     def tipped(self) -> bool:
@@ -162,12 +166,12 @@ class RobotModel:
 
         From the state, as the pose is: MuJoCo's sensors lie one step behind it.
         """
-        x, y, z = self._qvel[3:6].tolist()
+        x, y, z = self.qvel[3:6].tolist()
         return x, y, z
 
     def velocity(self) -> Vector3:
         """Return the true velocity of base_link along x, y, z of the base, m/s."""
-        x, y, z = (self._qvel[:3] @ self.pose().rotation).tolist()
+        x, y, z = (self.qvel[:3] @ self.pose().rotation).tolist()
         return x, y, z
 
     def specific_force(self) -> Vector3:
@@ -177,7 +181,7 @@ class RobotModel:
 
     def wheel_angles(self) -> tuple[float, float]:
         """Return the mean angles by which left and right wheels have turned, radians."""
-        return self.mean_angles(self._qpos)
+        return self.mean_angles(self.qpos)
 
     def mean_angles(self, qpos: FloatArray) -> tuple[float, float]:
         """Return `wheel_angles` of a state's positions (nq,)."""
@@ -196,7 +200,7 @@ class RobotModel:
 
     def walk(self, walkers: Walkers, dt: float) -> None:
         """Let the walkers walk for `dt` seconds, before the robot's next step."""
-        x, y = self._qpos[:2].tolist()
+        x, y = self.qpos[:2].tolist()
         walkers.advance(dt, x, y)
         self._walker_centers[:] = walkers.touchable
 
@@ -210,7 +214,7 @@ class RobotModel:
         mujoco.mj_resetData(self.model, self.data)
         if walkers is not None:
             self._walker_centers[:] = walkers.touchable
-        self._qpos[:7] = (*T_world_base.position, *T_world_base.quaternion)
+        self.qpos[:7] = (*T_world_base.position, *T_world_base.quaternion)
         if self._flies:
             weight = float(self.model.body("base_link").subtreemass[0]) * self.gravity
             self._ctrl[[i for side in self.actuators for i in side]] = weight / len(self.actuators)

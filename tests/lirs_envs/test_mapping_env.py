@@ -122,7 +122,7 @@ def test_sensors_are_chosen_by_name(rough: World) -> None:
     env = gym.make("LIRS/Mapping-v0", odometry="ekf", noise="none", sweep=True)
     assert env.spec is not None
     sim = gym.make(EnvSpec.from_json(env.spec.to_json())).unwrapped.simulation
-    assert isinstance(sim._sensors._odometry, EkfOdometry)
+    assert isinstance(sim._sensors._motion.odometry, EkfOdometry)
     assert sim.reset().scan.time_increment > 0
     first = [MappingEnv(rough, noise="none").reset(seed=s)[0]["scan"].tobytes() for s in (1, 2)]
     assert first[0] == first[1], "one start pose, no noise"

@@ -15,13 +15,11 @@ from mujoco.batch import Batch
 from mujoco.batch import SimulationError as BatchError
 from numba import njit
 
-from lirs_envs.collisions import DIVERGENCE_WARNINGS, KINDS, is_finite
+from lirs_envs.collisions import DIVERGENCE_WARNINGS, KINDS, is_sound
 from lirs_envs.robot_model import CONTACT_SENSOR, SETTLING_TIME, RobotModel, base_pose
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, Vector3
 from lirs_wct.geometry.pose import Pose3
-
-WARNINGS = np.array(KINDS, np.int64)
 
 
 class Bodies:
@@ -127,7 +125,7 @@ class Bodies:
     def diverged(self) -> BoolArray:
         """(N,) whether each robot has diverged."""
         found: BoolArray = np.zeros(self.count, np.bool_)
-        _find_diverged(self.qpos, self.qvel, self._batch.warning, WARNINGS, found)
+        _find_diverged(self.qpos, self.qvel, self._batch.warning, KINDS, found)
         return found
 
     def divergence(self, i: int) -> str:
@@ -161,9 +159,7 @@ def _find_diverged(
     qpos: FloatArray, qvel: FloatArray, warning: Int32Array, kinds: IntArray, found: BoolArray
 ) -> None:
     for i in range(len(found)):
-        found[i] = not (is_finite(qpos[i]) and is_finite(qvel[i]))
-        for k in kinds:
-            found[i] |= warning[i, k, 1] > 0
+        found[i] = not is_sound(warning[i, :, 1], kinds, qpos[i], qvel[i])
 
 
 @njit(cache=True, nogil=True)

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from lirs_envs.robots.drive import DriveConfig, DriveParameters, drive_parameters, wheel_speeds
+from lirs_envs.robots.drive import DriveConfig, drive_parameters, wheel_speeds
 from lirs_envs.robots.robot import Robot
-from lirs_wct.arrays import FloatArray, IntArray
+from lirs_wct.arrays import FloatArray, IntArray, RecordArray
 
 
 class WheelActuators(NamedTuple):
@@ -52,7 +52,7 @@ def _drive(
     commands: FloatArray,
     rates: FloatArray,
     dt: float,
-    parameters: DriveParameters,
+    parameters: RecordArray,
     actuators: WheelActuators,
     state: FloatArray,
     ctrl: FloatArray,

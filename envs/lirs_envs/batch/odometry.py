@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from lirs_envs.sensing.odometry import DistanceNoises, OdometryConfig, reckoned_pose
+from lirs_envs.sensing.odometry import DistanceNoises, OdometryConfig, mean_angle, reckoned_pose
 from lirs_wct.arrays import FloatArray, IntArray, Vector3
 
 
@@ -36,7 +36,7 @@ class WheelOdometries:
     def begin(self, i: int, qpos: FloatArray, rng: np.random.Generator) -> None:
         """Begin the odometry of robot `i` where it stands."""
         self._noises.begin(i, rng)
-        self._angles[i] = _mean_angle(qpos[i], self._joints.left), _mean_angle(qpos[i], self._joints.right)
+        self._angles[i] = mean_angle(qpos[i], self._joints.left), mean_angle(qpos[i], self._joints.right)
         self.pose[i] = 0.0
 
     def integrate(
@@ -81,7 +81,7 @@ def integrate_wheels(
     scale, normals, used = noise
     for n in range(len(ids)):
         i = ids[n]
-        left, right = _mean_angle(qpos[i], joints.left), _mean_angle(qpos[i], joints.right)
+        left, right = mean_angle(qpos[i], joints.left), mean_angle(qpos[i], joints.right)
         turned = ((left - angles[i, 0]) + (right - angles[i, 1])) / 2
         measured = ((rates[i, 0], rates[i, 1], rates[i, 2]), attitude[i, 0], attitude[i, 1])
         at: Vector3 = (pose[i, 0], pose[i, 1], pose[i, 2])
@@ -96,11 +96,3 @@ def integrate_wheels(
         angles[i, 0], angles[i, 1] = left, right
         used_up |= used[i] == normals.shape[1]
     return used_up
-
-
-@njit(cache=True, nogil=True)
-def _mean_angle(qpos: FloatArray, joints: IntArray) -> float:
-    total = 0.0
-    for k in range(len(joints)):
-        total += qpos[joints[k]]
-    return total / len(joints)

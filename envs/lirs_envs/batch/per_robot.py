@@ -7,8 +7,9 @@ import numpy as np
 from lirs_envs.batch.bodies import Bodies, BodyView
 from lirs_envs.robots.command import Twist
 from lirs_envs.robots.flight import QuadrotorController
+from lirs_envs.sensing.motion_sensors import add_motion
 from lirs_envs.sensing.odometry import FlowOdometry, WheelOdometry
-from lirs_envs.sensing.sensors import SensorNoise, add_motion, make_odometry
+from lirs_envs.sensing.sensors import SensorNoise, make_odometry
 from lirs_wct.arrays import FloatArray, IntArray
 from lirs_wct.geometry.heightfield import HeightField
 

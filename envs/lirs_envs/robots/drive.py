@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from lirs_envs.robots.command import Twist, Waypoint
 from lirs_envs.robots.robot import Robot
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import FloatArray, RecordArray
 from lirs_wct.field_validators import require_at_least
 
 
@@ -36,35 +35,25 @@ class DriveConfig:
         require_at_least(self, 0, *names, of="the yaw loop", finite=True)
 
 
-class DriveParameters(NamedTuple):
-    """Limits of a robot and gains of its yaw loop, as the kernel reads them."""
+LIMITS = (
+    "max_speed",
+    "max_turn_rate",
+    "max_acceleration",
+    "max_turn_acceleration",
+    "skid_factor",
+    "track",
+    "wheel_radius",
+)
+GAINS = ("proportional", "integral", "integral_limit")
+DRIVE = np.dtype([(name, np.float64) for name in (*LIMITS, *GAINS)])
+"""Limits of a robot and gains of its yaw loop as the kernel reads them: in an array, because a tuple of ten
+numbers takes longer to hand over than the kernel runs."""
 
-    max_speed: float
-    max_turn_rate: float
-    max_acceleration: float
-    max_turn_acceleration: float
-    proportional: float
-    integral: float
-    integral_limit: float
-    skid_factor: float
-    track: float
-    wheel_radius: float
 
-
-def drive_parameters(robot: Robot, config: DriveConfig) -> DriveParameters:
-    """Return the parameters of a robot with driven wheels."""
-    return DriveParameters(
-        robot.max_speed,
-        robot.max_turn_rate,
-        robot.max_acceleration,
-        robot.max_turn_acceleration,
-        config.proportional,
-        config.integral,
-        config.integral_limit,
-        robot.skid_factor,
-        robot.track,
-        robot.wheel_radius,
-    )
+def drive_parameters(robot: Robot, config: DriveConfig) -> RecordArray:
+    """Return (1,) of `DRIVE`: the parameters of a robot with driven wheels."""
+    limits, gains = [getattr(robot, name) for name in LIMITS], [getattr(config, name) for name in GAINS]
+    return np.array([(*limits, *gains)], DRIVE)
 
 
 class DifferentialDrive:
@@ -84,15 +73,14 @@ class DifferentialDrive:
     def update(self, command: Twist | Waypoint, yaw_rate: float, dt: float) -> tuple[float, ...]:
         """Return the speeds of left and right wheels, rad/s (see `robots.controller.Controller`)."""
         assert isinstance(command, Twist), "a waypoint is for robots that fly"
-        speeds: tuple[float, float] = wheel_speeds(
-            self._state, float(command.v), float(command.omega), yaw_rate, dt, self._parameters
-        )
+        v, omega = float(command.v), float(command.omega)
+        speeds: tuple[float, float] = wheel_speeds(self._state, v, omega, yaw_rate, dt, self._parameters)
         return speeds
 
 
 @njit(cache=True, nogil=True)
 def wheel_speeds(
-    state: FloatArray, v: float, omega: float, yaw_rate: float, dt: float, parameters: DriveParameters
+    state: FloatArray, v: float, omega: float, yaw_rate: float, dt: float, parameters: RecordArray
 ) -> tuple[float, float]:
     """Return the speeds of left and right wheels, rad/s, and update the state.
 
@@ -102,9 +90,9 @@ def wheel_speeds(
         omega: commanded turn rate, rad/s.
         yaw_rate: measured by the gyro, rad/s.
         dt: seconds until the next update.
-        parameters: of robot and loop.
+        parameters: (1,) of `DRIVE`.
     """
-    p = parameters
+    p = parameters[0]
     v, omega = _limited(v, p.max_speed), _limited(omega, p.max_turn_rate)
     state[0] += _limited(v - state[0], p.max_acceleration * dt)
     state[1] += _limited(omega - state[1], p.max_turn_acceleration * dt)

@@ -128,7 +128,7 @@ class EkfOdometry(WheelOdometry):
     ) -> None:
         """Add the motion since the last update (see `WheelOdometry.update`)."""
         robot = self.robot
-        distance = self._noise.measured(turned * robot.wheel_radius)
+        distance = self.noise.measured(turned * robot.wheel_radius)
         wheel_turn = difference * robot.wheel_radius / (robot.track * robot.skid_factor)
         self._add(OdometryIncrement(distance, wheel_turn, rates, roll, pitch, dt))
 

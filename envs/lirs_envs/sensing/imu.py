@@ -110,22 +110,26 @@ class ImuSensors:
 
 
 class ImuSensor:
-    """One inertial unit. Its biases are drawn when it is made."""
+    """One inertial unit. Its biases are drawn when it is made.
+
+    Attributes:
+        units: the same as a group of one.
+    """
 
     def __init__(self, config: ImuConfig, rng: np.random.Generator) -> None:
         self.config = config
-        self._units = ImuSensors(config, 1)
-        self._units.begin(0, rng)
+        self.units = ImuSensors(config, 1)
+        self.units.begin(0, rng)
 
     @property
     def rate_bias(self) -> FloatArray:
         """(3,) constant error of the rates, rad/s."""
-        bias: FloatArray = self._units.rate_bias[0]
+        bias: FloatArray = self.units.rate_bias[0]
         return bias
 
     def rates(self, true_rates: Vector3) -> Vector3:
         """Return the measured rates about x, y, z of the base, rad/s."""
-        units = self._units
+        units = self.units
         if units.rates_left[0] == 0:
             units.draw_rate_errors()
         x, y, z = next_rates(units.rate_errors[0], units.rates_left, true_rates)
@@ -143,7 +147,7 @@ class ImuSensor:
             stamp: seconds.
             dt: seconds since the last reading.
         """
-        units = self._units
+        units = self.units
         units.draw_reading(0)
         attitude = (T_world_base.roll, T_world_base.pitch)
         roll, pitch, x, y, z = read_imu(

@@ -107,25 +107,19 @@ class DistanceNoises:
             self.used[i] = 0
 
 
-class DistanceNoise:
+class DistanceNoise(DistanceNoises):
     """The scale error of one robot's distances."""
 
     def __init__(self, config: OdometryConfig, rng: np.random.Generator) -> None:
-        self._noises = DistanceNoises(config, 1)
-        self._noises.begin(0, rng)
+        super().__init__(config, 1)
+        self.begin(0, rng)
 
     @property
     def coming(self) -> tuple[FloatArray, FloatArray, IntArray]:
         """Scale error (1,), normal numbers (BLOCK,) of which one is left at least, how many are used (1,)."""
-        noises = self._noises
-        if noises.used[0] == BLOCK:
-            noises.draw()
-        return noises.scale, noises.normals[0], noises.used
-
-    @property
-    def parameters(self) -> tuple[float, float]:
-        """Standard deviation and correlation length, metres."""
-        return self._noises.parameters
+        if self.used[0] == BLOCK:
+            self.draw()
+        return self.scale, self.normals[0], self.used
 
     def measured(self, distance: float) -> float:
         """Return the measured distance, metres."""
@@ -148,6 +142,15 @@ def measured_distance(
     used[0] += 1
     metres: float = distance * (1 + scale[0])
     return metres
+
+
+@njit(cache=True, nogil=True)
+def mean_angle(qpos: FloatArray, joints: IntArray) -> float:
+    """Return the mean angle of some wheels, radians, from a state's positions (nq,)."""
+    total = 0.0
+    for k in range(len(joints)):
+        total += qpos[joints[k]]
+    return total / len(joints)
 
 
 @njit(cache=True, nogil=True)
@@ -204,7 +207,7 @@ class Odometry:
     def __init__(self, config: OdometryConfig, rng: np.random.Generator) -> None:
         self.config = config
         self.pose = Pose2()
-        self._noise = DistanceNoise(config, rng)
+        self.noise = DistanceNoise(config, rng)
 
     def read(self) -> Pose2:
         """Return `T_odom_base` after all updates."""
@@ -246,7 +249,7 @@ class WheelOdometry(Odometry):
             dt: seconds.
             difference: angle by which the right wheels have turned more than the left ones, radians.
         """
-        before, noise, readings = self.pose, self._noise, (rates, roll, pitch)
+        before, noise, readings = self.pose, self.noise, (rates, roll, pitch)
         at, distance = (before.x, before.y, before.yaw), turned * self.robot.wheel_radius
         self.pose = Pose2(*reckoned_pose(at, noise.coming, noise.parameters, distance, readings, dt))
 
@@ -273,7 +276,7 @@ class FlowOdometry(Odometry):
         east, north, _ = (T_world_base.rotation @ np.array(velocity) * dt).tolist()
         c, s = math.cos(T_world_base.yaw), math.sin(T_world_base.yaw)
         distance = math.hypot(east, north)
-        scale = self._noise.measured(distance) / distance if distance > 0 else 1.0
+        scale = self.noise.measured(distance) / distance if distance > 0 else 1.0
         turn = yaw_rate(rates, roll, pitch) * dt
         # True yaw's axes: what the camera sees is turned with the body.
         moved = Pose2((c * east + s * north) * scale, (c * north - s * east) * scale, turn)

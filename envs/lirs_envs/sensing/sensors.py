@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -15,11 +14,12 @@ from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.ekf import EkfOdometry
 from lirs_envs.sensing.imu import ImuConfig, ImuSensor
+from lirs_envs.sensing.motion_sensors import motion_sensors
 from lirs_envs.sensing.odometry import FlowOdometry, OdometryConfig, WheelOdometry
-from lirs_wct.arrays import BoolArray, Vector3
+from lirs_wct.arrays import BoolArray
 from lirs_wct.field_validators import require_type
 from lirs_wct.geometry.cloud import PointCloud
-from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 
 LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM = 11, 12, 13
@@ -69,19 +69,6 @@ class SensorNoise:
         require_type(self, bool, "rolling_scan", of="the sensor noise")
 
 
-class MovingBody(Protocol):
-    """True state that odometry measures."""
-
-    def pose(self) -> Pose3:
-        """Return `T_world_base`."""
-
-    def velocity(self) -> Vector3:
-        """Return the velocity along the body's axes, m/s."""
-
-    def wheel_angles(self) -> tuple[float, float]:
-        """Return the mean angles by which left and right wheels have turned, radians."""
-
-
 class Sensors:
     """The sensors of a robot that stands still; odometry begins here."""
 
@@ -103,16 +90,14 @@ class Sensors:
             preset, caster, robot.T_base_laser, lidar, ranges, rolling_scan=noise.rolling_scan
         )
         self._imu = ImuSensor(noise.imu, imu)
-        self._odometry = make_odometry(robot, noise, odometry)
-        self._wheel_angles = body.wheel_angles()
-        self._rates = self._imu.rates(body.rates())
+        self._motion = motion_sensors(body, self._imu, make_odometry(robot, noise, odometry))
         pose = body.pose()
         self._attitude = (pose.roll, pose.pitch)
 
     @property
     def yaw_rate(self) -> float:
         """The gyro's last reading about z, rad/s."""
-        return self._rates[2]
+        return self._motion.yaw_rate
 
     @property
     def returned(self) -> BoolArray:
@@ -121,22 +106,19 @@ class Sensors:
 
     def integrate_odometry(self, dt: float) -> None:
         """Read gyro and wheels, or gyro and optical flow, after `dt` seconds."""
-        body = self._body
-        self._rates = self._imu.rates(body.rates())
-        readings = (self._rates, *self._attitude)
-        self._wheel_angles = add_motion(self._odometry, body, readings, self._wheel_angles, dt)
+        self._motion.update(self._attitude, dt)
 
     def observe(self, stamp: float, dt: float) -> Observation:
         """Read all sensors; `dt` is the time since the last observation, seconds."""
         body = self._body
         T_world_base = body.pose()
-        imu = self._imu.read(T_world_base, self._rates, body.specific_force(), stamp, dt)
+        imu = self._imu.read(T_world_base, self._motion.rates, body.specific_force(), stamp, dt)
         self._attitude = (imu.roll, imu.pitch)
         velocity = BaseVelocity(body.velocity(), body.rates()) if self._lidar.time_increment else None
         if self._lidar.preset.rings == 1:
-            return Observation(self._lidar.scan(T_world_base, stamp, velocity), self._odometry.read(), imu)
+            return Observation(self._lidar.scan(T_world_base, stamp, velocity), self._motion.read(), imu)
         scan, cloud = self._lidar.sweep(T_world_base, stamp, velocity)
-        return Observation(scan, self._odometry.read(), imu, cloud)
+        return Observation(scan, self._motion.read(), imu, cloud)
 
 
 def make_odometry(robot: Robot, noise: SensorNoise, rng: np.random.Generator) -> WheelOdometry | FlowOdometry:
@@ -146,28 +128,3 @@ def make_odometry(robot: Robot, noise: SensorNoise, rng: np.random.Generator) ->
     if noise.odometry.method == "ekf":
         return EkfOdometry(robot, noise.odometry, rng, noise.imu)
     return WheelOdometry(robot, noise.odometry, rng)
-
-
-def add_motion(
-    odometry: WheelOdometry | FlowOdometry,
-    body: MovingBody,
-    readings: tuple[Vector3, float, float],
-    wheel_angles: tuple[float, float],
-    dt: float,
-) -> tuple[float, float]:
-    """Add the motion since the last update to a robot's odometry; return the angles of its wheels.
-
-    Args:
-        odometry: of the robot.
-        body: its true state.
-        readings: rates, rad/s, roll and pitch, radians, as measured.
-        wheel_angles: at the last update, left and right, radians.
-        dt: seconds since then.
-    """
-    if isinstance(odometry, FlowOdometry):
-        odometry.update(body.pose(), body.velocity(), *readings, dt)
-        return wheel_angles
-    left, right = body.wheel_angles()
-    left_turned, right_turned = left - wheel_angles[0], right - wheel_angles[1]
-    odometry.update((left_turned + right_turned) / 2, *readings, dt, right_turned - left_turned)
-    return left, right

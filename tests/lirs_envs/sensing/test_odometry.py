@@ -146,7 +146,7 @@ def simulated(
             command = Twist(moves * rng.uniform(0.2, 0.5), moves * rng.uniform(-0.6, 0.6))
         seen.append(repr(sim.advance(command).odometry).encode())
     truth = T_world_odom.inverse() @ sim.T_world_base.to_pose2()
-    odometry = sim._sensors._odometry
+    odometry = sim._sensors._motion.odometry
     return odometry, error_of(odometry, truth), b"".join(seen)
 
 
