@@ -20,18 +20,15 @@ from slam_baselines.gmapping.patches import (
     ABSENT,
     BITS,
     MASK,
-    MEAN_MEMORY,
-    MEAN_STEPS,
     PATCH,
     Patches,
     list_free,
-    own_patch,
-    own_record,
-    records_needed,
     reserved,
     resized,
+    space_needed,
 )
-from slam_baselines.mapping.occupancy_map import STEP, TOP_STEP, UNKNOWN, UpdateConfig
+from slam_baselines.gmapping.scan_entry import Scratch, Window, enter_scans
+from slam_baselines.mapping.occupancy_map import STEP, UNKNOWN, UpdateConfig
 from slam_baselines.scan.leveling import ScanPoints
 
 
@@ -80,18 +77,17 @@ class PatchMaps:
         """
         ends = np.concatenate((scan.hits, scan.free, scan.origin[None]))[:, :2]
         reach = float(np.sqrt((ends**2).sum(axis=1).max())) + 2 * self.resolution
-        self._cover(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
-        span = 2 * reach / self.resolution
-        # A beam crosses at most two new patches each patch length, in either direction.
-        needed = int(min((span / PATCH + 2) ** 2, (len(ends) + 1) * (span / PATCH + 3)))
-        done = 0
-        while done < len(poses):
-            records = records_needed(self.tables[done], self.patches, len(scan.hits))
-            self.patches = reserved(self.patches, needed, records)
-            limits = EntryLimits(int(span) + 4, needed)
+        window = self._cover(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
+        scratch, done = Scratch.of(window), 0
+        while True:
             done = enter_scans(
-                self.stack, poses, scan, min_slopes, wall_slope, np.array(self._steps), limits, done
+                self.stack, window, poses, scan, min_slopes, wall_slope, self._steps, scratch, done
             )
+            if done == len(poses):
+                return
+            row, col, rows, cols = window
+            table = self.tables[done, row : row + rows, col : col + cols]
+            self.patches = reserved(self.patches, *space_needed(table, self.patches, len(scan.hits)))
 
     @property
     def stack(self) -> MapStack:
@@ -126,20 +122,21 @@ class PatchMaps:
         corner = Pose2(float(col0 * self.resolution), float(row0 * self.resolution))
         return OccupancyGrid(grid[r[0] : r[-1] + 1, c[0] : c[-1] + 1].copy(), self.resolution, corner)
 
-    def _cover(self, low: FloatArray, high: FloatArray) -> None:
-        """Make the box (x, y in metres) part of the tables."""
+    def _cover(self, low: FloatArray, high: FloatArray) -> Window:
+        """Make the box (x, y in metres) part of the tables; return its places."""
         edge = PATCH * self.resolution
-        first = np.array([math.floor(v / edge) for v in low[::-1]])
-        end = np.array([math.floor(v / edge) + 1 for v in high[::-1]])
+        south, west = (math.floor(v / edge) for v in low[::-1])
+        north, east = (math.floor(v / edge) + 1 for v in high[::-1])
+        first, end = np.array((south, west)), np.array((north, east))
         n, rows, cols = self.tables.shape
         if rows:
             first, end = np.minimum(first, self.corner), np.maximum(end, self.corner + np.array((rows, cols)))
-            if (end - first == (rows, cols)).all():
-                return
-        new = np.full((n, *(end - first)), ABSENT, np.int32)
-        r, c = self.corner - first if rows else (0, 0)
-        new[:, r : r + rows, c : c + cols] = self.tables
-        self.tables, self.corner = new, first.astype(np.int64)
+        if not rows or (end - first != (rows, cols)).any():
+            new = np.full((n, *(end - first)), ABSENT, np.int32)
+            r, c = self.corner - first if rows else (0, 0)
+            new[:, r : r + rows, c : c + cols] = self.tables
+            self.tables, self.corner = new, first
+        return Window(south - int(self.corner[0]), west - int(self.corner[1]), north - south, east - west)
 
 
 class MapView(NamedTuple):
@@ -167,117 +164,6 @@ class MapStack(NamedTuple):
     corner: IntArray
     patches: Patches
     resolution: float
-
-
-class EntryLimits(NamedTuple):
-    """Cells along the edge of the window that a scan reaches, and patches that it may need."""
-
-    side: int
-    patches: int
-
-
-class Scratch(NamedTuple):
-    """Cells that a scan has touched: (side, side) flags, and the lattice row and column of their first."""
-
-    touched: ByteArray
-    window: IntArray
-
-
-@njit(cache=True, nogil=True)
-def enter_scans(
-    maps: Any, poses: Any, scan: Any, min_slopes: Any, wall_slope: int, steps: Any, limits: Any, first: int
-) -> int:
-    """Draw the scan into the maps from the first on; return how many are done when patches run out."""
-    origin, hits, free = scan
-    res, side = maps.resolution, limits.side
-    touched = np.empty((side, side), np.uint8)
-    for k in range(first, len(poses)):
-        records = records_needed(maps.tables[k], maps.patches, len(hits))
-        if maps.patches.free[0] < limits.patches or maps.patches.free_records[0] < records:
-            return k
-        touched[:] = 0
-        x, y = poses[k, 0] / res, poses[k, 1] / res
-        c, s = np.cos(poses[k, 2]) / res, np.sin(poses[k, 2]) / res
-        start = np.array((x + c * origin[0] - s * origin[1], y + s * origin[0] + c * origin[1], origin[2]))
-        window = np.array((int(np.floor(y)) - side // 2, int(np.floor(x)) - side // 2))
-        view = MapView(maps.tables[k], maps.corner, maps.patches, res, wall_slope)
-        scratch = Scratch(touched, window)
-        for i in range(len(hits)):
-            u, v = x + c * hits[i, 0] - s * hits[i, 1], y + s * hits[i, 0] + c * hits[i, 1]
-            _hit(view, scratch, (u, v, hits[i, 2]), min_slopes[i], steps)
-        for i in range(len(hits) + len(free)):
-            to_end = i >= len(hits)
-            end = free[i - len(hits)] if to_end else hits[i]
-            u, v = x + c * end[0] - s * end[1], y + s * end[0] + c * end[1]
-            _pass(view, scratch, start, (u, v, end[2]), to_end, steps)
-    return len(poses)
-
-
-@njit(cache=True, nogil=True)
-def _hit(view: Any, scratch: Any, end: Any, min_slope: int, steps: Any) -> None:
-    """Raise the cell where a beam ends (u, v in cells), once a scan, and move its mean."""
-    table, corner, patches, _, _ = view
-    touched, window = scratch
-    u, v, z = end
-    row, col = int(np.floor(v)), int(np.floor(u))
-    r, c = (row >> BITS) - corner[0], (col >> BITS) - corner[1]
-    p = table[r, c]
-    if p == ABSENT or patches.owners[p] != 1:
-        p = own_patch(table, patches, r, c)
-    cell = ((row & MASK) << BITS) | (col & MASK)
-    q = own_record(patches, p)
-    first = patches.hits[q, cell] == 0
-    n = min(patches.hits[q, cell] + 1, MEAN_MEMORY)
-    patches.hits[q, cell] = n
-    for axis, part in ((0, u - col), (1, v - row)):
-        before = patches.mean[q, cell, axis]
-        patches.mean[q, cell, axis] = np.uint16(
-            before + (min(part * MEAN_STEPS, MEAN_STEPS - 1.0) - before) / n
-        )
-    patches.min_slope[q, cell] = max(patches.min_slope[q, cell], min_slope)
-    top = np.int16(z / TOP_STEP)
-    patches.top[q, cell] = top if first else max(patches.top[q, cell], top)
-    if touched[row - window[0], col - window[1]] == 0:
-        touched[row - window[0], col - window[1]] = 1
-        before = patches.log_odds[p, cell]
-        patches.log_odds[p, cell] = min(steps[2], (0 if before == UNKNOWN else before) + steps[1])
-
-
-@njit(cache=True, nogil=True)
-def _pass(view: Any, scratch: Any, start: Any, end: Any, to_end: bool, steps: Any) -> None:
-    """Lower the cells between the laser and the end of one beam (u, v in cells), each once a scan.
-
-    A beam that passes above where a wall was hit says nothing about the wall.
-    """
-    table, corner, patches, _, wall_slope = view
-    touched, window = scratch
-    u, v, z = end
-    log_odds, min_slopes, tops, owners = patches.log_odds, patches.min_slope, patches.top, patches.owners
-    records = patches.record
-    top, left, row0, col0 = corner[0], corner[1], window[0], window[1]
-    x0, y0, z0, miss, most = start[0], start[1], start[2], steps[0], steps[2]
-    n = int(max(abs(u - start[0]), abs(v - start[1]))) + 1
-    du, dv, dz = (u - start[0]) / n, (v - start[1]) / n, (z - start[2]) / n
-    last_row, last_col = int(np.floor(v)), int(np.floor(u))
-    for i in range(n + 1 if to_end else n - 1):
-        row, col = int(np.floor(y0 + i * dv)), int(np.floor(x0 + i * du))
-        if row == last_row and col == last_col and not to_end:
-            break
-        if touched[row - row0, col - col0]:
-            continue
-        touched[row - row0, col - col0] = 1
-        r, c = (row >> BITS) - top, (col >> BITS) - left
-        p = table[r, c]
-        if p == ABSENT or owners[p] != 1:
-            p = own_patch(table, patches, r, c)
-        cell = ((row & MASK) << BITS) | (col & MASK)
-        before = log_odds[p, cell]
-        if before > 0 and wall_slope > 0:
-            q = records[p]
-            above = (z0 + i * dz) / TOP_STEP > tops[q, cell] + 10
-            if above and wall_slope <= min_slopes[q, cell]:
-                continue
-        log_odds[p, cell] = max(-most, (0 if before == UNKNOWN else before) + miss)
 
 
 @njit(cache=True, nogil=True)

@@ -99,13 +99,16 @@ def list_free(patches: Patches) -> None:
 
 
 @njit(cache=True, nogil=True)
-def records_needed(table: Any, patches: Any, hits: int) -> int:
-    """Return how many records one scan into a map may take: copies of shared ones, and one for each hit."""
-    shared = 0
+def space_needed(table: Any, patches: Any, hits: int) -> Any:
+    """Return how many patches and records a scan within a table may take: shared, and of new cells."""
+    new = shared = 0
     for p in table.ravel():
-        if p != ABSENT and patches.record[p] != ABSENT and patches.owners[p] > 1:
-            shared += 1
-    return shared + hits
+        if p == ABSENT:
+            new += 1
+        elif patches.owners[p] > 1:
+            new += 1
+            shared += patches.record[p] != ABSENT
+    return new, shared + hits
 
 
 @njit(cache=True, nogil=True)
