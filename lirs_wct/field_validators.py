@@ -10,6 +10,8 @@ import numpy as np
 
 from lirs_wct.errors import ConfigError
 
+NUMBERS = (float, int, np.floating, np.integer)
+
 
 def require_above(
     config: Any, low: float, *names: str, of: str = "", unit: str = "", finite: bool = False
@@ -65,7 +67,7 @@ def require_seed(seed: Any) -> None:
 
 def is_finite(value: object) -> bool:
     """Whether a value is a number, and finite."""
-    return isinstance(value, float | int | np.floating | np.integer) and math.isfinite(value)
+    return isinstance(value, NUMBERS) and math.isfinite(value)
 
 
 def _require(config: Any, names: tuple[str, ...], of: str, legal: str, finite: bool, holds: Any) -> None:

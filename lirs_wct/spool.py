@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from lirs_wct.errors import OutputError
 
-IN_MEMORY = 4 << 20
-"""Bytes up to which a spool has no file."""
+IN_MEMORY = 1 << 18
+"""Bytes up to which a spool has no file; they are written at once, while somebody waits."""
+BUFFER = 1 << 16
+"""Bytes that are written to the file at a time."""
 AT_ONCE = 1 << 19
 """Bytes that are read at a time where all arrays are gone through."""
 
@@ -32,7 +34,7 @@ class ArraySpool(Sequence[NDArray[Element]]):
     def __init__(self, folder: Path | None = None) -> None:
         self._folder = folder
         where = None if folder is None else str(folder)
-        self._file = SpooledTemporaryFile(IN_MEMORY, dir=where)  # noqa: SIM115  lives as long as the spool
+        self._file = SpooledTemporaryFile(IN_MEMORY, buffering=BUFFER, dir=where)  # noqa: SIM115  lives as long as the spool
         self._count, self._shape, self._bytes = 0, (0,), 0
         self._dtype: np.dtype[Element] | None = None
         self._read_since = False

@@ -94,7 +94,9 @@ def _roles(geoms: int, wheels: frozenset[int], own: frozenset[int] | None) -> By
     return roles
 
 
-@njit(cache=True, nogil=True)
+# A single contact lies contiguously in memory, several do not: one signature holds for both, where the first
+# single contact of a drive would wait for the compiler.
+@njit("Tuple((f8, b1))(f8[:], i4[:, :], u1[::1])", cache=True, nogil=True)
 def contact_state(distance: FloatArray, pairs: Int32Array, roles: ByteArray) -> tuple[float, bool]:
     """Return the deepest of the robot's contacts, metres, and whether more of it than its wheels touches.
 

@@ -201,8 +201,8 @@ class Simulation:
     @property
     def off_world(self) -> bool:
         """Whether base_link is beyond the world's border."""
-        pose, (west, south, east, north) = self.body.pose(), self.world.surface.bounds
-        return not (west <= pose.x <= east and south <= pose.y <= north)
+        (x, y), (west, south, east, north) = self.body.qpos[:2].tolist(), self.world.surface.bounds
+        return not (west <= x <= east and south <= y <= north)
 
     @property
     def walker_beams(self) -> BoolArray | None:

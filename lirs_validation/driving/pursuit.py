@@ -135,10 +135,11 @@ class Pursuit:
     def _advance(self, pose: Pose2) -> None:
         """Move on to the nearest point within the window."""
         last = min(len(self._x), self._at + int(self.WINDOW / SPACING) + 1)
-        x, y = pose.x, pose.y
+        x, y, xs, ys = pose.x, pose.y, self._x, self._y
         best = math.inf
         for k in range(self._at, last):
-            d = (self._x[k] - x) ** 2 + (self._y[k] - y) ** 2
+            dx, dy = xs[k] - x, ys[k] - y
+            d = dx * dx + dy * dy
             if d < best - 1e-12:
                 best, self._at = d, k
         self.distance = math.sqrt(best)
@@ -146,7 +147,8 @@ class Pursuit:
     def _target(self, pose: Pose2, distance: float) -> int:
         """Return the first point ahead that is at least a distance away, at most twice as far along."""
         last = min(len(self._x) - 1, self._at + max(1, int(2 * distance / SPACING)))
+        x, y, xs, ys = pose.x, pose.y, self._x, self._y
         for k in range(self._at, last):
-            if math.hypot(self._x[k] - pose.x, self._y[k] - pose.y) >= distance:
+            if math.hypot(xs[k] - x, ys[k] - y) >= distance:
                 return k
         return last

@@ -173,11 +173,12 @@ def _map(
     walker_beams = simulation.walker_beams
     if walker_beams is not None:
         log.walker_beams.append(walker_beams)
-    log.truth.append(simulation.T_world_base)
+    T_world_base = simulation.T_world_base
+    log.truth.append(T_world_base)
     log.estimates.append(estimate)  # type: ignore[arg-type]  # of the mapper's kind
     log.mapper_seconds.append(done - handed)
     if recorder is not None:
-        recorder(observation, log.truth[-1], log.in_plane(estimate))
+        recorder(observation, T_world_base, log.in_plane(estimate))
     log.walls.append(time.perf_counter() - begun)
 
 

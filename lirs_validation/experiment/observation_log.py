@@ -35,6 +35,7 @@ class ObservationLog(Sequence[Observation]):
 
     def __init__(self, folder: Path | None = None) -> None:
         self._first: LaserScan | None = None
+        self._lidar: tuple[object, ...] = ()
         self._ranges = ArraySpool[np.float32](folder)
         self._stamps = array("d")
         self.odometry = Rows.of(Pose2)
@@ -49,9 +50,9 @@ class ObservationLog(Sequence[Observation]):
         """
         scan = observation.scan
         if self._first is None:
-            self._first = replace(scan, ranges=scan.ranges[:0])
-        if LIDAR(scan) != LIDAR(self._first):
-            raise ValueError(f"a drive has one lidar: {LIDAR(self._first)}, got {LIDAR(scan)}")
+            self._first, self._lidar = replace(scan, ranges=scan.ranges[:0]), LIDAR(scan)
+        if LIDAR(scan) != self._lidar:
+            raise ValueError(f"a drive has one lidar: {self._lidar}, got {LIDAR(scan)}")
         self._ranges.append(scan.ranges)
         self._stamps.append(scan.stamp)
         self.odometry.append(observation.odometry)

@@ -72,6 +72,8 @@ class Lidar:
         self._ring = np.repeat(np.arange(preset.rings, dtype=np.uint16), preset.beams)
         self._mount = T_base_laser.position
         self._limits, self._noise = (preset.range_min, preset.range_max), self.noise.parameters
+        self._horizon = preset.horizon_beams
+        self._fan = preset.angle_min, preset.angle_increment, *self._limits
 
     def scan(self, T_world_base: Pose3, stamp: float, velocity: BaseVelocity | None = None) -> LaserScan:
         """Return the scan from a pose of the robot, with noise.
@@ -97,25 +99,15 @@ class Lidar:
         return self._scan(ranges, stamp), PointCloud(xyz, self._ring[met], time, stamp, self.T_base_laser)
 
     def _scan(self, ranges: Float32Array, stamp: float) -> LaserScan:
-        preset = self.preset
-        return LaserScan(
-            ranges[preset.horizon_beams],
-            preset.angle_min,
-            preset.angle_increment,
-            preset.range_min,
-            preset.range_max,
-            stamp,
-            self.T_base_laser,
-            self.time_increment,
-        )
+        return LaserScan(ranges[self._horizon], *self._fan, stamp, self.T_base_laser, self.time_increment)
 
     def ranges(self, T_world_base: Pose3, velocity: BaseVelocity | None = None) -> Float32Array:
         """Return (rings * beams,) ranges of a sweep, ring by ring from below (see `scan`)."""
-        preset, T = self.preset, T_world_base
-        if not all(map(math.isfinite, (T.x, T.y, T.z, T.qw, T.qx, T.qy, T.qz))):
+        T = T_world_base
+        if not math.isfinite(T.x + T.y + T.z + T.qw + T.qx + T.qy + T.qz):
             raise SimulationError(f"the lidar's pose must be finite, got {T_world_base}")
         origin, directions = self._rays(T_world_base, velocity)
-        exact = self.caster.ranges(origin, directions, preset.range_max)
+        exact = self.caster.ranges(origin, directions, self._limits[1])
         normal, uniform = draw_noise(self.noise, len(exact), self._rng)
         ranges = np.empty(len(exact), np.float32)
         measure(exact, normal, uniform, self._limits, self._noise, ranges)
