@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass, field
+from functools import cache
 
 import mujoco
 import numpy as np
@@ -63,6 +64,7 @@ class ContactMonitor:
             return
         if self._roles is None:
             self._roles = _roles(data.model.ngeom, self.wheel_geoms, self.own_geoms)
+            compile_contact_state()
         contact = data.contact
         depth, touching = contact_state(contact.dist, contact.geom, self._roles)
         self.penetrations.append(depth)
@@ -94,9 +96,7 @@ def _roles(geoms: int, wheels: frozenset[int], own: frozenset[int] | None) -> By
     return roles
 
 
-# A single contact lies contiguously in memory, several do not: one signature holds for both, where the first
-# single contact of a drive would wait for the compiler.
-@njit("Tuple((f8, b1))(f8[:], i4[:, :], u1[::1])", cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def contact_state(distance: FloatArray, pairs: Int32Array, roles: ByteArray) -> tuple[float, bool]:
     """Return the deepest of the robot's contacts, metres, and whether more of it than its wheels touches.
 
@@ -109,6 +109,17 @@ def contact_state(distance: FloatArray, pairs: Int32Array, roles: ByteArray) -> 
             depth = max(depth, -distance[k])
             touching |= not (a | b) & WHEEL
     return depth, touching
+
+
+@cache
+def compile_contact_state() -> None:
+    """Compile `contact_state` for arrays of any layout, and for none besides.
+
+    A single contact lies contiguously in memory, several do not: the first single contact of a drive would
+    wait for the compiler.
+    """
+    contact_state.compile("Tuple((f8, b1))(f8[:], i4[:, :], u1[::1])")
+    contact_state.disable_compile()
 
 
 def check_divergence(data: mujoco.MjData) -> None:

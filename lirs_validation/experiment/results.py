@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from lirs_validation.drawing.run_overview import overview_figure
 from lirs_validation.driving.replay import COMMANDS
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps
@@ -41,6 +40,9 @@ def write_results(
     Raises:
         OutputError: the folder cannot be written.
     """
+    # Matplotlib takes 25 MB and half a second, which a drive that nobody draws can do without.
+    from lirs_validation.drawing.run_overview import overview_figure
+
     truth, estimate, odometry = log.trajectories()
     period = record.rtf["simulated_seconds"] / len(log.walls)
     with atomic_folder(folder) as temporary:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.simulation import Simulation
 from lirs_validation.config import TOUR, Attitude, RunConfig
-from lirs_validation.drawing.run_overview import overview_figure
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.driving.driver import Driver
 from lirs_validation.experiment.clouds.guard import (
@@ -32,12 +31,14 @@ from lirs_validation.experiment.scenario import Scenario, ScenarioCache
 from lirs_validation.experiment.warm_up import warm_up
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.contact.contact_geometry import ContactGeometry
-from lirs_wct.drawing.style import Drawing
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.formats.rosbag.library import Storage, require_rosbags
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.world import World
+
+if TYPE_CHECKING:
+    from lirs_wct.drawing.style import Drawing
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,8 @@ class Run:
 
     def overview(self) -> Drawing:
         """Draw the run on one page."""
+        from lirs_validation.drawing.run_overview import overview_figure
+
         truth, estimate, _ = self.log.trajectories()
         maps = self.maps
         elevation = None if maps.elevation is None else maps.elevation.built

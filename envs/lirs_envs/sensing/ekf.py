@@ -16,7 +16,6 @@ import math
 from dataclasses import dataclass, fields
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.imu import ImuConfig
@@ -86,6 +85,9 @@ class EkfOdometry(WheelOdometry):
         imu: ImuConfig,
         filter_config: EkfConfig | None = None,
     ) -> None:
+        # Its package needs all of SciPy's statistics, 20 MB, and other odometry does not.
+        from filterpy.kalman import ExtendedKalmanFilter
+
         super().__init__(robot, config, rng)
         self.filter_config = filter_config or EkfConfig()
         self._imu = imu

@@ -15,7 +15,6 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import isotonic_regression
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.formats.carmen.lines import Message
@@ -108,6 +107,8 @@ def _sound(stamps: FloatArray, scans: BoolArray, distances: FloatArray) -> bool:
 
 def _rising(logged: FloatArray, distances: FloatArray) -> FloatArray:
     """Return (n,) rising stamps; as logged where they are right."""
+    from scipy.optimize import isotonic_regression  # here: logs that are right do not wait for it
+
     start = float(np.median(logged))
     stamps = _one_clock(logged - start)
     least = np.concatenate(((0.0,), np.cumsum(_least_steps(stamps, distances))))

@@ -5,11 +5,10 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from numba import njit
-from trimesh.resolvers import FilePathResolver
 
 from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.errors import SourceError
@@ -17,6 +16,9 @@ from lirs_wct.files import atomic_write
 from lirs_wct.formats.meshes.ply_header import require_positions
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.progress import Progress, no_progress, tracked
+
+if TYPE_CHECKING:
+    import trimesh
 
 _CHUNK = 1 << 14
 _RECORD = np.dtype([("floats", "<f4", 12), ("attribute", "<u2")])
@@ -89,6 +91,9 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     Raises:
         SourceError: as `read_mesh` says.
     """
+    import trimesh
+    from trimesh.resolvers import FilePathResolver
+
     if not path.is_file():
         raise SourceError(f"{path}: no such file")
     if path.suffix.lower() == ".ply":

@@ -6,14 +6,17 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from PIL import Image
 
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.meshes.stl import load_mesh
 from lirs_wct.geometry.mesh import TriangleMesh
+
+if TYPE_CHECKING:
+    import trimesh
 
 TEXTURED = (".dae", ".obj", ".glb")
 """Files that hold texture coordinates."""
@@ -64,6 +67,8 @@ def write_glb(path: Path, mesh: TriangleMesh, picture: Image.Image | None = None
     Raises:
         OutputError: the file cannot be written.
     """
+    import trimesh
+
     turned = mesh.rotated_x(-90.0)
     visual = None
     if mesh.uv is not None:
@@ -85,6 +90,8 @@ def write_glb_parts(path: Path, parts: Sequence[tuple[str, TriangleMesh, Path]])
         SourceError: a picture cannot be read.
         OutputError: the file cannot be written.
     """
+    import trimesh
+
     scene = trimesh.Scene()
     for name, mesh, picture in parts:
         material = trimesh.visual.material.PBRMaterial(
