@@ -78,7 +78,7 @@ def resized(old: Patches | None, patches: int, records: int) -> Patches:
 def reserved(patches: Patches, needed: int, records: int) -> Patches:
     """Return patches of which so many, and so many records, are free; the same where they are."""
     more = [
-        0 if int(free[0]) >= wanted else max(wanted - int(free[0]), (len(free) - 1) // 4)
+        0 if int(free[0]) >= wanted else max(wanted - int(free[0]), (len(free) - 1) // 2)
         for free, wanted in ((patches.free, needed), (patches.free_records, records))
     ]
     if more == [0, 0]:

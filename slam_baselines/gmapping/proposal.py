@@ -23,25 +23,17 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.gmapping.copy_on_write_map import MapView, PatchMaps
-from slam_baselines.gmapping.likelihood_field import (
-    Beams,
+from slam_baselines.gmapping.likelihood_field import Beams, forget, near_beams
+from slam_baselines.gmapping.scan_matching import (
     Prior,
     Tuning,
     between,
-    log_likelihood,
+    find_peak,
     log_prior,
-    match,
+    match_alone,
     moved,
     score,
-    search,
 )
-
-SAME_PEAK = 0.05
-"""Metres, and radians: peaks closer together are one.
-
-Only the first particle is searched for in any case. A better fit of the same peak, found because it had two
-attempts, would raise its weight above that of the others scan by scan.
-"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,87 +232,84 @@ def propose(
     """Fill a proposal; return the number of searches."""
     res, (poses, means, sigmas, log_eta, hit_ratio, known_ratio) = maps.resolution, out
     n = len(poses)
-    correction = np.zeros(3)
-    searches = 0
+    correction, near = np.zeros(3), near_beams(beams, tuning.kernelSize)
+    searches, before, searched = 0, -1, False
     total = max(beams.weights.sum(), 1e-9)
     for step in range(n):
         k = first.particle if step == 0 else step - 1 if step <= first.particle else step
+        if step > 1 and _same(maps, odometry, before, k):
+            means[k], sigmas[k], log_eta[k] = means[before], sigmas[before], log_eta[before]
+            hit_ratio[k], known_ratio[k] = hit_ratio[before], known_ratio[before]
+            poses[k] = means[k] + np.linalg.cholesky(sigmas[k]) @ samples.normals[k]
+            searches += searched
+            continue
+        before = k
         view = MapView(maps.tables[k], maps.corner, maps.patches, res, wall_slope)
         prior = Prior(odometry.poses[k], np.linalg.inv(odometry.covariances[k]))
         start = prior.pose
+        forget(near)
         if step > 0:
             other = moved(start, correction)
-            if score(view, beams, other, tuning) > score(view, beams, start, tuning):
+            if score(view, beams, near, other, tuning)[0] > score(view, beams, near, start, tuning)[0]:
                 start = other
         H = np.empty((3, 3))
-        peak, hit, known, searched = find_peak(view, beams, prior, start, first.wide and step == 0, tuning, H)
+        wide = first.wide and step == 0
+        peak, value, hit, known, searched = find_peak(view, beams, near, prior, start, wide, tuning, H)
         searches += searched
         if step == 0:
             correction = between(prior.pose, peak)
         if hit < max(tuning.minimumScore * known, tuning.min_beams):
             means[k], sigmas[k] = prior.pose, odometry.covariances[k]
-            log_eta[k] = score(view, beams, prior.pose, tuning)
+            log_eta[k] = score(view, beams, near, prior.pose, tuning)[0]
         else:
             around = np.linalg.inv(H * (2 * tuning.sigma**2 / tuning.lsigma) + prior.information)
-            log_eta[k] = _fit(view, beams, prior, peak, around, samples.cube, tuning, means[k], sigmas[k])
+            spread = Spread(peak, value, around, samples.cube)
+            log_eta[k] = _fit(view, beams, near, prior, spread, tuning, means[k], sigmas[k])
         poses[k] = means[k] + np.linalg.cholesky(sigmas[k]) @ samples.normals[k]
         hit_ratio[k], known_ratio[k] = hit / max(known, 1e-9), known / total
     return searches
 
 
 @njit(cache=True, nogil=True)
-def find_peak(view: Any, beams: Any, prior: Any, start: Any, wide: bool, tuning: Any, H: Any) -> Any:
-    """Return the (3,) pose at which a scan fits best; fill H with its information.
+def _same(maps: Any, odometry: Any, a: int, b: int) -> bool:
+    """Return whether two particles are copies of one: of the same pose and map."""
+    for i in range(3):
+        if odometry.poses[a, i] != odometry.poses[b, i]:
+            return False
+        for j in range(3):
+            if odometry.covariances[a, i, j] != odometry.covariances[b, i, j]:
+                return False
+    return np.array_equal(maps.tables[a], maps.tables[b])
 
-    The wider window is searched where the scan fits poorly near the start, or where `wide` says so.
 
-    Returns:
-        The pose, weights of beams that end at a wall and on known cells, whether the window was searched.
+class Spread(NamedTuple):
+    """Points to evaluate.
+
+    Attributes:
+        peak: (3,) x, y, yaw, the first of them.
+        value: log-likelihood of the scan there.
+        around: (3, 3) covariance.
+        cube: (samples, 3) the points in standard deviations from the peak; the first is 0.
     """
-    reach, width = tuning.kernelSize, tuning.sigma / view.resolution
-    peak = match(view, beams, prior, start, tuning, H)
-    value, hit, known = log_likelihood(view, beams, peak, reach, tuning.lsigma, width)
-    if known < tuning.min_beams or not (wide or hit < tuning.search_threshold * known):
-        return peak, hit, known, False
-    curvature = H.copy()
-    other = match(view, beams, prior, search(view, beams, prior, tuning), tuning, H)
-    apart = other - peak
-    if np.hypot(apart[0], apart[1]) < SAME_PEAK and abs(apart[2]) < SAME_PEAK:
-        H[:] = curvature
-        return peak, hit, known, True
-    better, there, seen = log_likelihood(view, beams, other, reach, tuning.lsigma, width)
-    gain = better + log_prior(other, prior) - value - log_prior(peak, prior)
-    if gain > 0 and there >= tuning.search_threshold * seen:
-        return other, there, seen, True
-    H[:] = curvature
-    return peak, hit, known, True
+
+    peak: FloatArray
+    value: float
+    around: FloatArray
+    cube: FloatArray
 
 
 @njit(cache=True, nogil=True)
-def match_alone(view: Any, beams: Any, expected: Any, covariance: Any, wide: bool, tuning: Any) -> Any:
-    """Return the pose that fits best, and the weights of beams that end at a wall and on known cells."""
-    prior = Prior(expected, np.linalg.inv(covariance))
-    if wide:
-        # Not `True`: of a literal Numba would compile the search once more.
-        return find_peak(view, beams, prior, expected, wide, tuning, np.empty((3, 3)))[:3]
-    pose = match(view, beams, prior, expected, tuning, np.empty((3, 3)))
-    _, hit, known = log_likelihood(
-        view, beams, pose, tuning.kernelSize, tuning.lsigma, tuning.sigma / view.resolution
-    )
-    return pose, hit, known
-
-
-@njit(cache=True, nogil=True)
-def _fit(
-    view: Any, beams: Any, prior: Any, peak: Any, around: Any, cube: Any, tuning: Any, mu: Any, Sigma: Any
-) -> Any:
+def _fit(view: Any, beams: Any, near: Any, prior: Any, spread: Any, tuning: Any, mu: Any, Sigma: Any) -> Any:
     """Fill mu and Sigma by eqs. 15-17 from points around the peak; return log eta."""
+    peak, value, around, cube = spread
     L = np.linalg.cholesky(around)
     n = len(cube)
     at, logs = np.empty((n, 3)), np.empty(n)
     for j in range(n):
         at[j] = peak + L @ cube[j]
-        logs[j] = score(view, beams, at[j], tuning) + log_prior(at[j], prior)
+        if j > 0:
+            value = score(view, beams, near, at[j], tuning)[0]
+        logs[j] = value + log_prior(at[j], prior)
     top = logs.max()
     p = np.exp(logs - top)
     eta = p.sum()
