@@ -171,7 +171,7 @@ class HectorMapper:
         self._reckoned_yaw += wrap_angle(expected.pose.yaw - before.yaw)
         if self._builder.updates == 0:
             return None
-        weights = self._builder.weights(self._builder.min_slopes(scan, expected.pose))
+        weights = self._builder.match_weights(scan, expected.pose)
         found, match = self._registration.register(
             self._builder.pyramid, scan.hits, weights, expected, before, self._earlier
         )

@@ -17,20 +17,33 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
 
-from lirs_wct.arrays import ByteArray, FloatArray, IntArray
+from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.growing_grid import GrowingGrid
-from slam_baselines.mapping.occupancy_map import SLOPE_STEP
+from slam_baselines.mapping.minimum_slope import (
+    Margins,
+    UpperBound,
+    blocks_of,
+    limits_for_weights,
+    lower,
+    match_weights,
+    neighbors_of,
+    raise_min_slopes,
+)
+from slam_baselines.mapping.occupancy_map import SLOPE_STEP, OccupancyMap, bounding_box
 from slam_baselines.scan.leveling import LeveledScan, ScanPoints
 
 STANDSTILL = 1e-4
 """A shorter step is none, metres."""
+_Place = tuple[float, float, float, float]
+"""x, y, yaw, z of a frame in that of the map."""
+IN_MAP: _Place = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +115,9 @@ class GroundFilter:
         self.tilt = 0.0
         self.drift = 0.0
         self._slope: tuple[float, float] | None = None
-        self._neighbors = _neighbors(self.config.resolution)
+        self._neighbors = neighbors_of(self.config.resolution)
+        self._take_over()
+        self._weights: tuple[int, FloatArray] = -1, np.empty(0)
 
     def move(self, delta: Pose2, scan: LeveledScan, *, registered: bool = True) -> None:
         """Follow the ground over a step of the base, as steep as the robot is tilted.
@@ -158,18 +173,15 @@ class GroundFilter:
             scan: in the map frame.
             base: `T_map_base`.
         """
-        c, g = self.config, self.grid
-        ends = np.concatenate((scan.hits, scan.free, scan.origin[None]))
-        low, high = ends.min(axis=0) - 2.0, ends.max(axis=0) + 2.0
-        g.ensure(low[0], low[1], high[0], high[1])
-        upper_bound = g.layers["upper_bound"]
-        old = self.drift
-        near, far = c.confidence * c.height_error, c.confidence * c.attitude_error
-        frame = np.array((g.row0, g.col0, g.resolution))
-        lower(upper_bound, frame, scan.origin, scan.hits, True, near - old, far)
-        lower(upper_bound, frame, scan.origin, scan.free, False, near - old, far)
-        stand(upper_bound, frame, self._ground(base), c.footprint, old)
-        return self._min_slopes(scan, base)
+        c, bound = self.config, bounding_box(scan)
+        if self.grid.ensure(bound[0] - 2.0, bound[1] - 2.0, bound[2] + 2.0, bound[3] + 2.0):
+            self._take_over()
+        margins = self._margins
+        near, far = margins.near - margins.old, margins.far
+        lower_along_beams(self._upper_bound, scan.origin, scan.hits, True, near, far)
+        lower_along_beams(self._upper_bound, scan.origin, scan.free, False, near, far)
+        stand(self._upper_bound, self._ground(base), c.footprint, margins.old)
+        return self._raised(self.no_min_slope(len(scan.hits)), scan.origin, scan.hits, IN_MAP, base)
 
     def min_slopes(
         self,
@@ -189,12 +201,35 @@ class GroundFilter:
             known: (n,) what was known of the hits before.
             drawn: what a map knows of hits (n, 3) in its frame.
         """
-        slopes = self.no_min_slope(len(scan.hits)) if known is None else known
+        slopes = self.no_min_slope(len(scan.hits)) if known is None else known.copy()
         if self.match_wall_slope == 0:
             return slopes
-        placed = scan.transformed(pose, self.height if height is None else height)
-        slopes = np.maximum(slopes, self._min_slopes(placed, pose))
-        return slopes if drawn is None else np.maximum(slopes, drawn(placed.hits))
+        height = self.height if height is None else height
+        if drawn is not None:
+            slopes = np.maximum(slopes, drawn(scan.transformed(pose, height).hits))
+        return self._raised(slopes, scan.origin, scan.hits, (pose.x, pose.y, pose.yaw, height), pose)
+
+    def match_weights(
+        self, scan: LeveledScan, pose: Pose2, drawn: OccupancyMap, wall_slope: int
+    ) -> FloatArray:
+        """Return (n,) the graded weights of a scan's hits by the minimum slopes as known by now.
+
+        Args:
+            scan: leveled.
+            pose: `T_map_base`.
+            drawn: the map whose cells' minimum slopes count as well.
+            wall_slope: minimum slope from which on a hit is a wall, SLOPE_STEP.
+        """
+        if wall_slope != self._weights[0]:
+            every = np.arange(256, dtype=np.uint8)
+            self._weights = wall_slope, self.graded_weights(every, wall_slope)
+        limits = limits_for_weights(wall_slope, self.config.full_weight_slope)
+        weights: FloatArray = match_weights(
+            self._upper_bound, scan.origin, scan.hits, (pose.x, pose.y, pose.yaw, self.height),
+            self._ground(pose), self._margins, limits,
+            drawn.layers.min_slope, drawn.frame, self._weights[1],
+        )  # fmt: skip
+        return weights
 
     def wall_weights(self, min_slopes: ByteArray) -> FloatArray:
         """Return (n,) 1 for hits on walls, 0 for those that may be ground; on a floor every hit is a wall."""
@@ -206,21 +241,32 @@ class GroundFilter:
         weights: FloatArray = np.minimum(1.0, (min_slopes / full) ** 2) * (min_slopes >= wall_slope)
         return weights
 
-    def _min_slopes(self, scan: ScanPoints, base: Pose2) -> ByteArray:
-        """Return (n,) the minimum slopes of hits from what was observed so far, SLOPE_STEP."""
-        c, g = self.config, self.grid
-        near, far = c.confidence * c.height_error, c.confidence * c.attitude_error
-        frame = np.array((g.row0, g.col0, g.resolution))
-        bounds = self.drift, near, far
-        slopes: ByteArray = min_slopes(
-            g.layers["upper_bound"], frame, scan, self._ground(base), bounds, self._neighbors
+    def _raised(
+        self, slopes: ByteArray, origin: FloatArray, hits: FloatArray, T: _Place, base: Pose2
+    ) -> ByteArray:
+        """Return (n,) minimum slopes of hits raised to what was observed so far, SLOPE_STEP; T is theirs."""
+        limits = 0.0, 255.0
+        raise_min_slopes(
+            self._upper_bound, origin, hits, T, self._ground(base), self._margins, limits, slopes
         )
         return slopes
 
-    def _ground(self, base: Pose2) -> FloatArray:
-        """Return (3,) the highest that the ground under the robot may be."""
+    @property
+    def _margins(self) -> Margins:
         c = self.config
-        return np.array((base.x, base.y, self.height - c.base_height + c.confidence * c.height_error))
+        return Margins(self.drift, c.confidence * c.height_error, c.confidence * c.attitude_error)
+
+    def _ground(self, base: Pose2) -> tuple[float, float, float]:
+        """Return the highest that the ground under the robot may be."""
+        c = self.config
+        return base.x, base.y, self.height - c.base_height + c.confidence * c.height_error
+
+    def _take_over(self) -> None:
+        """Take over the grid's arrays."""
+        g = self.grid
+        cells = g.layers["upper_bound"]
+        frame = np.array((g.row0, g.col0, g.resolution))
+        self._upper_bound = UpperBound(cells, blocks_of(cells), frame, self._neighbors)
 
     @staticmethod
     def no_min_slope(n: int) -> ByteArray:
@@ -228,84 +274,29 @@ class GroundFilter:
         return np.zeros(n, np.uint8)
 
 
-class Neighbors(NamedTuple):
-    """Cells around a hit: all close by, fewer farther off.
-
-    Attributes:
-        cell: (k, 2) row and column offsets.
-        distance: (k,) of their middles, and a cell's edge, metres.
-        reach: largest offset.
-    """
-
-    cell: IntArray
-    distance: FloatArray
-    reach: int
-
-
-def _neighbors(resolution: float) -> Neighbors:
-    """Return the cells that tell how high the ground before a hit can be."""
-    reach = round(0.35 / resolution)
-    close = [(r, c) for r in range(-reach, reach + 1) for c in range(-reach, reach + 1)]
-    rays = [(math.sin(a), math.cos(a)) for a in np.arange(12) * math.tau / 12]
-    rings = [(round(d * s / resolution), round(d * c / resolution)) for d in (0.5, 0.8, 1.2) for s, c in rays]
-    cells = np.array(close + rings, np.int64)
-    distance = np.array([math.hypot(r, c) * resolution + resolution for r, c in close + rings])
-    return Neighbors(cells, distance, int(np.abs(cells).max()))
-
-
 @njit(cache=True, nogil=True)
-def lower(
-    upper_bound: Any, frame: Any, origin: Any, ends: Any, with_end: bool, near: float, far: float
+def lower_along_beams(
+    upper_bound: Any, origin: Any, ends: Any, with_end: bool, near: float, far: float
 ) -> None:
     """Lower the upper bound along beams to their height plus near + far * range."""
-    res = frame[2]
-    x, y = origin[0] / res - frame[1], origin[1] / res - frame[0]
+    res, row0, col0 = upper_bound.frame[2], upper_bound.frame[0], upper_bound.frame[1]
+    x, y = origin[0] / res - col0, origin[1] / res - row0
     for i in range(len(ends)):
-        dx, dy, dz = ends[i, 0] / res - frame[1] - x, ends[i, 1] / res - frame[0] - y, ends[i, 2] - origin[2]
+        dx, dy, dz = ends[i, 0] / res - col0 - x, ends[i, 1] / res - row0 - y, ends[i, 2] - origin[2]
         length = np.sqrt((dx * res) ** 2 + (dy * res) ** 2 + dz * dz)
         steps = int(max(abs(dx), abs(dy))) + 1
         dx, dy, rise, loose = dx / steps, dy / steps, dz / steps, far * length / steps
         for k in range(steps + 1 if with_end else steps):
             z = np.float32(origin[2] + k * rise + near + k * loose)
-            row, col = int(y + k * dy), int(x + k * dx)
-            if z < upper_bound[row, col]:
-                upper_bound[row, col] = z
+            lower(upper_bound, int(y + k * dy), int(x + k * dx), z)
 
 
 @njit(cache=True, nogil=True)
-def stand(upper_bound: Any, frame: Any, ground: Any, footprint: float, old: float) -> None:
+def stand(upper_bound: Any, ground: Any, footprint: float, old: float) -> None:
     """The robot stands here: the ground is where its wheels are."""
-    reach = int(footprint / frame[2])
-    row0, col0 = int(ground[1] / frame[2] - frame[0]), int(ground[0] / frame[2] - frame[1])
-    for row in range(row0 - reach, row0 + reach + 1):
-        for col in range(col0 - reach, col0 + reach + 1):
-            upper_bound[row, col] = min(upper_bound[row, col], np.float32(ground[2] - old))
-
-
-@njit(cache=True, nogil=True)
-def min_slopes(upper_bound: Any, frame: Any, scan: Any, ground: Any, bounds: Any, neighbors: Any) -> Any:
-    """Return (n,) the largest rise over run that must lie before each hit, SLOPE_STEP."""
-    old, near, far = bounds
-    origin, hits = scan.origin, scan.hits
-    cell, distance, reach = neighbors
-    res = frame[2]
-    rows, cols = upper_bound.shape
-    slopes = np.empty(len(hits), np.uint8)
-    for i in range(len(hits)):
-        x, y, z = hits[i, 0], hits[i, 1], hits[i, 2]
-        length = np.sqrt((x - origin[0]) ** 2 + (y - origin[1]) ** 2 + (z - origin[2]) ** 2)
-        z -= near + far * length
-        best = (z - ground[2]) / (np.hypot(x - ground[0], y - ground[1]) + res)
-        z -= old
-        row, col = int(np.floor(y / res - frame[0])), int(np.floor(x / res - frame[1]))
-        inside = reach <= row < rows - reach and reach <= col < cols - reach
-        for k in range(len(cell)):
-            r, c = row + cell[k, 0], col + cell[k, 1]
-            if not inside and (r < 0 or c < 0 or r >= rows or c >= cols):
-                continue
-            rise = z - upper_bound[np.uintp(r), np.uintp(c)]
-            # A product asks what a quotient, four times as slow, would; few cells raise the slope.
-            if rise > best * distance[k]:
-                best = max(best, rise / distance[k])
-        slopes[i] = np.uint8(min(max(best / SLOPE_STEP, 0.0), 255.0))
-    return slopes
+    row0, col0, res = upper_bound.frame
+    reach = int(footprint / res)
+    row, col = int(ground[1] / res - row0), int(ground[0] / res - col0)
+    for r in range(row - reach, row + reach + 1):
+        for c in range(col - reach, col + reach + 1):
+            lower(upper_bound, r, c, np.float32(ground[2] - old))

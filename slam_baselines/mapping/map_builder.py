@@ -92,6 +92,12 @@ class MapBuilder:
         """Return (n,) weights of hits by their minimum slopes; None on a floor, where every hit is a wall."""
         return None if self.flat else self.ground_filter.graded_weights(min_slopes, self._wall_slope)
 
+    def match_weights(self, scan: LeveledScan, pose: Pose2) -> FloatArray | None:
+        """Return (n,) the weights of a scan's hits as known by now; None on a floor."""
+        if self.flat:
+            return None
+        return self.ground_filter.match_weights(scan, pose, self.pyramid.maps[-1], self._wall_slope)
+
     def due(self, scan: LeveledScan, pose: Pose2) -> bool:
         """Whether the robot has moved or tilted enough since the last update."""
         if self._entered is None:

@@ -1,0 +1,216 @@
+"""The minimum slope of a hit: how steeply the ground must rise to it from what lies near, rise over run.
+
+The formula is that of the ground filter. Few neighbors raise a slope: blocks of cells with their lowest upper
+bound rule out many at once. Weights for matching ask only for slopes from that of a wall on, and up to that
+of full weight.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from lirs_wct.arrays import Float32Array, FloatArray, IntArray
+from slam_baselines.mapping.occupancy_map import SLOPE_STEP
+
+BLOCK_BITS = 3
+"""A block is 8 x 8 cells of the upper bound."""
+
+
+class Neighbors(NamedTuple):
+    """Cells around a hit: all close by, fewer farther off.
+
+    Attributes:
+        cell: (k, 2) row and column offsets, those close by first.
+        distance: (k,) of their middles, and a cell's edge, metres.
+        close: number of those close by.
+        close_reach: largest offset among them.
+        reach: largest offset of all.
+        farther: smallest distance of those farther off, metres.
+    """
+
+    cell: IntArray
+    distance: FloatArray
+    close: int
+    close_reach: int
+    reach: int
+    farther: float
+
+
+class UpperBound(NamedTuple):
+    """Upper bound of the ground's height for the kernels, metres; inf where nothing was seen.
+
+    Attributes:
+        cells: (rows, cols) of each cell.
+        blocks: (rows / 8, cols / 8) smallest of each block of cells.
+        frame: (3,) lattice row and column of cell (0, 0), resolution in metres.
+        neighbors: of a hit.
+    """
+
+    cells: Float32Array
+    blocks: Float32Array
+    frame: FloatArray
+    neighbors: Neighbors
+
+
+class Margins(NamedTuple):
+    """How far heights may be wrong.
+
+    Attributes:
+        old: what the robot's height may have drifted since the start, metres.
+        near: of a hit close to the laser, metres.
+        far: what a hit's height may be wrong by more per metre of range.
+    """
+
+    old: float
+    near: float
+    far: float
+
+
+def neighbors_of(resolution: float) -> Neighbors:
+    """Return the cells that tell how high the ground before a hit can be."""
+    reach = round(0.35 / resolution)
+    close = [(r, c) for r in range(-reach, reach + 1) for c in range(-reach, reach + 1)]
+    rays = [(math.sin(a), math.cos(a)) for a in np.arange(12) * math.tau / 12]
+    rings = [(round(d * s / resolution), round(d * c / resolution)) for d in (0.5, 0.8, 1.2) for s, c in rays]
+    cells = np.array(close + rings, np.int64)
+    distance = np.array([math.hypot(r, c) * resolution + resolution for r, c in close + rings])
+    farther = float(distance[len(close) :].min())
+    return Neighbors(cells, distance, len(close), reach, int(np.abs(cells).max()), farther)
+
+
+def blocks_of(cells: Float32Array) -> Float32Array:
+    """Return the smallest upper bound of each block of cells."""
+    size = 1 << BLOCK_BITS
+    rows, cols = cells.shape
+    lowest: Float32Array = cells.reshape(rows // size, size, cols // size, size).min(axis=(1, 3))
+    return lowest
+
+
+def limits_for_weights(wall_slope: int, full_weight_slope: float) -> tuple[float, float]:
+    """Return the slopes between which weights differ, of a wall and of full weight, SLOPE_STEP."""
+    return float(wall_slope), min(255.0, max(float(wall_slope), full_weight_slope / SLOPE_STEP + 1.0))
+
+
+@njit(cache=True, nogil=True)
+def lower(upper_bound: Any, row: int, col: int, z: Any) -> None:
+    """Lower the upper bound of a cell, and of its block, to z if it is above."""
+    r, c = np.uintp(row), np.uintp(col)
+    if z < upper_bound.cells[r, c]:
+        upper_bound.cells[r, c] = z
+        r, c = np.uintp(row >> BLOCK_BITS), np.uintp(col >> BLOCK_BITS)
+        upper_bound.blocks[r, c] = min(upper_bound.blocks[r, c], z)
+
+
+@njit(cache=True, nogil=True)
+def raise_min_slopes(
+    upper_bound: Any, origin: Any, hits: Any, pose: Any, ground: Any, margins: Any, limits: Any, slopes: Any
+) -> None:
+    """Raise minimum slopes to the largest rise over run that must lie before each hit.
+
+    Args:
+        upper_bound: of the ground.
+        origin: (3,) the laser, metres.
+        hits: (n, 3) ends of beams in the same frame.
+        pose: x, y, yaw, z of this frame in that of the map.
+        ground: x, y, z of the highest that the ground under the robot may be.
+        margins: of the heights.
+        limits: slopes below the first and from the second on need not be told apart, SLOPE_STEP.
+        slopes: (n,) what is known of the hits before; raised in place, SLOPE_STEP.
+    """
+    cells, blocks, frame, neighbors = upper_bound
+    x0, y0, yaw, z0 = pose
+    c, s, res = np.cos(yaw), np.sin(yaw), frame[2]
+    laser_x, laser_y = x0 + c * origin[0] - s * origin[1], y0 + s * origin[0] + c * origin[1]
+    laser_z = z0 + origin[2]
+    # Half a step is more than any rounding.
+    least, most = max(0.0, (limits[0] - 0.5) * SLOPE_STEP), (limits[1] + 0.5) * SLOPE_STEP
+    for i in range(len(hits)):
+        u, v = hits[i, 0], hits[i, 1]
+        x, y, z = x0 + c * u - s * v, y0 + s * u + c * v, z0 + hits[i, 2]
+        best = max(least, slopes[i] * SLOPE_STEP)
+        if best >= most:
+            continue
+        z -= margins.near + margins.far * np.sqrt(
+            (x - laser_x) ** 2 + (y - laser_y) ** 2 + (z - laser_z) ** 2
+        )
+        dx, dy, rise = x - ground[0], y - ground[1], z - ground[2]
+        if rise > best * (max(abs(dx), abs(dy)) + res):
+            best = max(best, rise / (np.hypot(dx, dy) + res))
+        best = _steepest(cells, blocks, frame, neighbors, x, y, z - margins.old, best, most)
+        slopes[i] = max(slopes[i], np.uint8(min(best / SLOPE_STEP, 255.0)))
+
+
+@njit(cache=True, nogil=True)
+def _steepest(
+    cells: Any,
+    blocks: Any,
+    frame: Any,
+    neighbors: Any,
+    x: float,
+    y: float,
+    z: float,
+    best: float,
+    most: float,
+) -> float:
+    """Return the largest rise over run from cells around (x, y) to z; at least `best`, told up to `most`."""
+    rows, cols = cells.shape
+    cell, distance, close, close_reach, reach, farther = neighbors
+    row, col = int(np.floor(y / frame[2] - frame[0])), int(np.floor(x / frame[2] - frame[1]))
+    if not (reach <= row < rows - reach and reach <= col < cols - reach):
+        for k in range(len(cell)):
+            r, c = row + cell[k, 0], col + cell[k, 1]
+            if 0 <= r < rows and 0 <= c < cols:
+                best = max(best, (z - cells[r, c]) / distance[k])
+        return best
+    start, stop = 0, len(cell)
+    if z - _lowest(blocks, row, col, close_reach) <= best * frame[2]:
+        start = close
+    if z - _lowest(blocks, row, col, reach) <= best * farther:
+        stop = close
+    for k in range(start, stop):
+        rise = z - cells[np.uintp(row + cell[k, 0]), np.uintp(col + cell[k, 1])]
+        # A product asks what a quotient, four times as slow, would; few cells raise the slope.
+        if rise > best * distance[k]:
+            best = max(best, rise / distance[k])
+            if best >= most:
+                break
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _lowest(blocks: Any, row: int, col: int, reach: int) -> Any:
+    """Return the smallest upper bound of the blocks that hold the cells up to `reach` from a cell."""
+    lowest = np.float32(np.inf)
+    for r in range((row - reach) >> BLOCK_BITS, ((row + reach) >> BLOCK_BITS) + 1):
+        for c in range((col - reach) >> BLOCK_BITS, ((col + reach) >> BLOCK_BITS) + 1):
+            lowest = min(lowest, blocks[np.uintp(r), np.uintp(c)])
+    return lowest
+
+
+@njit(cache=True, nogil=True)
+def match_weights(
+    upper_bound: Any, origin: Any, hits: Any, pose: Any, ground: Any, margins: Any, limits: Any, layer: Any,
+    frame: Any, weight_of: Any,
+) -> Any:  # fmt: skip
+    """Return (n,) weights of hits by the larger of their minimum slope and that of the map's cell under them.
+
+    The map is given by the layer of its cells' minimum slopes and its frame, the weights by a table (256,) of
+    slopes; all else is as of raise_min_slopes.
+    """
+    rows, cols = layer.shape
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    slopes, weights = np.zeros(len(hits), np.uint8), np.empty(len(hits))
+    for i in range(len(hits)):
+        u, v = hits[i, 0], hits[i, 1]
+        row = int(np.floor((pose[1] + s * u + c * v) / frame[2] - frame[0]))
+        col = int(np.floor((pose[0] + c * u - s * v) / frame[2] - frame[1]))
+        if 0 <= row < rows and 0 <= col < cols:
+            slopes[i] = layer[row, col]
+    raise_min_slopes(upper_bound, origin, hits, pose, ground, margins, limits, slopes)
+    for i in range(len(hits)):
+        weights[i] = weight_of[slopes[i]]
+    return weights
