@@ -23,6 +23,8 @@ from lirs_wct.geometry.pose import Pose2, wrap_angle
 Slope = tuple[float, float]
 """How far the ground falls per metre ahead and per metre to the left."""
 LEVEL: Slope = (0.0, 0.0)
+UNTOLD = 1e-100
+"""A step of which less is known replaces nothing: its square is no number any more."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +111,7 @@ class Calibration:
         p, q, r = self._information
         u, v = p * d + q * a, q * d + r * a
         known = u * d + v * a
-        forget = (1 - self._keep) / known if known > 0 else 0.0
+        forget = (1 - self._keep) / known if known > UNTOLD else 0.0
         self._information = (
             p - forget * u * u + d * d / self._noise,
             q - forget * u * v + d * a / self._noise,

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from lirs_wct.errors import ConfigError
@@ -62,6 +62,7 @@ STEPS = st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
     st.floats(1e-6, 1.0),
     st.floats(5.0, 800.0),
 )
+@example(parts=[((0.0, 0.5), 1), ((0.0, 2e-159), 1)], scale=1.0, memory=5.0)
 def test_the_covariance_stays_within_bounds_whatever_is_driven(
     parts: list[tuple[tuple[float, float], int]], scale: float, memory: float
 ) -> None:
