@@ -65,7 +65,5 @@ def _expected(
     predict, seconds = reckoning.config.predict, now.scan.stamp - before.scan.stamp
     if not now.motion or None in now.motion:
         return predict(estimate, before.pose.inverse() @ now.pose, seconds)
-    for increment in filter(None, now.motion):
-        delta = increment.corrected(reckoning.calibration)
-        estimate = predict(estimate, delta, seconds / len(now.motion), delta.yaw, increment.tilt)
-    return estimate
+    steps = [(i.corrected(reckoning.calibration), i.tilt) for i in now.motion if i is not None]
+    return reckoning.config.predict_all(estimate, steps, seconds / len(steps))

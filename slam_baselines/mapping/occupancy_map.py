@@ -120,9 +120,13 @@ class OccupancyMap:
 
     def revalue(self, wall_slope: int) -> None:
         """Let the matcher see as walls only those hits whose minimum slope is at least `wall_slope`."""
-        steps, value = self.layers.log_odds, self.layers.value
-        np.take(VALUE, steps.astype(np.int16) + 128, out=value)
-        value[(steps > 0) & (self.layers.min_slope < wall_slope)] = UNSEEN
+        # What is free or unknown looks the same whatever a wall is.
+        steps, value, min_slope = (
+            layer.reshape(-1) for layer in (self.layers.log_odds, self.layers.value, self.layers.min_slope)
+        )
+        hits = np.flatnonzero(steps > 0)
+        walls = min_slope[hits] >= wall_slope
+        value[hits] = np.where(walls, VALUE[steps[hits] + np.int16(128)], np.uint8(UNSEEN))
 
     def min_slope(self, points: FloatArray) -> ByteArray:
         """Return (n,) the minimum slopes of the cells under points (n, 2 or more), SLOPE_STEP."""
@@ -223,21 +227,28 @@ def enter_scan(
         if touched[row, col] != mark:
             touched[row, col] = mark
             _change(layers, row + corner[0], col + corner[1], steps[1], wall_slope, steps[2])
+    passed = np.empty(256, np.int8)
+    for before in range(-128, 128):
+        passed[before + 128] = _added(before, steps[0], steps[2])
     start = origin[1] * scale - north, origin[0] * scale - east, origin[2]
     for ends, more in ((hits, -1), (free, 1)):
         for i in range(len(ends)):
             end = ends[i, 1] * scale - north, ends[i, 0] * scale - east, ends[i, 2]
-            _pass(layers, scratch, start, end, more, wall_slope, steps)
+            _pass(layers, scratch, start, end, more, wall_slope, steps, passed)
 
 
 @njit(cache=True, nogil=True)
-def _pass(layers: Any, scratch: Any, start: Any, end: Any, more: int, wall_slope: int, steps: Any) -> None:
+def _pass(
+    layers: Any, scratch: Any, start: Any, end: Any, more: int, wall_slope: int, steps: Any, passed: Any
+) -> None:
     """Lower the cells between laser and end of a beam, given in cells of the scratch.
 
     The last cell before a hit (`more` = -1) is spared: noise would wear the wall's near face away and
-    so push it back. A beam that passes above where a wall was hit says nothing about the wall.
+    so push it back. A beam that passes above where a wall was hit says nothing about the wall. Log-odds of a
+    cell without hits are read from `passed` (256,): they are nearly all.
     """
     touched, mark, corner = scratch
+    log_odds, value, min_slope, top = layers
     y, x, z = start
     dy, dx, dz = end[0] - y, end[1] - x, end[2] - z
     n = int(max(abs(dx), abs(dy))) + 1
@@ -254,26 +265,31 @@ def _pass(layers: Any, scratch: Any, start: Any, end: Any, more: int, wall_slope
             continue
         touched[row, col] = mark
         r, c = row + down, col + right
-        if (
-            wall_slope > 0
-            and layers.log_odds[r, c] > 0
-            and layers.min_slope[r, c] >= wall_slope
-            and (z + k * dz) / TOP_STEP > layers.top[r, c] + ABOVE
-        ):
+        before = np.int64(log_odds[r, c])
+        if before <= 0:
+            after = passed[np.uintp(before + 128)]
+            log_odds[r, c] = after
+            value[r, c] = VALUE[np.uintp(np.int64(after) + 128)]
+            continue
+        if wall_slope > 0 and min_slope[r, c] >= wall_slope and (z + k * dz) / TOP_STEP > top[r, c] + ABOVE:
             continue
         _change(layers, r, c, steps[0], wall_slope, steps[2])
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, nogil=True, inline="always")
 def _change(layers: Any, r: int, c: int, step: int, wall_slope: int, limit: int) -> None:
     """Add to the log-odds of a cell and renew what the matcher sees of it."""
-    before = np.int64(layers.log_odds[r, c])
-    after = (0 if before == UNKNOWN else before) + step
-    after = min(limit, max(-limit, after))
+    after = _added(np.int64(layers.log_odds[r, c]), step, limit)
     layers.log_odds[r, c] = after
     layers.value[r, c] = (
         UNSEEN if after > 0 and layers.min_slope[r, c] < wall_slope else VALUE[np.uintp(after + 128)]
     )
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _added(before: int, step: int, limit: int) -> int:
+    """Return the log-odds of a cell after a step."""
+    return min(limit, max(-limit, (0 if before == UNKNOWN else before) + step))
 
 
 @njit(cache=True, nogil=True)

@@ -234,6 +234,9 @@ def linearize(
     h00 = h01 = h02 = h11 = h12 = h22 = g0 = g1 = g2 = 0.0
     seen = score = 0.0
     for i in range(0, len(points), stride):
+        w = weights[i]
+        if w == 0.0:
+            continue
         px, py = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
         u, v = u0 + px * scale, v0 + py * scale
         if not (u >= 0 and v >= 0 and u < cols - 1 and v < rows - 1):
@@ -249,7 +252,7 @@ def linearize(
             value[row + one, col + one],
         )
         south, north = sw + u * (float(se) - sw), nw + u * (float(ne) - nw)
-        m, w = south + v * (north - south), weights[i]
+        m = south + v * (north - south)
         if not (sw == UNSEEN and se == UNSEEN and nw == UNSEEN and ne == UNSEEN):
             seen += w
             score += w * m

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.field_validators import require_above
@@ -96,22 +101,76 @@ class MotionConfig:
             delta = Pose2(yaw=turned or 0.0)
             shift, turn = self.blind_translation**2 * seconds, self.blind_rotation**2 * seconds
         else:
-            metres, radians = math.hypot(delta.x, delta.y), abs(delta.yaw)
-            shift = (
-                self.translation_per_meter**2 * metres
-                + (self.translation_per_radian**2 + (self.slide_per_radian * tilt) ** 2) * radians
-                + self.translation_per_second**2 * seconds
-            )
-            turn = (
-                self.rotation_per_meter**2 * metres
-                + self.rotation_per_radian**2 * radians
-                + self.rotation_per_second**2 * seconds
-            )
+            shift, turn = self._variances(delta, seconds, tilt)
         if turned is not None:
             turn = min(turn, self.gyro_per_second**2 * seconds + wrap_angle(turned - delta.yaw) ** 2)
         after = before.pose @ delta
         dx, dy = after.x - before.pose.x, after.y - before.pose.y
         return PoseEstimate(after, moved_covariance(before.covariance, dx, dy, shift, turn))
+
+    def predict_all(
+        self, before: PoseEstimate, steps: Sequence[tuple[Pose2, float]], seconds: float
+    ) -> PoseEstimate:
+        """Return the estimate to expect after some steps, the yaw of which a gyro confirms.
+
+        Args:
+            before: the estimate before the first step.
+            steps: of each `T_before_now`, and the tilt of the robot, radians.
+            seconds: duration of one step.
+        """
+        seconds = max(seconds, 1e-3)
+        gyro, rows = self.gyro_per_second**2 * seconds, []
+        for delta, tilt in steps:
+            shift, turn = self._variances(delta, seconds, tilt)
+            rows.append((delta.x, delta.y, delta.yaw, shift, min(turn, gyro)))
+        pose, covariance = propagated(before.pose.as_array(), before.covariance, np.array(rows))
+        return PoseEstimate(Pose2(*pose.tolist()), covariance)
+
+    def _variances(self, delta: Pose2, seconds: float, tilt: float) -> tuple[float, float]:
+        """Return the variances of the translation along each axis and of the yaw of a step by odometry."""
+        metres, radians = math.hypot(delta.x, delta.y), abs(delta.yaw)
+        per_meter, per_radian, per_second, turn_per_meter, turn_per_radian, turn_per_second = self._squares
+        shift = (
+            per_meter * metres
+            + (per_radian + (self.slide_per_radian * tilt) ** 2) * radians
+            + per_second * seconds
+        )
+        return shift, turn_per_meter * metres + turn_per_radian * radians + turn_per_second * seconds
+
+    @cached_property
+    def _squares(self) -> tuple[float, ...]:
+        """Variances of translation and rotation per metre, radian and second."""
+        return (
+            self.translation_per_meter**2,
+            self.translation_per_radian**2,
+            self.translation_per_second**2,
+            self.rotation_per_meter**2,
+            self.rotation_per_radian**2,
+            self.rotation_per_second**2,
+        )
+
+
+@njit(cache=True, nogil=True)
+def propagated(pose: Any, covariance: Any, steps: Any) -> Any:
+    """Return pose (3,) and covariance (3, 3) after steps.
+
+    Args:
+        pose: (3,) x, y, yaw before the first.
+        covariance: (3, 3).
+        steps: (n, 5) x, y, yaw of `T_before_now`, variance of the translation along each axis and of the yaw.
+    """
+    pose = pose.copy()
+    for dx, dy, dyaw, shift, turn in steps:
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        x, y, yaw = pose[0] + c * dx - s * dy, pose[1] + s * dx + c * dy, pose[2] + dyaw
+        covariance = moved_covariance(covariance, x - pose[0], y - pose[1], shift, turn)
+        # In (-pi, pi], as both of the sum's terms are.
+        if yaw > math.pi:
+            yaw -= math.tau
+        elif yaw <= -math.pi:
+            yaw += math.tau
+        pose[0], pose[1], pose[2] = x, y, yaw
+    return pose, covariance
 
 
 class OdometryIncrement(NamedTuple):

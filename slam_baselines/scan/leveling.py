@@ -71,32 +71,38 @@ class ScanLeveler:
         """Believe beams without return up to `clear_range`, and no hit from `max_range` on, metres."""
         self._clear_range = clear_range
         self._max_range = max_range
-        self._geometry: tuple[int, float, float] = (-1, 0.0, 0.0)
+        self._geometry: tuple[float, ...] = ()
         self._directions: FloatArray = np.empty((0, 2))
-        self._mount = Pose3()
-        self._R, self._t = self._mount.rotation, self._mount.position
+        self._limits = RangeLimits(0.0, 0.0, 0.0)
+        self._T_base_laser = Pose3()
+        self._mount = Mount(self._T_base_laser.rotation, self._T_base_laser.position)
 
     def level(self, scan: LaserScan, imu: Imu | None) -> LeveledScan:
         """Return the scan in the leveled base frame; without IMU the base counts as level."""
-        geometry = len(scan.ranges), scan.angle_min, scan.angle_increment
-        if geometry != self._geometry:
-            self._geometry = geometry
-            self._directions = np.stack((np.cos(scan.angles), np.sin(scan.angles)), axis=-1)
-        if scan.T_base_laser is not self._mount and scan.T_base_laser != self._mount:
-            self._mount = scan.T_base_laser
-            self._R, self._t = self._mount.rotation, self._mount.position
-        farthest = min(scan.range_max, self._max_range)
-        clear = min(farthest, self._clear_range)
+        self._know(scan)
         roll, pitch = (0.0, 0.0) if imu is None else (imu.roll, imu.pitch)
         ends, origin = np.empty((len(scan.ranges), 3)), np.empty(3)
-        limits, mount = RangeLimits(scan.range_min, farthest, clear), Mount(self._R, self._t)
-        ranges = scan.ranges.view()
-        ranges.flags.writeable = False  # one type for the kernel, whether the scan may be written to or not
-        hits, free = _level(ranges, self._directions, mount, limits, (roll, pitch), ends, origin)
+        ranges = scan.ranges
+        if ranges.flags.writeable:  # one type for the kernel, whether the scan may be written to or not
+            ranges = ranges.view()
+            ranges.flags.writeable = False
+        hits, free = _level(ranges, self._directions, self._mount, self._limits, (roll, pitch), ends, origin)
         # z of the base in the leveled frame is (sin p cos r, -sin r, cos p cos r).
         slope = (-math.tan(pitch), math.tan(roll) / math.cos(pitch))
         tilt = math.nan if imu is None else math.acos(min(1.0, math.cos(roll) * math.cos(pitch)))
         return LeveledScan(origin, ends[:hits], ends[len(ends) - free :], slope, tilt, scan.stamp)
+
+    def _know(self, scan: LaserScan) -> None:
+        """Keep what scans of one sensor share."""
+        geometry = (len(scan.ranges), scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
+        if geometry != self._geometry:
+            self._geometry = geometry
+            self._directions = np.stack((np.cos(scan.angles), np.sin(scan.angles)), axis=-1)
+            farthest = min(scan.range_max, self._max_range)
+            self._limits = RangeLimits(scan.range_min, farthest, min(farthest, self._clear_range))
+        T = scan.T_base_laser
+        if T is not self._T_base_laser and self._T_base_laser != T:
+            self._T_base_laser, self._mount = T, Mount(T.rotation, T.position)
 
 
 class RangeLimits(NamedTuple):

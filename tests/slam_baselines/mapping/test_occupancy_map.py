@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError
-from slam_baselines.mapping.occupancy_map import STEP, OccupancyMap, UpdateConfig, bounding_box
+from slam_baselines.mapping.occupancy_map import (
+    STEP,
+    UNSEEN,
+    VALUE,
+    OccupancyMap,
+    UpdateConfig,
+    bounding_box,
+)
 from slam_baselines.scan.leveling import ScanPoints
 
 Array = NDArray[np.float64]
@@ -134,3 +141,21 @@ def test_a_map_that_saw_nothing_is_unknown() -> None:
 def test_illegal_config(bad: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match=next(iter(bad))):
         UpdateConfig(**bad)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 120), st.integers(0, 120))
+@settings(max_examples=20, deadline=None)
+def test_another_wall_slope_leaves_what_each_cell_says_of_itself(seed: int, before: int, after: int) -> None:
+    """The matcher's layer is a function of log-odds and minimum slope."""
+    rng, grid = np.random.default_rng(seed), OccupancyMap(0.1)
+    for wall_slope in (before, before, after):
+        grid.revalue(wall_slope)
+        for _ in range(3):
+            hits = rng.uniform((-4, -4, 0), (4, 4, 2), (50, 3))
+            enter(grid, hits, min_slopes=int(rng.integers(0, 256)), wall_slope=wall_slope)
+    layers = grid.layers
+    expected = VALUE[layers.log_odds.astype(np.int64) + 128]
+    expected[(layers.log_odds > 0) & (layers.min_slope < after)] = UNSEEN
+    np.testing.assert_array_equal(layers.value, expected)
+    assert (layers.log_odds > 0).any()
+    assert (layers.log_odds < 0).any()

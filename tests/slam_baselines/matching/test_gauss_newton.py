@@ -125,3 +125,22 @@ def test_nothing_known_says_nothing() -> None:
     match = ScanMatcher(MatchConfig()).match(builder.pyramid, points, None, Prior(far, np.eye(3)), levels=3)
     assert (match.score, match.known) == (0.0, 0.0)
     np.testing.assert_allclose(match.pose, far)
+
+
+def test_hits_without_weight_count_like_hits_left_out() -> None:
+    """With a stride as well: every so many beams are counted before any is left out."""
+    builder, points = room_map(Pose2())
+    level, rng = builder.pyramid.maps[0], np.random.default_rng(1)
+    weights = rng.uniform(0.1, 1.0, len(points)) * (rng.random(len(points)) < 0.6)
+    for stride in (1, 2, 4):
+        counted = np.zeros(len(points), bool)
+        counted[::stride] = True
+        counted &= weights > 0
+        results = []
+        for p, w, every in ((points, weights, stride), (points[counted], weights[counted], 1)):
+            H, g = np.empty((3, 3)), np.empty(3)
+            told = linearize(
+                level.layers.value, level.frame, p, w, every, np.array((0.03, -0.02, 0.01)), H, g
+            )
+            results.append(np.array((*told, *H.ravel(), *g)))
+        np.testing.assert_array_equal(*results)
