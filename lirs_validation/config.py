@@ -34,7 +34,7 @@ LATER_OF_BUILDS: dict[str, Any] = {
     "nodata": None,
     "encoding": "gray",
     "cloud_surface": "ground",
-    "ground_slope": 0.15,
+    "ground_slope": None,
     "drape": False,
     "wall_texture": None,
 }

@@ -191,13 +191,14 @@ def _write_model(world: World, folder: Path, formats: Collection[str], terrain: 
         model = heightmap_sdf(name, world.surface, picture.as_posix(), _heightmap_layer(world, folder))
     else:
         model = model_sdf(name, mesh=f"meshes/{name}.{'dae' if 'dae' in formats else 'stl'}")
-    classic = world_sdf(name, view=overview(*world_extent(world), GAZEBO_FOVY), place=world.place)
+    view, starts = overview(*world_extent(world), GAZEBO_FOVY), _starts(world)
+    classic = world_sdf(name, view=view, place=world.place, starts=starts)
     albedo = _albedo(world, folder) if terrain == "solid" and "dae" in formats else None
     for file, text in (
         ("model.config", model_config(name)),
         ("model.sdf", model),
         (f"{name}.world", classic),
-        (f"{name}.sdf", gz_world_sdf(classic, model, starts=_starts(world), albedo=albedo)),
+        (f"{name}.sdf", gz_world_sdf(classic, model, starts=starts, albedo=albedo)),
     ):
         (folder / file).write_text(text, encoding="utf-8")
 

@@ -265,9 +265,11 @@ class CloudOptions(Options):
         check=one_of(CLOUD_SURFACES),
         **_CLOUD,
     )
-    ground_slope: float = option(
-        0.15,
-        "Steepest ground of a point cloud, rise over run; what is steeper is an object on it.",
+    ground_slope: float | None = option(
+        None,
+        "Steepest ground of a point cloud, rise over run; what is steeper is an object on it. "
+        "Default: 0.15, and in mountains their own slope.",
+        metavar="RISE/RUN",
         check=positive,
         **_CLOUD,
     )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.sax.saxutils import escape, quoteattr
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above, require_at_least
 from lirs_wct.geometry.geodesy.place import Place
+from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.viewpoint import Viewpoint
 
 VERSION = "1.6"
@@ -120,6 +122,7 @@ def world_sdf(
     physics: Physics | None = None,
     view: Viewpoint | None = None,
     place: Place | None = None,
+    starts: Sequence[Pose3] = (),
 ) -> str:
     """Return a world file with a sun and the model, which is its only ground.
 
@@ -129,6 +132,7 @@ def world_sdf(
         physics: timestep, pace, gravity.
         view: of the user's camera as the window opens; None = Gazebo's, near the origin.
         place: of the world on the earth.
+        starts: of robots, on the ground. Gazebo classic keeps no such poses: a comment has the commands.
     """
     step = physics or Physics()
     # Without a target update rate Gazebo runs as fast as it can.
@@ -143,7 +147,7 @@ def world_sdf(
       <real_time_factor>{step.real_time_factor:g}</real_time_factor>
       <real_time_update_rate>{rate:g}</real_time_update_rate>
     </physics>{spherical_coordinates(place)}
-{_gui(view)}    <scene>
+{_spawning(starts)}{_gui(view)}    <scene>
       <ambient>0.4 0.4 0.4 1</ambient>
       <background>0.7 0.8 0.9 1</background>
       <shadows>true</shadows>
@@ -166,6 +170,19 @@ def world_sdf(
     </include>
   </world>
 </sdf>
+"""
+
+
+def _spawning(starts: Sequence[Pose3]) -> str:
+    """Return a comment with the commands that set a robot down at a start."""
+    if not starts:
+        return ""
+    at, *others = (f"-x {p.x:.3f} -y {p.y:.3f} -z {p.z:.3f} -Y {p.yaw:.4f}" for p in starts)
+    more = "".join(f"\n         or at {other}" for other in others)
+    return f"""    <!-- Starts on the ground; add to z how high the origin of the robot's model is:
+         ros2 run gazebo_ros spawn_entity.py -entity robot -file robot.urdf {at}
+         gz model -f robot.sdf -m robot {at}{more}
+    -->
 """
 
 

@@ -29,6 +29,8 @@ PER_NODE = 4.0
 FINEST = 0.05
 BRIDGED = 5
 """Nodes from the nearest point at which a gap is still taken for ground."""
+TOLD = 0.01
+"""Share of the area from which on mountains are told of."""
 EMPTY = 0.9
 """Share of nodes without a point at which a cloud is refused."""
 
@@ -49,7 +51,7 @@ def read_point_cloud(path: Path, options: BuildOptions) -> tuple[Terrain, str, P
     xyz, known = xyz[kept], None if found.ground is None else found.ground[kept]
     if not (np.ptp(xyz[:, :2], axis=0) > 0).all():
         raise SourceError(f"{path}: a terrain needs an extent along x and y")
-    chosen, method = _chosen(xyz, known, options)
+    chosen, method = _chosen(path, xyz, known, options)
     grid = _grid(path, xyz, options)
     heights = _top(grid, xyz) if options.cloud_surface == "top" else grid.mean(xyz[chosen])
     far_from_points = _tell_gaps(path, np.isnan(heights), grid.spacing)
@@ -99,13 +101,25 @@ def _within(path: Path, xyz: FloatArray, options: BuildOptions) -> BoolArray:
     return kept
 
 
-def _chosen(xyz: FloatArray, known: BoolArray | None, options: BuildOptions) -> tuple[BoolArray, str]:
+def _chosen(
+    path: Path, xyz: FloatArray, known: BoolArray | None, options: BuildOptions
+) -> tuple[BoolArray, str]:
     """Return (n,) which points make the surface, and how they were found."""
     if options.cloud_surface == "top":
         return np.ones(len(xyz), np.bool_), "the highest points"
     if known is not None and known.sum() >= 3:
         return known, "the ground by the file's classes"
-    return ground_points(xyz, Smrf(slope=options.ground_slope)), "the ground by SMRF (Pingel 2013)"
+    filtering = Smrf()
+    if options.ground_slope is not None:
+        filtering = Smrf(slope=options.ground_slope, mountain=math.inf)
+    found, mountains = ground_points(xyz, filtering)
+    if mountains > TOLD:
+        warnings.warn(
+            f"{path}: {mountains:.0%} of the area is steeper than {filtering.mountain:g} around; its own slope "
+            "tells ground from objects there; --ground-slope sets one for all, --cloud-surface top takes all",
+            stacklevel=4,
+        )
+    return found, "the ground by SMRF (Pingel 2013)"
 
 
 def _grid(path: Path, xyz: FloatArray, options: BuildOptions) -> NodeGrid:

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import math
+import re
 from xml.etree import ElementTree as ET
 
 import pytest
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.gazebo.sdf import Physics, model_config, model_sdf, world_sdf
+from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.viewpoint import overview
 
 
@@ -43,6 +45,17 @@ def test_the_window_opens_on_a_view_of_the_world() -> None:
         (0, 0, 3), abs=1e-3
     )
     assert "<gui>" not in world_sdf("dune")
+
+
+def test_a_comment_says_how_a_robot_is_set_down_at_each_start() -> None:
+    starts = [Pose3.from_pose2(Pose2(3, -4, 1.5), 1.25), Pose3.from_pose2(Pose2(-1, 2, -3), 0.5)]
+    text = world_sdf("dune", starts=starts)
+    (comment,) = re.findall("<!--(.*?)-->", text, re.S)
+    assert "spawn_entity.py -entity robot -file robot.urdf -x 3.000 -y -4.000 -z 1.250 -Y 1.5000" in comment
+    assert "gz model -f robot.sdf -m robot -x 3.000 -y -4.000 -z 1.250 -Y 1.5000" in comment
+    assert "-x -1.000 -y 2.000 -z 0.500 -Y -3.0000" in comment
+    assert ET.fromstring(text).find("world/include") is not None
+    assert "<!--" not in world_sdf("dune")
 
 
 def test_config_names_the_sdf_and_escapes() -> None:

@@ -64,10 +64,45 @@ def truth(world: World) -> np.ndarray:
 
 def test_smrf_tells_ground_from_objects(scene: Scene) -> None:
     """The paper's mean over its 15 samples: 97 % right (table 4); here steep ground is missing."""
-    found = ground_points(scene.xyz, Smrf())
+    found, mountains = ground_points(scene.xyz, Smrf())
+    assert mountains == 0
     assert (found == scene.bare).mean() > 0.97
     assert found[scene.bare].mean() > 0.98
     assert found[~scene.bare].mean() < 0.06
+
+
+def volcano(seed: int) -> Scene:
+    """A cone of slope .7 with a crater, in a plain, with trees of a canopy and houses in the plain."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-150, 150, (60_000, 2))
+    r = np.hypot(*xy.T)
+    z = 0.7 * np.clip(100 - np.where(r < 15, 30 - r, r), 0, None) + rng.normal(0, 0.03, len(xy))
+    bare = np.ones(len(xy), np.bool_)
+    for _ in range(150):
+        crown = np.hypot(*(xy - rng.uniform(-150, 150, 2)).T) < rng.uniform(1.5, 4)
+        crown &= (rng.random(len(xy)) < 0.7) & bare
+        z[crown] += rng.uniform(4, 15)
+        bare[crown] = False
+    for corner in np.array(((-140, -140), (100, 110), (110, -130), (-130, 115))):
+        house = ((xy >= corner) & (xy <= corner + np.array((18, 11)))).all(axis=1)
+        z[house], bare[house] = 7.0, False
+    return Scene(np.column_stack((xy, z)), bare)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_volcano_keeps_its_summit(seed: int, tmp_path: Path) -> None:
+    cone = volcano(seed)
+    summit = cone.bare & (np.abs(np.hypot(*cone.xyz[:, :2].T) - 15) < 6)
+    fixed, _ = ground_points(cone.xyz, Smrf(mountain=np.inf))
+    found, mountains = ground_points(cone.xyz, Smrf())
+    assert fixed[summit].mean() < 0.6
+    assert found[summit].mean() > 0.9
+    assert found[~cone.bare].mean() < 0.06
+    assert 0.2 < mountains < 0.5
+    trimesh.PointCloud(cone.xyz).export(tmp_path / "a.ply")
+    with pytest.warns(UserWarning, match=r"a\.ply: \d\d% of the area is steeper .* --ground-slope"):
+        world = build_world(tmp_path / "a.ply")
+    assert world.surface.height_at(15, 0) == pytest.approx(0.7 * 85, abs=1.5)
 
 
 def test_the_world_is_the_ground_and_gaps_are_named(scene: Scene, tmp_path: Path) -> None:
