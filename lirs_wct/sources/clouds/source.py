@@ -115,7 +115,7 @@ def _chosen(
     found, mountains = ground_points(xyz, filtering)
     if mountains > TOLD:
         warnings.warn(
-            f"{path}: {mountains:.0%} of the area is steeper than {filtering.mountain:g} around; its own slope "
+            f"{path}: {mountains:.0%} of the area is steeper than {filtering.mountain:g}; its own slope "
             "tells ground from objects there; --ground-slope sets one for all, --cloud-surface top takes all",
             stacklevel=4,
         )
