@@ -60,6 +60,11 @@ def within_triangles(path: Path, out: Path, most: float) -> Figures:
     return {"triangles": len(world.mesh.faces), "file_mb": size_mb(out, "dae")}
 
 
+def default_dae(path: Path, out: Path, _: float) -> Figures:
+    world = package(path, out, ("dae",))
+    return {"triangles": len(world.file_mesh.faces), "file_mb": size_mb(out, "dae")}
+
+
 def full_dae(path: Path, out: Path, _: float) -> Figures:
     world = package(path, out, ("dae",), max_error=0.0)
     return {"triangles": len(world.mesh.faces), "file_mb": size_mb(out, "dae")}
@@ -163,6 +168,7 @@ def pycollada_dae(path: Path, out: Path, _: float) -> Figures:
 JOBS: dict[str, Callable[[Path, Path, float], Figures]] = {
     "world within error": within_error,
     "world within count": within_triangles,
+    "default .dae": default_dae,
     "full grid .dae": full_dae,
     "full grid .stl": full_stl,
     "trimesh .dae": trimesh_dae,

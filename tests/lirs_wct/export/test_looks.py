@@ -155,6 +155,27 @@ def test_the_overview_shows_all_and_the_near_plane_is_centimetres(peak: Path, tm
             assert border.all()
 
 
+@pytest.mark.parametrize("size", [3.0, 50.0, 2_000.0, 100_000.0])
+def test_the_far_plane_leaves_the_sky(size: float, peak: Path, tmp_path: Path) -> None:
+    """A sky at 4e6 times the near plane is clipped: black, and so are the ground's far ends."""
+    world = build_world(peak, BuildOptions(size=size, height=size / 8))
+    model = written(world, tmp_path / "out")
+    assert model.vis.map.zfar / model.vis.map.znear <= 4.001e5
+    # From the overview all of the world is nearer than the far plane.
+    position, middle = model.cam("overview").pos, model.stat.center
+    assert np.linalg.norm(position - middle) + model.stat.extent < model.vis.map.zfar * model.stat.extent
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("size", [5_000.0, 100_000.0])
+def test_the_sky_over_kilometres_is_not_black(size: float, peak: Path, tmp_path: Path) -> None:
+    world = build_world(peak, BuildOptions(size=size, height=size / 8, name="wide"))
+    seen = picture(written(world, tmp_path / "out")).astype(int)
+    assert seen.max(axis=2).min() > 20
+    for border in (seen[0], seen[-1], seen[:, 0], seen[:, -1]):
+        assert border.min() > 170
+
+
 @pytest.mark.render
 def test_a_thing_before_the_camera_is_seen(peak: Path, tmp_path: Path) -> None:
     """At 1 % of the world's extent, MuJoCo's default, a robot's camera saw through it."""
