@@ -8,6 +8,8 @@ younger has, too. A finished submap is packed; the searched ones that were neede
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +19,28 @@ from slam_baselines.cartographer.config import SubmapConfig
 from slam_baselines.cartographer.packed_grids import PackedGrids
 from slam_baselines.mapping.occupancy_map import UNKNOWN, OccupancyMap, bounding_box
 from slam_baselines.mapping.pyramid import Levels, MapPyramid
+from slam_baselines.mapping.ray_tracing import RayTracer, Trace
 from slam_baselines.matching.branch_and_bound import BoundGrids
 from slam_baselines.scan.leveling import ScanPoints
+
+
+class TracedScan(NamedTuple):
+    """Traces of a scan on all levels, and (4,) west, south, east, north of it, metres."""
+
+    traces: Sequence[Trace]
+    box: FloatArray
+
+
+class Tracers:
+    """Trace scans for all submaps, whose levels are parts of the same lattices."""
+
+    def __init__(self, config: SubmapConfig) -> None:
+        self._levels = [RayTracer(config.resolution * 2**level) for level in range(config.levels)]
+
+    def trace(self, scan: ScanPoints) -> TracedScan:
+        """Return what a scan in the local frame meets on each level; void after the next."""
+        box = bounding_box(scan)
+        return TracedScan([level.trace(scan, box) for level in self._levels], box)
 
 
 class Submap:
@@ -80,12 +102,20 @@ class Submap:
             cells = np.empty((0, 2), np.int64)
         return np.asarray((cells + 0.5) * level.resolution, dtype=np.float64)
 
-    def draw_range_data(self, node: int, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int) -> None:
-        """Draw a scan, given in the local frame (see OccupancyMap.update)."""
+    def draw_range_data(
+        self,
+        node: int,
+        scan: ScanPoints,
+        min_slopes: ByteArray,
+        wall_slope: int,
+        traced: TracedScan | None = None,
+    ) -> None:
+        """Draw a scan, given in the local frame (see OccupancyMap.update), that may be traced before."""
         self.set_wall_slope(wall_slope)
         self.nodes.append(node)
-        box = bounding_box(scan)
-        grew = [level.update(scan, min_slopes, wall_slope, box) for level in self.pyramid.maps]
+        traces, box = traced or Tracers(self._config).trace(scan)
+        levels = zip(self.pyramid.maps, traces, strict=True)
+        grew = [level.enter(trace, scan, min_slopes, wall_slope, box) for level, trace in levels]
         if any(grew):
             self.pyramid.refresh()
 
@@ -146,6 +176,7 @@ class Submaps:
     def __init__(self, config: SubmapConfig) -> None:
         self._config = config
         self._searched: OrderedDict[int, Submap] = OrderedDict()
+        self._tracers = Tracers(config)
         self._last, self._distance = Pose2(), 0.0
         self.all: list[Submap] = []
 
@@ -171,9 +202,9 @@ class Submaps:
             self._last, self._distance = pose, 0.0
         self._distance += pose.distance(self._last)
         self._last = pose
-        entered = self.active
+        entered, traced = self.active, self._tracers.trace(scan)
         for i in entered:
-            self.all[i].draw_range_data(node, scan, min_slopes, wall_slope)
+            self.all[i].draw_range_data(node, scan, min_slopes, wall_slope, traced)
         if len(entered) > 1 and self._newest_full:
             self.all[entered[0]].finish()
         return entered

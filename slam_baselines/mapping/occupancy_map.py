@@ -19,6 +19,7 @@ from lirs_wct.field_validators import require_within
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.growing_grid import GrowingGrid
+from slam_baselines.mapping.ray_tracing import BITS, COLUMN, RayTracer, Trace
 from slam_baselines.scan.leveling import ScanPoints
 
 __all__ = ["FULL", "SLOPE_STEP", "STEP", "TOP_STEP", "UNKNOWN", "UNSEEN", "OccupancyMap", "UpdateConfig"]
@@ -75,8 +76,7 @@ class OccupancyMap:
         layers = {"log_odds": (np.int8, UNKNOWN), "value": (np.uint8, UNSEEN), "min_slope": (np.uint8, 0)}
         self.grid = GrowingGrid(resolution, layers | {"top": (np.int16, -32768)})
         self._steps = (config or UpdateConfig()).steps
-        self._touched: ByteArray = np.zeros(0, np.uint8)
-        self._mark = 0
+        self._tracer = RayTracer(resolution)
         self._take_over()
 
     @property
@@ -93,25 +93,18 @@ class OccupancyMap:
             wall_slope: minimum slope from which on a cell is a wall, SLOPE_STEP.
             box: (4,) west, south, east, north of the scan, metres.
         """
-        bounds = box.tolist()
-        grew = self.grid.ensure(*bounds)
+        return self.enter(self._tracer.trace(scan, box), scan, min_slopes, wall_slope, box)
+
+    def enter(
+        self, trace: Trace, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int, box: FloatArray
+    ) -> bool:
+        """Enter a scan that was traced over the same lattice; the rest as of update."""
+        grew = self.grid.ensure(*box.tolist())
         if grew:
             self._take_over()
-        west, south, east, north = (math.floor(v / self.resolution) for v in bounds)
-        corner = south - 1 - self.grid.row0, west - 1 - self.grid.col0
-        scratch = Scratch(self._blank(north - south + 3, east - west + 3), self._mark, corner)
-        enter_scan(self.layers, self.frame, scratch, scan, min_slopes, wall_slope, self._steps)
+        corner = trace.corner[0] - self.grid.row0, trace.corner[1] - self.grid.col0
+        enter_trace(self.layers, corner, trace, scan, min_slopes, wall_slope, self._steps)
         return grew
-
-    def _blank(self, rows: int, cols: int) -> ByteArray:
-        """Return a scratch that nowhere holds the new mark; it is wiped only when the marks run out."""
-        if len(self._touched) < rows * cols:
-            self._touched, self._mark = np.zeros(rows * cols * 3 // 2, np.uint8), 0
-        elif self._mark == 255:
-            self._touched.fill(0)
-            self._mark = 0
-        self._mark += 1
-        return self._touched[: rows * cols].reshape(rows, cols)
 
     def _take_over(self) -> None:
         g = self.grid
@@ -169,10 +162,6 @@ VALUE = np.maximum(1, np.round(FULL * (_odds - 1) / (_odds + 1))).astype(np.uint
 """(256,) value of log-odds + 128: 2 p - 1 where that is above 0: free and unknown ground pull alike."""
 VALUE[0] = UNSEEN
 
-BITS = 32
-ONE = float(1 << BITS)
-"""A cell in fixed point."""
-
 
 class Layers(NamedTuple):
     """The arrays of a map, (rows, cols) each."""
@@ -183,97 +172,53 @@ class Layers(NamedTuple):
     top: NDArray[np.int16]
 
 
-class Scratch(NamedTuple):
-    """Which cells a scan has touched.
-
-    Attributes:
-        touched: (rows, cols) nowhere `mark` before the scan; holds all beams.
-        mark: of the cells that this scan has touched.
-        corner: row and column in the layers of the scratch's cell (0, 0).
-    """
-
-    touched: ByteArray
-    mark: int
-    corner: tuple[int, int]
-
-
 @njit(cache=True, nogil=True)
-def enter_scan(
-    layers: Any, frame: Any, scratch: Any, scan: Any, min_slopes: Any, wall_slope: int, steps: Any
+def enter_trace(
+    layers: Any, corner: Any, trace: Any, scan: Any, min_slopes: Any, wall_slope: int, steps: Any
 ) -> None:
-    """Raise the cells where beams end, then lower those that beams pass; no cell twice, a hit wins.
+    """Raise the cells where beams end, then lower those that beams pass.
+
+    A beam that passes above where a wall was hit says nothing about the wall.
 
     Args:
         layers: of the map.
-        frame: (3,) lattice row and column of the arrays' cell (0, 0), resolution in metres.
-        scratch: of this scan.
+        corner: row and column in the layers of the trace's window.
+        trace: of the scan.
         scan: in the map frame.
         min_slopes: (n,) of each hit.
         wall_slope: minimum slope from which on a cell is a wall.
         steps: miss, hit and limit of the log-odds.
     """
-    origin, hits, free = scan
-    touched, mark, corner = scratch
-    scale = 1 / frame[2]
-    east, north = frame[1] + corner[1], frame[0] + corner[0]
-    cells = np.empty((len(hits), 2), np.int64)
-    for i in range(len(hits)):
-        row, col = int(hits[i, 1] * scale - north), int(hits[i, 0] * scale - east)
-        r, c = row + corner[0], col + corner[1]
-        cells[i, 0], cells[i, 1] = row, col
-        layers.min_slope[r, c] = max(layers.min_slope[r, c], min_slopes[i])
-        layers.top[r, c] = max(layers.top[r, c], np.int16(min(max(hits[i, 2], -300.0), 300.0) / TOP_STEP))
-    for row, col in cells:
-        if touched[row, col] != mark:
-            touched[row, col] = mark
-            _change(layers, row + corner[0], col + corner[1], steps[1], wall_slope, steps[2])
-    passed = np.empty(256, np.int8)
-    for before in range(-128, 128):
-        passed[before + 128] = _added(before, steps[0], steps[2])
-    start = origin[1] * scale - north, origin[0] * scale - east, origin[2]
-    for ends, more in ((hits, -1), (free, 1)):
-        for i in range(len(ends)):
-            end = ends[i, 1] * scale - north, ends[i, 0] * scale - east, ends[i, 2]
-            _pass(layers, scratch, start, end, more, wall_slope, steps, passed)
-
-
-@njit(cache=True, nogil=True)
-def _pass(
-    layers: Any, scratch: Any, start: Any, end: Any, more: int, wall_slope: int, steps: Any, passed: Any
-) -> None:
-    """Lower the cells between laser and end of a beam, given in cells of the scratch.
-
-    The last cell before a hit (`more` = -1) is spared: noise would wear the wall's near face away and
-    so push it back. A beam that passes above where a wall was hit says nothing about the wall. Log-odds of a
-    cell without hits are read from `passed` (256,): they are nearly all.
-    """
-    touched, mark, corner = scratch
+    hits, hit_cells, cells = scan.hits, trace.hit_cells, trace.cells
     log_odds, value, min_slope, top = layers
-    y, x, z = start
-    dy, dx, dz = end[0] - y, end[1] - x, end[2] - z
-    n = int(max(abs(dx), abs(dy))) + 1
-    dz /= n
-    # Rows and columns in fixed point, and unsigned: an index that may be negative costs more than the rest.
-    v, u = np.int64(y * ONE), np.int64(x * ONE)
-    dv, du = np.int64(dy / n * ONE), np.int64(dx / n * ONE)
     down, right = np.uintp(corner[0]), np.uintp(corner[1])
-    for k in range(n + more):
-        row, col = np.uintp(v >> BITS), np.uintp(u >> BITS)
-        v += dv
-        u += du
-        if touched[row, col] == mark:
-            continue
-        touched[row, col] = mark
-        r, c = row + down, col + right
-        before = np.int64(log_odds[r, c])
-        if before <= 0:
-            after = passed[np.uintp(before + 128)]
-            log_odds[r, c] = after
-            value[r, c] = VALUE[np.uintp(np.int64(after) + 128)]
-            continue
-        if wall_slope > 0 and min_slope[r, c] >= wall_slope and (z + k * dz) / TOP_STEP > top[r, c] + ABOVE:
-            continue
-        _change(layers, r, c, steps[0], wall_slope, steps[2])
+    for i in range(len(hits)):
+        r, c = np.uintp(hit_cells[i] >> BITS) + down, np.uintp(hit_cells[i] & COLUMN) + right
+        min_slope[r, c] = max(min_slope[r, c], min_slopes[i])
+        top[r, c] = max(top[r, c], np.int16(min(max(hits[i, 2], -300.0), 300.0) / TOP_STEP))
+    for i in range(len(hits)):
+        if trace.hit_first[i]:
+            r, c = np.uintp(hit_cells[i] >> BITS) + down, np.uintp(hit_cells[i] & COLUMN) + right
+            _change(layers, r, c, steps[1], wall_slope, steps[2])
+    # Nearly all cells that beams pass are without hits: their log-odds are read from a table.
+    lowered = np.empty(256, np.int8)
+    for before in range(-128, 128):
+        lowered[before + 128] = _added(before, steps[0], steps[2])
+    first = 0
+    for b in range(len(trace.ends)):
+        for i in range(first, trace.ends[b]):
+            r, c = np.uintp(cells[i] >> BITS) + down, np.uintp(cells[i] & COLUMN) + right
+            if log_odds[r, c] <= 0:
+                after = lowered[np.uintp(np.int64(log_odds[r, c]) + 128)]
+                log_odds[r, c] = after
+                value[r, c] = VALUE[np.uintp(np.int64(after) + 128)]
+                continue
+            if wall_slope > 0 and min_slope[r, c] >= wall_slope:
+                height = scan.origin[2] + trace.steps[i] * trace.rise[b]
+                if height / TOP_STEP > top[r, c] + ABOVE:
+                    continue
+            _change(layers, r, c, steps[0], wall_slope, steps[2])
+        first = trace.ends[b]
 
 
 @njit(cache=True, nogil=True, inline="always")

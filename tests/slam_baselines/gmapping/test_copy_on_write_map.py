@@ -112,3 +112,36 @@ def test_the_mean_of_a_cell_is_where_its_hits_are() -> None:
     patch = view.table[row - view.corner[0], col - view.corner[1]]
     mean = view.patches.mean[view.patches.record[patch], (0 & 15) * 16 + (20 & 15)] / 65536
     np.testing.assert_allclose(mean * 0.05, (0.02, 0.02), atol=1e-4)
+
+
+def test_a_beam_above_a_wall_says_nothing_about_it() -> None:
+    maps = PatchMaps(1, 0.05)
+    wall, beyond = np.array([[2.0, 0.02, 0.0]]), np.array([[4.0, 0.02, 0.0]])
+    enter_walls(maps, wall, height=0.0)
+    before = cells(maps, 0)[0].copy()
+    enter_walls(maps, beyond, height=0.5)
+    grid, origin = cells(maps, 0)
+    at = int((2.0 - origin.x) / 0.05)
+    assert grid[0, at] == np.nanmax(before)
+    assert grid[0, at - 2] < before[0, at - 2]
+    enter_walls(maps, beyond, height=0.05)
+    assert cells(maps, 0)[0][0, at] < grid[0, at]
+
+
+def enter_walls(maps: PatchMaps, hits: np.ndarray, height: float) -> None:
+    """Enter level beams that end at steep walls."""
+    level = hits + np.array((0.0, 0.0, height))
+    scan = ScanPoints(np.array((0.0, 0.02, height)), level, NO_FREE)
+    maps.draw_scan(np.zeros((1, 3)), scan, np.full(len(hits), 90, np.uint8), 20)
+
+
+def test_many_maps_hold_what_each_would_alone() -> None:
+    poses = [(0.31, -0.12, 0.4), (1.37, 0.53, -2.0), (-0.2, 0.53, 1.0)]
+    maps = PatchMaps(3, 0.05)
+    for _ in range(2):
+        enter(maps, poses, a_circle(3.0)[::3], wall_slope=20)
+    for k, pose in enumerate(poses):
+        alone = PatchMaps(1, 0.05)
+        for _ in range(2):
+            enter(alone, [pose], a_circle(3.0)[::3], wall_slope=20)
+        np.testing.assert_array_equal(cells(maps, k)[0], cells(alone, 0)[0])

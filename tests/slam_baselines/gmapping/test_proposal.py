@@ -120,3 +120,17 @@ def test_illegal_numbers_are_named() -> None:
         ProposalConfig(lsigma=0)
     with pytest.raises(ConfigError, match="minimumScore"):
         ProposalConfig(minimumScore=0.9)
+
+
+def test_copies_of_a_particle_get_what_each_would_get() -> None:
+    """Of copies, one is matched for all; apart by a hair, each is."""
+    room = (-3.0, 4.0, -2.5, 2.0)
+    maps, truth = mapped(4, *room), np.array((0.2, 0.1, 0.3))
+    maps.descend(np.zeros(4, np.int64))
+    points, expected = ends(Pose2(*truth), *room), np.tile(truth + np.array((0.1, -0.1, 0.05)), (4, 1))
+    copies = proposed(maps, points, expected)
+    apart = proposed(maps, points, expected + np.arange(4)[:, None] * 1e-13)
+    for name in ("poses", "means", "covariances", "log_eta", "hit_ratio", "known_ratio"):
+        np.testing.assert_allclose(getattr(copies, name), getattr(apart, name), atol=1e-6, err_msg=name)
+    assert np.array_equal(copies.means[1], copies.means[3])
+    assert not np.array_equal(copies.poses[1], copies.poses[3])

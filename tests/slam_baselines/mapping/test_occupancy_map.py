@@ -17,6 +17,7 @@ from slam_baselines.mapping.occupancy_map import (
     UpdateConfig,
     bounding_box,
 )
+from slam_baselines.mapping.ray_tracing import RayTracer
 from slam_baselines.scan.leveling import ScanPoints
 
 Array = NDArray[np.float64]
@@ -68,7 +69,7 @@ def test_the_scratch_of_many_scans_is_as_good_as_a_fresh_one() -> None:
         origin = np.array((0.02 * (k % 40), 0.01 * (k % 70), 0.4))
         hits = ring(40 + k % 5, 1.0 + 0.01 * (k % 90)) + origin * (1, 1, 0)
         enter(kept, hits, origin=origin)
-        fresh._touched = np.zeros(0, np.uint8)
+        fresh._tracer = RayTracer(0.1)
         enter(fresh, hits, origin=origin)
     np.testing.assert_array_equal(kept.layers.log_odds, fresh.layers.log_odds)
 
