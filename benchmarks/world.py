@@ -5,9 +5,9 @@
 Each row is a process of its own, so that its peak memory, libraries included, is its own; kernels are
 compiled before the clock starts. Worlds are built and written as by `lirs-wct build`, textures, start poses
 and `world.json` included. Peers in the same run: pydelatin (where installed), trimesh, pycollada. DIR holds
-`maps/*/*.yaml`: each that is a laser map is a row. A limit stands behind its figure; a broken one makes the exit
-code 1. Where the CPU's seconds are far below the clock's, the machine had other work. "default" is what `build`
-makes unasked (0.1 % of the relief), "full grid" all pixels (`--max-error 0`).
+`maps/*/*.yaml`: each that is a laser map is a row. A limit stands behind its figure; a broken one makes the
+exit code 1. Where the CPU's seconds are far below the clock's, the machine had other work. "default" is what
+`build` makes unasked (0.1 % of the relief), "full grid" all pixels (`--max-error 0`).
 """
 
 from __future__ import annotations
