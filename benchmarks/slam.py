@@ -28,7 +28,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lirs_validation.experiment.heap import heap_at_rest
+from lirs_validation.experiment.cost import heap_at_rest
 from lirs_validation.logs.reference import read_reference
 from lirs_validation.metrics.log_accuracy import reference_errors
 from lirs_validation.metrics.relative_pose_constraints import (

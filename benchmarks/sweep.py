@@ -1,10 +1,13 @@
 """What a sweep costs beside its experiments: time each, share of a real one's time, memory over a thousand.
 
-    python benchmarks/sweep.py [--cells 1000] [--seconds 120] [--quick] [--json FILE]
+    python benchmarks/sweep.py [--cells 1000] [--seconds 120] [--real 12] [--quick] [--json FILE]
 
 Experiments that only write a record of full size are put through everything that `validate` does: looked at,
 run, written down, read again for the table. What is left after their own time is the suite's; it stands
 beside the time of a real experiment (Husky, Hector, world `simple`), which is the peer here.
+
+Then real experiments are run by one process and by two, in turns, the processes' start included: at least 1.8
+times as many a minute are asked of two, on two cores with nothing beside them.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from typing import Any
 
 from rich.console import Console
 
-from lirs_validation import RunRecord, validate
+from lirs_validation import RunConfig, RunRecord, validate
 from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.report.tables.sweep_tables import sweep_tables
@@ -32,10 +35,12 @@ from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.files import atomic_folder
-from lirs_wct.progress import Progress
+from lirs_wct.progress import Progress, no_progress
 
 LIMIT = 0.02
 """Share of the experiments' time that the suite may take."""
+SPEEDUP, TURNS = 1.8, 2
+"""Times as many experiments a minute that two processes are to do; how often each number takes its turn."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cells", type=int, default=1000)
     parser.add_argument("--seconds", type=float, default=120.0, help="simulated, of the real experiment")
-    parser.add_argument("--quick", action="store_true", help="100 experiments, a real one of 20 s")
+    parser.add_argument("--real", type=int, default=12, help="real experiments for one process, and for two")
+    parser.add_argument("--quick", action="store_true", help="100 experiments, real ones of 20 s")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     count, seconds = (100, 20.0) if given.quick else (given.cells, given.seconds)
@@ -91,8 +97,29 @@ def main() -> None:
             f"again with all kept {row['again_ms']:.1f} ms an experiment; memory {row['growth_mb']:+.1f} MB "
             f"from {row['memory_mb']:.0f} MB"
         )
+    minute = throughput(given.real, seconds)
+    console.print(
+        f"{given.real} real experiments of {seconds:g} s: {minute['one']:.1f} a minute by one process, "
+        f"{minute['two']:.1f} by two = {minute['speedup']:.2f} x (limit {SPEEDUP:g})"
+    )
     if given.json:
-        given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        given.json.write_text(json.dumps([*rows, minute], indent=1) + "\n", encoding="utf-8")
+
+
+def throughput(count: int, seconds: float) -> dict[str, Any]:
+    """Return real experiments a minute by one process and by two, the best of their turns."""
+    experiments = [
+        SlamExperiment(RunConfig(source="medium", seconds=seconds, seed=seed)) for seed in range(count)
+    ]
+    best = {1: 0.0, 2: 0.0}
+    for jobs in TURNS * tuple(best):
+        with tempfile.TemporaryDirectory() as folder:
+            begun = time.perf_counter()
+            outcomes = list(Processes(jobs=jobs).run(experiments, Path(folder), lambda name: no_progress))
+            spent = time.perf_counter() - begun
+        assert not {"error", "timeout"} & {outcome.status for outcome in outcomes}
+        best[jobs] = max(best[jobs], 60.0 * count / spent)
+    return {"engine": "throughput", "one": best[1], "two": best[2], "speedup": best[2] / best[1]}
 
 
 def measured(name: str, work: Callable[[], dict[str, float]], real: float) -> dict[str, Any]:

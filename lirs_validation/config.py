@@ -21,12 +21,14 @@ if TYPE_CHECKING:
 Attitude = Literal["imu", "none"]
 ATTITUDES: tuple[Attitude, ...] = get_args(Attitude)
 """What a mapper is told of roll and pitch: the IMU's readings, or nothing."""
-TOUR = "tour"
-DRIVERS = {TOUR: "", "frontier": "", "waypoints": "FILE", "replay": "RUN"}
+TOUR, FRONTIER = "tour", "frontier"
+DRIVERS = {TOUR: "", FRONTIER: "", "waypoints": "FILE", "replay": "RUN"}
 """Who drives, and what each needs: a file of waypoints, the folder of a finished run."""
+THREADS = (1, 2)
+"""Of a drive: one, or one for the simulation and one for the mapper."""
 MANUAL = "manual"
 """What records say where a person drove in the live page; such a drive is repeated as `replay:RUN`."""
-LATER: dict[str, Any] = {"attitude": "imu", "driver": TOUR, "actors": 0}
+LATER: dict[str, Any] = {"attitude": "imu", "driver": TOUR, "actors": 0, "threads": 1}
 """Options of a run that came later: with these values they are in no digest, and folders keep their names."""
 LATER_OF_BUILDS: dict[str, Any] = {
     "start": None,
@@ -83,6 +85,20 @@ def driver_parts(text: str) -> tuple[str, str]:
     return kind, path
 
 
+def check_threads(threads: int, driver: str) -> None:
+    """Tell whether a kind of driver can drive with so many threads.
+
+    Raises:
+        ConfigError: there are not 1 or 2, or the driver waits for the mapper.
+    """
+    if threads not in THREADS:
+        raise ConfigError(f"threads must be 1 or 2 (the mapper has one of its own), got {threads}")
+    if threads > 1 and driver == FRONTIER:
+        raise ConfigError(
+            f"driver {driver} waits for the mapper's map and pose: it drives with --threads 1, got {threads}"
+        )
+
+
 @dataclass(frozen=True, kw_only=True)
 class RunConfig:
     """What to run.
@@ -102,11 +118,14 @@ class RunConfig:
         actors: number of walkers in the world.
         bag: how the drive is recorded as a ROS 2 bag: `mcap` or `sqlite3`; None = it is not.
         sensors_only: whether the bag leaves out what the mapper makes: map -> odom and /map.
+        threads: of the drive: 1, or 2, where the mapper works beside the simulation; results but times are
+            the same.
         build: how the source becomes a world.
 
     Raises:
-        ConfigError: seconds or the wall limit is not above 0, seed or actors is negative, or there is no such
-            terrain, rays, attitude, driver or storage.
+        ConfigError: seconds or the wall limit is not above 0, seed or actors is negative, there is no such
+            terrain, rays, attitude, driver or storage, or the driver waits for the mapper and is to drive
+            with two threads.
     """
 
     source: str
@@ -123,6 +142,7 @@ class RunConfig:
     actors: int = 0
     bag: Storage | None = None
     sensors_only: bool = False
+    threads: int = 1
     build: BuildOptions = field(default_factory=SourceOptions)
 
     def __post_init__(self) -> None:
@@ -139,7 +159,7 @@ class RunConfig:
             raise unknown_name("terrain for MuJoCo", self.terrain, CONTACT_GEOMETRIES)
         if self.attitude not in ATTITUDES:
             raise unknown_name("attitude", self.attitude, ATTITUDES)
-        driver_parts(self.driver)
+        check_threads(self.threads, driver_parts(self.driver)[0])
         if self.bag is not None and self.bag not in STORAGES:
             raise unknown_name("storage of a bag", self.bag, STORAGES)
         object.__setattr__(self, "rays", RECORDED_RAYS[resolve_rays(self.rays)])

@@ -11,7 +11,10 @@ from lirs_validation.config import LATER
 from lirs_validation.record.formatting import Entry
 from lirs_wct.errors import ConfigError
 
-FIELDS = ("world", "robot", "mapper", "terrain", "rays", "lidar", "seconds", "attitude", "driver", "actors")
+FIELDS = (
+    *("world", "robot", "mapper", "terrain", "rays", "lidar", "seconds"),
+    *("attitude", "driver", "actors", "threads"),
+)
 
 
 @dataclass(frozen=True, order=True)
@@ -28,6 +31,7 @@ class Group:
     attitude: str = LATER["attitude"]
     driver: str = LATER["driver"]
     actors: int = LATER["actors"]
+    threads: int = LATER["threads"]
 
     @staticmethod
     def of(entry: Entry) -> Group:
@@ -49,6 +53,7 @@ class Group:
         texts = {**dict(zip(FIELDS, astuple(self), strict=True)), "seconds": f"{self.seconds:g} s"}
         texts |= {"rays": f"rays: {self.rays}", "attitude": f"attitude: {self.attitude}"}
         texts |= {"driver": f"driver: {self.driver}", "actors": f"{self.actors} walkers"}
+        texts |= {"threads": f"{self.threads} thread{'s' * (self.threads > 1)}"}
         return ", ".join(str(texts[field]) for field in FIELDS if field in set(fields))
 
 

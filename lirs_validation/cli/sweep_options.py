@@ -10,7 +10,7 @@ import typer
 
 from lirs_validation.cli.arguments import read_drivers, read_names, read_seeds
 from lirs_validation.cli.typer_options import mujoco_terrain
-from lirs_validation.config import ATTITUDES, TOUR, SourceOptions
+from lirs_validation.config import ATTITUDES, THREADS, TOUR, SourceOptions
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.rosbag.library import STORAGES
 from lirs_wct.sources.option_text import chosen
@@ -91,6 +91,16 @@ Actors = Annotated[
         metavar="N,N,...",
         show_default="0",
         help="Walkers on seeded paths, whom the lidar sees and the robot touches.",
+        rich_help_panel=AXES,
+    ),
+]
+Threads = Annotated[
+    str | None,
+    typer.Option(
+        "--threads",
+        metavar="1|2|1,2",
+        show_default="1",
+        help="Threads of a drive. With 2 the mapper works beside the simulation: the same results sooner.",
         rich_help_panel=AXES,
     ),
 ]
@@ -176,6 +186,7 @@ def read_experiments(
     seeds: tuple[int, ...] | None,
     seconds: float | None,
     wall_limit: float | None,
+    threads: tuple[int, ...],
     build: SourceOptions,
 ) -> tuple[Experiment, ...]:
     """Return the experiments of a suite, or at the crossings of axes.
@@ -188,6 +199,7 @@ def read_experiments(
         seeds: None = the suite's own, or 1.
         seconds: simulated seconds of each run; None = the suite's own, or 120.
         wall_limit: of each drive; None = the suite's own, or none.
+        threads: of a drive, with a suite too.
         build: how sources become worlds.
 
     Raises:
@@ -196,10 +208,10 @@ def read_experiments(
     if suite is not None:
         others = {f"--{axis}": said is not None for axis, said in axes.items()}
         others |= {"sources": bool(sources), "options of build": build != SourceOptions()}
-        return _suite_experiments(suite, others, seeds, seconds, wall_limit)
+        return _suite_experiments(suite, others, seeds, seconds, wall_limit, threads)
     if not sources:
         raise ConfigError("nothing to validate: name a source (simple, a picture, a map, ...) or a --suite")
-    return _axes_experiments(sources, axes, seeds, seconds, wall_limit, build)
+    return _axes_experiments(sources, axes, seeds, seconds, wall_limit, threads, build)
 
 
 def recorded(
@@ -227,6 +239,17 @@ def recorded(
     )
 
 
+def read_threads(text: str | None) -> tuple[int, ...]:
+    """Return numbers of threads of a drive, each once; 1 where nothing is said.
+
+    Raises:
+        ConfigError: one is not 1 or 2.
+    """
+    names = ("1",) if text is None else read_names(text, "--threads")
+    legal = tuple(map(str, THREADS))
+    return tuple(dict.fromkeys(int(chosen(name, "--threads", legal)) for name in names))
+
+
 def read_seed_options(seed: int | None, seeds: str | None) -> tuple[int, ...] | None:
     """Return the seeds; None = not said.
 
@@ -246,6 +269,7 @@ def _axes_experiments(
     seeds: tuple[int, ...] | None,
     seconds: float | None,
     wall_limit: float | None,
+    threads: tuple[int, ...],
     build: SourceOptions,
 ) -> tuple[Experiment, ...]:
     """Return the experiments at the crossings of the axes that were given (see `read_experiments`)."""
@@ -271,6 +295,7 @@ def _axes_experiments(
         seeds=seeds or (1,),
         seconds=DEFAULT_SECONDS if seconds is None else seconds,
         wall_limit=wall_limit,
+        threads=threads,
         build=build,
     ).experiments()
 
@@ -281,6 +306,7 @@ def _suite_experiments(
     seeds: tuple[int, ...] | None,
     seconds: float | None,
     wall_limit: float | None,
+    threads: tuple[int, ...],
 ) -> tuple[Experiment, ...]:
     """Return the experiments of a suite; `others` are the options that it leaves no room for."""
     from lirs_validation.sweep.suites import suite_named
@@ -289,7 +315,7 @@ def _suite_experiments(
     clash = [option for option, given in others.items() if given]
     if clash:
         raise ConfigError(f"--suite {name} has its own worlds and axes: leave out {', '.join(clash)}")
-    return suite.experiments(seconds=seconds, seeds=seeds, wall_limit=wall_limit)
+    return suite.experiments(seconds=seconds, seeds=seeds, wall_limit=wall_limit, threads=threads)
 
 
 def _names(given: Mapping[str, str | None], axis: str, default: str) -> tuple[str, ...]:

@@ -9,13 +9,38 @@ from pathlib import Path
 import numpy as np
 
 from lirs_envs.robots.command import Twist
+from lirs_envs.sensing.sensors import Observation
 from lirs_validation.experiment.clouds.sample import CloudSample
 from lirs_validation.experiment.observation_log import ObservationLog
 from lirs_validation.record.run_record import Status
+from lirs_wct.arrays import BoolArray
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.rows import Rows
 from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.spool import ArraySpool
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """What a simulation says after a tick: it may go on before the mapper has answered.
+
+    Attributes:
+        observation: of the sensors.
+        T_world_base: true pose.
+        time: simulated seconds since the start.
+        walker_beams: which beams of the scan met a walker; None where there are none.
+        walker_points: the same of the points of the cloud.
+        failure: how the drive ends here, and why; None where it goes on.
+        finished: why nothing is left to drive; empty while there is.
+    """
+
+    observation: Observation
+    T_world_base: Pose3
+    time: float
+    walker_beams: BoolArray | None = None
+    walker_points: BoolArray | None = None
+    failure: tuple[Status, str] | None = None
+    finished: str = ""
 
 
 @dataclass
@@ -30,11 +55,13 @@ class DriveLog:
         estimates: `T_map_base`, the mapper's online answers, in the plane or in space.
         final: the mapper's trajectory in the map frame after the drive; None while it lasts.
         walls: wall-clock seconds of each tick.
-        mapper_seconds: of these, spent in the mapper.
+        mapper_seconds: of the mapper's update, in these or, with a thread of its own, beside them.
+        waiting: seconds of each tick in which the drive waited for the mapper.
         status: how it ended; `reason` says why.
         concurrent: whether something else of ours ran at the same time.
         start: where the driver had the robot set down, world frame.
         commands: what it commanded, one a tick: the commands after the first observation, the second, ...
+        spatial: whether the mapper estimates poses in space.
     """
 
     observations: ObservationLog
@@ -45,11 +72,13 @@ class DriveLog:
     final: Trajectory | None = None
     walls: array[float] = field(default_factory=lambda: array("d"))
     mapper_seconds: array[float] = field(default_factory=lambda: array("d"))
+    waiting: array[float] = field(default_factory=lambda: array("d"))
     status: Status = "ok"
     reason: str = ""
     concurrent: bool = False
     start: Pose2 = field(default_factory=Pose2)
     commands: Rows[Twist] = field(default_factory=lambda: Rows.of(Twist))
+    spatial: bool = False
 
     @staticmethod
     def begin(start: Pose2, *, spatial: bool = False, folder: Path | None = None) -> DriveLog:
@@ -62,12 +91,22 @@ class DriveLog:
                 process. None = the system's folder for temporary files.
         """
         estimates = Rows.of(Pose3) if spatial else Rows.of(Pose2)
-        return DriveLog(ObservationLog(folder), ArraySpool(folder), estimates, start=start)
+        return DriveLog(ObservationLog(folder), ArraySpool(folder), estimates, start=start, spatial=spatial)
 
-    @property
-    def spatial(self) -> bool:
-        """Whether the mapper estimates poses in space."""
-        return isinstance(self.estimates[0], Pose3)
+    def add(self, tick: Tick, estimate: Pose2 | Pose3) -> None:
+        """Note what was sensed and true after a tick, and what the mapper answered."""
+        observation = tick.observation
+        if observation.cloud is not None and self.spatial:
+            self.clouds.offer(len(self.observations), observation.cloud, tick.walker_points)
+        self.observations.append(observation)
+        if tick.walker_beams is not None:
+            self.walker_beams.append(tick.walker_beams)
+        self.truth.append(tick.T_world_base)
+        self.estimates.append(estimate)  # type: ignore[arg-type]  # of the mapper's kind
+
+    def forget_times(self) -> None:
+        """Forget how long the ticks so far took."""
+        del self.walls[:], self.mapper_seconds[:], self.waiting[:]
 
     @property
     def T_world_map(self) -> Pose2 | Pose3:  # noqa: N802  a frame pair

@@ -87,7 +87,8 @@ def evaluate(
         world=evaluate_world(scenario, simulation),
         status=status,
         reason=reason,
-        rtf=evaluate_rtf(log, simulation) | {"compile_seconds": cost["compile_seconds"]},
+        rtf=evaluate_rtf(log, simulation, scenario.config.threads)
+        | {"compile_seconds": cost["compile_seconds"]},
         trajectory=trajectory,
         map=maps.scores,
         collisions=evaluate_collisions(simulation),
@@ -164,22 +165,22 @@ def evaluate_trajectory(log: DriveLog) -> dict[str, Any]:
     }
 
 
-def evaluate_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
-    """Return the real-time factor, its spread over simulated seconds and its parts."""
+def evaluate_rtf(log: DriveLog, simulation: Simulation, threads: int = 1) -> dict[str, Any]:
+    """Return the real-time factor, its spread over simulated seconds and its parts.
+
+    Args:
+        log: of the drive.
+        simulation: that was driven.
+        threads: of the drive.
+    """
     period = simulation.period
-    walls = per_second(log.walls, period)
-    parts = {
-        "physics": sum(simulation.timing.physics) / (len(log.walls) * period),
-        "sensors": sum(simulation.timing.sensors) / (len(log.walls) * period),
-        "mapper": sum(log.mapper_seconds) / (len(log.walls) * period),
-    }
     total = sum(log.walls) / (len(log.walls) * period)
-    series = 1.0 / walls
+    series = 1.0 / per_second(log.walls, period)
     return {
         "mean": 1.0 / total,
         "std": float(np.std(series)),
         "min": float(series.min()),
-        "parts": parts | {"rest": total - sum(parts.values())},
+        "parts": _parts(log, simulation, threads),
         **physics_rtf(simulation),
         "simulated_seconds": len(log.walls) * period,
         "wall_seconds": sum(log.walls),
@@ -187,6 +188,21 @@ def evaluate_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
         "extrapolated": log.status == "wall limit",
         "series": series.tolist(),
     }
+
+
+def _parts(log: DriveLog, simulation: Simulation, threads: int) -> dict[str, float]:
+    """Return wall seconds per simulated second of each part, which add up to the whole.
+
+    With a thread of its own the mapper works beside the others: then `waiting`, in which the drive waited
+    for it, stands in its place in the sum.
+    """
+    timing, driven = simulation.timing, len(log.walls) * simulation.period
+    spent = {"physics": timing.physics, "sensors": timing.sensors, "mapper": log.mapper_seconds}
+    if threads > 1:
+        spent["waiting"] = log.waiting
+    parts = {name: sum(seconds) / driven for name, seconds in spent.items()}
+    beside = parts["mapper"] if threads > 1 else 0.0
+    return parts | {"rest": sum(log.walls) / driven - (sum(parts.values()) - beside)}
 
 
 def physics_rtf(simulation: Simulation) -> dict[str, float | None]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +15,11 @@ from lirs_envs.sensing.sensors import Observation
 from lirs_envs.simulation import Simulation
 from lirs_validation.driving.driver import Driver
 from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
-from lirs_validation.experiment.drive_log import DriveLog
+from lirs_validation.experiment.drive_log import DriveLog, Tick
+from lirs_validation.experiment.feeding import feeding, short_turns
 from lirs_validation.record.run_record import Status
 from lirs_validation.record.verdict import LostRule
-from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.progress import Progress, no_progress
 from slam_baselines.mapper import Mapper
@@ -25,9 +28,16 @@ Recorder = Callable[[Observation, Pose3, Pose2], None]
 """Is shown what was sensed, the cloud included, the true pose `T_world_base` and the mapper's answer
 `T_map_base`, in the plane."""
 
+MOST_AHEAD = 32
+"""Ticks by which a simulation is driven ahead of its mapper at most."""
+
 
 class Drive:
     """A drive that is taken tick by tick, until its time is over, something fails or its driver is done.
+
+    With two threads the simulation is driven ahead of the log while the mapper works. It is not where a tick
+    may be the last, or where the driver waits for the mapper's pose: so the log, and what the simulation
+    counted, are the same as with one thread.
 
     Attributes:
         log: of what has happened so far; it says how the drive ended.
@@ -41,6 +51,7 @@ class Drive:
         wall_limit: wall seconds after which the drive is stopped; None = never.
         recorder: is shown every scan once it is mapped; its time counts.
         spool: folder of the log's nameless files; None = the system's for temporary files.
+        threads: 1, or 2: the mapper has a thread of its own.
 
     Raises:
         MapperError: the mapper failed (see `GuardedMapper`).
@@ -56,58 +67,149 @@ class Drive:
         wall_limit: float | None = None,
         recorder: Recorder | None = None,
         spool: Path | None = None,
+        threads: int = 1,
     ) -> None:
-        self._simulation, self._driver, self._mapper = simulation, driver, mapper
+        self._simulation, self._driver = simulation, driver
         self._seconds, self._wall_limit, self._recorder = seconds, wall_limit, recorder
         self._ticks = max(1, math.ceil(seconds / simulation.period - 1e-9))
         self._tracking = LostRule()
         self._spent = 0.0
+        self._given: deque[Tick] = deque()
+        self._error: Exception | None = None
         spatial = isinstance(mapper, GuardedCloudMapper)
         self.log, self.over = DriveLog.begin(driver.start, spatial=spatial, folder=spool), False
-        _map(self.log, simulation.reset(driver.start), simulation, mapper, time.perf_counter(), recorder)
-        # The first scan comes before anything moves: no simulated time passes, so none is counted.
-        del self.log.walls[:], self.log.mapper_seconds[:]
+        self._feeding = feeding(mapper, threads)
+        begun = time.perf_counter()
+        self._give(simulation.reset(driver.start))
+        self._note(begun)
+        self.log.forget_times()  # The first scan comes before anything moves: no simulated time passes.
 
     @property
     def time(self) -> float:
-        """Simulated seconds since the start."""
+        """Simulated seconds since the start, as far as the log goes."""
         return len(self.log.walls) * self._simulation.period
 
-    def step(self) -> None:
+    def step(self, *, ahead: bool = True) -> None:
         """Drive for one tick.
+
+        Args:
+            ahead: whether the simulation may be driven further than this tick.
 
         Raises:
             MapperError: the mapper failed.
         """
-        log, simulation, driver = self.log, self._simulation, self._driver
         begun = time.perf_counter()
-        pose = planar(simulation.T_world_base if driver.frame == "world" else log.estimates[-1])
-        command = driver.command(pose, self.time)
-        log.commands.append(command)
         try:
-            observation = simulation.advance(command)
+            if not self._given:
+                self._advance()
         except SimulationError as error:
             self._end("diverged", str(error))
             return
-        _map(log, observation, simulation, self._mapper, begun, self._recorder)
-        self._tracking.observe(observation.scan.stamp, self._mapper.lost)
-        self._spent += log.walls[-1]
-        self._judge()
+        if ahead:
+            self._look_ahead()
+        tick, lost = self._note(begun)
+        self._tracking.observe(tick.observation.scan.stamp, lost)
+        self._spent += self.log.walls[-1]
+        self._judge(tick)
 
-    def stop(self, reason: str) -> None:
-        """End the drive before its time; a place that was lost for long is still said."""
-        self._finish("ok", reason)
+    def catch_up(self) -> None:
+        """Let the log come to where the simulation is; the mapper then is at rest.
 
-    def _judge(self) -> None:
-        """End the drive where a tick gave reason to."""
+        Raises:
+            MapperError: the mapper failed.
+        """
+        while self._given:
+            self.step(ahead=False)
+
+    def close(self) -> None:
+        """End the mapper's thread, where it has one."""
+        self._feeding.close()
+
+    def _advance(self) -> None:
+        """Drive the simulation for one tick, and give the mapper the scan.
+
+        Raises:
+            SimulationError: the simulation diverged.
+        """
+        if self._error is not None:
+            raise self._error
+        log, simulation, driver = self.log, self._simulation, self._driver
+        pose = planar(simulation.T_world_base if driver.frame == "world" else log.estimates[-1])
+        command = driver.command(pose, len(log.commands) * simulation.period)
+        log.commands.append(command)
+        self._give(simulation.advance(command))
+
+    def _give(self, observation: Observation) -> None:
+        """Hand the mapper a scan, and nothing but sensors; keep what the simulation says until it answers."""
+        self._feeding.give(observation)
+        simulation = self._simulation
+        has_cloud = self.log.spatial and observation.cloud is not None
+        self._given.append(
+            Tick(
+                observation,
+                simulation.T_world_base,
+                simulation.time,
+                walker_beams=simulation.walker_beams,
+                walker_points=simulation.walker_points if has_cloud else None,
+                failure=_failure(simulation, self._driver),
+                finished=self._driver.finished,
+            )
+        )
+
+    def _look_ahead(self) -> None:
+        """Drive on while the mapper works."""
+        while not self._feeding.ready and self._goes_on():
+            try:
+                self._advance()
+            except Exception as error:  # is raised when its turn comes
+                self._error = error
+
+    def _goes_on(self) -> bool:
+        """Whether the drive goes on after the last tick for certain, whatever the mapper says."""
+        first, last = self._given[0].observation.scan.stamp, self._given[-1]
+        return (
+            self._driver.frame == "world"
+            and self._error is None
+            and last.failure is None
+            and not last.finished
+            and len(self._given) < MOST_AHEAD
+            and len(self.log.commands) < self._ticks
+            and not self._late
+            and not self._tracking.may_end(first, last.observation.scan.stamp, len(self._given))
+        )
+
+    @property
+    def _late(self) -> bool:
+        return self._wall_limit is not None and self._spent >= self._wall_limit
+
+    def _note(self, begun: float) -> tuple[Tick, bool]:
+        """Note the next tick, with the mapper's answer to it, and how long it took.
+
+        Returns:
+            The tick, and whether the mapper does not know its place.
+        """
+        log, asked = self.log, time.perf_counter()
+        answer = self._feeding.answer()
+        log.waiting.append(time.perf_counter() - asked)
+        tick = self._given.popleft()
+        log.add(tick, answer.estimate)
+        log.mapper_seconds.append(answer.seconds)
+        if self._recorder is not None:
+            self._recorder(tick.observation, tick.T_world_base, log.in_plane(answer.estimate))
+        log.walls.append(time.perf_counter() - begun)
+        return tick, answer.lost
+
+    def _judge(self, tick: Tick) -> None:
+        """End the drive where a tick gave reason to; those that are driven already are taken before."""
         before_its_time = self.time < self._seconds
-        failure = _failure(self._simulation, self._driver, self._tracking)
-        if failure is not None:
-            self._end(*failure)
-        elif self._driver.finished and before_its_time:
-            self._finish("ok", f"{self._driver.finished} at {self._simulation.time:.1f} s")
-        elif self._wall_limit is not None and self._spent >= self._wall_limit and before_its_time:
-            self._finish("wall limit", _over(self._spent, self._simulation.time, self._seconds))
+        if tick.failure is not None:
+            self._end(*tick.failure)
+        elif self._tracking.too_long is not None:
+            self._end("lost", self._tracking.too_long)
+        elif tick.finished and before_its_time:
+            self._finish("ok", f"{tick.finished} at {tick.time:.1f} s")
+        elif self._late and before_its_time and not self._given:
+            self._finish("wall limit", _over(self._spent, tick.time, self._seconds))
         elif len(self.log.walls) >= self._ticks:
             self._finish(self.log.status, self.log.reason)
 
@@ -117,6 +219,7 @@ class Drive:
 
     def _end(self, status: Status, reason: str) -> None:
         self.log.status, self.log.reason, self.over = status, reason, True
+        self.close()
 
 
 def drive(
@@ -129,6 +232,7 @@ def drive(
     wall_limit: float | None = None,
     recorder: Recorder | None = None,
     spool: Path | None = None,
+    threads: int = 1,
 ) -> DriveLog:
     """Drive for a time, or until something fails or the wall limit is over; the log says which.
 
@@ -141,58 +245,29 @@ def drive(
         wall_limit: wall seconds after which the drive is stopped; None = never.
         recorder: is shown every scan once it is mapped; its time counts.
         spool: folder of the log's nameless files; None = the system's for temporary files.
+        threads: 1, or 2: the mapper has a thread of its own.
 
     Raises:
         MapperError: the mapper failed (see `GuardedMapper`).
     """
-    taken = Drive(simulation, driver, mapper, seconds, wall_limit=wall_limit, recorder=recorder, spool=spool)
+    taken = Drive(
+        simulation,
+        driver,
+        mapper,
+        seconds,
+        wall_limit=wall_limit,
+        recorder=recorder,
+        spool=spool,
+        threads=threads,
+    )
     next_report = 1.0
-    while not taken.over:
-        taken.step()
-        if taken.time >= next_report:
-            progress("drive", taken.time / seconds)
-            next_report += 1.0
+    with closing(taken), short_turns(threads):
+        while not taken.over:
+            taken.step()
+            if taken.time >= next_report:
+                progress("drive", taken.time / seconds)
+                next_report += 1.0
     return taken.log
-
-
-def _map(
-    log: DriveLog,
-    observation: Observation,
-    simulation: Simulation,
-    mapper: Mapper | GuardedCloudMapper,
-    begun: float,
-    recorder: Recorder | None,
-) -> None:
-    """Feed the mapper, and nothing but sensors; then note what happened and how long it took."""
-    handed = time.perf_counter()
-    estimate = fed(mapper, observation)
-    done = time.perf_counter()
-    if observation.cloud is not None and isinstance(mapper, GuardedCloudMapper):
-        log.clouds.offer(len(log.observations), observation.cloud, simulation.walker_points)
-    log.observations.append(observation)
-    walker_beams = simulation.walker_beams
-    if walker_beams is not None:
-        log.walker_beams.append(walker_beams)
-    T_world_base = simulation.T_world_base
-    log.truth.append(T_world_base)
-    log.estimates.append(estimate)  # type: ignore[arg-type]  # of the mapper's kind
-    log.mapper_seconds.append(done - handed)
-    if recorder is not None:
-        recorder(observation, T_world_base, log.in_plane(estimate))
-    log.walls.append(time.perf_counter() - begun)
-
-
-def fed(mapper: Mapper | GuardedCloudMapper, observation: Observation) -> Pose2 | Pose3:
-    """Give a mapper what it reads of an observation; return its answer.
-
-    Raises:
-        ConfigError: it reads point clouds, and the lidar has no rings.
-    """
-    if not isinstance(mapper, GuardedCloudMapper):
-        return mapper.update(observation.scan, observation.odometry, observation.imu)
-    if observation.cloud is None:
-        raise ConfigError("a mapper of point clouds needs a lidar with rings")
-    return mapper.update(observation.cloud, observation.imu)
 
 
 def planar(pose: Pose2 | Pose3) -> Pose2:
@@ -200,14 +275,14 @@ def planar(pose: Pose2 | Pose3) -> Pose2:
     return pose.to_pose2() if isinstance(pose, Pose3) else pose
 
 
-def _failure(simulation: Simulation, driver: Driver, tracking: LostRule) -> tuple[Status, str] | None:
+def _failure(simulation: Simulation, driver: Driver) -> tuple[Status, str] | None:
     if simulation.tipped:
         return "tipped", f"the robot tipped over at {simulation.time:.1f} s"
     if simulation.off_world:
         return "off world", f"the robot left the world at {simulation.time:.1f} s"
     if driver.stuck:
         return "stuck", f"the robot made no progress and gave up at {simulation.time:.1f} s"
-    return None if tracking.too_long is None else ("lost", tracking.too_long)
+    return None
 
 
 def _over(spent: float, driven: float, seconds: float) -> str:

@@ -17,11 +17,10 @@ from lirs_validation.experiment.clouds.guard import (
     guarded,
     occupancy_map,
 )
-from lirs_validation.experiment.cost import CostMeter, compile_timer
+from lirs_validation.experiment.cost import CostMeter, compile_timer, heap_at_rest
 from lirs_validation.experiment.cpu_contention import cpu_contention
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
-from lirs_validation.experiment.heap import heap_at_rest
 from lirs_validation.experiment.loop import Recorder, drive
 from lirs_validation.experiment.mappers.guard import GuardedMapper
 from lirs_validation.experiment.mappers.loading import mapper_named
@@ -84,6 +83,7 @@ def validate(
     actors: int = 0,
     bag: Storage | None = None,
     sensors_only: bool = False,
+    threads: int = 1,
     options: BuildOptions | None = None,
     out: str | Path | None = None,
     progress: Progress = no_progress,
@@ -106,6 +106,7 @@ def validate(
         actors: number of walkers on seeded paths, whom the lidar sees and the robot touches.
         bag: storage of a ROS 2 bag, `mcap` or `sqlite3`, that the run's folder then is too; None = no bag.
         sensors_only: whether the bag leaves out what the mapper makes: map -> odom and /map.
+        threads: 2 = the mapper has a thread of its own; results but times are the same.
         options: how the source becomes a world.
         out: folder that receives the run's folder; None = nothing is written.
         progress: of the run.
@@ -128,6 +129,7 @@ def validate(
         actors=actors,
         bag=bag,
         sensors_only=sensors_only,
+        threads=threads,
         build=options or BuildOptions(),
     )
     return run(config, out=None if out is None else Path(out), progress=progress)
@@ -269,6 +271,7 @@ def _timed_drive(
             wall_limit=config.wall_limit,
             recorder=recorder,
             spool=spool,
+            threads=config.threads,
         )
         cost = {"cpu_seconds": meter.cpu_seconds(), "peak_memory": meter.peak_memory()}
     log.concurrent = others.found

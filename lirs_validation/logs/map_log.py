@@ -11,8 +11,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from lirs_validation.config import Attitude, MapConfig
-from lirs_validation.experiment.cost import CostMeter, compile_timer
-from lirs_validation.experiment.heap import heap_at_rest
+from lirs_validation.experiment.cost import CostMeter, compile_timer, heap_at_rest
 from lirs_validation.experiment.mappers.attitude import with_attitude
 from lirs_validation.experiment.mappers.guard import GuardedMapper
 from lirs_validation.logs.inertial import inertial_readings, with_recorded_mount

@@ -42,6 +42,17 @@ class LostRule:
         if self._in_a_row >= LOST_SCANS and seconds >= max(LOST_SECONDS, longest):
             self._too_long = seconds, self._begun
 
+    def may_end(self, first: float, last: float, scans: int) -> bool:
+        """Whether the place is lost for too long if the mapper knows it after none of the next scans.
+
+        Args:
+            first: stamp of the first of them, seconds.
+            last: of the last.
+            scans: their number.
+        """
+        begun = self._begun if self._in_a_row else first
+        return self._in_a_row + scans >= LOST_SCANS and last - begun >= LOST_SECONDS
+
     @property
     def too_long(self) -> str | None:
         """For how long and from when on the place was lost; None where 5 s or 10 scans were not reached."""

@@ -25,7 +25,8 @@ MOST_PICTURES = 120
 """Runs that are shown in pictures; of more, the first seed of each group."""
 INTROS: dict[Section, str] = {
     "rtf": "Simulated seconds per wall second of the whole loop, compilation left out; its parts in wall "
-    "milliseconds per simulated second; and the same drive replayed through MuJoCo's step alone.",
+    "milliseconds per simulated second (with two threads the mapper works beside the others); and the same "
+    "drive replayed through MuJoCo's step alone.",
     "trajectory": "Errors of the mapper's final trajectory in the plane, against the simulator's truth.",
     "map": "The built map as the true start pose puts it, and aligned as the path is for the ATE, against "
     "the map that the same update makes of the same scans at the true poses; false occupied against the "
@@ -145,6 +146,7 @@ def _pictures(runs: Sequence[RunFolder]) -> tuple[list[Picture], str]:
         name += "without attitude, " if c.get("attitude") == "none" else ""
         name += f"driver {c['driver']}, " if c.get("driver", TOUR) != TOUR else ""
         name += f"{c['actors']} walkers, " if c.get("actors") else ""
+        name += f"{c['threads']} threads, " if c.get("threads", 1) > 1 else ""
         name += f"seed {c['seed']}" + ("" if run.entry["status"] == "ok" else f": {run.entry['status']}")
         name += f": {WORSE}" if worse_than_odometry(run.entry) else ""
         pictures.append(Picture(name, picture.url, f"Paths and maps of {name}", picture.note))

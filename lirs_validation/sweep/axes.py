@@ -32,6 +32,7 @@ class Axes:
         attitudes: what mappers are told of roll and pitch.
         drivers: who drives.
         actors: numbers of walkers.
+        threads: of a drive.
         seeds: of every random number.
         seconds: simulated time to drive.
         wall_limit: wall seconds after which a drive is stopped.
@@ -46,6 +47,7 @@ class Axes:
     attitudes: tuple[Attitude, ...] = ("imu",)
     drivers: tuple[str, ...] = (TOUR,)
     actors: tuple[int, ...] = (0,)
+    threads: tuple[int, ...] = (1,)
     seeds: tuple[int, ...] = (1,)
     seconds: float = 120.0
     wall_limit: float | None = None
@@ -67,6 +69,7 @@ class Axes:
             self.mappers,
             self.attitudes,
             self.seeds,
+            self.threads,
         )
         return tuple(
             SlamExperiment(
@@ -83,9 +86,21 @@ class Axes:
                     attitude=attitude,
                     driver=driver,
                     actors=actors,
+                    threads=threads,
                     build=self.build,
                 ),
                 tables,
             )
-            for source, representation, robot, lidar, driver, actors, mapper, attitude, seed in crossings
+            for (
+                source,
+                representation,
+                robot,
+                lidar,
+                driver,
+                actors,
+                mapper,
+                attitude,
+                seed,
+                threads,
+            ) in crossings
         )

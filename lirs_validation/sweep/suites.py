@@ -52,6 +52,7 @@ class Suite:
         seconds: float | None = None,
         seeds: tuple[int, ...] | None = None,
         wall_limit: float | None = None,
+        threads: tuple[int, ...] = (1,),
     ) -> tuple[Experiment, ...]:
         """Return the suite's experiments, world by world; what is given replaces the suite's own."""
         tables: dict[RunConfig, tuple[str, ...]] = {}
@@ -61,6 +62,7 @@ class Suite:
                 seconds=self.seconds if seconds is None else seconds,
                 seeds=self.seeds if seeds is None else seeds,
                 wall_limit=self.wall_limit if wall_limit is None else wall_limit,
+                threads=threads,
             )
             for config in (run.config for run in axes.experiments()):
                 tables[config] = tuple(dict.fromkeys(tables.get(config, ()) + block.tables))

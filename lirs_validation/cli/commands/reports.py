@@ -20,7 +20,7 @@ Across = Annotated[
     typer.Option(
         metavar="FIELD,...",
         help="Pair runs that differ in these: world, robot, mapper, terrain, rays, lidar, "
-        "seconds, attitude, driver, actors.",
+        "seconds, attitude, driver, actors, threads.",
     ),
 ]
 OnlyA = Annotated[

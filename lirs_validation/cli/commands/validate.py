@@ -37,6 +37,7 @@ def _validate(
     attitude: option.Attitudes = None,
     driver: option.Drivers = None,
     actors: option.Actors = None,
+    threads: option.Threads = None,
     seconds: option.Seconds = None,
     seed: option.Seed = None,
     seeds: option.Seeds = None,
@@ -105,6 +106,7 @@ def _experiments(given: Mapping[str, Any]) -> tuple[Experiment, ...]:
         option.read_seed_options(given["seed"], given["seeds"]),
         given["seconds"],
         given["wall_limit"],
+        option.read_threads(given["threads"]),
         given["options"],
     )
     bags = {name: given[name] for name in ("bag", "storage", "sensors_only")}

@@ -51,7 +51,12 @@ class LiveDrive:
         self.world = ready.scenario.world
         self._meter = CostMeter()
         self._drive = Drive(
-            ready.simulation, self.driver, ready.mapper, config.seconds, wall_limit=config.wall_limit
+            ready.simulation,
+            self.driver,
+            ready.mapper,
+            config.seconds,
+            wall_limit=config.wall_limit,
+            threads=config.threads,
         )
         self._T_world_map = self._drive.log.truth[0].to_pose2()
         self._maps: list[MapSnapshot] = []
@@ -81,7 +86,7 @@ class LiveDrive:
         """
         if self.over:
             return
-        self._drive.step()
+        self._drive.step(ahead=not self.driver.by_hand)  # a person's commands take effect at once
         apart = self.time - (self._maps[-1].time if self._maps else 0.0)
         waited = time.monotonic() - self._drawn_at
         if self.over or (apart >= MAP_SECONDS and waited >= MAP_WALL_SECONDS):
@@ -131,6 +136,7 @@ class LiveDrive:
         Raises:
             WctError: nothing was driven yet, or the folder cannot be written.
         """
+        self._drive.catch_up()
         log = self._drive.log
         status, reason, concurrent = log.status, log.reason, log.concurrent
         if not self.over:
@@ -150,6 +156,7 @@ class LiveDrive:
         mapper = self._ready.mapper
         if isinstance(mapper, GuardedCloudMapper):  # has no occupancy map
             return
+        self._drive.catch_up()
         grid = mapper.map()
         self._maps.append(MapSnapshot.of(grid.moved(self._T_world_map), self.time))
         self._drawn_at = time.monotonic()

@@ -21,6 +21,7 @@ FACTS = {
     "attitude": "config.attitude",
     "driver": "config.driver",
     "actors": "config.actors",
+    "threads": "config.threads",
     "seed": "config.seed",
     "status": "status",
 }

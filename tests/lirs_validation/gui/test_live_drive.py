@@ -44,14 +44,24 @@ def driven(config: RunConfig, scenarios: ScenarioCache, ticks: int | None = None
 
 
 @pytest.mark.parametrize(
-    ("mapper", "driver"),
-    [("hector", "tour"), ("gmapping", "tour"), ("cartographer", "tour"), ("hector", "frontier")],
+    ("mapper", "driver", "threads"),
+    [
+        ("hector", "tour", 1),
+        ("gmapping", "tour", 1),
+        ("cartographer", "tour", 2),
+        ("hector", "frontier", 1),
+    ],
 )
 def test_a_saved_drive_is_validates_run(
-    tmp_path: Path, scenarios: ScenarioCache, mapper: str, driver: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    scenarios: ScenarioCache,
+    mapper: str,
+    driver: str,
+    threads: int,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("lirs_validation.gui.session.live_drive.MAP_WALL_SECONDS", 0.0)
-    config = RunConfig(source="simple", mapper=mapper, driver=driver, seconds=3.0, seed=2)
+    config = RunConfig(source="simple", mapper=mapper, driver=driver, seconds=3.0, seed=2, threads=threads)
     by_validate = run(config, out=tmp_path / "validate", scenarios=scenarios).folder
     by_page = driven(config, scenarios).save(tmp_path / "page").folder
     assert by_validate is not None

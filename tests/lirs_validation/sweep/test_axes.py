@@ -50,6 +50,14 @@ def test_numbers_of_walkers_are_an_axis() -> None:
     assert found[0].name == "simple-husky-hector-s1-9ee60b70"
 
 
+def test_numbers_of_threads_are_an_axis_of_a_suite_too() -> None:
+    one, two = Axes(sources=("simple",), threads=(1, 2)).experiments()
+    assert one.name == "simple-husky-hector-s1-9ee60b70"
+    assert (two.config.threads, two.name == one.name) == (2, False)
+    runs = SUITES["paper"].experiments(threads=(2,))
+    assert {run.config.threads for run in runs if isinstance(run, SlamExperiment)} == {2}
+
+
 def test_the_papers_suite_has_every_cell_of_its_tables_once() -> None:
     experiments = SUITES["paper"].experiments(seeds=(1, 2))
     runs = [experiment for experiment in experiments if isinstance(experiment, SlamExperiment)]

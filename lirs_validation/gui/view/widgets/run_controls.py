@@ -8,7 +8,7 @@ import viser
 
 from lirs_envs.lidar.presets import LIDARS
 from lirs_envs.robots.catalog import ROBOTS
-from lirs_validation.config import ATTITUDES, RunConfig, SourceOptions
+from lirs_validation.config import ATTITUDES, THREADS, RunConfig, SourceOptions
 from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES
 from lirs_wct.errors import ConfigError
 from slam_baselines.mapper import MAPPERS
@@ -44,6 +44,9 @@ class RunControls:
                 "terrain", tuple(CONTACT_GEOMETRIES), hint="What MuJoCo touches."
             )
             self._walkers = gui.add_number("walkers", 0, min=0, max=WALKERS, step=1)
+            self._threads = gui.add_dropdown(
+                "threads", tuple(map(str, THREADS)), hint="With 2 the mapper works beside the simulation."
+            )
 
     def config(self, source: str, options: SourceOptions) -> RunConfig:
         """Return the run that is chosen, in a world.
@@ -67,4 +70,5 @@ class RunControls:
             attitude=attitude,
             terrain=terrain,
             actors=int(self._walkers.value),
+            threads=int(self._threads.value),
         )

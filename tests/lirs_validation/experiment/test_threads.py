@@ -1,0 +1,363 @@
+"""A drive of two threads: the bytes of one, however it ends, and nothing that hangs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lirs_envs.robots.command import Twist
+from lirs_envs.sensing.sensors import Observation
+from lirs_validation import Run, RunConfig, read_record, validate
+from lirs_validation.experiment import loop
+from lirs_validation.experiment.drive_log import DriveLog
+from lirs_validation.experiment.loop import Drive, drive
+from lirs_validation.experiment.mappers.guard import GuardedMapper
+from lirs_validation.experiment.run import prepare, run
+from lirs_validation.record.schema import schema_error
+from lirs_validation.sweep.engines.processes import Processes
+from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_wct.errors import ConfigError, MapperError, SimulationError
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.progress import no_progress
+from slam_baselines.mapper import Mapper
+
+TIMED = ("rtf.csv", "record.json", "overview.png", "manifest-sha256.txt")
+"""Files that hold what the clock says."""
+MODULE = """
+import threading, time
+from slam_baselines.hector.mapper import HectorMapper
+
+class Slow(HectorMapper):
+    def update(self, scan, odometry, imu):
+        time.sleep(0.002)  # the simulation gets ahead
+        return super().update(scan, odometry, imu)
+
+class Lost(Slow):
+    begin, end = 1.0, 99.0
+    def update(self, scan, odometry, imu):
+        self.stamp = scan.stamp
+        return super().update(scan, odometry, imu)
+    @property
+    def lost(self): return self.begin <= self.stamp < self.end
+
+class LostForAWhile(Lost):
+    end = 5.9
+
+class Failing(Slow):
+    def update(self, scan, odometry, imu):
+        if scan.stamp > 1.0: raise ValueError("no more")
+        return super().update(scan, odometry, imu)
+
+class Hanging(Slow):
+    def update(self, scan, odometry, imu):
+        while scan.stamp > 0.5 and threading.current_thread().name == "mapper": time.sleep(0.01)
+        return super().update(scan, odometry, imu)
+"""
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    (tmp_path / "own_slam.py").write_text(MODULE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "own_slam", raising=False)
+    yield
+    assert not mapper_threads()
+
+
+def mapper_threads() -> list[threading.Thread]:
+    return [thread for thread in threading.enumerate() if thread.name == "mapper"]
+
+
+def both(**options: Any) -> tuple[Run, Run]:
+    """Return the run of one thread and that of two."""
+    one, two = (validate(**options, threads=n, out=f"out{n}") for n in (1, 2))
+    return one, two
+
+
+def untimed(made: Run) -> dict[str, Any]:
+    assert made.folder is not None
+    entry = read_record(made.folder)
+    assert schema_error(entry) is None
+    rtf = {name: entry["rtf"][name] for name in ("simulated_seconds", "extrapolated")}
+    counts = {key: value for key, value in entry["mapper"].items() if not key.startswith("ms_")}
+    config = {key: value for key, value in entry["config"].items() if key != "threads"}
+    kept = ("world", "status", "reason", "trajectory", "map", "collisions", "seed", "versions")
+    return {key: entry[key] for key in kept} | {"rtf": rtf, "mapper": counts, "config": config}
+
+
+def assert_same(one: Run, two: Run) -> None:
+    assert untimed(one) == untimed(two)
+    assert one.folder is not None
+    assert two.folder is not None
+    names = {path.name for path in one.folder.iterdir()}
+    assert names == {path.name for path in two.folder.iterdir()}
+    for name in sorted(names.difference(TIMED)):
+        assert (one.folder / name).read_bytes() == (two.folder / name).read_bytes(), name
+    assert len(one.log.commands) == len(two.log.commands)
+    assert len(one.record.rtf["series"]) == len(two.record.rtf["series"])
+
+
+@pytest.mark.parametrize("mapper", ["hector", "gmapping", "cartographer", "own_slam:Slow"])
+def test_two_threads_give_the_same_bytes(mapper: str) -> None:
+    one, two = both(source="medium", mapper=mapper, seconds=6, seed=2, actors=8, bag="sqlite3")
+    assert_same(one, two)
+    assert one.log.walker_beams
+    assert one.record.name != two.record.name
+    assert two.record.config.threads == 2
+
+
+@pytest.mark.parametrize("mapper", ["Lost", "LostForAWhile"])
+def test_a_drive_that_gets_lost_ends_at_the_same_scan(mapper: str) -> None:
+    one, two = both(source="simple", mapper=f"own_slam:{mapper}", seconds=8)
+    assert_same(one, two)
+    assert one.record.status == "lost"
+    assert one.record.rtf["simulated_seconds"] == pytest.approx(6.0 if mapper == "Lost" else 8.0, abs=0.05)
+
+
+def test_a_driver_that_is_done_early_ends_the_drive_at_the_same_scan(tmp_path: Path) -> None:
+    start = validate("simple", seconds=1).log.start
+    (tmp_path / "near.csv").write_text(f"{start.x},{start.y}\n{start.x + 1},{start.y}\n")
+    one, two = both(source="simple", driver="waypoints:near.csv", mapper="own_slam:Slow", seconds=30)
+    assert_same(one, two)
+    assert one.record.status == "ok"
+    assert 1 < one.record.rtf["simulated_seconds"] < 25
+
+
+def test_a_mapper_that_raises_is_told_as_with_one_thread() -> None:
+    told = []
+    for threads in (1, 2):
+        with pytest.raises(MapperError) as raised:
+            validate("simple", mapper="own_slam:Failing", seconds=4, threads=threads)
+        told.append((str(raised.value), type(raised.value.__cause__)))
+    assert told[0] == told[1]
+    assert "1.040 s: ValueError: no more" in told[0][0]
+
+
+def test_a_cloud_mapper_has_its_thread_too() -> None:
+    (Path.cwd() / "own_clouds.py").write_text(
+        "import time\n"
+        "from lirs_wct.geometry.pose import Pose3\n"
+        "from lirs_wct.geometry.trajectory import Trajectory\n"
+        "from slam_baselines.mapper import MapperStats\n"
+        "class Still:\n"
+        "    reads_clouds, lost, stats = True, False, MapperStats()\n"
+        "    def __init__(self): self.stamps, self.poses = [], []\n"
+        "    def update(self, cloud, imu):\n"
+        "        time.sleep(0.01)\n"
+        "        self.stamps.append(cloud.stamp)\n"
+        "        self.poses.append(Pose3(float(cloud.xyz.mean()) / 1000, 0.0, 0.0))\n"
+        "        return self.poses[-1]\n"
+        "    def trajectory(self): return Trajectory.from_poses(self.stamps, self.poses)\n"
+    )
+    options = {"mapper": "own_clouds:Still", "lidar": "vlp16", "seconds": 3, "actors": 8}
+    one, two = both(source="medium", **options)
+    assert_same(one, two)
+    for a, b in zip(one.log.clouds.clouds, two.log.clouds.clouds, strict=True):
+        np.testing.assert_array_equal(a.xyz, b.xyz)
+
+
+def test_the_simulation_counts_no_tick_beyond_the_log() -> None:
+    config = RunConfig(source="simple", mapper="own_slam:Lost", seconds=8)
+    counted = []
+    for threads in (1, 2):
+        ready = prepare(config)
+        log = drive(ready.simulation, ready.driver, ready.mapper, 8.0, threads=threads)
+        counted.append((ready.simulation.controls, ready.simulation.collisions, ready.simulation.time))
+        assert len(ready.simulation.timing.physics) == len(log.walls) == len(log.commands)
+    np.testing.assert_array_equal(counted[0][0], counted[1][0])
+    assert counted[0][1:] == counted[1][1:]
+
+
+def test_the_parts_of_the_time_add_up() -> None:
+    begun = time.perf_counter()
+    ready = prepare(RunConfig(source="simple", mapper="own_slam:Slow", seconds=4, threads=2))
+    begun = time.perf_counter()
+    log = drive(ready.simulation, ready.driver, ready.mapper, 4.0, threads=2)
+    assert 0.9 * (time.perf_counter() - begun) < sum(log.walls) < time.perf_counter() - begun
+    two = validate("simple", mapper="own_slam:Slow", seconds=4, threads=2).record.rtf
+    parts = two["parts"]
+    assert set(parts) == {"physics", "sensors", "mapper", "waiting", "rest"}
+    assert min(parts.values()) >= 0
+    beside = sum(parts.values()) - parts["mapper"]
+    assert beside == pytest.approx(1 / two["mean"])
+    assert parts["waiting"] < parts["mapper"]  # it worked beside the simulation
+
+
+class Sim:
+    """A simulation and its driver, which fail at a tick, or see what the mapper was given."""
+
+    walker_beams = None
+    period = 0.04
+    start = Pose2()
+    T_world_base = Pose3()
+    frame, finished = "world", ""
+
+    def __init__(self, fails: str, at: int) -> None:
+        self.fails, self.at, self.ticks = fails, at, 0
+
+    def _failing(self, name: str) -> bool:
+        return self.fails == name and self.ticks >= self.at
+
+    time = property(lambda self: (self.ticks - 1) * self.period)
+    tipped = property(lambda self: self._failing("tipped"))
+    off_world = property(lambda self: self._failing("off world"))
+    stuck = property(lambda self: self._failing("stuck"))
+
+    def reset(self, start: Pose2) -> Observation:
+        return self.advance(Twist())
+
+    def advance(self, command: Twist) -> Observation:
+        self.ticks += 1
+        if self._failing("diverged"):
+            raise SimulationError("the simulation diverged: NaN in qacc")
+        scan = LaserScan(np.ones(3, np.float32), 0, 0.1, 0.1, 9, self.time)
+        return Observation(scan, Pose2(), Imu())
+
+    def command(self, pose: Pose2, time: float) -> Twist:
+        if self._failing("driver"):
+            raise ValueError("the driver has a bug")
+        return Twist(time, 0.0)
+
+
+class SlowPuppet:
+    """A mapper that takes its time, and says its place by the scan's stamp."""
+
+    lost = False
+
+    def __init__(self, seconds: float = 0.002) -> None:
+        self.seconds, self.stamps = seconds, list[float]()
+
+    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        time.sleep(self.seconds)
+        self.stamps.append(scan.stamp)
+        return Pose2(scan.stamp, 0.0, 0.0)
+
+
+def puppets(fails: str, threads: int, **options: Any) -> tuple[DriveLog, Sim, SlowPuppet]:
+    sim, mapper = Sim(fails, 40), SlowPuppet()
+    log = drive(sim, sim, mapper, 4.0, threads=threads, **options)  # type: ignore[arg-type]
+    return log, sim, mapper
+
+
+@pytest.mark.parametrize("fails", ["tipped", "off world", "stuck", "diverged", "nothing"])
+def test_a_failure_ends_both_at_the_same_tick(fails: str) -> None:
+    (one, sim1, mapper1), (two, sim2, mapper2) = (puppets(fails, n) for n in (1, 2))
+    assert (one.status, one.reason) == (two.status, two.reason)
+    assert one.status == ("ok" if fails == "nothing" else fails)
+    assert sim1.ticks == sim2.ticks
+    assert mapper1.stamps == mapper2.stamps
+    for name in ("truth", "estimates", "commands"):
+        assert list(getattr(one, name)) == list(getattr(two, name))
+    np.testing.assert_array_equal(one.observations.stamps, two.observations.stamps)
+
+
+def test_an_error_of_the_driver_comes_after_the_ticks_before_it() -> None:
+    for threads in (1, 2):
+        sim, mapper = Sim("driver", 40), SlowPuppet()
+        with pytest.raises(ValueError, match="a bug"):
+            drive(sim, sim, mapper, 4.0, threads=threads)  # type: ignore[arg-type]
+        assert len(mapper.stamps) == 40
+
+
+def test_a_simulation_that_is_ahead_stays_within_its_limit() -> None:
+    sim = Sim("nothing", 0)
+    taken = Drive(sim, sim, SlowPuppet(0.005), 4.0, threads=2)  # type: ignore[arg-type]
+    for _ in range(50):
+        taken.step()
+        assert sim.ticks <= len(taken.log.truth) + loop.MOST_AHEAD
+    assert sim.ticks > len(taken.log.truth) + 5
+    taken.catch_up()
+    assert sim.ticks == len(taken.log.truth) == len(taken.log.commands) + 1
+    taken.close()
+
+
+def test_a_drive_of_two_threads_stops_at_its_wall_limit() -> None:
+    log, sim, mapper = puppets("nothing", 2, wall_limit=0.05)
+    assert log.status == "wall limit"
+    assert sim.ticks == len(log.truth) == len(mapper.stamps) < 101
+    assert f"for {sim.time:.1f} of 4 simulated seconds" in log.reason
+
+
+def test_a_drive_that_is_forgotten_ends_its_thread() -> None:
+    sim = Sim("nothing", 0)
+    taken = Drive(sim, sim, SlowPuppet(), 4.0, threads=2)  # type: ignore[arg-type]
+    taken.step()
+    assert mapper_threads()
+    del taken
+    mapper_threads_end()
+
+
+def mapper_threads_end() -> None:
+    for thread in mapper_threads():
+        thread.join(5.0)
+        assert not thread.is_alive()
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_ctrl_c_ends_a_mapper_that_hangs(inside: bool) -> None:
+    ready = prepare(RunConfig(source="simple", mapper="own_slam:Hanging", seconds=4))
+    mapper = ready.mapper if inside else _Unguarded(ready.mapper)
+    usual = sys.getswitchinterval()
+    threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        drive(ready.simulation, ready.driver, mapper, 4.0, threads=2)  # type: ignore[arg-type]
+    mapper_threads_end()
+    assert sys.getswitchinterval() == usual
+
+
+class _Unguarded:
+    lost = False
+
+    def __init__(self, mapper: Any) -> None:
+        self.update = mapper.update
+
+
+def test_a_driver_that_waits_for_the_mapper_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"driver frontier waits .* --threads 1, got 2"):
+        RunConfig(source="simple", driver="frontier", threads=2)
+    with pytest.raises(ConfigError, match="threads must be 1 or 2"):
+        RunConfig(source="simple", threads=3)
+
+
+def test_one_thread_is_in_no_name() -> None:
+    assert RunConfig(source="simple", threads=1).digest == RunConfig(source="simple").digest
+    assert RunConfig(source="simple", threads=2).digest != RunConfig(source="simple").digest
+
+
+def test_workers_drive_with_two_threads(tmp_path: Path) -> None:
+    config = RunConfig(source="simple", seconds=2, threads=2)
+    given = SlamExperiment(config)
+    (outcome,) = Processes(jobs=1).run([given], tmp_path, lambda name: no_progress)
+    assert outcome.status == "ok"
+    here = run(replace(config, threads=1), out=tmp_path)
+    assert here.folder is not None
+    for name in ("truth.tum", "estimate.tum", "map.pgm"):
+        assert (tmp_path / given.name / name).read_bytes() == (here.folder / name).read_bytes()
+
+
+def test_a_guarded_mapper_is_read_in_its_own_thread_alone() -> None:
+    """What is asked after each scan is asked where the scan was mapped, before the next one is."""
+    asked: list[str] = []
+
+    class Watched(SlowPuppet):
+        @property
+        def lost(self) -> bool:  # type: ignore[override]
+            asked.append(threading.current_thread().name)
+            return False
+
+    sim = Sim("nothing", 0)
+    mapper: Mapper = GuardedMapper(Watched(0.0), "watched")  # type: ignore[arg-type]
+    drive(sim, sim, mapper, 1.0, threads=2)  # type: ignore[arg-type]
+    assert set(asked) == {"mapper"}
+    assert len(asked) == 26
