@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -11,11 +11,14 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.elevation.wkt import system_of_text
+from lirs_wct.formats.elevation.wkt import system_of_text, units_of_text
 from lirs_wct.formats.images.geotiff import system_of_keys
+from lirs_wct.formats.images.tiff import METRES
 from lirs_wct.formats.meshes.ply_header import ply_elements, require_positions, require_xyz
 from lirs_wct.geometry.geodesy.earth import CoordinateSystem
 
+VERTICAL_UNITS = 4099
+"""GeoKey of the unit of z."""
 EXTRA = "pip install 'lirs-wct[clouds]'"
 GROUND, NOISE = 2, (7, 18)
 """Classes of the ASPRS LAS specification 1.4, table 17."""
@@ -29,11 +32,13 @@ class PointFile:
         xyz: (n, 3) float64 in units of the file's coordinates; finite.
         ground: (n,) whether the file says that a point is on the ground; None where it says nothing.
         system: coordinate system of x and y.
+        height_unit: metres a unit of z.
     """
 
     xyz: FloatArray
     ground: BoolArray | None = None
     system: CoordinateSystem = CoordinateSystem()  # noqa: RUF009  a frozen value
+    height_unit: float = 1.0
 
 
 def is_cloud_ply(path: Path) -> bool:
@@ -62,7 +67,7 @@ def read_points(path: Path) -> PointFile:
     if kept.sum() < 3:
         raise SourceError(f"{path}: holds {int(kept.sum())} points, a ground needs at least 3")
     ground = None if found.ground is None else found.ground[kept]
-    return PointFile(found.xyz[kept], ground, found.system)
+    return replace(found, xyz=found.xyz[kept], ground=ground)
 
 
 def _read_ply(path: Path) -> PointFile:
@@ -94,20 +99,21 @@ def _read_las(path: Path) -> PointFile:
     kept = ~np.isin(kind, NOISE)
     xyz = np.stack((las.x, las.y, las.z), axis=1).astype(np.float64)
     ground = kind == GROUND
-    return PointFile(xyz[kept], ground[kept] if ground.any() else None, _las_system(las.header))
+    return PointFile(xyz[kept], ground[kept] if ground.any() else None, *_las_system(las.header))
 
 
-def _las_system(header: Any) -> CoordinateSystem:
-    """Return the coordinate system of a LAS file: its WKT (LAS 1.4), else its GeoKeys."""
+def _las_system(header: Any) -> tuple[CoordinateSystem, float]:
+    """Return the coordinate system of a LAS file and metres a unit of z: by WKT, else by GeoKeys."""
     for record in (*header.vlrs, *(header.evlrs or ())):
         text = getattr(record, "string", None)
         if record.record_id == 2112 and text:
-            return system_of_text(text.strip("\0 "))
+            return system_of_text(text.strip("\0 ")), units_of_text(text)[1]
     for record in header.vlrs:
         if record.record_id == 34735:
             keys = {key.id: float(key.value_offset) for key in record.geo_keys if not key.tiff_tag_location}
-            return system_of_keys(keys)
-    return CoordinateSystem()
+            system = system_of_keys(keys)
+            return system, METRES.get(int(keys.get(VERTICAL_UNITS, 0)), system.unit)
+    return CoordinateSystem(), 1.0
 
 
 def _require(path: Path, package: str) -> None:

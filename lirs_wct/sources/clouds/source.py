@@ -83,7 +83,7 @@ def _in_metres(path: Path, found: PointFile) -> tuple[FloatArray, tuple[float, f
     sx, sy = system.unit, system.unit
     if system.form != "unknown":
         sx, sy = located(path, system, (1.0, 0.0, x, 0.0, -1.0, y), (1, 1)).pixel
-    return (xyz - (x, y, 0.0)) * (sx, sy, system.unit), (x, y), (sx, sy)
+    return (xyz - (x, y, 0.0)) * (sx, sy, found.height_unit), (x, y), (sx, sy)
 
 
 def _within(path: Path, xyz: FloatArray, options: BuildOptions) -> BoolArray:

@@ -208,6 +208,33 @@ def test_clouds_that_are_none(tmp_path: Path) -> None:
             build_world(tmp_path / f"{name}.ply")
 
 
+FEET = (
+    'PROJCS["NAD83 / New York Long Island (ftUS)",GEOGCS["NAD83",DATUM["North_American_Datum_1983",'
+    'SPHEROID["GRS 1980",6378137,298.257222101]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],'
+    'PROJECTION["Lambert_Conformal_Conic_2SP"],UNIT["US survey foot",0.3048006096012192],'
+    'AUTHORITY["EPSG","2263"]]'
+)
+METRES_UP = ',VERT_CS["NAVD88",VERT_DATUM["NAVD88",2005],UNIT["metre",1.0]]]'
+
+
+@pytest.mark.parametrize(
+    ("wkt", "unit"), [(FEET, 0.3048006), ('COMPD_CS["both",' + FEET + METRES_UP, 1.0)], ids=["feet", "both"]
+)
+def test_a_las_in_feet(wkt: str, unit: float, tmp_path: Path) -> None:
+    """Its extent was in metres, its heights were not."""
+    laspy = pytest.importorskip("laspy")
+    las = laspy.create(point_format=6, file_version="1.4")
+    las.header.offsets, las.header.scales = (980_000, 200_000, 0), (0.001,) * 3
+    las.header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
+    x, y = np.random.default_rng(0).uniform(0, 300, (2, 20_000))
+    las.x, las.y, las.z = 980_000 + x, 200_000 + y, 50 + 0.1 * x
+    las.write(tmp_path / "a.las")
+    with pytest.warns(UserWarning, match="have no point"):
+        world = build_world(tmp_path / "a.las")
+    assert world.surface.size == pytest.approx((91.44, 91.44), abs=1.3)
+    assert world.surface.relief == pytest.approx(30 * unit, rel=0.03)
+
+
 PLY = "ply\nformat ascii 1.0\nelement {} 3\nproperty float x\nproperty uchar y\nproperty float {}\n"
 FACES = "element face 1\nproperty list uchar int vertex_indices\n"
 ROWS = "end_header\n1 2 3\n4 5 6\n7 8 8\n"
