@@ -169,9 +169,12 @@ def _match(
         pyramid, points, weights, prior.pose, information, levels, settings, variance, pose, H
     )
     H /= variance
-    out[:3] = pose
-    out[3:12] = invert3(information + H).ravel()
-    out[12:21] = H.ravel()
+    covariance = invert3(information + H)
+    # Number by number: to assign to a slice, Numba first compiles the message of an error for two seconds.
+    for i in range(3):
+        out[i] = pose[i]
+        for j in range(3):
+            out[3 + 3 * i + j], out[12 + 3 * i + j] = covariance[i, j], H[i, j]
     out[21], out[22] = score / max(known, 1e-9), known / max(weights.sum(), 1e-9)
 
 
@@ -186,7 +189,8 @@ def _iterate(
     """
     g, A, b = np.empty(3), np.empty((3, 3)), np.empty(3)
     score = known = 0.0
-    converged_step, stride = False, 1
+    # Not a literal 1, of which Numba would compile the last call once more.
+    converged_step, stride = False, np.int64(1)
     converged = settings.converged
     for level in range(min(levels, len(settings.iterations)) - 1, -1, -1):
         value, frame = pyramid.values[level], pyramid.frames[level]
@@ -206,7 +210,7 @@ def _iterate(
             if converged_step:
                 break
     if settings.exact or not converged_step:
-        # The stride is the finest level's, 1: of a literal Numba would compile the kernel once more.
+        # The stride is the finest level's, 1.
         score, known = linearize(pyramid.values[0], pyramid.frames[0], points, weights, stride, pose, H, g)
     return score, known
 

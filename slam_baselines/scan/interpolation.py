@@ -89,11 +89,16 @@ def _count_between(origin: Any, hits: Any, spacing: float, limits: Any, count: A
 @njit(cache=True, nogil=True)
 def _fill(hits: Any, slopes: Any, count: Any, out: Any, out_slopes: Any) -> None:
     """Copy hits (n, 3) and slopes (n,), and insert `count` (n,) evenly spaced ones after each."""
+    # Number by number: to assign to a slice, Numba first compiles the message of an error for two seconds.
     m = 0
     for i in range(len(hits)):
-        out[m], out_slopes[m] = hits[i], slopes[i]
+        for a in range(3):
+            out[m, a] = hits[i, a]
+        out_slopes[m] = slopes[i]
         m += 1
         for k in range(count[i]):
-            out[m] = hits[i] + (k + 1) / (count[i] + 1) * (hits[i + 1] - hits[i])
+            share = (k + 1) / (count[i] + 1)
+            for a in range(3):
+                out[m, a] = hits[i, a] + share * (hits[i + 1, a] - hits[i, a])
             out_slopes[m] = min(slopes[i], slopes[i + 1])
             m += 1

@@ -167,7 +167,7 @@ def _read_poses(rows: IntArray, qpos: FloatArray, out: FloatArray) -> None:
     for i in rows:
         w, x, y, z = qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6]
         norm = math.sqrt(w * w + x * x + y * y + z * z)
-        out[i, :3] = qpos[i, :3]
+        out[i, 0], out[i, 1], out[i, 2] = qpos[i, 0], qpos[i, 1], qpos[i, 2]
         out[i, 3], out[i, 4], out[i, 5], out[i, 6] = w / norm, x / norm, y / norm, z / norm
 
 

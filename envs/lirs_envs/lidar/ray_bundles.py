@@ -46,7 +46,8 @@ def safe_distance(
         return 0.0
     # From there on the fastest beam is beyond the border.
     reach = min(max_range, (nx + ny) / speed)
-    top, level, t = len(terrain.width) - 1, LEAF, 0.0
+    # Not `LEAF` alone: of a literal Numba would compile `_highest` once more.
+    top, level, t = len(terrain.width) - 1, int(np.int64(LEAF)), 0.0
     while t < reach:
         t_out = min(t + 2.0**level / speed, reach)
         west, east = u + min(least_u * t, least_u * t_out), u + max(most_u * t, most_u * t_out)
