@@ -93,8 +93,7 @@ class LocalSlam:
             known: (n,) minimum slopes known before; None: as the matching submap knows them.
         """
         drawn = self.submaps.matching_submap.min_slope if known is None else None
-        slopes = self.ground_filter.min_slopes(scan, pose, height, known=known, drawn=drawn)
-        return self.ground_filter.wall_weights(slopes)
+        return self.ground_filter.match_walls(scan, pose, height, known=known, drawn=drawn)
 
     def _match(self, scan: LeveledScan, expected: PoseEstimate, seconds: float) -> Match | None:
         """Move the estimate to where the scan fits; to the expected one, if there is nothing to fit."""

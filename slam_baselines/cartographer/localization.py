@@ -96,7 +96,7 @@ def _level(grid: OccupancyGrid, resolution: float) -> OccupancyMap:
     _fill(grid, grid.free, -limit, level, steps)
     _fill(grid, grid.occupied, limit, level, steps)
     level._take_over()
-    level.revalue(0)
+    level.take_over_log_odds()
     return level
 
 

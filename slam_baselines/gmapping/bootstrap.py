@@ -93,11 +93,8 @@ class BiasedRegistration:
             pose = pose @ (later.pose.inverse() @ now.pose)
             covariance = in_axes_of(pose.inverse(), later.motion.reckoned.covariance)
             ground, drawn = self._ground_filter, partial(maps.min_slope, 0)
-            slopes = ground.min_slopes(now.scan, pose, now.height, known=now.min_slopes, drawn=drawn)
-            view, beams = (
-                maps.view(0, ground.match_wall_slope),
-                Beams(now.scan.hits, ground.wall_weights(slopes)),
-            )
+            walls = ground.match_walls(now.scan, pose, now.height, known=now.min_slopes, drawn=drawn)
+            view, beams = maps.view(0, ground.match_wall_slope), Beams(now.scan.hits, walls)
             found = self._proposer.match_scan(view, beams, pose.as_array(), covariance)
             pose = pose if found is None else Pose2(*found.tolist())
         self._draw(maps, now, pose)

@@ -211,9 +211,8 @@ class GmappingMapper:
 
     def _beams(self, scan: LeveledScan) -> Beams:
         """Return the scan's hits, weighted by whether they are known for walls."""
-        ground = self._ground_filter
-        slopes = ground.min_slopes(scan, self._pose, drawn=self._filter.known_slopes)
-        return Beams(scan.hits, ground.wall_weights(slopes))
+        walls = self._ground_filter.match_walls(scan, self._pose, drawn=self._filter.known_slopes)
+        return Beams(scan.hits, walls)
 
     def _enter(self, scan: LeveledScan, motion: GyroIncrement) -> None:
         """Draw the scan; on uneven ground, refine the start of the trajectory when it is due."""

@@ -27,12 +27,16 @@ from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.growing_grid import GrowingGrid
 from slam_baselines.mapping.minimum_slope import (
+    BLOCK_BITS,
+    IN_FULL,
+    NOT_DRAWN,
+    DrawnSlopes,
+    Limits,
     Margins,
     UpperBound,
     blocks_of,
     limits_for_weights,
     lower,
-    match_weights,
     neighbors_of,
     raise_min_slopes,
 )
@@ -173,14 +177,14 @@ class GroundFilter:
             scan: in the map frame.
             base: `T_map_base`.
         """
-        c, bound = self.config, bounding_box(scan)
+        bound = bounding_box(scan)
         if self.grid.ensure(bound[0] - 2.0, bound[1] - 2.0, bound[2] + 2.0, bound[3] + 2.0):
             self._take_over()
         margins = self._margins
         near, far = margins.near - margins.old, margins.far
         lower_along_beams(self._upper_bound, scan.origin, scan.hits, True, near, far)
         lower_along_beams(self._upper_bound, scan.origin, scan.free, False, near, far)
-        stand(self._upper_bound, self._ground(base), c.footprint, margins.old)
+        self._stand(base)
         return self._raised(self.no_min_slope(len(scan.hits)), scan.origin, scan.hits, IN_MAP, base)
 
     def min_slopes(
@@ -191,6 +195,7 @@ class GroundFilter:
         *,
         known: ByteArray | None = None,
         drawn: Callable[[FloatArray], ByteArray] | None = None,
+        limits: Limits = IN_FULL,
     ) -> ByteArray:
         """Return (n,) the minimum slopes of a scan's hits as known by now, SLOPE_STEP; 0 on a floor.
 
@@ -200,6 +205,7 @@ class GroundFilter:
             height: of the base in the map frame, metres; None: the present one.
             known: (n,) what was known of the hits before.
             drawn: what a map knows of hits (n, 3) in its frame.
+            limits: slopes below the first and from the second on need not be told apart, which is faster.
         """
         slopes = self.no_min_slope(len(scan.hits)) if known is None else known.copy()
         if self.match_wall_slope == 0:
@@ -207,7 +213,26 @@ class GroundFilter:
         height = self.height if height is None else height
         if drawn is not None:
             slopes = np.maximum(slopes, drawn(scan.transformed(pose, height).hits))
-        return self._raised(slopes, scan.origin, scan.hits, (pose.x, pose.y, pose.yaw, height), pose)
+        T = pose.x, pose.y, pose.yaw, height
+        return self._raised(slopes, scan.origin, scan.hits, T, pose, limits)
+
+    def match_walls(
+        self,
+        scan: LeveledScan,
+        pose: Pose2,
+        height: float | None = None,
+        *,
+        known: ByteArray | None = None,
+        drawn: Callable[[FloatArray], ByteArray] | None = None,
+    ) -> FloatArray:
+        """Return (n,) 1 for hits on walls, 0 for those that may be ground; on a floor every hit is a wall.
+
+        Arguments are those of min_slopes.
+        """
+        wall = self.match_wall_slope
+        limits = float(wall), float(wall)
+        slopes = self.min_slopes(scan, pose, height, known=known, drawn=drawn, limits=limits)
+        return (slopes >= wall).astype(np.float64)
 
     def match_weights(
         self, scan: LeveledScan, pose: Pose2, drawn: OccupancyMap, wall_slope: int
@@ -224,16 +249,12 @@ class GroundFilter:
             every = np.arange(256, dtype=np.uint8)
             self._weights = wall_slope, self.graded_weights(every, wall_slope)
         limits = limits_for_weights(wall_slope, self.config.full_weight_slope)
-        weights: FloatArray = match_weights(
-            self._upper_bound, scan.origin, scan.hits, (pose.x, pose.y, pose.yaw, self.height),
-            self._ground(pose), self._margins, limits,
-            drawn.layers.min_slope, drawn.frame, self._weights[1],
-        )  # fmt: skip
+        slopes, T = self.no_min_slope(len(scan.hits)), (pose.x, pose.y, pose.yaw, self.height)
+        cells = DrawnSlopes(drawn.layers.min_slope, drawn.frame)
+        weights: FloatArray = self._weights[1].take(
+            self._raised(slopes, scan.origin, scan.hits, T, pose, limits, cells)
+        )
         return weights
-
-    def wall_weights(self, min_slopes: ByteArray) -> FloatArray:
-        """Return (n,) 1 for hits on walls, 0 for those that may be ground; on a floor every hit is a wall."""
-        return (min_slopes >= self.match_wall_slope).astype(np.float64)
 
     def graded_weights(self, min_slopes: ByteArray, wall_slope: int) -> FloatArray:
         """Return (n,) 1 for hits on steep walls, less on a slope, 0 for those that may be ground."""
@@ -242,14 +263,25 @@ class GroundFilter:
         return weights
 
     def _raised(
-        self, slopes: ByteArray, origin: FloatArray, hits: FloatArray, T: _Place, base: Pose2
-    ) -> ByteArray:
+        self, slopes: ByteArray, origin: FloatArray, hits: FloatArray, T: _Place, base: Pose2,
+        limits: Limits = IN_FULL, drawn: DrawnSlopes = NOT_DRAWN,
+    ) -> ByteArray:  # fmt: skip
         """Return (n,) minimum slopes of hits raised to what was observed so far, SLOPE_STEP; T is theirs."""
-        limits = 0.0, 255.0
         raise_min_slopes(
-            self._upper_bound, origin, hits, T, self._ground(base), self._margins, limits, slopes
+            self._upper_bound, origin, hits, T, self._ground(base), self._margins, limits, drawn, slopes
         )
         return slopes
+
+    def _stand(self, base: Pose2) -> None:
+        """Lower the upper bound where the robot stands: the ground is where its wheels are."""
+        x, y, z = self._ground(base)
+        row0, col0, resolution = self._upper_bound.frame.tolist()
+        reach = int(self.config.footprint / resolution)
+        row, col = int(y / resolution - row0), int(x / resolution - col0)
+        for layer, bits in ((self._upper_bound.cells, 0), (self._upper_bound.blocks, BLOCK_BITS)):
+            rows = slice((row - reach) >> bits, ((row + reach) >> bits) + 1)
+            cols = slice((col - reach) >> bits, ((col + reach) >> bits) + 1)
+            np.minimum(layer[rows, cols], np.float32(z - self.drift), out=layer[rows, cols])
 
     @property
     def _margins(self) -> Margins:
@@ -289,14 +321,3 @@ def lower_along_beams(
         for k in range(steps + 1 if with_end else steps):
             z = np.float32(origin[2] + k * rise + near + k * loose)
             lower(upper_bound, int(y + k * dy), int(x + k * dx), z)
-
-
-@njit(cache=True, nogil=True)
-def stand(upper_bound: Any, ground: Any, footprint: float, old: float) -> None:
-    """The robot stands here: the ground is where its wheels are."""
-    row0, col0, res = upper_bound.frame
-    reach = int(footprint / res)
-    row, col = int(ground[1] / res - row0), int(ground[0] / res - col0)
-    for r in range(row - reach, row + reach + 1):
-        for c in range(col - reach, col + reach + 1):
-            lower(upper_bound, r, c, np.float32(ground[2] - old))

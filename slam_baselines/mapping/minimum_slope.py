@@ -13,11 +13,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from lirs_wct.arrays import Float32Array, FloatArray, IntArray
+from lirs_wct.arrays import ByteArray, Float32Array, FloatArray, IntArray
 from slam_baselines.mapping.occupancy_map import SLOPE_STEP
 
 BLOCK_BITS = 3
 """A block is 8 x 8 cells of the upper bound."""
+
+
+Limits = tuple[float, float]
+"""Slopes below the first and from the second on need not be told apart, SLOPE_STEP."""
+IN_FULL: Limits = (0.0, 255.0)
 
 
 class Neighbors(NamedTuple):
@@ -56,6 +61,22 @@ class UpperBound(NamedTuple):
     neighbors: Neighbors
 
 
+class DrawnSlopes(NamedTuple):
+    """Minimum slopes of a map's cells.
+
+    Attributes:
+        layer: (rows, cols) SLOPE_STEP.
+        frame: (3,) lattice row and column of cell (0, 0), resolution in metres.
+    """
+
+    layer: ByteArray
+    frame: FloatArray
+
+
+NOT_DRAWN = DrawnSlopes(np.zeros((0, 0), np.uint8), np.array((0.0, 0.0, 1.0)))
+"""Of a map without cells."""
+
+
 class Margins(NamedTuple):
     """How far heights may be wrong.
 
@@ -86,11 +107,12 @@ def blocks_of(cells: Float32Array) -> Float32Array:
     """Return the smallest upper bound of each block of cells."""
     size = 1 << BLOCK_BITS
     rows, cols = cells.shape
-    lowest: Float32Array = cells.reshape(rows // size, size, cols // size, size).min(axis=(1, 3))
+    of_rows = cells.reshape(rows // size, size, cols).min(axis=1)
+    lowest: Float32Array = of_rows.reshape(rows // size, cols // size, size).min(axis=2)
     return lowest
 
 
-def limits_for_weights(wall_slope: int, full_weight_slope: float) -> tuple[float, float]:
+def limits_for_weights(wall_slope: int, full_weight_slope: float) -> Limits:
     """Return the slopes between which weights differ, of a wall and of full weight, SLOPE_STEP."""
     return float(wall_slope), min(255.0, max(float(wall_slope), full_weight_slope / SLOPE_STEP + 1.0))
 
@@ -107,8 +129,9 @@ def lower(upper_bound: Any, row: int, col: int, z: Any) -> None:
 
 @njit(cache=True, nogil=True)
 def raise_min_slopes(
-    upper_bound: Any, origin: Any, hits: Any, pose: Any, ground: Any, margins: Any, limits: Any, slopes: Any
-) -> None:
+    upper_bound: Any, origin: Any, hits: Any, pose: Any, ground: Any, margins: Any, limits: Any, drawn: Any,
+    slopes: Any,
+) -> None:  # fmt: skip
     """Raise minimum slopes to the largest rise over run that must lie before each hit.
 
     Args:
@@ -119,9 +142,11 @@ def raise_min_slopes(
         ground: x, y, z of the highest that the ground under the robot may be.
         margins: of the heights.
         limits: slopes below the first and from the second on need not be told apart, SLOPE_STEP.
+        drawn: what a map knows of its cells.
         slopes: (n,) what is known of the hits before; raised in place, SLOPE_STEP.
     """
     cells, blocks, frame, neighbors = upper_bound
+    layer, known = drawn
     x0, y0, yaw, z0 = pose
     c, s, res = np.cos(yaw), np.sin(yaw), frame[2]
     laser_x, laser_y = x0 + c * origin[0] - s * origin[1], y0 + s * origin[0] + c * origin[1]
@@ -131,6 +156,9 @@ def raise_min_slopes(
     for i in range(len(hits)):
         u, v = hits[i, 0], hits[i, 1]
         x, y, z = x0 + c * u - s * v, y0 + s * u + c * v, z0 + hits[i, 2]
+        row, col = int(np.floor(y / known[2] - known[0])), int(np.floor(x / known[2] - known[1]))
+        if 0 <= row < layer.shape[0] and 0 <= col < layer.shape[1]:
+            slopes[i] = max(slopes[i], layer[row, col])
         best = max(least, slopes[i] * SLOPE_STEP)
         if best >= most:
             continue
@@ -189,28 +217,3 @@ def _lowest(blocks: Any, row: int, col: int, reach: int) -> Any:
         for c in range((col - reach) >> BLOCK_BITS, ((col + reach) >> BLOCK_BITS) + 1):
             lowest = min(lowest, blocks[np.uintp(r), np.uintp(c)])
     return lowest
-
-
-@njit(cache=True, nogil=True)
-def match_weights(
-    upper_bound: Any, origin: Any, hits: Any, pose: Any, ground: Any, margins: Any, limits: Any, layer: Any,
-    frame: Any, weight_of: Any,
-) -> Any:  # fmt: skip
-    """Return (n,) weights of hits by the larger of their minimum slope and that of the map's cell under them.
-
-    The map is given by the layer of its cells' minimum slopes and its frame, the weights by a table (256,) of
-    slopes; all else is as of raise_min_slopes.
-    """
-    rows, cols = layer.shape
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    slopes, weights = np.zeros(len(hits), np.uint8), np.empty(len(hits))
-    for i in range(len(hits)):
-        u, v = hits[i, 0], hits[i, 1]
-        row = int(np.floor((pose[1] + s * u + c * v) / frame[2] - frame[0]))
-        col = int(np.floor((pose[0] + c * u - s * v) / frame[2] - frame[1]))
-        if 0 <= row < rows and 0 <= col < cols:
-            slopes[i] = layer[row, col]
-    raise_min_slopes(upper_bound, origin, hits, pose, ground, margins, limits, slopes)
-    for i in range(len(hits)):
-        weights[i] = weight_of[slopes[i]]
-    return weights

@@ -111,6 +111,10 @@ class OccupancyMap:
         self.layers = Layers(**g.layers)
         self.frame: FloatArray = np.array((g.row0, g.col0, g.resolution), dtype=np.float64)
 
+    def take_over_log_odds(self) -> None:
+        """Let the matcher see log-odds that were written into the layer from outside; every hit is a wall."""
+        np.take(VALUE, self.layers.log_odds.astype(np.int16) + 128, out=self.layers.value)
+
     def revalue(self, wall_slope: int) -> None:
         """Let the matcher see as walls only those hits whose minimum slope is at least `wall_slope`."""
         # What is free or unknown looks the same whatever a wall is.

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
 from slam_baselines.mapping.minimum_slope import (
+    IN_FULL,
+    NOT_DRAWN,
+    DrawnSlopes,
     Margins,
     UpperBound,
     blocks_of,
     limits_for_weights,
     lower,
-    match_weights,
     neighbors_of,
     raise_min_slopes,
 )
@@ -73,12 +75,12 @@ def test_kernels_follow_the_formula(seed: int, yaw: float) -> None:
     place = pose.x, pose.y, pose.yaw, 0.2
     expected = formula(bound, placed)
     slopes = np.zeros(len(hits), np.uint8)
-    raise_min_slopes(bound, ORIGIN, hits, place, GROUND, MARGINS, (0.0, 255.0), slopes)
+    raise_min_slopes(bound, ORIGIN, hits, place, GROUND, MARGINS, IN_FULL, NOT_DRAWN, slopes)
     np.testing.assert_array_equal(slopes, expected)
     assert len(np.unique(slopes)) > 10
     known = rng.integers(0, 256, len(hits)).astype(np.uint8)
     slopes = known.copy()
-    raise_min_slopes(bound, ORIGIN, hits, place, GROUND, MARGINS, (0.0, 255.0), slopes)
+    raise_min_slopes(bound, ORIGIN, hits, place, GROUND, MARGINS, IN_FULL, NOT_DRAWN, slopes)
     np.testing.assert_array_equal(slopes, np.maximum(known, expected))
 
 
@@ -99,12 +101,10 @@ def test_weights_are_those_of_the_slopes_told_in_full(seed: int, wall: int, full
         np.maximum(formula(bound, placed), drawn.min_slope(placed.hits)), wall
     )
     table = ground_filter.graded_weights(np.arange(256, dtype=np.uint8), wall)
-    weights = match_weights(
-        bound, ORIGIN, hits, (pose.x, pose.y, pose.yaw, 0.2), GROUND, MARGINS,
-        limits_for_weights(wall, full_slope),
-        drawn.layers.min_slope, drawn.frame, table,
-    )  # fmt: skip
-    np.testing.assert_array_equal(weights, expected)
+    slopes, limits = np.zeros(len(hits), np.uint8), limits_for_weights(wall, full_slope)
+    place, cells = (pose.x, pose.y, pose.yaw, 0.2), DrawnSlopes(drawn.layers.min_slope, drawn.frame)
+    raise_min_slopes(bound, ORIGIN, hits, place, GROUND, MARGINS, limits, cells, slopes)
+    np.testing.assert_array_equal(table[slopes], expected)
 
 
 @given(st.lists(st.tuples(st.integers(0, 63), st.integers(0, 47), st.floats(-2, 2, width=32)), max_size=40))
@@ -129,9 +129,10 @@ def test_the_filter_weighs_hits_as_by_slopes_found_one_after_the_other() -> None
         pose = Pose2(1.5 * k, -0.7 * k, 0.3 * k)
         ground_filter.move(Pose2(1.5), scan)
         wall = ground_filter.match_wall_slope
-        expected = ground_filter.graded_weights(
-            ground_filter.min_slopes(scan, pose, drawn=drawn.min_slope), wall
-        )
+        slopes = ground_filter.min_slopes(scan, pose, drawn=drawn.min_slope)
+        walls = ground_filter.match_walls(scan, pose, drawn=drawn.min_slope)
+        np.testing.assert_array_equal(walls, slopes >= wall)
+        expected = ground_filter.graded_weights(slopes, wall)
         np.testing.assert_array_equal(ground_filter.match_weights(scan, pose, drawn, wall), expected)
         shares.append(float(expected.mean()))
         placed, slopes = ground_filter.insert(scan, pose)
