@@ -25,7 +25,6 @@ from slam_baselines.gmapping.patches import (
     list_free,
     reserved,
     resized,
-    space_needed,
 )
 from slam_baselines.gmapping.scan_entry import Scratch, Window, enter_scans
 from slam_baselines.mapping.occupancy_map import STEP, UNKNOWN, UpdateConfig
@@ -80,14 +79,12 @@ class PatchMaps:
         window = self._cover(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
         scratch, done = Scratch.of(window), 0
         while True:
-            done = enter_scans(
+            done, needed, records = enter_scans(
                 self.stack, window, poses, scan, min_slopes, wall_slope, self._steps, scratch, done
             )
             if done == len(poses):
                 return
-            row, col, rows, cols = window
-            table = self.tables[done, row : row + rows, col : col + cols]
-            self.patches = reserved(self.patches, *space_needed(table, self.patches, len(scan.hits)))
+            self.patches = reserved(self.patches, needed, records)
 
     @property
     def stack(self) -> MapStack:

@@ -67,10 +67,10 @@ NOWHERE = -(1 << 62)
 @njit(cache=True, nogil=True)
 def near_walls(beams: int, reach: int) -> Any:
     """Return room for the walls within `reach` cells around the ends of beams."""
-    means = np.empty((beams, (2 * reach + 1) ** 2, 2))
-    return NearWalls(
-        reach, np.full(beams, NOWHERE), np.zeros(beams, np.bool_), np.zeros(beams, np.int64), means
-    )
+    means, known = np.empty((beams, (2 * reach + 1) ** 2, 2)), np.empty(beams, np.bool_)
+    cells, counts = np.empty(beams, np.int64), np.empty(beams, np.int64)
+    cells[:] = NOWHERE
+    return NearWalls(reach, cells, known, counts, means)
 
 
 @njit(cache=True, nogil=True)

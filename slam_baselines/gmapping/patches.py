@@ -102,12 +102,14 @@ def list_free(patches: Patches) -> None:
 def space_needed(table: Any, patches: Any, hits: int) -> Any:
     """Return how many patches and records a scan within a table may take: shared, and of new cells."""
     new = shared = 0
-    for p in table.ravel():
-        if p == ABSENT:
-            new += 1
-        elif patches.owners[p] > 1:
-            new += 1
-            shared += patches.record[p] != ABSENT
+    for r in range(table.shape[0]):
+        for c in range(table.shape[1]):
+            p = table[r, c]
+            if p == ABSENT:
+                new += 1
+            elif patches.owners[p] > 1:
+                new += 1
+                shared += patches.record[p] != ABSENT
     return new, shared + hits
 
 

@@ -233,7 +233,7 @@ def propose(
     res, (poses, means, sigmas, log_eta, hit_ratio, known_ratio) = maps.resolution, out
     n = len(poses)
     correction, near = np.zeros(3), near_beams(beams, tuning.kernelSize)
-    searches, before, searched = 0, -1, False
+    searches, before, searched = 0, first.particle, False
     total = max(beams.weights.sum(), 1e-9)
     for step in range(n):
         k = first.particle if step == 0 else step - 1 if step <= first.particle else step
@@ -279,7 +279,12 @@ def _same(maps: Any, odometry: Any, a: int, b: int) -> bool:
         for j in range(3):
             if odometry.covariances[a, i, j] != odometry.covariances[b, i, j]:
                 return False
-    return np.array_equal(maps.tables[a], maps.tables[b])
+    _, rows, cols = maps.tables.shape
+    for r in range(rows):
+        for c in range(cols):
+            if maps.tables[a, r, c] != maps.tables[b, r, c]:
+                return False
+    return True
 
 
 class Spread(NamedTuple):

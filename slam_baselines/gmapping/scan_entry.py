@@ -74,8 +74,8 @@ class Site(NamedTuple):
 def enter_scans(
     maps: Any, window: Any, poses: Any, scan: Any, min_slopes: Any, wall_slope: int, steps: Any,
     scratch: Any, first: int,
-) -> int:  # fmt: skip
-    """Enter a scan into the maps from the first on; return how many are done when patches run out.
+) -> Any:  # fmt: skip
+    """Enter a scan into the maps from the first on, as long as there are patches.
 
     Args:
         maps: MapStack.
@@ -87,6 +87,9 @@ def enter_scans(
         steps: miss, hit and limit of the log-odds.
         scratch: of the window.
         first: map.
+
+    Returns:
+        How many maps are done, and the patches and records that the next one may take.
     """
     origin, hits, free = scan
     res, patches = maps.resolution, maps.patches
@@ -95,7 +98,7 @@ def enter_scans(
         table = maps.tables[k, row0 : row0 + rows, col0 : col0 + cols]
         needed, records = space_needed(table, patches, len(hits))
         if patches.free[0] < needed or patches.free_records[0] < records:
-            return k
+            return k, needed, records
         site = Site(table, patches, maps.corner[0] + row0, maps.corner[1] + col0)
         x, y = poses[k, 0] / res, poses[k, 1] / res
         c, s = np.cos(poses[k, 2]) / res, np.sin(poses[k, 2]) / res
@@ -111,7 +114,7 @@ def enter_scans(
             u, v = x + c * end[0] - s * end[1], y + s * end[0] + c * end[1]
             _pass(site, scratch, start, (u, v, end[2]), to_end)
         _lower(site, scratch, steps)
-    return len(poses)
+    return len(poses), 0, 0
 
 
 @njit(cache=True, nogil=True)
