@@ -8,10 +8,10 @@ from functools import cache
 
 import mujoco
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import ByteArray, FloatArray, Int32Array, IntArray
 from lirs_wct.errors import SimulationError
+from lirs_wct.kernels import njit
 
 DIVERGENCE_WARNINGS = {
     mujoco.mjtWarning.mjWARN_BADQPOS: "a position is not finite or too large",

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from lirs_envs.lidar.presets import ring_directions
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.kernels import njit
 
 
 class CoverageGrid:

@@ -6,11 +6,11 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.kernels import njit
 
 STEEP = math.radians(45)
 """Faces steeper than this are obstacles, radians."""

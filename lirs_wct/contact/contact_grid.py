@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import BoolArray, Float32Array
 from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.kernels import njit
 
 
 @dataclass(frozen=True, kw_only=True)

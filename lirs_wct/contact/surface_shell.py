@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array
 from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.kernels import njit
 
 DEPTH = 0.1
 """Metres that a part reaches inward: contacts push out the shorter way, at 3 m/s one goes 1 to 2 cm deep."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import FloatArray, Int32Array
 from lirs_wct.drawing.hillshade import height_colors
 from lirs_wct.drawing.oblique import TILT, turned
 from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.kernels import njit
 
 LIGHT = np.array((-0.62, -0.34, 0.71))
 """Unit vector towards the light: what faces the viewer is lit from the left."""

@@ -6,10 +6,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.drawing.canvas import Canvas
+from lirs_wct.kernels import njit
 
 TURN, TILT = math.radians(-28), math.radians(35)
 """The viewer stands to the south and a little to the west, and looks down by so much."""

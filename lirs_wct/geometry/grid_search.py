@@ -7,9 +7,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.kernels import njit
 
 
 @dataclass(frozen=True)

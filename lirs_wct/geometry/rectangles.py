@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import BoolArray, IntArray
+from lirs_wct.kernels import njit
 
 
 def merged_rectangles(mask: BoolArray) -> IntArray:

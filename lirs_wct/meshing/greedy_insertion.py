@@ -8,9 +8,9 @@ of the changed triangles, again.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import Float32Array
+from lirs_wct.kernels import njit
 from lirs_wct.meshing.tin import BORDER, POINTS, STRIDE, TOP, TRIANGLES, WORST, Tin, insert_point, kernel
 
 DONE, FULL = 0, 1

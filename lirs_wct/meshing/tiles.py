@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import Int32Array
 from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.kernels import njit
 
 MUJOCO_FACES = 200_000
 """MuJoCo refuses a mesh file with more triangles."""

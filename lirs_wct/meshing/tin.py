@@ -15,9 +15,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import Int32Array, IntArray
+from lirs_wct.kernels import njit
 
 STRIDE, TWIN, WORST = 8, 3, 6
 """Numbers of a triangle, and where its twins and its worst pixel begin."""

@@ -11,13 +11,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.rectangles import merged_rectangles
 from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.kernels import njit
 
 SLAB = 0.1
 """Thickness of the floor, metres."""

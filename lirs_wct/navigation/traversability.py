@@ -6,7 +6,6 @@ import math
 
 import cv2
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.errors import SourceError
@@ -14,6 +13,7 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.kernels import njit
 
 BASELINE = 0.3
 """Metres over which a slope counts: about a wheel. Shorter steps are roughness, not slope."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import FloatArray, Int32Array
 from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.kernels import njit
 
 Grid = tuple[float, float, float, float]
 """x and y of the south-west node, spacing eastward and northward, metres."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import FloatArray
+from lirs_wct.kernels import njit
 
 
 @njit(cache=True, nogil=True)

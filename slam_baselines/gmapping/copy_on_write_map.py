@@ -11,11 +11,11 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import ByteArray, FloatArray, Int32Array, IntArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.kernels import njit
 from slam_baselines.gmapping.patches import (
     ABSENT,
     BITS,

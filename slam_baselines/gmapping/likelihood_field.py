@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.kernels import njit
 from slam_baselines.gmapping.patches import ABSENT, BITS, MASK, MEAN_STEPS
 from slam_baselines.mapping.occupancy_map import UNKNOWN
 

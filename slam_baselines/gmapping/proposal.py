@@ -16,12 +16,12 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.kernels import njit
 from slam_baselines.gmapping.copy_on_write_map import MapView, PatchMaps
 from slam_baselines.gmapping.likelihood_field import Beams, forget, near_beams
 from slam_baselines.gmapping.scan_matching import (

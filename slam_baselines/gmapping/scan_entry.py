@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import ByteArray, Int32Array
+from lirs_wct.kernels import njit
 from slam_baselines.gmapping.patches import (
     ABSENT,
     BITS,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import FloatArray
+from lirs_wct.kernels import njit
 from slam_baselines.common.linalg import solve3
 from slam_baselines.gmapping.likelihood_field import (
     NOTHING,

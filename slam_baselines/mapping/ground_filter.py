@@ -20,11 +20,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.kernels import njit
 from slam_baselines.mapping.growing_grid import GrowingGrid
 from slam_baselines.mapping.minimum_slope import (
     BLOCK_BITS,

@@ -11,9 +11,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import ByteArray, Float32Array, FloatArray, IntArray
+from lirs_wct.kernels import njit
 from slam_baselines.mapping.occupancy_map import SLOPE_STEP
 
 BLOCK_BITS = 3

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.field_validators import require_within
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.kernels import njit
 from slam_baselines.mapping.growing_grid import GrowingGrid
 from slam_baselines.mapping.ray_tracing import BITS, COLUMN, RayTracer, Trace
 from slam_baselines.scan.leveling import ScanPoints

@@ -10,9 +10,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
+from lirs_wct.kernels import njit
 from slam_baselines.scan.leveling import ScanPoints
 
 BITS = 32

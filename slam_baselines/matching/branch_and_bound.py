@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import ByteArray, FloatArray
+from lirs_wct.kernels import njit
 from slam_baselines.mapping.growing_grid import GrowingGrid
 from slam_baselines.mapping.occupancy_map import FULL
 

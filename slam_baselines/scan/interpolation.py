@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import ByteArray
 from lirs_wct.field_validators import require_above, require_within
+from lirs_wct.kernels import njit
 from slam_baselines.scan.leveling import ScanPoints
 
 

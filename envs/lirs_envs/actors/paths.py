@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.kernels import njit
 from lirs_wct.navigation.areas import largest_area
 from lirs_wct.world import World
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from lirs_envs.actors.walkers import HALF_LENGTH, RADIUS
 from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.kernels import njit
 
 BLOCK = 16
 """Rays that are looked at together: neighbours, which mostly miss a walker together."""

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from numba import njit
 
 from lirs_envs.actors.paths import WAY_POINTS, Disc, draw_paths, walkable_ground
 from lirs_wct.arrays import Float32Array, FloatArray, IntArray
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.kernels import njit
 from lirs_wct.world import World
 
 RADIUS, HEIGHT = 0.25, 1.75

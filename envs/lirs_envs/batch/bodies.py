@@ -13,13 +13,13 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from mujoco.batch import SimulationError as BatchError
-from numba import njit
 
 from lirs_envs.collisions import DIVERGENCE_WARNINGS, KINDS, is_sound
 from lirs_envs.robot_model import CONTACT_SENSOR, SETTLING_TIME, RobotModel, base_pose
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, Vector3
 from lirs_wct.geometry.pose import Pose3
+from lirs_wct.kernels import njit
 
 
 class Bodies:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lirs_envs.robots.drive import DriveConfig, drive_parameters, wheel_speeds
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import FloatArray, IntArray, RecordArray
+from lirs_wct.kernels import njit
 
 
 class WheelActuators(NamedTuple):

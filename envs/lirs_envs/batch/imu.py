@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from lirs_envs.sensing.imu import ImuConfig, ImuParameters, ImuSensors, next_rates, read_imu
 from lirs_wct.arrays import FloatArray, IntArray
+from lirs_wct.kernels import njit
 
 
 class ImuReadings:

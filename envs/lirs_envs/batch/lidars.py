@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 
 from lirs_envs.lidar.lidar import BaseVelocity, Lidar, transform_rays
 from lirs_envs.lidar.mipmap import TerrainMipmap
@@ -15,6 +14,7 @@ from lirs_envs.lidar.wall_rays import WallCells
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.arrays import Float32Array, FloatArray, IntArray
 from lirs_wct.geometry.pose import Pose3
+from lirs_wct.kernels import njit
 
 
 class Lidars:

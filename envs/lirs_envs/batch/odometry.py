@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lirs_envs.sensing.odometry import DistanceNoises, OdometryConfig, mean_angle, reckoned_pose
 from lirs_wct.arrays import FloatArray, IntArray, Vector3
+from lirs_wct.kernels import njit
 
 
 class WheelJoints(NamedTuple):

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numba import njit
 
 from lirs_envs.batch.simulation import BatchSimulation
 from lirs_envs.episodes.config import EnvConfig
@@ -28,6 +27,7 @@ from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import ConfigError, SimulationError, unknown_name
 from lirs_wct.field_validators import is_finite
 from lirs_wct.geometry.pose import Pose3
+from lirs_wct.kernels import njit
 from lirs_wct.world import World
 
 TASKS: dict[str, type[Task]] = {

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 
 import cv2
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import FloatArray
+from lirs_wct.kernels import njit
 
 NODES = 257
 """Nodes along each side of a generated terrain."""

@@ -11,11 +11,11 @@ from collections.abc import Callable, Mapping
 
 import cv2
 import numpy as np
-from numba import njit
 
 from lirs_envs.generators.natural import NODES, with_rocks
 from lirs_envs.generators.route import ENDS, HALF
 from lirs_wct.arrays import FloatArray, IntArray
+from lirs_wct.kernels import njit
 
 GENTLE = math.tan(math.radians(12))
 """Steepest slope of gentle ground, as a tangent."""

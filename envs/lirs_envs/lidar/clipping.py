@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from numba import njit
+from lirs_wct.kernels import njit
 
 FAR = 1e300
 """Stands for infinity where a product with 0 must stay a number."""

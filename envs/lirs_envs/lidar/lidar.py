@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from lirs_envs.lidar.deskew import moved_frames
 from lirs_envs.lidar.noise import LidarNoise, draw_noise, lidar_noise, measure
@@ -17,6 +16,7 @@ from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.kernels import njit
 
 
 @dataclass(frozen=True, slots=True)

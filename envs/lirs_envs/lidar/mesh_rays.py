@@ -11,11 +11,11 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import FloatArray, Int32Array
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.kernels import njit
 
 SLACK = 1e-4
 """Metres by which Embree's largest range exceeds the one asked for: single precision at a kilometre."""

@@ -6,12 +6,12 @@ from dataclasses import astuple, dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lirs_envs.lidar.presets import LidarPreset
 from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.errors import unknown_name
 from lirs_wct.field_validators import require_at_least, require_within
+from lirs_wct.kernels import njit
 
 NoiseLevel = Literal["none", "simulated", "datasheet"]
 LEVELS = ("none", "simulated", "datasheet")

@@ -8,10 +8,10 @@ mipmap's squares under that box, none meets anything. What many beams have in co
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from lirs_envs.lidar.mipmap import LEAF, TerrainMipmap
 from lirs_wct.arrays import FloatArray
+from lirs_wct.kernels import njit
 
 BUNDLE = 16
 """Beams of a bundle: 8 are a third more questions, 32 spread over too much ground."""

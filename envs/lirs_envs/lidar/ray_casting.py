@@ -21,7 +21,6 @@ from typing import Any, Protocol
 
 import mujoco
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from lirs_envs.lidar.mipmap import TerrainMipmap, build_terrain_mipmap
@@ -31,6 +30,7 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.kernels import njit
 
 
 class Caster(Protocol):

@@ -8,12 +8,12 @@ which none of them has: a tenth of the time.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from lirs_envs.lidar.clipping import FAR, clip, inverse
 from lirs_envs.lidar.mipmap import EDGE, LEAF, ROW, TerrainMipmap
 from lirs_envs.lidar.ray_bundles import BUNDLE, SMALLEST_FIELD, safe_distance
 from lirs_wct.arrays import Float32Array, FloatArray
+from lirs_wct.kernels import njit
 
 Ray = tuple[float, float, float, float, float, float]
 """u, v, w: start, in cells from the south-west node and metres up; du, dv, dw: its change per metre."""

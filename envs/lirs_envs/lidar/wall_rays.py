@@ -6,12 +6,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.ndimage import distance_transform_cdt
 
 from lirs_envs.lidar.clipping import FAR, clip, inverse
 from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
 from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.kernels import njit
 
 
 class WallCells(NamedTuple):

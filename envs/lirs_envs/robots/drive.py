@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from lirs_envs.robots.command import Twist, Waypoint
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import FloatArray, RecordArray
 from lirs_wct.field_validators import require_at_least
+from lirs_wct.kernels import njit
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import FloatArray, IntArray, Vector3
 from lirs_wct.field_validators import require_above, require_at_least
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import Imu
+from lirs_wct.kernels import njit
 
 RATE_BLOCK = 256
 """Readings of the gyro whose noise is drawn at once."""

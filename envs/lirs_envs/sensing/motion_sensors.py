@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 
 from lirs_envs.robot_model import RobotModel
 from lirs_envs.sensing.imu import ImuSensor, next_rates
 from lirs_envs.sensing.odometry import FlowOdometry, WheelOdometry, mean_angle, reckoned_pose
 from lirs_wct.arrays import FloatArray, IntArray, Vector3
 from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.kernels import njit
 
 Readings = tuple[Vector3, float, float]
 """Rates about x, y, z of the base, rad/s, roll and pitch, radians, as measured."""

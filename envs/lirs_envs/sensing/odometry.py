@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numba import njit
 
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import FloatArray, IntArray, Vector3
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.field_validators import require_above, require_within
 from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.kernels import njit
 
 Method = Literal["gyro", "ekf"]
 METHODS: tuple[Method, ...] = get_args(Method)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from lirs_envs.lidar.clipping import FAR, inverse
 from lirs_envs.lidar.lidar import transform_rays
 from lirs_envs.lidar.terrain_rays import FUSED
 from lirs_envs.tasks.site import SEEN_CELL, SeenFrame
 from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+from lirs_wct.kernels import njit
 
 DONE = np.float32(-np.inf)
 """Height below which no beam passes: there is nothing to be seen, or it was seen."""

@@ -8,7 +8,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, Int32Array, IntArray
@@ -17,6 +16,7 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.grid_search import search
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.kernels import njit
 from lirs_wct.world import World
 
 SEEN_CELL = 0.25

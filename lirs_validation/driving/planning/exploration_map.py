@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 
 from lirs_validation.driving.planning.clearance import path_weight, room_in
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.geometry.grid import OCCUPIED, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.kernels import njit
 
 RESOLUTION = 0.1
 """Metres a cell, at least: finer maps are thinned out."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.kernels import njit
 
 SPACING = 0.1
 """Metres between the points of a path."""

@@ -11,13 +11,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from lirs_validation.metrics.near_obstacles import near_obstacle
 from lirs_validation.metrics.planar import rms
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.kernels import njit
 
 CELL = 0.10
 """Edge of a cell, metres."""

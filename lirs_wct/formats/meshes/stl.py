@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.meshes.ply_header import require_positions
 from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.kernels import njit
 from lirs_wct.progress import Progress, no_progress, tracked
 
 if TYPE_CHECKING:

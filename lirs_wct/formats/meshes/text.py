@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from lirs_wct.arrays import ByteArray, FloatArray, IntArray
+from lirs_wct.kernels import njit
 
 _LONGEST = 22
 """Characters of a sign, 19 digits, a point and a separator."""

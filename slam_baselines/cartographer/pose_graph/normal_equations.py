@@ -11,10 +11,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.kernels import njit
 from slam_baselines.common.linalg import invert3
 
 Rows = tuple[IntArray, IntArray, FloatArray, FloatArray, BoolArray]

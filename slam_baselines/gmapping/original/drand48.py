@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import FloatArray
+from lirs_wct.kernels import njit
 
 MULTIPLIER, INCREMENT, MASK = np.uint64(0x5DEECE66D), np.uint64(0xB), np.uint64((1 << 48) - 1)
 """Of the linear congruential generator (POSIX)."""

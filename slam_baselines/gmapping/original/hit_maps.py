@@ -10,9 +10,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import Float32Array, FloatArray, Int32Array, IntArray
+from lirs_wct.kernels import njit
 
 BITS = 4
 PATCH = 1 << BITS

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.kernels import njit
 from slam_baselines.mapping.bresenham import line_cells
 from slam_baselines.mapping.growing_grid import GrowingGrid
 

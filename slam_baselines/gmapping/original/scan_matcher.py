@@ -6,9 +6,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lirs_wct.arrays import FloatArray
+from lirs_wct.kernels import njit
 from slam_baselines.gmapping.original.hit_maps import BITS, MASK, HitMap, cell_of
 
 NULL_LIKELIHOOD = -0.5
