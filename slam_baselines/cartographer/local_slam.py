@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from slam_baselines.cartographer.node import NOWHERE, Node, composed
 from slam_baselines.cartographer.submap import Submaps
 from slam_baselines.mapping.bootstrap import register_backwards
 from slam_baselines.mapping.ground_filter import GroundFilter
+from slam_baselines.mapping.minimum_slope import IN_FULL, Limits
+from slam_baselines.mapping.occupancy_map import bounding_box, union_of
 from slam_baselines.matching.gauss_newton import Match
 from slam_baselines.matching.localizability import LocalizabilityMonitor
 from slam_baselines.matching.registration import Registration
@@ -92,7 +95,7 @@ class LocalSlam:
             height: of the base in the local frame, metres.
             known: (n,) minimum slopes known before; None: as the matching submap knows them.
         """
-        drawn = self.submaps.matching_submap.min_slope if known is None else None
+        drawn = self.submaps.matching_submap.coarsest if known is None else None
         return self.ground_filter.match_walls(scan, pose, height, known=known, drawn=drawn)
 
     def _match(self, scan: LeveledScan, expected: PoseEstimate, seconds: float) -> Match | None:
@@ -171,14 +174,15 @@ class LocalSlam:
         Returns:
             The same nodes with new poses.
         """
-        self.submaps = Submaps(
+        self.submaps = self.submaps.restarted(
             replace(self.config.submaps, num_range_data=len(nodes) + 1, max_distance=math.inf)
         )
-        found = register_backwards(nodes, self._register)
-        self.submaps = Submaps(self.config.submaps)
+        found = register_backwards(nodes, partial(self._register, nodes[0]))
+        self.submaps = self.submaps.restarted(self.config.submaps)
+        drawn = [self._known_walls(node, e.pose) for node, e in zip(nodes, found, strict=True)]
+        self.submaps.reserve(found[0].pose, union_of([bounding_box(placed) for placed, _ in drawn]))
         again: list[Node] = []
-        for node, estimate in zip(nodes, found, strict=True):
-            placed, min_slopes = self._known_walls(node, estimate.pose)
+        for node, estimate, (placed, min_slopes) in zip(nodes, found, drawn, strict=True):
             entered = self.submaps.insert_range_data(
                 len(again), estimate.pose, placed, min_slopes, self.ground_filter.match_wall_slope
             )
@@ -196,8 +200,8 @@ class LocalSlam:
         self._filter.moved(estimate.pose)
         return again
 
-    def _register(self, node: Node, later: Node | None, last: PoseEstimate) -> PoseEstimate:
-        """Return where a node fits into the submaps so far, and draw it there."""
+    def _register(self, final: Node, node: Node, later: Node | None, last: PoseEstimate) -> PoseEstimate:
+        """Return where a node fits into the submap so far, and draw it there; nobody needs the final one."""
         estimate, wall_slope = last, self.ground_filter.match_wall_slope
         if later is not None:
             back = PoseEstimate(later.motion.pose.inverse(), later.motion.covariance)
@@ -207,11 +211,14 @@ class LocalSlam:
             estimate, _ = self.registration.register(
                 submap.pyramid, node.scan.hits, weights, expected, expected.pose
             )
-        placed, min_slopes = self._known_walls(node, estimate.pose)
-        self.submaps.insert_range_data(0, estimate.pose, placed, min_slopes, wall_slope)
+        if node is not final:
+            # Matching asks only what is a wall.
+            drawn = self._known_walls(node, estimate.pose, (float(wall_slope), float(wall_slope)))
+            self.submaps.insert_range_data(0, estimate.pose, *drawn, wall_slope)
         return estimate
 
-    def _known_walls(self, node: Node, pose: Pose2) -> tuple[ScanPoints, ByteArray]:
+    def _known_walls(self, node: Node, pose: Pose2, limits: Limits = IN_FULL) -> tuple[ScanPoints, ByteArray]:
         """Return a node's scan in the local frame, and the minimum slopes of its hits as known by now."""
-        slopes = self.ground_filter.min_slopes(node.scan, pose, node.height, known=node.min_slopes)
+        known = node.min_slopes
+        slopes = self.ground_filter.min_slopes(node.scan, pose, node.height, known=known, limits=limits)
         return node.scan.transformed(pose, node.height), slopes

@@ -90,7 +90,7 @@ class Submap:
     @property
     def known_points(self) -> FloatArray:
         """(n, 2) centers of the cells of the coarsest level that beams came to, in the local frame."""
-        level = self.pyramid.maps[-1]
+        level = self.coarsest
         if self._packed is None:
             cells = np.argwhere(level.layers.log_odds != UNKNOWN)[:, ::-1] + (
                 level.grid.col0,
@@ -128,9 +128,16 @@ class Submap:
         for level in self.pyramid.maps:
             level.revalue(wall_slope)
 
-    def min_slope(self, points: FloatArray) -> ByteArray:
-        """Return (n,) the minimum slopes of the cells under points (n, 2 or more) of the local frame."""
-        return self.pyramid.maps[-1].min_slope(points)
+    @property
+    def coarsest(self) -> OccupancyMap:
+        """The coarsest level that is being drawn; empty when it is finished."""
+        return self.pyramid.maps[-1]
+
+    def reserve(self, box: FloatArray) -> None:
+        """Make room for scans in a box (4,) west, south, east, north, metres, instead of growing to it."""
+        for level in self.pyramid.maps:
+            level.reserve(box)
+        self.pyramid.refresh()
 
     @property
     def levels(self) -> Levels:
@@ -173,12 +180,17 @@ class Submap:
 class Submaps:
     """All submaps; the last two are being drawn."""
 
-    def __init__(self, config: SubmapConfig) -> None:
+    def __init__(self, config: SubmapConfig, tracers: Tracers | None = None) -> None:
+        """Start without any; `tracers` are those of submaps of the same levels, which are drawn no more."""
         self._config = config
         self._searched: OrderedDict[int, Submap] = OrderedDict()
-        self._tracers = Tracers(config)
+        self._tracers = tracers or Tracers(config)
         self._last, self._distance = Pose2(), 0.0
         self.all: list[Submap] = []
+
+    def restarted(self, config: SubmapConfig) -> Submaps:
+        """Return none of them, with another configuration of the same levels."""
+        return Submaps(config, self._tracers)
 
     @property
     def matching_submap(self) -> Submap:
@@ -198,8 +210,7 @@ class Submaps:
     ) -> range:
         """Draw a scan taken at `pose`; return the submaps it entered."""
         if not self.all or self._newest_full:
-            self.all.append(Submap(self._config, pose))
-            self._last, self._distance = pose, 0.0
+            self._begin(pose)
         self._distance += pose.distance(self._last)
         self._last = pose
         entered, traced = self.active, self._tracers.trace(scan)
@@ -208,6 +219,15 @@ class Submaps:
         if len(entered) > 1 and self._newest_full:
             self.all[entered[0]].finish()
         return entered
+
+    def reserve(self, pose: Pose2, box: FloatArray) -> None:
+        """Begin the first submap at `pose` with room for scans in a box (4,), metres."""
+        self._begin(pose)
+        self.all[0].reserve(box)
+
+    def _begin(self, pose: Pose2) -> None:
+        self.all.append(Submap(self._config, pose))
+        self._last, self._distance = pose, 0.0
 
     @property
     def _newest_full(self) -> bool:

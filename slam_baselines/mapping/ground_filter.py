@@ -194,7 +194,7 @@ class GroundFilter:
         height: float | None = None,
         *,
         known: ByteArray | None = None,
-        drawn: Callable[[FloatArray], ByteArray] | None = None,
+        drawn: OccupancyMap | Callable[[FloatArray], ByteArray] | None = None,
         limits: Limits = IN_FULL,
     ) -> ByteArray:
         """Return (n,) the minimum slopes of a scan's hits as known by now, SLOPE_STEP; 0 on a floor.
@@ -204,17 +204,20 @@ class GroundFilter:
             pose: `T_map_base`.
             height: of the base in the map frame, metres; None: the present one.
             known: (n,) what was known of the hits before.
-            drawn: what a map knows of hits (n, 3) in its frame.
+            drawn: the map whose cells' minimum slopes count as well, or what tells them for hits (n, 3).
             limits: slopes below the first and from the second on need not be told apart, which is faster.
         """
         slopes = self.no_min_slope(len(scan.hits)) if known is None else known.copy()
         if self.match_wall_slope == 0:
             return slopes
         height = self.height if height is None else height
-        if drawn is not None:
+        cells = NOT_DRAWN
+        if isinstance(drawn, OccupancyMap):
+            cells = _drawn_slopes(drawn)
+        elif drawn is not None:
             slopes = np.maximum(slopes, drawn(scan.transformed(pose, height).hits))
         T = pose.x, pose.y, pose.yaw, height
-        return self._raised(slopes, scan.origin, scan.hits, T, pose, limits)
+        return self._raised(slopes, scan.origin, scan.hits, T, pose, limits, cells)
 
     def match_walls(
         self,
@@ -223,7 +226,7 @@ class GroundFilter:
         height: float | None = None,
         *,
         known: ByteArray | None = None,
-        drawn: Callable[[FloatArray], ByteArray] | None = None,
+        drawn: OccupancyMap | Callable[[FloatArray], ByteArray] | None = None,
     ) -> FloatArray:
         """Return (n,) 1 for hits on walls, 0 for those that may be ground; on a floor every hit is a wall.
 
@@ -250,9 +253,8 @@ class GroundFilter:
             self._weights = wall_slope, self.graded_weights(every, wall_slope)
         limits = limits_for_weights(wall_slope, self.config.full_weight_slope)
         slopes, T = self.no_min_slope(len(scan.hits)), (pose.x, pose.y, pose.yaw, self.height)
-        cells = DrawnSlopes(drawn.layers.min_slope, drawn.frame)
         weights: FloatArray = self._weights[1].take(
-            self._raised(slopes, scan.origin, scan.hits, T, pose, limits, cells)
+            self._raised(slopes, scan.origin, scan.hits, T, pose, limits, _drawn_slopes(drawn))
         )
         return weights
 
@@ -304,6 +306,11 @@ class GroundFilter:
     def no_min_slope(n: int) -> ByteArray:
         """Return the minimum slopes of n hits about whose height nothing is known."""
         return np.zeros(n, np.uint8)
+
+
+def _drawn_slopes(drawn: OccupancyMap) -> DrawnSlopes:
+    """Return what a map knows of its cells."""
+    return DrawnSlopes(drawn.layers.min_slope, drawn.frame)
 
 
 @njit(cache=True, nogil=True)

@@ -68,8 +68,8 @@ class MapBuilder:
 
     def restart(self) -> MapPyramid:
         """Forget the occupancy, but not the ground; return the pyramid that was."""
-        c, before = self._config, self.pyramid
-        self.pyramid = _pyramid(c)
+        before = self.pyramid
+        self.pyramid = MapPyramid(tuple(level.emptied() for level in before.maps))
         self._wall_slope = self.ground_filter.match_wall_slope
         return before
 
@@ -85,7 +85,7 @@ class MapBuilder:
         self, scan: LeveledScan, pose: Pose2, height: float | None = None, known: ByteArray | None = None
     ) -> ByteArray:
         """Return (n,) the minimum slopes of the hits; arguments as of GroundFilter.min_slopes."""
-        drawn = self.pyramid.maps[-1].min_slope
+        drawn = self.pyramid.maps[-1]
         return self.ground_filter.min_slopes(scan, pose, height, known=known, drawn=drawn)
 
     def weights(self, min_slopes: ByteArray) -> FloatArray | None:

@@ -7,6 +7,7 @@ matching reads: small maps stay in the cache.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -72,12 +73,20 @@ class OccupancyMap:
         layers: the grid's arrays.
     """
 
-    def __init__(self, resolution: float, config: UpdateConfig | None = None) -> None:
+    def __init__(
+        self, resolution: float, config: UpdateConfig | None = None, tracer: RayTracer | None = None
+    ) -> None:
+        """Start empty; `tracer` is one over this lattice that other maps may use as well."""
         layers = {"log_odds": (np.int8, UNKNOWN), "value": (np.uint8, UNSEEN), "min_slope": (np.uint8, 0)}
         self.grid = GrowingGrid(resolution, layers | {"top": (np.int16, -32768)})
-        self._steps = (config or UpdateConfig()).steps
-        self._tracer = RayTracer(resolution)
+        self._config = config or UpdateConfig()
+        self._steps = self._config.steps
+        self._tracer = tracer or RayTracer(resolution)
         self._take_over()
+
+    def emptied(self) -> OccupancyMap:
+        """Return an empty map over the same lattice that shares the room for tracing."""
+        return OccupancyMap(self.resolution, self._config, self._tracer)
 
     @property
     def resolution(self) -> float:
@@ -99,11 +108,16 @@ class OccupancyMap:
         self, trace: Trace, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int, box: FloatArray
     ) -> bool:
         """Enter a scan that was traced over the same lattice; the rest as of update."""
+        grew = self.reserve(box)
+        corner = trace.corner[0] - self.grid.row0, trace.corner[1] - self.grid.col0
+        enter_trace(self.layers, corner, trace, scan, min_slopes, wall_slope, self._steps)
+        return grew
+
+    def reserve(self, box: FloatArray) -> bool:
+        """Make room for scans in a box (4,), as of update; return whether the arrays were replaced."""
         grew = self.grid.ensure(*box.tolist())
         if grew:
             self._take_over()
-        corner = trace.corner[0] - self.grid.row0, trace.corner[1] - self.grid.col0
-        enter_trace(self.layers, corner, trace, scan, min_slopes, wall_slope, self._steps)
         return grew
 
     def _take_over(self) -> None:
@@ -124,12 +138,6 @@ class OccupancyMap:
         hits = np.flatnonzero(steps > 0)
         walls = min_slope[hits] >= wall_slope
         value[hits] = np.where(walls, VALUE[steps[hits] + np.int16(128)], np.uint8(UNSEEN))
-
-    def min_slope(self, points: FloatArray) -> ByteArray:
-        """Return (n,) the minimum slopes of the cells under points (n, 2 or more), SLOPE_STEP."""
-        out = np.zeros(len(points), np.uint8)
-        look_up(self.layers.min_slope, self.frame, points, out)
-        return out
 
     def occupancy_grid(self, wall_slope: int) -> OccupancyGrid:
         """Return what is known; hits whose minimum slope is below `wall_slope` are unknown, not occupied."""
@@ -253,12 +261,7 @@ def bounding_box(scan: Any) -> Any:
     return np.array((west, south, east, north))
 
 
-@njit(cache=True, nogil=True)
-def look_up(layer: Any, frame: Any, points: Any, out: Any) -> None:
-    """Read a layer under points (n, 2 or more) into `out`; what lies outside keeps its value there."""
-    rows, cols = layer.shape
-    for i in range(len(points)):
-        row = int(np.floor(points[i, 1] / frame[2] - frame[0]))
-        col = int(np.floor(points[i, 0] / frame[2] - frame[1]))
-        if 0 <= row < rows and 0 <= col < cols:
-            out[i] = layer[row, col]
+def union_of(boxes: Sequence[FloatArray]) -> FloatArray:
+    """Return the (4,) box, west, south, east, north, that holds all boxes."""
+    all_of_them = np.array(boxes)
+    return np.concatenate((all_of_them[:, :2].min(axis=0), all_of_them[:, 2:].max(axis=0)))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from lirs_wct.arrays import ByteArray
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
 from slam_baselines.mapping.minimum_slope import (
@@ -61,6 +63,15 @@ def formula(bound: UpperBound, scan: ScanPoints) -> NDArray[np.uint8]:
     return np.array(out, np.uint8)
 
 
+def slopes_under(drawn: OccupancyMap, points: Array) -> ByteArray:
+    """Minimum slopes of the cells of a map under points, 0 where it has none."""
+    row, col = np.floor(points[:, 1::-1] / drawn.resolution - drawn.frame[:2]).astype(int).T
+    layer, out = drawn.layers.min_slope, np.zeros(len(points), np.uint8)
+    inside = (row >= 0) & (row < layer.shape[0]) & (col >= 0) & (col < layer.shape[1])
+    out[inside] = layer[row[inside], col[inside]]
+    return out
+
+
 def leveled_hits(rng: np.random.Generator) -> Array:
     """Hits on walls, on the ground and beyond the border of what was seen."""
     return rng.uniform((-4.5, -5.0, -0.5), (2.5, 3.5, 1.5), (60, 3))
@@ -98,7 +109,7 @@ def test_weights_are_those_of_the_slopes_told_in_full(seed: int, wall: int, full
                            *np.maximum(box[2:], placed.hits.max(axis=0)[:2]))))  # fmt: skip
     ground_filter = GroundFilter(GroundFilterConfig(full_weight_slope=full_slope))
     expected = ground_filter.graded_weights(
-        np.maximum(formula(bound, placed), drawn.min_slope(placed.hits)), wall
+        np.maximum(formula(bound, placed), slopes_under(drawn, placed.hits)), wall
     )
     table = ground_filter.graded_weights(np.arange(256, dtype=np.uint8), wall)
     slopes, limits = np.zeros(len(hits), np.uint8), limits_for_weights(wall, full_slope)
@@ -129,8 +140,9 @@ def test_the_filter_weighs_hits_as_by_slopes_found_one_after_the_other() -> None
         pose = Pose2(1.5 * k, -0.7 * k, 0.3 * k)
         ground_filter.move(Pose2(1.5), scan)
         wall = ground_filter.match_wall_slope
-        slopes = ground_filter.min_slopes(scan, pose, drawn=drawn.min_slope)
-        walls = ground_filter.match_walls(scan, pose, drawn=drawn.min_slope)
+        slopes = ground_filter.min_slopes(scan, pose, drawn=partial(slopes_under, drawn))
+        np.testing.assert_array_equal(ground_filter.min_slopes(scan, pose, drawn=drawn), slopes)
+        walls = ground_filter.match_walls(scan, pose, drawn=drawn)
         np.testing.assert_array_equal(walls, slopes >= wall)
         expected = ground_filter.graded_weights(slopes, wall)
         np.testing.assert_array_equal(ground_filter.match_weights(scan, pose, drawn, wall), expected)
