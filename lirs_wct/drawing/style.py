@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from io import BytesIO
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +17,8 @@ from lirs_wct.drawing.canvas import Canvas
 
 DPI, SCREEN_DPI = 150, 72
 """Of files, and in Jupyter."""
+COMPRESSION = 3
+"""Of PNG files, by zlib: level 6, which is usual, takes twice the time for 4 % fewer bytes."""
 TITLE, TEXT, SMALL = 10.5, 9.0, 8.0
 """Font sizes, points."""
 
@@ -83,7 +86,23 @@ def legend(axes: Axes, handles: Sequence[Any], *, side: Literal["left", "right"]
 
 
 class Drawing(Figure):
-    """A figure that shows itself in Jupyter, which shows pyplot's figures alone."""
+    """A figure that is laid out and drawn once, and shows itself in Jupyter, which shows pyplot's alone."""
+
+    def savefig(self, fname: Any, *, dpi: float | None = None, **options: Any) -> None:
+        """Lay the panels out, then draw them once: Matplotlib by itself draws all for the layout, too."""
+        kind = options.get("format") or (Path(fname).suffix[1:] if isinstance(fname, (str, Path)) else "png")
+        if kind == "png":
+            options = {"pil_kwargs": {"compress_level": COMPRESSION}} | options
+        engine, own = self.get_layout_engine(), self.dpi
+        self.dpi = own if dpi is None else dpi
+        try:
+            if engine is not None:
+                engine.execute(self)
+                self.set_layout_engine(None)
+            super().savefig(fname, dpi=self.dpi, **options)
+        finally:
+            self.dpi = own
+            self.set_layout_engine(engine)
 
     def _repr_png_(self) -> bytes:
         drawn, small = BytesIO(), BytesIO()
