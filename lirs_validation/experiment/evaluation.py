@@ -10,6 +10,7 @@ import numpy as np
 from lirs_envs.simulation import Simulation
 from lirs_validation.experiment.clouds.elevation import Elevations, evaluate_elevation
 from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
+from lirs_validation.experiment.cost import give_back_memory
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.loop import per_second
 from lirs_validation.experiment.mappers.guard import imu_copy, scan_copy
@@ -112,15 +113,17 @@ def evaluate_maps(world: World, log: DriveLog, mapper: Mapper | GuardedCloudMapp
     A built map is moved by the true start pose alone; the aligned metrics by the trajectory's alignment as
     well. A mapper of point clouds has no occupancy map: its clouds make an elevation map.
     """
-    truth, estimate, _ = log.trajectories()
+    truth, estimate = log.trajectories()[:2]
     alignment = start_alignment(truth, estimate)
     if isinstance(mapper, GuardedCloudMapper):
         elevation, found = evaluate_elevation(world, log.clouds, truth, estimate)
         no_scores = dict.fromkeys(field.name for field in fields(MapScores))
         return Maps(None, true_pose_map(log, RESOLUTION), no_scores | asdict(found), alignment, elevation)
+    del truth, estimate  # long ones are as large as a map
     T_world_map = log.truth[0].to_pose2()
     built = mapper.map()
     true_pose, built = true_pose_map(log, built.resolution), built.moved(T_world_map)
+    give_back_memory()
     scores = map_scores(
         built,
         true_pose,

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from lirs_validation.driving.replay import COMMANDS
+from lirs_validation.experiment.cost import give_back_memory
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps
 from lirs_validation.metrics.spatial.elevation_file import ELEVATION, write_elevation
@@ -62,7 +63,9 @@ def write_results(
         (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *lines]) + "\n", encoding="utf-8")
         elevation = None if maps.elevation is None else maps.elevation.built
         drawn = (maps.true_pose, maps.built, maps.aligned, elevation)
+        give_back_memory()
         overview = overview_figure(world, record, truth, estimate, *drawn)
+        give_back_memory()
         overview.savefig(temporary / "overview.png")
         for file in bag:
             shutil.move(file, temporary / file.name)

@@ -17,7 +17,7 @@ from lirs_validation.experiment.clouds.guard import (
     guarded,
     occupancy_map,
 )
-from lirs_validation.experiment.cost import CostMeter, compile_timer, heap_at_rest
+from lirs_validation.experiment.cost import CostMeter, compile_timer, give_back_memory, heap_at_rest
 from lirs_validation.experiment.cpu_contention import cpu_contention
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
@@ -238,7 +238,9 @@ def conclude(
         raise SimulationError(f"{scenario.config.source}: nothing was driven: {log.reason}")
     log.final = mapper.trajectory()
     progress("evaluate", 1.0)
+    give_back_memory()
     maps = evaluate_maps(scenario.world, log, mapper)
+    give_back_memory()
     cost = cost | {"compile_seconds": ready.compile_seconds}
     record = evaluate(scenario, ready.simulation, mapper, log, maps, cost)
     folder = None if out is None else out / (name or record.name)

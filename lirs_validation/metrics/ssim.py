@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from lirs_validation.metrics.agreement import BAND, sampled
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.geometry.grid import OccupancyGrid
 
 WINDOW, SIGMA = 11, 1.5
@@ -28,23 +28,27 @@ def map_ssim(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
     return float(similarity(as_picture(moved), as_picture(reference))[both].mean())
 
 
-def as_picture(grid: OccupancyGrid) -> FloatArray:
+def as_picture(grid: OccupancyGrid) -> Float32Array:
     """Return (rows, cols) 0 for occupied, 1 for free, 0.5 for all else; row 0 = south."""
-    return np.where(grid.occupied, 0.0, np.where(grid.free, 1.0, 0.5))
+    picture = np.full(grid.shape, 0.5, np.float32)
+    picture[grid.free] = 1.0
+    picture[grid.occupied] = 0.0
+    return picture
 
 
-def similarity(x: FloatArray, y: FloatArray) -> FloatArray:
+def similarity(x: FloatArray | Float32Array, y: FloatArray | Float32Array) -> FloatArray:
     """Return the structural similarity about each pixel of two pictures (rows, cols) in [0, 1].
 
     Wang et al., "Image Quality Assessment: From Error Visibility to Structural Similarity" (IEEE TIP
     2004), Eq. 13 with the moments of Eqs. 14-16; pictures are mirrored at their borders.
     """
     half = WINDOW // 2
-    x, y = (np.pad(picture, ((half, half), (0, 0)), mode="symmetric") for picture in (x, y))
-    found = np.empty((len(x) - 2 * half, x.shape[1]))
+    mirrored = np.pad(np.arange(len(x)), half, mode="symmetric")
+    found = np.empty(x.shape)
     for first in range(0, len(found), BAND):
-        rows = slice(first, first + BAND + 2 * half)
-        found[first : first + BAND] = _similarity(x[rows], y[rows])[half:-half]
+        rows = mirrored[first : first + BAND + 2 * half]
+        parts = (np.asarray(picture[rows], dtype=np.float64) for picture in (x, y))
+        found[first : first + BAND] = _similarity(*parts)[half:-half]
     return found
 
 
