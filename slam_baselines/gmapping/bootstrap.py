@@ -20,6 +20,7 @@ from slam_baselines.gmapping.proposal import Proposer
 from slam_baselines.mapping.bootstrap import register_backwards
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.mapping.keyframe import Keyframe
+from slam_baselines.mapping.minimum_slope import IN_FULL, Limits
 from slam_baselines.motion.dead_reckoning import PoseEstimate
 from slam_baselines.motion.gyro_bias import GyroBias, GyroBiasConfig
 from slam_baselines.motion.increment import unbiased
@@ -62,11 +63,11 @@ class BiasedRegistration:
         """
         for _ in range(ROUNDS):
             reckoned = self.reckoned(keyframes)
-            register = partial(self._register, PatchMaps(1, maps.resolution))
+            register = partial(self._register, PatchMaps(1, maps.resolution), reckoned[0])
             poses = [estimate.pose for estimate in register_backwards(reckoned, register)]
             self.learn(keyframes, poses)
         found = [replace(k, pose=pose) for k, pose in zip(keyframes, poses, strict=True)]
-        return [replace(k, min_slopes=self._draw(maps, k, k.pose)) for k in found]
+        return [replace(k, min_slopes=self._draw(maps, k, k.pose, IN_FULL)) for k in found]
 
     def reckoned(self, keyframes: Sequence[GmappingKeyframe]) -> list[GmappingKeyframe]:
         """Return keyframes with their poses by odometry and gyro, less the bias."""
@@ -85,9 +86,10 @@ class BiasedRegistration:
             self.bias = self.bias.learned(turned, motion.seconds)
 
     def _register(
-        self, maps: PatchMaps, now: GmappingKeyframe, later: GmappingKeyframe | None, last: PoseEstimate
-    ) -> PoseEstimate:
-        """Draw a keyframe where it fits into the map so far, if anywhere; return its pose."""
+        self, maps: PatchMaps, final: GmappingKeyframe, now: GmappingKeyframe,
+        later: GmappingKeyframe | None, last: PoseEstimate,
+    ) -> PoseEstimate:  # fmt: skip
+        """Draw a keyframe, unless it is the final one, where it fits into the map so far; return its pose."""
         pose = last.pose
         if later is not None:
             pose = pose @ (later.pose.inverse() @ now.pose)
@@ -97,13 +99,16 @@ class BiasedRegistration:
             view, beams = maps.view(0, ground.match_wall_slope), Beams(now.scan.hits, walls)
             found = self._proposer.match_scan(view, beams, pose.as_array(), covariance)
             pose = pose if found is None else Pose2(*found.tolist())
-        self._draw(maps, now, pose)
+        if now is not final:
+            # Matching asks only what is a wall.
+            wall = float(self._ground_filter.match_wall_slope)
+            self._draw(maps, now, pose, (wall, wall))
         return PoseEstimate(pose, last.covariance)
 
-    def _draw(self, maps: PatchMaps, keyframe: GmappingKeyframe, pose: Pose2) -> ByteArray:
-        """Draw a keyframe at a pose; return the minimum slopes of its hits there."""
+    def _draw(self, maps: PatchMaps, keyframe: GmappingKeyframe, pose: Pose2, limits: Limits) -> ByteArray:
+        """Draw a keyframe at a pose; return the minimum slopes of its hits there, told between limits."""
         k, ground = keyframe, self._ground_filter
-        slopes = ground.min_slopes(k.scan, pose, k.height, known=k.min_slopes)
+        slopes = ground.min_slopes(k.scan, pose, k.height, known=k.min_slopes, limits=limits)
         points = k.scan.transformed(Pose2(), k.height)
         maps.draw_scan(pose.as_array()[None], points, slopes, ground.match_wall_slope)
         return slopes
