@@ -19,6 +19,7 @@ BITS = 4
 PATCH = 1 << BITS
 """Cells along the edge of a patch."""
 MASK = PATCH - 1
+CELLS = PATCH * PATCH
 ABSENT = -1
 """Marks, in a table, a patch that nothing was drawn into; in `record`, a patch without hits."""
 MEAN_STEPS = 65536
@@ -55,16 +56,15 @@ class Patches(NamedTuple):
 
 def resized(old: Patches | None, patches: int, records: int) -> Patches:
     """Return so many patches and records of which the first are the old ones."""
-    cells = PATCH * PATCH
     new = Patches(
-        np.empty((patches, cells), np.int8),
+        np.empty((patches, CELLS), np.int8),
         np.full(patches, ABSENT, np.int32),
         np.zeros(patches, np.int32),
         np.empty(patches + 1, np.int32),
-        np.empty((records, cells), np.uint8),
-        np.empty((records, cells, 2), np.uint16),
-        np.empty((records, cells), np.uint8),
-        np.empty((records, cells), np.int16),
+        np.empty((records, CELLS), np.uint8),
+        np.empty((records, CELLS, 2), np.uint16),
+        np.empty((records, CELLS), np.uint8),
+        np.empty((records, CELLS), np.int16),
         np.empty(records + 1, np.int32),
     )
     if old is not None:
@@ -124,15 +124,19 @@ def own_patch(table: Any, patches: Any, row: int, col: int) -> Any:
         patches.log_odds[q] = UNKNOWN
     else:
         patches.owners[p] -= 1
-        patches.log_odds[q] = patches.log_odds[p]
+        # Cell by cell: of assigned rows Numba would compile the message of shapes that differ.
+        for k in range(CELLS):
+            patches.log_odds[q, k] = patches.log_odds[p, k]
         source = patches.record[p]
         if source != ABSENT:
             target = _free_record(patches)
             patches.record[q] = target
-            patches.hits[target] = patches.hits[source]
-            patches.mean[target] = patches.mean[source]
-            patches.min_slope[target] = patches.min_slope[source]
-            patches.top[target] = patches.top[source]
+            for k in range(CELLS):
+                patches.hits[target, k] = patches.hits[source, k]
+                patches.mean[target, k, 0] = patches.mean[source, k, 0]
+                patches.mean[target, k, 1] = patches.mean[source, k, 1]
+                patches.min_slope[target, k] = patches.min_slope[source, k]
+                patches.top[target, k] = patches.top[source, k]
     patches.owners[q] = 1
     table[row, col] = q
     return q

@@ -30,8 +30,9 @@ from slam_baselines.gmapping.scan_matching import (
     between,
     find_peak,
     log_prior,
-    match_alone,
+    match,
     moved,
+    prepared,
     score,
 )
 
@@ -186,7 +187,15 @@ class Proposer:
         if beams.weights.sum() < self.config.min_beams:
             return None
         self.searches += wide
-        pose, hit, known = match_alone(view, beams, expected, covariance, wide, self._tuning)
+        # Three kernels, not one: Numba compiles with each kernel all that it calls once more.
+        tuning, H = self._tuning, np.empty((3, 3))
+        prior, near = prepared(beams, expected, covariance, tuning.kernelSize)
+        pose: FloatArray
+        if wide:
+            pose, _, hit, known, _ = find_peak(view, beams, near, prior, expected, wide, tuning, H)
+        else:
+            pose = match(view, beams, near, prior, expected, tuning, H)
+            _, hit, known = score(view, beams, near, pose, tuning)
         return pose if hit >= max(self.config.search_threshold * known, self.config.min_beams) else None
 
 
@@ -238,9 +247,9 @@ def propose(
     for step in range(n):
         k = first.particle if step == 0 else step - 1 if step <= first.particle else step
         if step > 1 and _same(maps, odometry, before, k):
-            means[k], sigmas[k], log_eta[k] = means[before], sigmas[before], log_eta[before]
+            log_eta[k] = log_eta[before]
+            _keep(means[before], sigmas[before], means[k], sigmas[k])
             hit_ratio[k], known_ratio[k] = hit_ratio[before], known_ratio[before]
-            poses[k] = means[k] + np.linalg.cholesky(sigmas[k]) @ samples.normals[k]
             searches += searched
             continue
         before = k
@@ -259,15 +268,27 @@ def propose(
         if step == 0:
             correction = between(prior.pose, peak)
         if hit < max(tuning.minimumScore * known, tuning.min_beams):
-            means[k], sigmas[k] = prior.pose, odometry.covariances[k]
+            _keep(prior.pose, odometry.covariances[k], means[k], sigmas[k])
             log_eta[k] = score(view, beams, near, prior.pose, tuning)[0]
         else:
             around = np.linalg.inv(H * (2 * tuning.sigma**2 / tuning.lsigma) + prior.information)
             spread = Spread(peak, value, around, samples.cube)
             log_eta[k] = _fit(view, beams, near, prior, spread, tuning, means[k], sigmas[k])
-        poses[k] = means[k] + np.linalg.cholesky(sigmas[k]) @ samples.normals[k]
         hit_ratio[k], known_ratio[k] = hit / max(known, 1e-9), known / total
+    for k in range(n):
+        draw = np.linalg.cholesky(sigmas[k]) @ samples.normals[k]
+        for i in range(3):
+            poses[k, i] = means[k, i] + draw[i]
     return searches
+
+
+@njit(cache=True, nogil=True)
+def _keep(mean: Any, sigma: Any, to_mean: Any, to_sigma: Any) -> None:
+    # Not `to_mean[:] = mean`: Numba would compile the message of shapes that differ.
+    for i in range(3):
+        to_mean[i] = mean[i]
+        for j in range(3):
+            to_sigma[i, j] = sigma[i, j]
 
 
 @njit(cache=True, nogil=True)
@@ -307,11 +328,15 @@ class Spread(NamedTuple):
 def _fit(view: Any, beams: Any, near: Any, prior: Any, spread: Any, tuning: Any, mu: Any, Sigma: Any) -> Any:
     """Fill mu and Sigma by eqs. 15-17 from points around the peak; return log eta."""
     peak, value, around, cube = spread
-    L = np.linalg.cholesky(around)
+    # Of Sigma, not of `around`, whose other memory order Numba would compile Cholesky for once more.
+    _keep(peak, around, mu, Sigma)
+    L = np.linalg.cholesky(Sigma)
     n = len(cube)
     at, logs = np.empty((n, 3)), np.empty(n)
     for j in range(n):
-        at[j] = peak + L @ cube[j]
+        shift = L @ cube[j]
+        for i in range(3):
+            at[j, i] = peak[i] + shift[i]
         if j > 0:
             value = score(view, beams, near, at[j], tuning)[0]
         logs[j] = value + log_prior(at[j], prior)
@@ -322,7 +347,9 @@ def _fit(view: Any, beams: Any, near: Any, prior: Any, spread: Any, tuning: Any,
     for j in range(n):
         mu += p[j] / eta * at[j]
     # Few points leave Sigma flat in some direction: a share of the curvature's covariance keeps it regular.
-    Sigma[:] = 0.01 * around
+    for a in range(3):
+        for b in range(3):
+            Sigma[a, b] = 0.01 * around[a, b]
     for j in range(n):
         d = at[j] - mu
         for a in range(3):

@@ -16,6 +16,7 @@ from lirs_wct.kernels import njit
 from slam_baselines.gmapping.patches import (
     ABSENT,
     BITS,
+    CELLS,
     MASK,
     MEAN_MEMORY,
     MEAN_STEPS,
@@ -26,7 +27,6 @@ from slam_baselines.gmapping.patches import (
 )
 from slam_baselines.mapping.occupancy_map import ABOVE, TOP_STEP, UNKNOWN
 
-CELLS = PATCH * PATCH
 NEW, PASSED, WALL, DONE = 0, 1, 2, 3
 """Marks of a cell: not met yet; to be lowered; a wall not met yet; hit, or a wall with a beam above it."""
 

@@ -107,31 +107,26 @@ def find_peak(
     value, hit, known = score(view, beams, near, peak, tuning)
     if known < tuning.min_beams or not (wide or hit < tuning.search_threshold * known):
         return peak, value, hit, known, False
-    curvature = H.copy()
-    other = match(view, beams, near, prior, search(view, beams, prior, tuning), tuning, H)
+    curvature = np.empty((3, 3))
+    other = match(view, beams, near, prior, search(view, beams, prior, tuning), tuning, curvature)
     apart = other - peak
     if np.hypot(apart[0], apart[1]) < SAME_PEAK and abs(apart[2]) < SAME_PEAK:
-        H[:] = curvature
         return peak, value, hit, known, True
     better, there, seen = score(view, beams, near, other, tuning)
     gain = better + log_prior(other, prior) - value - log_prior(peak, prior)
     if gain > 0 and there >= tuning.search_threshold * seen:
+        # Not `H[:] = curvature`: Numba would compile the message of shapes that differ.
+        for i in range(3):
+            for j in range(3):
+                H[i, j] = curvature[i, j]
         return other, better, there, seen, True
-    H[:] = curvature
     return peak, value, hit, known, True
 
 
 @njit(cache=True, nogil=True)
-def match_alone(view: Any, beams: Any, expected: Any, covariance: Any, wide: bool, tuning: Any) -> Any:
-    """Return the pose that fits best, and the weights of beams that end at a wall and on known cells."""
-    prior, near = Prior(expected, np.linalg.inv(covariance)), near_beams(beams, tuning.kernelSize)
-    if wide:
-        # Not `True`: of a literal Numba would compile the search once more.
-        pose, _, hit, known, _ = find_peak(view, beams, near, prior, expected, wide, tuning, np.empty((3, 3)))
-        return pose, hit, known
-    pose = match(view, beams, near, prior, expected, tuning, np.empty((3, 3)))
-    _, hit, known = score(view, beams, near, pose, tuning)
-    return pose, hit, known
+def prepared(beams: Any, expected: Any, covariance: Any, reach: int) -> Any:
+    """Return the prior of an expected pose, and room for the walls within `reach` cells of a scan's ends."""
+    return Prior(expected, np.linalg.inv(covariance)), near_beams(beams, reach)
 
 
 @njit(cache=True, nogil=True)
@@ -166,7 +161,7 @@ def search(view: Any, beams: Any, prior: Any, tuning: Any) -> Any:
                     value -= weights[i] * NOTHING * (1 - 0.5 * near)
                 if value > highest:
                     highest = value
-                    best[:] = pose
+                    best[0], best[1], best[2] = pose[0], pose[1], pose[2]
     return best
 
 
@@ -176,7 +171,10 @@ def _coarse_walls(view: Any, points: Any, pose: Any, cell: float, margin: float)
 
     Covers what beams from around a pose reach.
     """
-    reach = np.sqrt((points[:, 0] ** 2 + points[:, 1] ** 2).max()) + margin + 2 * cell
+    farthest = 0.0
+    for i in range(len(points)):
+        farthest = max(farthest, points[i, 0] ** 2 + points[i, 1] ** 2)
+    reach = np.sqrt(farthest) + margin + 2 * cell
     row0, col0 = int(np.floor((pose[1] - reach) / cell)), int(np.floor((pose[0] - reach) / cell))
     side = int(2 * reach / cell) + 2
     walls = np.zeros((side, side), np.uint8)

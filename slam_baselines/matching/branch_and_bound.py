@@ -164,11 +164,16 @@ def branch_and_bound(
     if excluded is not None:
         disc[:2] = (excluded.center[:2] - start[:2])[::-1] / resolution
         disc[2] = excluded.radius / resolution
+    lattice, tree = (
+        _Lattice(grids.levels, grids.row0, grids.col0, resolution),
+        _Tree(start, reach, turns, step),
+    )
+    rows, cols = np.empty((2, 2 * turns + 1, len(points)), np.int32)
+    roots = _roots(lattice, points, tree, rows, cols)
+    # Of equal scores the smaller index wins: the sort must be stable for the same answer everywhere.
+    order = np.argsort(-roots[:, 0], kind="stable")
     out = np.empty(6)
-    _search(
-        _Lattice(grids.levels, grids.row0, grids.col0, resolution), points,
-        _Tree(start, reach, turns, step), _Limits(min_score, max_nodes, disc), out,
-    )  # fmt: skip
+    _search(lattice, tree, _Limits(min_score, max_nodes, disc), roots, order, rows, cols, out)
     return SearchResult(out[:3].copy(), float(out[3]), int(out[4]), bool(out[5]))
 
 
@@ -200,6 +205,13 @@ def _put(row: Any, score: int, level: int, turn: int, dr: int, dc: int) -> None:
 
 
 @njit(cache=True, nogil=True)
+def _copy(row: Any, to: Any) -> None:
+    # Not `to[:] = row`: Numba would compile the message of shapes that differ.
+    for i in range(5):
+        to[i] = row[i]
+
+
+@njit(cache=True, nogil=True)
 def _roots(lattice: _Lattice, points: Any, tree: _Tree, rows: Any, cols: Any) -> Any:
     """Fill the cells of every turn; return the (k, 5) roots: score, level, turn, row, column."""
     depth, count = len(lattice.levels) - 1, 2 * tree.turns + 1
@@ -221,7 +233,7 @@ def _roots(lattice: _Lattice, points: Any, tree: _Tree, rows: Any, cols: Any) ->
 @njit(cache=True, nogil=True)
 def _branch(levels: Any, rows: Any, cols: Any, node: Any, reach: int, children: Any) -> int:
     """Fill the up to four children of a node (5,), in ascending order of their scores; return how many."""
-    h, t, dr, dc = node[1], node[2], node[3], node[4]
+    h, t, dr, dc = node[1], np.int64(node[2]), node[3], node[4]
     half, m = 1 << (h - 1), 0
     for q in range(4):
         r, c = dr + half * (q >> 1), dc + half * (q & 1)
@@ -230,7 +242,7 @@ def _branch(levels: Any, rows: Any, cols: Any, node: Any, reach: int, children: 
         score = _sum(levels[h - 1], rows[t], cols[t], r, c)
         p = m
         while p > 0 and children[p - 1, 0] > score:
-            children[p] = children[p - 1]
+            _copy(children[p - 1], children[p])
             p -= 1
         _put(children[p], score, h - 1, t, r, c)
         m += 1
@@ -238,27 +250,24 @@ def _branch(levels: Any, rows: Any, cols: Any, node: Any, reach: int, children: 
 
 
 @njit(cache=True, nogil=True)
-def _search(lattice: _Lattice, points: Any, tree: _Tree, limits: _Limits, out: Any) -> None:
+def _search(
+    lattice: _Lattice, tree: _Tree, limits: _Limits, roots: Any, order: Any, rows: Any, cols: Any, out: Any
+) -> None:
     """Depth-first search, the most promising branch first; fill `out` (6,)."""
     levels, start, excluded, res = lattice.levels, tree.start, limits.excluded, lattice.resolution
-    n, depth, count = len(points), len(levels) - 1, 2 * tree.turns + 1
-    rows, cols = np.empty((count, n), np.int32), np.empty((count, n), np.int32)
-    roots = _roots(lattice, points, tree, rows, cols)
-    # Of equal scores the smaller index wins: the sort must be stable for the same answer everywhere.
-    order = np.argsort(-roots[:, 0], kind="mergesort")
+    n, depth = rows.shape[1], len(levels) - 1
     best = int(np.ceil(limits.min_score * n * FULL)) - 1
     out[0], out[1], out[2], out[3] = start[0], start[1], start[2], -1.0
     evaluated = len(roots)
-    stack = np.empty((4 * depth + 4, 5), np.int32)
-    node, children = np.empty(5, np.int32), np.empty((4, 5), np.int32)
+    stack, children = np.empty((4 * depth + 4, 5), np.int32), np.empty((4, 5), np.int32)
     for o in order:
         if roots[o, 0] <= best or evaluated > limits.max_nodes:
             break
-        stack[0] = roots[o]
+        _copy(roots[o], stack[0])
         top = 1
         while top > 0 and evaluated <= limits.max_nodes:
             top -= 1
-            node[:] = stack[top]
+            node = stack[top]
             score, h, t, dr, dc = node[0], node[1], node[2], node[3], node[4]
             if score <= best:
                 continue
@@ -274,6 +283,6 @@ def _search(lattice: _Lattice, points: Any, tree: _Tree, limits: _Limits, out: A
             evaluated += m
             for q in range(m):  # ascending: the best comes off the stack first
                 if children[q, 0] > best:
-                    stack[top] = children[q]
+                    _copy(children[q], stack[top])
                     top += 1
     out[4], out[5] = evaluated, evaluated <= limits.max_nodes
