@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.colors import Colormap, LinearSegmentedColormap
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.drawing.canvas import Canvas
+from lirs_wct.drawing.canvas import BAND, Canvas
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.world import World
 
@@ -43,10 +43,13 @@ def shaded_surface(surface: HeightField, canvas: Canvas) -> FloatArray:
     """
     z = canvas.heights(surface)
     low, high = float(surface.z.min()), float(surface.z.max())
-    light = 0.42 + 0.78 * shading(z, canvas.pixel)[..., None]
-    rgb: FloatArray = height_colors()((np.nan_to_num(z, nan=low) - low) / max(high - low, 1e-9))[..., :3]
-    rgb *= light
-    return np.clip(rgb, 0, 1, out=rgb)
+    colors, light = height_colors(), 0.42 + 0.78 * shading(z, canvas.pixel)[..., None]
+    rgb = np.empty((*z.shape, 3))
+    for first in range(0, len(z), BAND):
+        band = slice(first, first + BAND)
+        tint = colors((np.nan_to_num(z[band], nan=low) - low) / max(high - low, 1e-9))[..., :3]
+        np.clip(tint * light[band], 0, 1, out=rgb[band])
+    return rgb
 
 
 def shading(z: FloatArray, pixel: float) -> FloatArray:

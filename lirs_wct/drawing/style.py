@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.drawing.canvas import Canvas
+from lirs_wct.drawing.canvas import BAND, Canvas
 
 DPI, SCREEN_DPI = 150, 72
 """Of files, and in Jupyter."""
@@ -56,7 +56,9 @@ def plain_axes(axes: Axes, x: str, y: str) -> None:
 def map_axes(axes: Axes, canvas: Canvas, picture: FloatArray) -> None:
     """Show a picture (rows, cols, 3) in [0, 1] in metres, both axes alike."""
     # Of bytes, matplotlib makes an eighth of the copies that it makes of float64.
-    levels = np.rint(picture * 255).astype(np.uint8)
+    levels = np.empty(picture.shape, np.uint8)
+    for first in range(0, len(picture), BAND):
+        levels[first : first + BAND] = np.rint(picture[first : first + BAND] * 255)
     axes.imshow(levels, extent=canvas.extent, interpolation="antialiased", zorder=0)
     plain_axes(axes, "x [m]", "y [m]")
     for spine in axes.spines.values():

@@ -90,10 +90,17 @@ class Trajectory(ShownAsPicture):
     def moved(self, T_new_frame: Pose2 | Pose3) -> Trajectory:
         """Return the same motion expressed in another frame."""
         T = Pose3.from_pose2(T_new_frame) if isinstance(T_new_frame, Pose2) else T_new_frame
-        poses = (
-            T @ Pose3(*p.tolist(), *q.tolist()) for p, q in zip(self.positions, self.quaternions, strict=True)
+        w, x, y, z = T.qw, T.qx, T.qy, T.qz
+        a, b, c, d = self.quaternions.T
+        columns = (
+            w * a - x * b - y * c - z * d,
+            w * b + x * a + y * d - z * c,
+            w * c - x * d + y * a + z * b,
+            w * d + x * c - y * b + z * a,
         )
-        return Trajectory.from_poses(self.stamps.copy(), poses)
+        # Each pose by itself, as `Pose3` maps a point: one product for all sums in another order.
+        positions = np.matmul(self.positions[:, None], T.rotation.T)[:, 0] + T.position
+        return Trajectory(self.stamps.copy(), positions, np.column_stack(columns))
 
 
 def _yaw(quaternions: FloatArray) -> FloatArray:

@@ -66,6 +66,24 @@ def test_arrays_hold_poses_one_by_one(seed: int) -> None:
     np.testing.assert_array_equal(moved.stamps, track.stamps)
 
 
+@pytest.mark.parametrize("T", [Pose2(1.2, -3.4, 0.7), Pose3.from_rpy(1, 2, 3, 0.1, -0.2, 2.5)])
+@pytest.mark.parametrize("n", [0, 1, 50])
+def test_moving_composes_with_every_pose(n: int, T: Pose2 | Pose3) -> None:
+    rng = np.random.default_rng(1)
+    quaternions = rng.normal(size=(n, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1)[:, None]
+    track = Trajectory(np.arange(n, dtype=np.float64), rng.normal(size=(n, 3)), quaternions)
+    in_space = Pose3.from_pose2(T) if isinstance(T, Pose2) else T
+    poses = [
+        in_space @ Pose3(*p.tolist(), *q.tolist())
+        for p, q in zip(track.positions, track.quaternions, strict=True)
+    ]
+    moved, expected = track.moved(T), Trajectory.from_poses(track.stamps, poses)
+    assert np.array_equal(moved.stamps, track.stamps)
+    assert np.allclose(moved.positions, expected.positions, rtol=0, atol=1e-14)
+    assert np.array_equal(moved.quaternions, expected.quaternions)
+
+
 def test_length_is_that_of_the_path_in_the_plane() -> None:
     poses = [Pose3(0, 0, 0), Pose3(3, 4, 100), Pose3(3, 4, 0), Pose3(4, 4, 0)]
     assert Trajectory.from_poses([0, 1, 2, 3], poses).length == 6.0
