@@ -103,7 +103,7 @@ def test_a_failed_cell_is_told_in_table_and_exit_code_and_the_rest_stand(wct: An
 def test_builtin_rays_by_either_name_are_one_experiment() -> None:
     def chosen(rays: str) -> tuple[Any, ...]:
         axes = {"robot": None, "mapper": None, "lidar": None, "terrain": None, "rays": rays}
-        return read_experiments(["simple"], None, axes, None, None, None, SourceOptions())
+        return read_experiments(["simple"], None, axes, None, None, None, (1,), SourceOptions())
 
     (experiment,) = chosen("ours,builtin")
     assert experiment.config.rays == "ours", "as records hold it"
