@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import tempfile
 import time
 from collections.abc import Callable
@@ -26,6 +27,7 @@ from rich.console import Console
 
 from lirs_validation import RunConfig, RunRecord, validate
 from lirs_validation.cli.progress import run_with_progress
+from lirs_validation.experiment.run import Run
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.report.tables.sweep_tables import sweep_tables
 from lirs_validation.sweep.engines.base import Executor
@@ -45,24 +47,27 @@ SPEEDUP, TURNS = 1.8, 2
 
 @dataclass(frozen=True)
 class QuickExperiment(SlamExperiment):
-    """An experiment that tells of its progress as a run does, and writes a record which a real run left.
+    """An experiment that tells of its progress as a run does, and leaves the files that a real run left.
 
     What the writing took is noted: that is the experiment's, all else the suite's.
     """
 
     template: RunRecord | None = None
+    left: str = ""
     spent: str = ""
 
     def perform(
         self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
     ) -> Outcome:
-        """Write the record."""
+        """Link the files, and write the record."""
         assert self.template is not None
         for second in range(int(self.config.seconds)):
             progress("drive", second / self.config.seconds)
         begun = time.perf_counter()
         record = replace(self.template, config=self.config)
         with atomic_folder(out / self.name) as folder:
+            for name in record.file_sizes:
+                os.link(Path(self.left) / name, folder / name)
             record.save(folder)
         with Path(self.spent).open("a", encoding="utf-8") as file:
             file.write(f"{time.perf_counter() - begun}\n")
@@ -83,11 +88,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         validate("simple", seconds=1.0)  # compiles
         begun = time.perf_counter()
-        template = validate("simple", seconds=seconds, out=Path(folder) / "real").record
+        run = validate("simple", seconds=seconds, out=Path(folder) / "real")
         real = time.perf_counter() - begun
         engines: dict[str, Executor] = {"serial": Serial(), "processes": Processes(jobs=2)}
         rows = [
-            measured(name, partial(swept, engine, template, count, Path(folder) / name), real)
+            measured(name, partial(swept, engine, run, count, Path(folder) / name), real)
             for name, engine in engines.items()
         ]
     for row in rows:
@@ -128,13 +133,15 @@ def measured(name: str, work: Callable[[], dict[str, float]], real: float) -> di
     return {"engine": name, "real_s": real, "share": row["overhead_ms"] / 1e3 / real} | row
 
 
-def swept(engine: Executor, template: RunRecord, count: int, out: Path) -> dict[str, float]:
+def swept(engine: Executor, real: Run, count: int, out: Path) -> dict[str, float]:
     """Put experiments through a sweep; return milliseconds of the suite for each, and growth of memory."""
     out.mkdir()
     spent = out / "spent.txt"
-    config = replace(template.config, seconds=120.0)
+    config = replace(real.record.config, seconds=120.0)
     experiments = [
-        QuickExperiment(replace(config, seed=seed), template=template, spent=str(spent))
+        QuickExperiment(
+            replace(config, seed=seed), template=real.record, left=str(real.folder), spent=str(spent)
+        )
         for seed in range(count)
     ]
     memory: list[float] = []
