@@ -60,11 +60,11 @@ def plan(quick: bool, data: Path) -> list[Row]:
     rows = [
         Row(job="default .dae", samples=513, limits={"seconds": 1, "peak_mb": 450, "file_mb": 10}),
         Row(job="default .dae", samples=1025, limits={"seconds": 2, "peak_mb": 450, "file_mb": 12}),
-        Row(job="world within error", samples=4097, budget=2e-3, limits={"seconds": 5, "peak_mb": 500}),
+        Row(job="world within error", samples=4097, budget=2e-3, limits={"seconds": 5, "peak_mb": 450}),
         Row(job="world within count", samples=4097, budget=1e6, limits={"seconds": 9, "peak_mb": 600}),
-        Row(job="full grid .dae", samples=1025, limits={"seconds": 4, "peak_mb": 700, "file_mb": 190}),
+        Row(job="full grid .dae", samples=1025, limits={"seconds": 4, "peak_mb": 700, "file_mb": 120}),
         Row(job="full grid .dae", samples=2049, limits={"seconds": 18, "peak_mb": 2000}),
-        Row(job="full grid .stl", samples=4097, limits={"seconds": 8, "peak_mb": 450}),
+        Row(job="full grid .stl", samples=4097, limits={"seconds": 8, "peak_mb": 400}),
         *(Row(job=f"{peer} .dae", samples=513) for peer in ("full grid", "trimesh", "pycollada")),
         *(
             Row(
