@@ -13,13 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import ByteArray, FloatArray
-from slam_baselines.mapping.occupancy_map import UNKNOWN, UNSEEN, VALUE, OccupancyMap
+from slam_baselines.mapping.occupancy_map import FREE, UNKNOWN, UNSEEN, VALUE, OccupancyMap
 from slam_baselines.mapping.pyramid import Levels, MapPyramid
 
 FASTEST = 1
 """Level of zlib: a higher one gains little on layers like these."""
-FREE = 1
-"""Largest `value` of a cell that is no wall."""
 
 
 @dataclass(frozen=True, slots=True)

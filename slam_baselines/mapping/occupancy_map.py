@@ -173,6 +173,8 @@ _odds = np.exp(STEP * np.arange(-128, 128))
 VALUE = np.maximum(1, np.round(FULL * (_odds - 1) / (_odds + 1))).astype(np.uint8)
 """(256,) value of log-odds + 128: 2 p - 1 where that is above 0: free and unknown ground pull alike."""
 VALUE[0] = UNSEEN
+FREE = VALUE[128]
+"""`value` of every known cell that is no hit."""
 
 
 class Layers(NamedTuple):
@@ -216,21 +218,21 @@ def enter_trace(
     lowered = np.empty(256, np.int8)
     for before in range(-128, 128):
         lowered[before + 128] = _added(before, steps[0], steps[2])
-    first = 0
+    first = np.uintp(0)
     for b in range(len(trace.ends)):
-        for i in range(first, trace.ends[b]):
+        end = np.uintp(trace.ends[b])
+        for i in range(first, end):
             r, c = np.uintp(cells[i] >> BITS) + down, np.uintp(cells[i] & COLUMN) + right
             if log_odds[r, c] <= 0:
-                after = lowered[np.uintp(np.int64(log_odds[r, c]) + 128)]
-                log_odds[r, c] = after
-                value[r, c] = VALUE[np.uintp(np.int64(after) + 128)]
+                log_odds[r, c] = lowered[np.uintp(np.int64(log_odds[r, c]) + 128)]
+                value[r, c] = FREE
                 continue
             if wall_slope > 0 and min_slope[r, c] >= wall_slope:
                 height = scan.origin[2] + trace.steps[i] * trace.rise[b]
                 if height / TOP_STEP > top[r, c] + ABOVE:
                     continue
             _change(layers, r, c, steps[0], wall_slope, steps[2])
-        first = trace.ends[b]
+        first = end
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -113,7 +113,8 @@ def trace_scan(scan: Any, resolution: float, touched: Any, mark: int, line: Any,
         out.hit_first[i] = touched[row, col] != mark
         touched[row, col] = mark
     y, x, z = origin[1] * scale - north, origin[0] * scale - east, origin[2]
-    m, tag = 0, np.uint8(mark)
+    # Unsigned: an index that might be negative costs half of the time.
+    m, tag = np.uintp(0), np.uint8(mark)
     for b in range(len(out.ends)):
         spared = b < len(hits)
         end = hits[b] if spared else free[b - len(hits)]
@@ -127,7 +128,7 @@ def trace_scan(scan: Any, resolution: float, touched: Any, mark: int, line: Any,
             cell = np.uintp(line[k])
             at = (cell >> np.uintp(BITS)) * np.uintp(across) + (cell & np.uintp(COLUMN))
             cells[m], numbers[m] = line[k], k
-            m += flat[at] != tag
+            m += np.uintp(flat[at] != tag)
             flat[at] = tag
         out.ends[b] = m
 
