@@ -58,7 +58,6 @@ class LocalSlam:
         self._stamp = -math.inf
         self._leveler = ScanLeveler(clear_range, max_range)
         self._reckoning = DeadReckoning(config.motion)
-        self._since_node = DeadReckoning(config.motion)
         self._increment = NOWHERE
         self.localizability = LocalizabilityMonitor(config.localizability)
         self._reckoned_yaw = 0.0
@@ -75,14 +74,15 @@ class LocalSlam:
         """Match a scan and move the estimate; return the node where it entered the submaps."""
         level = self._leveler.level(scan, imu)
         before = self.estimate.pose
-        expected = self._reckoning.predict(self.estimate, odometry, imu, scan.stamp)
-        self._increment = self._since_node.predict(self._increment, odometry, imu, scan.stamp)
+        step = self._reckoning.step(odometry, imu, scan.stamp)
+        expected = self.estimate if step is None else step.after(self.estimate)
+        self._increment = self._increment if step is None else step.after(self._increment)
         seconds, self._stamp = scan.stamp - self._stamp, scan.stamp
         fits = self._fits(self._match(level, expected, seconds))
         self._distance_traveled += before.distance(self.estimate.pose)
         if level.leveled:
-            step = before.inverse() @ self.estimate.pose
-            self.ground_filter.move(step, level, registered=self.localizability.localizable)
+            moved = before.inverse() @ self.estimate.pose
+            self.ground_filter.move(moved, level, registered=self.localizability.localizable)
         due = fits and self._filter.due(level, self.estimate.pose)
         return self._insert_into_submaps(level) if due else None
 

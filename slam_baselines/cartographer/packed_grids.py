@@ -1,11 +1,12 @@
 """Grids of a finished submap, packed: what matching needs of them, and no more.
 
-No scan enters a finished submap, so that of its layers only two are read: what the matcher sees of a cell,
-and the minimum slope by which a hit counts as a wall. Both are nearly constant over large areas.
+No scan enters a finished submap, so that little of its layers is read: which cells are known, and of those
+with hits, which are few, what the matcher sees of them and the minimum slope by which they count as walls.
 """
 
 from __future__ import annotations
 
+import math
 import zlib
 from dataclasses import dataclass
 
@@ -25,14 +26,18 @@ class PackedLevel:
     """One level, cropped to its known cells with a margin of one cell.
 
     Attributes:
-        value: zlib, what the matcher sees where every hit is a wall.
-        min_slope: zlib, minimum slopes of the cells.
+        known: zlib, one bit a cell: whether beams came to it.
+        hits: zlib, (n,) uint32 numbers of the cells that are more likely occupied than not.
+        value: (n,) what the matcher sees of these where every hit is a wall.
+        min_slope: (n,) their minimum slopes.
         shape: rows, columns.
         frame: lattice row and column of cell (0, 0), resolution in metres.
     """
 
-    value: bytes
-    min_slope: bytes
+    known: bytes
+    hits: bytes
+    value: ByteArray
+    min_slope: ByteArray
     shape: tuple[int, int]
     frame: tuple[int, int, float]
 
@@ -43,33 +48,40 @@ class PackedLevel:
         known = steps != UNKNOWN
         rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
         box = tuple(slice(max(0, k[0] - 1), k[-1] + 2) if len(k) else slice(0, 0) for k in (rows, cols))
-        value = np.take(VALUE, steps[box].astype(np.int16) + 128)
+        known, steps, min_slope = known[box], steps[box].reshape(-1), level.layers.min_slope[box].reshape(-1)
+        hits = np.flatnonzero(steps > 0)
         frame = level.grid.row0 + box[0].start, level.grid.col0 + box[1].start, level.resolution
-        min_slope = np.ascontiguousarray(level.layers.min_slope[box])
         return PackedLevel(
-            zlib.compress(value.data, FASTEST), zlib.compress(min_slope.data, FASTEST), value.shape, frame
+            zlib.compress(np.packbits(known).data, FASTEST),
+            zlib.compress(hits.astype(np.uint32).data, FASTEST),
+            VALUE[steps[hits] + np.int16(128)],
+            min_slope[hits],
+            known.shape,
+            frame,
         )
 
     def unpacked(self, wall_slope: int) -> ByteArray:
         """Return what the matcher sees where hits of a lower minimum slope than `wall_slope` are no walls."""
-        value = self._layer(self.value).copy()
-        if wall_slope > 0:
-            value[(value > FREE) & (self._layer(self.min_slope) < wall_slope)] = UNSEEN
-        return value
+        value: ByteArray = self._known() * FREE
+        hits = np.frombuffer(zlib.decompress(self.hits), np.uint32)
+        value[hits] = np.where(self.min_slope >= wall_slope, self.value, np.uint8(UNSEEN))
+        return value.reshape(self.shape)
 
     def known_cells(self) -> NDArray[np.int64]:
         """Return (n, 2) the lattice columns and rows of the cells that beams came to."""
-        cells: NDArray[np.int64] = np.argwhere(self._layer(self.value) != UNSEEN)[:, ::-1]
+        cells: NDArray[np.int64] = np.argwhere(self._known().reshape(self.shape))[:, ::-1]
         cells += np.array((self.frame[1], self.frame[0]))
         return cells
 
-    def _layer(self, packed: bytes) -> ByteArray:
-        return np.frombuffer(zlib.decompress(packed), np.uint8).reshape(self.shape)
+    def _known(self) -> ByteArray:
+        """Return (cells,) 1 for those that beams came to."""
+        bits = np.frombuffer(zlib.decompress(self.known), np.uint8)
+        return np.unpackbits(bits, count=math.prod(self.shape))
 
     @property
     def nbytes(self) -> int:
         """Memory of the packed layers."""
-        return len(self.value) + len(self.min_slope)
+        return len(self.known) + len(self.hits) + self.value.nbytes + self.min_slope.nbytes
 
 
 @dataclass(frozen=True, slots=True)

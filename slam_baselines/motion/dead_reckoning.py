@@ -41,6 +41,26 @@ class PoseEstimate:
     covariance: FloatArray
 
 
+class MotionStep(NamedTuple):
+    """A step by dead reckoning, which holds wherever it begins.
+
+    Attributes:
+        delta: `T_before_now`.
+        shift: variance of the translation along each axis, square metres.
+        turn: variance of the yaw, square radians.
+    """
+
+    delta: Pose2
+    shift: float
+    turn: float
+
+    def after(self, before: PoseEstimate) -> PoseEstimate:
+        """Return the estimate to expect after the step."""
+        pose = before.pose @ self.delta
+        dx, dy = pose.x - before.pose.x, pose.y - before.pose.y
+        return PoseEstimate(pose, moved_covariance(before.covariance, dx, dy, self.shift, self.turn))
+
+
 @dataclass(frozen=True, kw_only=True)
 class MotionConfig:
     """Errors of the odometry, each as a random walk: the variance grows with distance, turn and time.
@@ -96,6 +116,12 @@ class MotionConfig:
                 believed as a gyro deserves; the more they disagree, the less the odometry's yaw is.
             tilt: of the robot, radians: wheels that skid in a turn slide downhill.
         """
+        return self.step(delta, seconds, turned, tilt).after(before)
+
+    def step(
+        self, delta: Pose2 | None, seconds: float, turned: float | None = None, tilt: float = 0.0
+    ) -> MotionStep:
+        """Return a step with its variances; arguments as of predict."""
         seconds = max(seconds, 1e-3)
         if delta is None:
             delta = Pose2(yaw=turned or 0.0)
@@ -104,9 +130,7 @@ class MotionConfig:
             shift, turn = self._variances(delta, seconds, tilt)
         if turned is not None:
             turn = min(turn, self.gyro_per_second**2 * seconds + wrap_angle(turned - delta.yaw) ** 2)
-        after = before.pose @ delta
-        dx, dy = after.x - before.pose.x, after.y - before.pose.y
-        return PoseEstimate(after, moved_covariance(before.covariance, dx, dy, shift, turn))
+        return MotionStep(delta, shift, turn)
 
     def predict_all(
         self, before: PoseEstimate, steps: Sequence[tuple[Pose2, float]], seconds: float
@@ -222,6 +246,11 @@ class DeadReckoning:
             imu: reading at `stamp`.
             stamp: seconds.
         """
+        step = self.step(odometry, imu, stamp)
+        return last if step is None else step.after(last)
+
+    def step(self, odometry: Pose2 | None, imu: Imu | None, stamp: float) -> MotionStep | None:
+        """Return the step since the last call, None at the first; arguments as of predict."""
         before, self._odometry = self._odometry, odometry
         rate, self._rate = self._rate, None if imu is None else yaw_rate(imu)
         then, self._stamp = self._stamp, stamp
@@ -230,14 +259,12 @@ class DeadReckoning:
         else:
             self.increment = OdometryIncrement(_between(before, odometry), *_downhill(imu))
         if then is None:
-            return last
-        delta = None if self.increment is None else self._step(self.increment)
+            return None
+        delta = None if self.increment is None else self._corrected(self.increment)
         turned = None if rate is None or self._rate is None else (rate + self._rate) / 2 * (stamp - then)
-        return self.config.predict(
-            last, delta, stamp - then, turned, self.increment.tilt if self.increment else 0.0
-        )
+        return self.config.step(delta, stamp - then, turned, self.increment.tilt if self.increment else 0.0)
 
-    def _step(self, increment: OdometryIncrement) -> Pose2:
+    def _corrected(self, increment: OdometryIncrement) -> Pose2:
         return increment.corrected(self.calibration) if self.calibrated else increment.step
 
     def learn(self, before: Pose2, now: Pose2) -> None:
