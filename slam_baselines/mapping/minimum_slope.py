@@ -29,12 +29,11 @@ class Neighbors(NamedTuple):
     """Cells around a hit: all close by, fewer farther off.
 
     Attributes:
-        cell: (k, 2) row and column offsets, those close by first.
+        cell: (k, 2) row and column offsets: those close by, then those farther off, both by distance.
         distance: (k,) of their middles, and a cell's edge, metres.
         close: number of those close by.
         close_reach: largest offset among them.
         reach: largest offset of all.
-        farther: smallest distance of those farther off, metres.
     """
 
     cell: IntArray
@@ -42,7 +41,6 @@ class Neighbors(NamedTuple):
     close: int
     close_reach: int
     reach: int
-    farther: float
 
 
 class UpperBound(NamedTuple):
@@ -97,10 +95,14 @@ def neighbors_of(resolution: float) -> Neighbors:
     close = [(r, c) for r in range(-reach, reach + 1) for c in range(-reach, reach + 1)]
     rays = [(math.sin(a), math.cos(a)) for a in np.arange(12) * math.tau / 12]
     rings = [(round(d * s / resolution), round(d * c / resolution)) for d in (0.5, 0.8, 1.2) for s, c in rays]
-    cells = np.array(close + rings, np.int64)
-    distance = np.array([math.hypot(r, c) * resolution + resolution for r, c in close + rings])
-    farther = float(distance[len(close) :].min())
-    return Neighbors(cells, distance, len(close), reach, int(np.abs(cells).max()), farther)
+    near_to_far = sorted(close, key=_length) + sorted(rings, key=_length)
+    cells = np.array(near_to_far, np.int64)
+    distance = np.array([_length(cell) * resolution + resolution for cell in near_to_far])
+    return Neighbors(cells, distance, len(close), reach, int(np.abs(cells).max()))
+
+
+def _length(cell: tuple[int, int]) -> float:
+    return math.hypot(*cell)
 
 
 def blocks_of(cells: Float32Array) -> Float32Array:
@@ -172,7 +174,7 @@ def raise_min_slopes(
         slopes[i] = max(slopes[i], np.uint8(min(best / SLOPE_STEP, 255.0)))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def _steepest(
     cells: Any,
     blocks: Any,
@@ -186,7 +188,7 @@ def _steepest(
 ) -> float:
     """Return the largest rise over run from cells around (x, y) to z; at least `best`, told up to `most`."""
     rows, cols = cells.shape
-    cell, distance, close, close_reach, reach, farther = neighbors
+    cell, distance, close, close_reach, reach = neighbors
     row, col = int(np.floor(y / frame[2] - frame[0])), int(np.floor(x / frame[2] - frame[1]))
     if not (reach <= row < rows - reach and reach <= col < cols - reach):
         for k in range(len(cell)):
@@ -194,22 +196,22 @@ def _steepest(
             if 0 <= r < rows and 0 <= c < cols:
                 best = max(best, (z - cells[r, c]) / distance[k])
         return best
-    start, stop = 0, len(cell)
-    if z - _lowest(blocks, row, col, close_reach) <= best * frame[2]:
-        start = close
-    if z - _lowest(blocks, row, col, reach) <= best * farther:
-        stop = close
-    for k in range(start, stop):
-        rise = z - cells[np.uintp(row + cell[k, 0]), np.uintp(col + cell[k, 1])]
-        # A product asks what a quotient, four times as slow, would; few cells raise the slope.
-        if rise > best * distance[k]:
-            best = max(best, rise / distance[k])
-            if best >= most:
+    for first, end, around in ((0, close, close_reach), (close, len(cell), reach)):
+        most_rise = z - _lowest(blocks, row, col, around)
+        for k in range(first, end):
+            # A product asks what a quotient, four times as slow, would; few cells raise the slope.
+            needed = best * distance[k]
+            if most_rise <= needed:
                 break
+            rise = z - cells[np.uintp(row + cell[k, 0]), np.uintp(col + cell[k, 1])]
+            if rise > needed:
+                best = max(best, rise / distance[k])
+                if best >= most:
+                    return best
     return best
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def _lowest(blocks: Any, row: int, col: int, reach: int) -> Any:
     """Return the smallest upper bound of the blocks that hold the cells up to `reach` from a cell."""
     lowest = np.float32(np.inf)
