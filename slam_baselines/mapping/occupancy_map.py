@@ -224,8 +224,9 @@ def enter_trace(
         for i in range(first, end):
             r, c = np.uintp(cells[i] >> BITS) + down, np.uintp(cells[i] & COLUMN) + right
             if log_odds[r, c] <= 0:
+                if log_odds[r, c] == UNKNOWN:  # else it is known to be free: nothing new for the matcher
+                    value[r, c] = FREE
                 log_odds[r, c] = lowered[np.uintp(np.int64(log_odds[r, c]) + 128)]
-                value[r, c] = FREE
                 continue
             if wall_slope > 0 and min_slope[r, c] >= wall_slope:
                 height = scan.origin[2] + trace.steps[i] * trace.rise[b]
