@@ -22,7 +22,7 @@ from lirs_wct.progress import Progress, no_progress
 STREAM_ABOVE = 20_000
 """Triangles above which the file is streamed: pycollada needs 20 s and 500 MB for each million."""
 BULK = 500_000
-"""Triangles above which positions are written to 2e-6 of the world's width instead of 2e-7: fewer digits."""
+"""Triangles above which bytes count: fewer digits, and quads."""
 
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
@@ -89,8 +89,8 @@ def write_parts(
     count = sum(len(part.mesh.faces) for part in parts)
     with atomic_write(path) as temporary:
         if count > stream_above:
-            step = 2e-6 if count > BULK else 2e-7
-            stream_collada(temporary, parts, step, _passed(count, path.name, progress))
+            passed = _passed(count, path.name, progress)
+            stream_collada(temporary, parts, brief=count > BULK, passed=passed)
         else:
             write_document(temporary, parts)
             progress(path.name, 1.0)

@@ -2,7 +2,8 @@
 
 All parts are one geometry: one layer of texture coordinates in Blender, and no seams between objects.
 VERTEX, NORMAL and TEXCOORD have an offset each: Gazebo joins equal positions, and keeps their several normals
-and texture coordinates only where it is told each index.
+and texture coordinates only where it is told each index. Most of a large file is indices: there, two triangles of
+a grid's cell are one quad, and few distinct normals have short numbers.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import FloatArray, Int32Array
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.meshes.text import fixed_text
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -25,7 +26,7 @@ CREATED = "2020-01-01T00:00:00"
 """Stands in every file: the same world gives the same bytes."""
 GROUND = (0.62, 0.57, 0.5, 1.0)
 """Colour of a world without texture, RGBA."""
-_NORMAL_DECIMALS, _UV_DECIMALS = 3, 5
+_UV_DECIMALS = 5
 
 _ROWS = 1 << 14
 """Rows of numbers that are made text at a time."""
@@ -55,10 +56,10 @@ _SOURCE_END = """</float_array><technique_common><accessor source="#{id}-array" 
 """
 _VERTICES = """<vertices id="vertices"><input semantic="POSITION" source="#positions"/></vertices>
 """
-_TRIANGLES = """<triangles count="{count}" material="{name}">
+_FACES = """<{kind} count="{count}" material="{name}">
 <input semantic="VERTEX" source="#vertices" offset="0"/>
 <input semantic="NORMAL" source="#normals" offset="1"/>
-<input semantic="TEXCOORD" source="#UV" offset="2" set="0"/><p>
+<input semantic="TEXCOORD" source="#UV" offset="2" set="0"/>
 """
 _BOUND = """<instance_material symbol="{name}" target="#{name}"><bind_vertex_input semantic="UV" \
 input_semantic="TEXCOORD" input_set="0"/></instance_material>
@@ -106,38 +107,102 @@ class MeshPart:
         return self.mesh.normals
 
 
+@dataclass(frozen=True)
+class Digits:
+    """How exact a file's numbers are.
+
+    Attributes:
+        step: share of the width that positions are exact to; heights, to ten times this share of their own.
+        normals: digits after the point of a normal's components.
+    """
+
+    step: float
+    normals: int
+
+
+FINE, BRIEF = Digits(2e-7, 3), Digits(2e-6, 2)
+"""Of files of some megabytes, and of those where bytes count: their shading is exact to 0.5 deg."""
+
+
 def stream_collada(
-    path: Path, parts: Sequence[MeshPart], step: float = 2e-6, passed: Callable[[int], None] = lambda _: None
+    path: Path, parts: Sequence[MeshPart], *, brief: bool, passed: Callable[[int], None] = lambda _: None
 ) -> None:
     """Write parts as one geometry.
 
     Args:
         path: file.
         parts: what is written.
-        step: share of the width that positions are exact to; heights, to ten times this share of their own.
+        brief: whether bytes count: fewer digits, and quads where two triangles that share an edge follow
+            each other. A quad begins where a fan from its first corner gives the two triangles again.
         passed: called with the number of triangles that were written, a few thousand at a time.
 
     Raises:
         OSError: the file cannot be written.
     """
+    digits = BRIEF if brief else FINE
     size = np.ptp(np.concatenate([part.mesh.bounds for part in parts]), axis=0)
-    decimals = _position_decimals(size, step)
+    normals, numbers = _distinct([part.normals for part in parts], digits.normals)
     with path.open("wb") as file:
         file.write(_head(parts).encode())
-        _write_source(file, "positions", [part.mesh.vertices for part in parts], decimals, "XYZ")
-        _write_source(file, "normals", [part.normals for part in parts], (_NORMAL_DECIMALS,) * 3, "XYZ")
+        positions = [part.mesh.vertices for part in parts]
+        _write_source(file, "positions", positions, _position_decimals(size, digits.step), "XYZ")
+        _write_source(file, "normals", [normals], (digits.normals,) * 3, "XYZ")
         _write_source(file, "UV", [part.uv for part in parts], (_UV_DECIMALS,) * 2, "ST")
         file.write(_VERTICES.encode())
         before = 0
         for part in parts:
-            file.write(_TRIANGLES.format(count=len(part.mesh.faces), name=part.name).encode())
-            for faces in _chunks(part.mesh.faces + before):
-                file.write(fixed_text(np.repeat(faces, 3, axis=1), (0,) * 9))
-                passed(len(faces))
-            file.write(b"</p></triangles>\n")
+            _write_faces(file, part, before, numbers, brief, passed)
             before += len(part.mesh.vertices)
         bound = "".join(_BOUND.format(name=part.name) for part in parts)
         file.write(_SCENE.format(bound=bound).encode())
+
+
+def _distinct(tables: Sequence[FloatArray], decimals: int) -> tuple[FloatArray, Int32Array]:
+    """Return the normals that differ when rounded, the most frequent first, and of each vertex the number of its."""
+    scale = 10**decimals
+    x, y, z = (np.rint(np.concatenate([t[:, k] for t in tables]) * scale).astype(np.int64) for k in range(3))
+    wide = 2 * scale + 1
+    key, number, count = np.unique(
+        ((x + scale) * wide + y + scale) * wide + z + scale, return_inverse=True, return_counts=True
+    )
+    order = np.argsort(-count, kind="stable")
+    rank = np.empty(len(key), np.int32)
+    rank[order] = np.arange(len(key), dtype=np.int32)
+    parts = np.stack((key // wide**2, key // wide % wide, key % wide), axis=1)[order]
+    return (parts - scale) / scale, rank[number]
+
+
+def _write_faces(
+    file: BinaryIO,
+    part: MeshPart,
+    before: int,
+    normals: Int32Array,
+    brief: bool,
+    passed: Callable[[int], None],
+) -> None:
+    """Write the faces of a part whose vertices stand behind so many others."""
+    quads, triangles = _joined(part.mesh.faces) if brief else (part.mesh.faces[:0], part.mesh.faces)
+    kind, count = ("polylist" if len(quads) else "triangles"), len(quads) + len(triangles)
+    file.write(_FACES.format(kind=kind, count=count, name=part.name).encode())
+    if len(quads):
+        file.write(b"<vcount>" + b"4 " * len(quads) + b"3 " * len(triangles) + b"</vcount>")
+    file.write(b"<p>\n")
+    for polygons, each in ((quads, 2), (triangles, 1)):
+        for chunk in _chunks(polygons):
+            corners = chunk + before
+            rows = np.stack((corners, normals[corners], corners), axis=2).reshape(len(chunk), -1)
+            file.write(fixed_text(rows, 0))
+            passed(each * len(chunk))
+    file.write(f"</p></{kind}>\n".encode())
+
+
+def _joined(faces: Int32Array) -> tuple[Int32Array, Int32Array]:
+    """Return quads (n, 4) in place of triangles a b c, b d c that follow each other, and the other triangles."""
+    pairs = faces[: len(faces) // 2 * 2].reshape(-1, 2, 3)
+    first, second = pairs[:, 0], pairs[:, 1]
+    cell = (first[:, 1] == second[:, 0]) & (first[:, 2] == second[:, 2])
+    quads = np.column_stack((second[cell], first[cell, 0]))
+    return quads, np.concatenate((pairs[~cell].reshape(-1, 3), faces[2 * len(pairs) :]))
 
 
 def _head(parts: Sequence[MeshPart]) -> str:
