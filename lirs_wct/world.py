@@ -7,7 +7,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from lirs_wct.arrays import BoolArray, FloatArray
@@ -169,15 +168,14 @@ class World(ShownAsPicture):
         if self.walls is None:
             return free
         inside = overlaid(self._mapped_area.free, self._mapped_area, free)
-        p = np.where(free.free & inside, 0.0, 1.0)
-        return OccupancyGrid.from_probability(p, free.resolution, free.origin)
+        return OccupancyGrid.from_mask(~(free.free & inside), free.resolution, free.origin)
 
     @cached_property
     def _mapped_area(self) -> OccupancyGrid:
         least = FOOTPRINTS[-1]
         free = self.traversable(clearance=least.radius, max_slope=least.max_slope)
         inside = mapped_area(free, least.radius)
-        return OccupancyGrid.from_probability(np.where(inside, 0.0, 1.0), free.resolution, free.origin)
+        return OccupancyGrid.from_mask(~inside, free.resolution, free.origin)
 
     def to_geographic(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return latitudes and longitudes, in degrees, of points of the world.

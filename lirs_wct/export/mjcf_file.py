@@ -21,8 +21,11 @@ from lirs_wct.world import World
 
 START_GROUP = 4
 """Group of sites that the viewer hides until it is asked for."""
-STAND_IN = "stand-in.hfield"
-"""Name of a height field of 2x2 nodes, under which MuJoCo never looks for a world's own."""
+STAND_INS = {
+    "stand-in.hfield": np.array((2, 2), "<i4").tobytes() + np.eye(2, dtype="<f4").tobytes(),
+    "stand-in.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n",
+}
+"""Files in place of a world's own heights and meshes, under names where MuJoCo never looks for those."""
 
 
 def write_mjcf(world: World, folder: str | Path) -> Path:
@@ -102,17 +105,19 @@ def _hfield(surface: HeightField) -> tuple[memoryview, memoryview]:
 def _exact_xml(spec: mujoco.MjSpec) -> str:
     """Return the specification's XML with sizes and positions in full; MuJoCo writes six digits.
 
-    MuJoCo wants the heights' files for that, and keeps them: it gets a stand-in under another name.
+    MuJoCo wants the files of heights and meshes for that, and keeps them: it gets stand-ins.
     """
-    files = [hfield.file for hfield in spec.hfields]
-    for hfield in spec.hfields:
-        hfield.file = STAND_IN
-    spec.assets = dict(spec.assets) | {
-        STAND_IN: np.array((2, 2), "<i4").tobytes() + np.eye(2, dtype="<f4").tobytes()
-    }
+    own = [item for item in (*spec.hfields, *spec.meshes) if item.file]
+    files = [item.file for item in own]
+    for item, stand_in in ((item, f"stand-in{Path(item.file).suffix}") for item in own):
+        item.file = stand_in
+    spec.assets = dict(spec.assets) | STAND_INS
     spec.compile()
     root = ElementTree.fromstring(spec.to_xml())
-    for element, file in zip(root.iterfind("asset/hfield"), files, strict=True):
+    elements = [
+        e for kind in ("hfield", "mesh") for e in root.iterfind(f"asset/{kind}") if "file" in e.attrib
+    ]
+    for element, file in zip(elements, files, strict=True):
         element.set("file", file)
     for element, item in (
         *zip(root.iterfind("asset/hfield"), spec.hfields, strict=True),
@@ -121,7 +126,7 @@ def _exact_xml(spec: mujoco.MjSpec) -> str:
     ):
         for attribute in ("pos", "size", "quat"):
             if attribute in element.attrib:
-                element.set(attribute, " ".join(f"{v:.12g}" for v in getattr(item, attribute)))
+                element.set(attribute, " ".join([f"{v:.12g}" for v in getattr(item, attribute).tolist()]))
     readable_by_old(root)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -120,8 +120,10 @@ def write_map(stem: Path, grid: OccupancyGrid) -> None:
 
 def _grid(metadata: MapMetadata, max_pixels: int) -> OccupancyGrid:
     pixels = read_picture(metadata.image, max_pixels, alpha=True).pixels
-    p = _probability(pixels, metadata)
-    return OccupancyGrid.from_probability(p[::-1], metadata.resolution, metadata.origin)
+    graded = pixels.ndim == 2 and pixels.dtype == np.uint8 and pixels.size > LEVELS.size
+    p = _probability(LEVELS if graded else pixels, metadata)
+    grid = OccupancyGrid.from_probability(p[::-1], metadata.resolution, metadata.origin)
+    return replace(grid, log_odds=grid.log_odds[0][pixels[::-1]]) if graded else grid
 
 
 def _probability(pixels: NDArray[Any], metadata: MapMetadata) -> FloatArray:
@@ -129,9 +131,6 @@ def _probability(pixels: NDArray[Any], metadata: MapMetadata) -> FloatArray:
 
     Trinary and raw maps average alpha with the colours; scaled ones take any transparency as unknown.
     """
-    if pixels.ndim == 2 and pixels.dtype == np.uint8 and pixels.size > LEVELS.size:
-        graded: FloatArray = _probability(LEVELS, metadata)[0][pixels]
-        return graded
     full = float(np.iinfo(pixels.dtype).max) if np.issubdtype(pixels.dtype, np.integer) else 1.0
     shade = pixels.astype(np.float64) / full
     clear = np.zeros(shade.shape[:2], np.bool_)

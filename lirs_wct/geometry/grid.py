@@ -59,6 +59,12 @@ class OccupancyGrid(ShownAsPicture):
         np.divide(q, 1 - q, out=q)
         return OccupancyGrid(np.log(q, out=q).astype(np.float32), resolution, origin or Pose2())
 
+    @staticmethod
+    def from_mask(occupied: BoolArray, resolution: float, origin: Pose2 | None = None) -> OccupancyGrid:
+        """Build from (rows, cols) whether a cell is occupied, row 0 = south: all others are free."""
+        free, wall = OccupancyGrid.from_probability(((0.0, 1.0),), resolution).log_odds[0]
+        return OccupancyGrid(np.where(occupied, wall, free), resolution, origin or Pose2())
+
     @property
     def shape(self) -> tuple[int, int]:
         """Rows (northward), columns (eastward)."""
@@ -67,7 +73,11 @@ class OccupancyGrid(ShownAsPicture):
     @property
     def probability(self) -> Float32Array:
         """(rows, cols) probability of being occupied, NaN = unknown."""
-        return (1 / (1 + np.exp(-self.log_odds))).astype(np.float32)
+        # In one array: of millions of cells each further one costs more than its arithmetic.
+        p = np.negative(self.log_odds)
+        np.exp(p, out=p)
+        p += 1
+        return np.divide(1, p, out=p)
 
     @property
     def known(self) -> BoolArray:

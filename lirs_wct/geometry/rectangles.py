@@ -52,9 +52,19 @@ def _grown(left: BoolArray, r: int, c: int, along_row: bool) -> tuple[int, int]:
     r1, c1 = r + 1, c + 1
     for axis in range(2):
         if (axis == 0) == along_row:
-            while c1 < left.shape[1] and left[r:r1, c1].all():
+            while c1 < left.shape[1] and _all(left, r, c1, r1, c1 + 1):
                 c1 += 1
         else:
-            while r1 < left.shape[0] and left[r1, c:c1].all():
+            while r1 < left.shape[0] and _all(left, r1, c, r1 + 1, c1):
                 r1 += 1
     return r1, c1
+
+
+@njit(cache=True)
+def _all(left: BoolArray, r0: int, c0: int, r1: int, c1: int) -> bool:
+    """Whether all cells of a rectangle are left; a slice's `all` does not stop at the first that is not."""
+    for r in range(r0, r1):
+        for c in range(c0, c1):
+            if not left[r, c]:
+                return False
+    return True

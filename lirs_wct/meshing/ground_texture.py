@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -54,8 +55,9 @@ def ground_texture(surface: HeightField, walls: WallGrid | None = None) -> ByteA
     return np.ascontiguousarray(rgb[..., ::-1])
 
 
+@cache
 def floor_texture() -> ByteArray:
-    """Return (512, 512, 3) BGR: `FLOOR_SPAN` metres of slabs with joints, without a seam when repeated."""
+    """Return (512, 512, 3) BGR, read-only: `FLOOR_SPAN` metres of slabs, without a seam when repeated."""
     side = TILE_PIXELS // SLABS
     shade = np.random.default_rng(1).normal(0.0, 3.0, (SLABS, SLABS)).repeat(side, 0).repeat(side, 1)
     joint = np.minimum(np.arange(TILE_PIXELS) % side, side - 1 - np.arange(TILE_PIXELS) % side) < 1
@@ -63,8 +65,9 @@ def floor_texture() -> ByteArray:
     return _shaded(FLOOR, shade + _grain(2, 2.5))
 
 
+@cache
 def wall_texture() -> ByteArray:
-    """Return (512, 512, 3) BGR: rough plaster of any size, without a seam when repeated."""
+    """Return (512, 512, 3) BGR, read-only: rough plaster of any size, without a seam when repeated."""
     return _shaded(WALL, _grain(3, 6.0))
 
 
@@ -78,7 +81,9 @@ def _grain(seed: int, strength: float) -> FloatArray:
 
 
 def _shaded(color: FloatArray, shade: FloatArray) -> ByteArray:
-    return np.ascontiguousarray(np.clip(color[::-1] + shade[..., None], 0, 255).astype(np.uint8))
+    pixels = np.clip(color[::-1] + shade[..., None], 0, 255).astype(np.uint8)
+    pixels.setflags(write=False)
+    return pixels
 
 
 def _earth(surface: HeightField, x: FloatArray, y: FloatArray, pixel: tuple[float, float]) -> ByteArray:

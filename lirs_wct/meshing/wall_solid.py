@@ -42,7 +42,7 @@ def wall_mesh(walls: WallGrid, slab: float = SLAB) -> TriangleMesh:
     rectangles = np.ascontiguousarray(np.concatenate(boxes))
     is_wall = np.repeat((True, False), [len(b) for b in boxes])
     holes = np.empty((0, 4), np.int64) if walls.hole is None else merged_rectangles(walls.hole)
-    kind = np.where(walls.solid, WALL, GROUND).astype(np.int8)
+    kind = np.where(walls.solid, np.int8(WALL), np.int8(GROUND))
     if walls.hole is not None:
         kind[walls.hole] = VOID
     marked = _corners(np.concatenate((rectangles, holes)), walls.shape)

@@ -68,7 +68,7 @@ def traversable(
     if truth is not None:
         blocked |= ~_lookup(truth.free, truth.resolution, truth.origin, grid)
     distance = distance_to(blocked, resolution)
-    return OccupancyGrid.from_probability(np.where(distance > clearance, 0.0, 1.0), resolution, grid.origin)
+    return OccupancyGrid.from_mask(distance <= clearance, resolution, grid.origin)
 
 
 def _steep_cells(surface: HeightField, max_slope: float, grid: OccupancyGrid) -> BoolArray:
@@ -228,7 +228,8 @@ def _clipped_cells(points: FloatArray, grid: OccupancyGrid) -> IntArray:
 
 def distance_to(blocked: BoolArray, resolution: float) -> FloatArray:
     """Return metres from each cell to the nearest blocked one; beyond the border all is blocked."""
-    padded = np.pad(~blocked, 1).astype(np.uint8)
+    padded = np.pad(~blocked, 1).view(np.uint8)
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    metres: FloatArray = distance[1:-1, 1:-1].astype(np.float64) * resolution
+    metres: FloatArray = distance[1:-1, 1:-1].astype(np.float64)
+    metres *= resolution
     return metres

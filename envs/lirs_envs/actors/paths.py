@@ -41,7 +41,7 @@ def walkable_ground(world: World) -> OccupancyGrid:
     area = largest_area(free.free)
     if not area.any():
         raise SimulationError(f"{world.name}: no ground is free for walkers")
-    return OccupancyGrid.from_probability(np.where(area, 0.0, 1.0), free.resolution, free.origin)
+    return OccupancyGrid.from_mask(~area, free.resolution, free.origin)
 
 
 def draw_paths(

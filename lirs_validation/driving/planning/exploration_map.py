@@ -91,7 +91,7 @@ def exploration_map(
     room = room_in(free, resolution)
     # At the start, and between rays, the robot stands partly on unknown ground: it must get out of there.
     weight = np.where(possible & ~free, UNSURE, path_weight(free, room))
-    grid = OccupancyGrid.from_probability(np.where(free, 0.0, 1.0), resolution, origin)
+    grid = OccupancyGrid.from_mask(~free, resolution, origin)
     return ExplorationMap(grid, known, _without_small(edge, 2 * footprint / resolution), room, weight)
 
 

@@ -2,8 +2,8 @@
 
 All parts are one geometry: one layer of texture coordinates in Blender, and no seams between objects.
 VERTEX, NORMAL and TEXCOORD have an offset each: Gazebo joins equal positions, and keeps their several normals
-and texture coordinates only where it is told each index. Most of a large file is indices: there, two triangles of
-a grid's cell are one quad, and few distinct normals have short numbers.
+and texture coordinates only where it is told each index. Most of a large file is indices: there, two
+triangles of a grid's cell are one quad, and few distinct normals have short numbers.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ def stream_collada(
 
 
 def _distinct(tables: Sequence[FloatArray], decimals: int) -> tuple[FloatArray, Int32Array]:
-    """Return the normals that differ when rounded, the most frequent first, and of each vertex the number of its."""
+    """Return the normals that differ when rounded, the most frequent first, and each vertex's number of them."""
     scale = 10**decimals
     x, y, z = (np.rint(np.concatenate([t[:, k] for t in tables]) * scale).astype(np.int64) for k in range(3))
     wide = 2 * scale + 1
@@ -197,7 +197,7 @@ def _write_faces(
 
 
 def _joined(faces: Int32Array) -> tuple[Int32Array, Int32Array]:
-    """Return quads (n, 4) in place of triangles a b c, b d c that follow each other, and the other triangles."""
+    """Return quads (n, 4) for triangles a b c, b d c that follow each other, and the other triangles."""
     pairs = faces[: len(faces) // 2 * 2].reshape(-1, 2, 3)
     first, second = pairs[:, 0], pairs[:, 1]
     cell = (first[:, 1] == second[:, 0]) & (first[:, 2] == second[:, 2])

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+
 from lirs_wct.arrays import Int32Array
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.meshes.text import fixed_text
@@ -68,13 +70,8 @@ def _lines(word: bytes, rows: bytes) -> bytes:
 
 def _faces(corners: Int32Array, mesh: TriangleMesh) -> bytes:
     """Return the lines of some faces; position, texture and normal of a corner have one number."""
-    text = fixed_text(corners, 0)
-    if mesh.uv is None and mesh.normals is None:
-        return _lines(b"f", text)
-    slots = (b"%s/%s/%s", b"%s/%s", b"%s//%s")
-    form = slots[0] if mesh.uv is not None and mesh.normals is not None else slots[1 + (mesh.uv is None)]
-    out = [
-        b"f " + b" ".join(form % ((corner,) * form.count(b"%s")) for corner in line.split())
-        for line in text.splitlines()
-    ]
-    return b"\n".join(out) + b"\n"
+    numbers = 1 + (mesh.uv is not None) + (mesh.normals is not None)
+    between = (b"/" * (numbers - 1) + b" ") * 3
+    text = fixed_text(np.repeat(corners, numbers, axis=1), 0, between[:-1])
+    # Where the texture's number is missing, its place stays.
+    return _lines(b"f", text if mesh.uv is not None else text.replace(b"/", b"//"))

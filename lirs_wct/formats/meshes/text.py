@@ -12,24 +12,27 @@ _LONGEST = 22
 """Characters of a sign, 19 digits, a point and a separator."""
 
 
-def fixed_text(table: ArrayLike, decimals: ArrayLike) -> bytes:
-    """Return a table as decimal text: columns separated by spaces, rows ended by newlines.
+def fixed_text(table: ArrayLike, decimals: ArrayLike, between: bytes = b" ") -> bytes:
+    """Return a table as decimal text: columns separated, rows ended by newlines.
 
     Zeros that say nothing are left out (`.5`, `-3`), as XML Schema's double allows.
 
     Args:
         table: (rows, columns) finite numbers below 1e12.
         decimals: digits after the point, 0 to 6, for each column.
+        between: a character that separates columns, or one for each gap between two.
     """
     values = np.ascontiguousarray(table, dtype=np.float64)
     digits = np.broadcast_to(np.asarray(decimals, dtype=np.int64), values.shape[1:]).copy()
     out = np.empty(values.size * _LONGEST, dtype=np.uint8)
-    return out[: _write(values, digits, out)].tobytes()
+    ends = np.full(values.shape[1], ord("\n"), np.uint8)
+    ends[:-1] = np.frombuffer(between, np.uint8)
+    return out[: _write(values, digits, ends, out)].tobytes()
 
 
 @njit(cache=True)
-def _write(values: FloatArray, decimals: IntArray, out: ByteArray) -> int:
-    """Write the text into `out` and return its length."""
+def _write(values: FloatArray, decimals: IntArray, ends: ByteArray, out: ByteArray) -> int:
+    """Write the text, with a character behind each column, into `out` and return its length."""
     at = 0
     reverse = np.empty(24, np.uint8)
     rows, cols = values.shape
@@ -58,6 +61,6 @@ def _write(values: FloatArray, decimals: IntArray, out: ByteArray) -> int:
                     at += 1
                 out[at] = reverse[k]
                 at += 1
-            out[at] = 32 if col < cols - 1 else 10
+            out[at] = ends[col]
             at += 1
     return at

@@ -171,7 +171,8 @@ def _heights(path: Path, raster: Raster, options: BuildOptions) -> tuple[HeightF
     above = apply_filters(above, options)
     if options.zero is None:
         lowest = float(above.min())
-        above, base = _metres(above - np.float32(lowest), info.unit, options.height, factor), base + lowest
+        above -= np.float32(lowest)
+        above, base = _metres(above, info.unit, options.height, factor), base + lowest
     else:
         above *= np.float32(unit)
     width, depth = _extent(pixels.shape, pixel_of(info), options)

@@ -116,3 +116,11 @@ def test_a_probability_of_just_a_threshold_is_neither_occupied_nor_free(threshol
     just = grid.probability == np.float32(threshold)
     assert just.any()
     assert not (grid.occupied | grid.free)[just].any()
+
+
+def test_a_mask_is_what_certain_probabilities_are() -> None:
+    mask = np.random.default_rng(3).random((5, 7)) < 0.4
+    grid = OccupancyGrid.from_mask(mask, 0.5, Pose2(1, 2, 0.3))
+    expected = OccupancyGrid.from_probability(mask.astype(float), 0.5, Pose2(1, 2, 0.3))
+    assert grid.log_odds.tobytes() == expected.log_odds.tobytes()
+    assert (grid.resolution, grid.origin) == (expected.resolution, expected.origin)

@@ -124,7 +124,9 @@ def check_corners(found: np.ndarray, mesh: TriangleMesh) -> None:
 def test_bytes_count_in_large_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Indices are most of a file: a grid's cells are quads, and equal normals one."""
     rows, cols = np.mgrid[:90, :120]
-    smooth = solid_mesh(HeightField.centered((np.sin(rows / 9) + np.cos(cols / 9)).astype(np.float32), (1, 1)))
+    smooth = solid_mesh(
+        HeightField.centered((np.sin(rows / 9) + np.cos(cols / 9)).astype(np.float32), (1, 1))
+    )
     write_collada(tmp_path / "a.dae", smooth, stream_above=0)
     monkeypatch.setattr("lirs_wct.export.mesh_writer.BULK", 0)
     write_collada(tmp_path / "b.dae", smooth, stream_above=0)

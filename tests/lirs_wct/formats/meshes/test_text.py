@@ -32,6 +32,7 @@ def test_numbers(number: float, decimals: int, text: str) -> None:
 def test_table() -> None:
     assert fixed_text([[1, 0.5], [2, -0.25]], (0, 2)) == b"1 .5\n2 -.25\n"
     assert fixed_text(np.empty((0, 3)), 2) == b""
+    assert fixed_text([[1, 2, 3], [40, 5, 6]], 0, b"/;") == b"1/2;3\n40/5;6\n"
 
 
 @given(st.floats(-1e6, 1e6), st.integers(0, 6))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import tracemalloc
 import warnings
 import zlib
 from pathlib import Path
@@ -463,3 +464,17 @@ def test_smoothed_heights_start_at_zero_too(tmp_path: Path) -> None:
     z = read(path, smoothing=1).z
     assert z.min() == z[10, 12] == 0.0
     assert 0 < z.max() < 40
+
+
+def test_a_large_picture_stands_in_memory_twice_at_most(tmp_path: Path) -> None:
+    """As gray levels and as heights: 6 bytes a pixel of 16 bits, 10 with one more copy of the heights."""
+    side = 2000
+    levels = np.random.default_rng(4).integers(0, 1 << 16, (side, side)).astype(np.uint16)
+    path = tmp_path / "large.png"
+    cv2.imwrite(str(path), levels)
+    read_height_field(path, BuildOptions())
+    tracemalloc.start()
+    read_height_field(path, BuildOptions())
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 9 * side**2
