@@ -158,7 +158,7 @@ def stream_collada(
 
 
 def _distinct(tables: Sequence[FloatArray], decimals: int) -> tuple[FloatArray, Int32Array]:
-    """Return the normals that differ when rounded, the most frequent first, and each vertex's number of them."""
+    """Return the normals that differ when rounded, the most frequent first, and each vertex's number."""
     scale = 10**decimals
     x, y, z = (np.rint(np.concatenate([t[:, k] for t in tables]) * scale).astype(np.int64) for k in range(3))
     wide = 2 * scale + 1
