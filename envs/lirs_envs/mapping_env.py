@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 
 from lirs_envs.coverage import CoverageGrid
+from lirs_envs.episodes.config import TIMESTEPS
 from lirs_envs.lidar.casters import resolve_rays
 from lirs_envs.lidar.noise import NoiseLevel
 from lirs_envs.rendering.snapshot import Snapshot
@@ -83,6 +84,7 @@ class MappingEnv(gym.Env[Observed, Float32Array]):
             noise=SensorNoise(odometry=OdometryConfig(method=odometry), lidar=noise, rolling_scan=sweep),
             contact_geometry=terrain,
             rays=resolve_rays(rays),
+            longest_timestep=TIMESTEPS.get(robot),
         )
         self.simulation = Simulation(place, config)
         preset, limit = self.simulation.preset, np.inf

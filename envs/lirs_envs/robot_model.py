@@ -26,7 +26,7 @@ from lirs_wct.world import World
 FULL_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 """All that the next step depends on, warm start included."""
 CONTROL_PERIOD = 0.008
-"""Longest time between two control updates, seconds."""
+"""Time between two control updates, seconds, as nearly as whole steps allow."""
 REFERENCE_TIMESTEP = 0.004
 """Longest step of the reference physics, seconds, whatever a robot's own step is."""
 SETTLING_TIME = 0.6
@@ -44,7 +44,8 @@ class RobotModel:
         model: compiled.
         data: its state.
         contact: the grid that wheels touch.
-        timestep: seconds; the largest part of the period that is at most the robot's own.
+        timestep: seconds; the largest part of the period that is at most the robot's own and at most
+            `longest_timestep`.
         substeps: steps of each control update of one period.
         wheel_geoms: ids of the geoms that are meant to touch the ground.
         own_geoms: ids of all of the robot's geoms; None where nobody else has any.
@@ -65,6 +66,7 @@ class RobotModel:
         height_range: lowest and highest height that `replace_surface` may write, metres; the ground that is
             touched is then the surface itself. None = the ground stays.
         contact_sensors: whether to add a contact sensor for each geom that is not meant to touch the ground.
+        longest_timestep: longest step of the physics, seconds (see `shorten_timestep`); None = the robot's.
     """
 
     def __init__(
@@ -79,16 +81,19 @@ class RobotModel:
         actors: int = 0,
         height_range: tuple[float, float] | None = None,
         contact_sensors: bool = False,
+        longest_timestep: float | None = None,
     ) -> None:
         if height_range is not None and world.kind != "terrain":
             raise ConfigError(f"{world.name}: a height_range is for terrains, this world is a {world.kind}")
         self._height_range = height_range
         self.contact: ContactGrid = (contact_grid if height_range is None else surface_itself)(world.surface)
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
+        if longest_timestep is not None:
+            shorten_timestep(spec, longest_timestep)
         self._period = period
         spec.option.timestep = self.timestep = _even_part(period, spec.option.timestep)
         steps = round(period / self.timestep)
-        most = max(1, int(CONTROL_PERIOD / self.timestep + 1e-9))
+        most = max(1, round(CONTROL_PERIOD / self.timestep))
         self.substeps = tuple(min(most, steps - done) for done in range(0, steps, most))
         if contact_sensors:
             _add_contact_sensors(spec, robot)
@@ -285,6 +290,18 @@ class RobotModel:
         ends = np.cumsum(self.substeps) * (self.timestep / timestep)
         begun = np.ceil(ends - 1e-6).astype(int)
         return tuple(np.diff(begun, prepend=0).tolist())
+
+
+def shorten_timestep(spec: mujoco.MjSpec, longest: float) -> None:
+    """Make a robot's step at most so long, seconds; kv * timestep of its wheels' servos stays."""
+    factor = spec.option.timestep / longest
+    if factor <= 1:
+        return
+    spec.option.timestep = longest
+    for actuator in spec.actuators:
+        if actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE:
+            actuator.gainprm[0] *= factor
+            actuator.biasprm[2] *= factor
 
 
 def _even_part(period: float, longest: float) -> float:

@@ -73,6 +73,7 @@ class Simulation:
             mujoco_rays=config.rays == "mujoco",
             actors=self._walker_bodies,
             height_range=config.height_range,
+            longest_timestep=config.longest_timestep,
         )
         self._meet_world()
         self._seed = seed

@@ -13,7 +13,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.field_validators import is_finite, require_type
+from lirs_wct.field_validators import is_finite, require_above, require_type
 from lirs_wct.geometry.pose import Pose2
 
 
@@ -35,9 +35,11 @@ class SimulationConfig:
         start: pose where a reset sets the robot down; None = the world's first start pose.
         height_range: lowest and highest height that `Simulation.replace_terrain` may write, metres; wheels
             then touch the surface itself, node by node. None = the ground stays.
+        longest_timestep: longest step of the physics, seconds; None = the robot's own, never exceeded.
 
     Raises:
-        ConfigError: a value is of the wrong type, or no lidar, rays or contact geometry has the name.
+        ConfigError: a value is of the wrong type or not legal, or no lidar, rays or contact geometry has the
+            name.
     """
 
     robot: Robot
@@ -49,6 +51,7 @@ class SimulationConfig:
     actors: int = 0
     start: Pose2 | None = None
     height_range: tuple[float, float] | None = None
+    longest_timestep: float | None = None
 
     def __post_init__(self) -> None:
         require_type(self, Robot, "robot")
@@ -65,6 +68,8 @@ class SimulationConfig:
         if self.start is not None:
             check_start(self.start)
         self._check_height_range()
+        if self.longest_timestep is not None:
+            require_above(self, 0, "longest_timestep", unit="s", finite=True)
         make_lidar_preset(self.preset_name)
 
     def _check_height_range(self) -> None:

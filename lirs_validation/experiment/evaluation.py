@@ -187,6 +187,7 @@ def evaluate_rtf(log: DriveLog, simulation: Simulation, threads: int = 1) -> dic
         **physics_rtf(simulation),
         "simulated_seconds": len(log.walls) * period,
         "wall_seconds": sum(log.walls),
+        "timestep": simulation.body.timestep,
         "concurrent": log.concurrent,
         "extrapolated": log.status == "wall limit",
         "series": series.tolist(),

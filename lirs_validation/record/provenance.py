@@ -27,12 +27,12 @@ def _installed() -> dict[str, str]:
 
 @cache
 def code() -> str:
-    """Return eight hex digits of our own Python files: they distinguish two states of one version."""
+    """Return eight hex digits of our own code and robots: they distinguish two states of one version."""
     digest = hashlib.sha256()
     for package in OWN:
         spec = importlib.util.find_spec(package)
         for folder in (spec.submodule_search_locations or ()) if spec else ():
-            for path in sorted(Path(folder).rglob("*.py")):
+            for path in sorted(path for path in Path(folder).rglob("*") if path.suffix in (".py", ".xml")):
                 digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:8]
 

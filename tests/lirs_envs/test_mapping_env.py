@@ -12,8 +12,10 @@ from gymnasium.utils.env_checker import check_env
 
 import lirs_envs  # noqa: F401  registers
 from lirs_envs.coverage import CoverageGrid
+from lirs_envs.episodes.config import EnvConfig
 from lirs_envs.mapping_env import MappingEnv
 from lirs_envs.sensing.ekf import EkfOdometry
+from lirs_envs.simulation import Simulation
 from lirs_wct.errors import ConfigError, SimulationError, SourceError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
@@ -48,6 +50,14 @@ def test_same_seed_same_episode(plane: World) -> None:
             bytes_ += [observation[k].tobytes() for k in ("scan", "odometry", "attitude")] + [repr(reward)]
         runs.append(bytes_)
     assert runs[0] == runs[1]
+
+
+def test_the_husky_keeps_the_step_of_the_environments_version(plane: World) -> None:
+    for config in (MappingEnv(plane).simulation.config, EnvConfig(world=plane).simulation):
+        body = Simulation(plane, config).body
+        assert body.timestep == 0.004
+        assert (body.model.actuator_gainprm[:, 0] == 200).all()
+        assert body.substeps == (2,) * 5
 
 
 def test_action_is_a_share_of_the_limits(plane: World) -> None:

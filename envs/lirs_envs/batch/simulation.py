@@ -88,6 +88,7 @@ class BatchSimulation:
             actors=self._walker_bodies,
             height_range=height_range,
             contact_sensors=True,
+            longest_timestep=config.longest_timestep,
         )
         self._height_range = height_range
         self.groups = make_groups(

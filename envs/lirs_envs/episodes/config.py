@@ -28,6 +28,8 @@ RANDOMIZED: dict[str, tuple[float, float] | None] = {
     "terrain": None,
 }
 """What an episode may draw, with the factors between which it does."""
+TIMESTEPS = {"husky": 0.004}
+"""Longest physics step, seconds, of robots whose step was shorter when the environments' versions came."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +94,7 @@ class EnvConfig:
             contact_geometry=self.terrain,
             props=[_prop(given) for given in self.props],
             actors=self.actors,
+            longest_timestep=TIMESTEPS.get(self.robot),
         )
         object.__setattr__(self, "simulation", config)
         _ = self.factors

@@ -231,6 +231,9 @@ def test_mjcf_and_data_row_agree(robot: Robot) -> None:
     assert max(xs) - min(xs) == pytest.approx(robot.wheelbase, abs=1e-4)
     assert robot.wheel_radius - left[2] == pytest.approx(robot.base_height, abs=1e-4)
     assert model.opt.timestep <= 0.005
+    for actuator, joint in enumerate(model.actuator_trnid[:, 0]):  # see husky.xml
+        armature = model.dof_armature[model.jnt_dofadr[joint]]
+        assert model.actuator_gainprm[actuator, 0] * model.opt.timestep < armature
     assert model.opt.jacobian == mujoco.mjtJacobian.mjJAC_DENSE
     assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
 
