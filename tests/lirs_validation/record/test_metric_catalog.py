@@ -34,9 +34,9 @@ from slam_baselines.mapper import MapperStats
 from tests.lirs_validation.records import entry
 
 COUNTS = {
-    "rtf.simulated_seconds", "rtf.timestep", "rtf.wall_seconds", "trajectory.poses", "trajectory.rpe_metre.pairs",
-    "trajectory.rpe_second.pairs", "trajectory.relations.relations", "map.occupied_cells",
-    "collisions.samples",
+    "rtf.simulated_seconds", "rtf.timestep", "rtf.wall_seconds", "trajectory.poses",
+    "trajectory.rpe_metre.pairs", "trajectory.rpe_second.pairs", "trajectory.relations.relations",
+    "map.occupied_cells", "collisions.samples",
 }  # fmt: skip
 """Numbers of a record that are no metrics: over how much the metrics were taken."""
 
