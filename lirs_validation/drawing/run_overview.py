@@ -28,6 +28,7 @@ from lirs_wct.drawing.panels import headline, path_ends, value_list
 from lirs_wct.drawing.style import (
     BLACK,
     BLUE,
+    DPI,
     GRAY,
     GREEN,
     TEXT,
@@ -70,7 +71,7 @@ def overview_figure(
         aligned: the same after the trajectory's alignment; None where there is none.
         elevation: what the clouds make by the mapper's poses, world frame; None of a planar mapper.
     """
-    canvas = Canvas.over(shown_bounds(world, truth, true_pose))
+    canvas = Canvas.over(shown_bounds(world, truth, true_pose), round(PANEL * DPI))
     rows, cols = canvas.shape
     shape = min(max(rows / cols, 0.35), 1.5)
     upper = max(PANEL * shape, 4.2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,13 @@ from lirs_validation.experiment.clouds.guard import (
     guarded,
     occupancy_map,
 )
-from lirs_validation.experiment.cost import CostMeter, compile_timer, give_back_memory, heap_at_rest
+from lirs_validation.experiment.cost import (
+    CostMeter,
+    compile_timer,
+    give_back_memory,
+    heap_at_rest,
+    large_blocks_apart,
+)
 from lirs_validation.experiment.cpu_contention import cpu_contention
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
@@ -165,7 +171,10 @@ def run(
     with recording(config, out, ready.simulation.period) as recorded:
         log, cost = _timed_drive(ready, progress, recorded.add, _existing(out))
         log.concurrent = log.concurrent or concurrent
-        return conclude(ready, log, cost, out, progress, name=name, recorded=recorded)
+        evaluated = _evaluated(ready, log, cost, progress)
+        # The simulation with its commands, and the mapper's grids: as large as what is drawn now.
+        del ready
+        return _written(evaluated, out, name, recorded)
 
 
 @dataclass(frozen=True)
@@ -233,6 +242,12 @@ def conclude(
     Raises:
         SimulationError: not a single scan was driven.
     """
+    return _written(_evaluated(ready, log, cost, progress), out, name, recorded)
+
+
+@large_blocks_apart()
+def _evaluated(ready: ReadyRun, log: DriveLog, cost: dict[str, Any], progress: Progress) -> Run:
+    """Return a run whose folder is not written yet."""
     scenario, mapper = ready.scenario, ready.mapper
     if not log.walls:
         raise SimulationError(f"{scenario.config.source}: nothing was driven: {log.reason}")
@@ -243,13 +258,19 @@ def conclude(
     give_back_memory()
     cost = cost | {"compile_seconds": ready.compile_seconds}
     record = evaluate(scenario, ready.simulation, mapper, log, maps, cost)
-    folder = None if out is None else out / (name or record.name)
-    if folder is not None:
-        T_map_world = log.truth[0].to_pose2().inverse()
-        built = None if maps.built is None else maps.built.moved(T_map_world)
-        bag = (recorded or Recording()).finished(built)
-        record = write_results(folder, record, log, maps, scenario.world, bag)
-    return Run(record, log, maps, scenario.world, folder)
+    return Run(record, log, maps, scenario.world, None)
+
+
+@large_blocks_apart()
+def _written(run: Run, out: Path | None, name: str | None, recorded: Recording | None) -> Run:
+    """Write the folder of a run where one is wanted."""
+    if out is None:
+        return run
+    log, maps, folder = run.log, run.maps, out / (name or run.record.name)
+    T_map_world = log.truth[0].to_pose2().inverse()
+    built = None if maps.built is None else maps.built.moved(T_map_world)
+    bag = (recorded or Recording()).finished(built)
+    return replace(run, record=write_results(folder, run.record, log, maps, run.world, bag), folder=folder)
 
 
 def _existing(out: Path | None) -> Path | None:

@@ -55,10 +55,10 @@ def plain_axes(axes: Axes, x: str, y: str) -> None:
 
 def map_axes(axes: Axes, canvas: Canvas, picture: FloatArray) -> None:
     """Show a picture (rows, cols, 3) in [0, 1] in metres, both axes alike."""
-    # Of bytes, matplotlib makes an eighth of the copies that it makes of float64.
-    levels = np.empty(picture.shape, np.uint8)
+    # Of bytes, matplotlib makes float32; where it has to add the alpha itself, float64.
+    levels = np.full((*picture.shape[:2], 4), 255, np.uint8)
     for first in range(0, len(picture), BAND):
-        levels[first : first + BAND] = np.rint(picture[first : first + BAND] * 255)
+        levels[first : first + BAND, :, :3] = np.rint(picture[first : first + BAND] * 255)
     axes.imshow(levels, extent=canvas.extent, interpolation="antialiased", zorder=0)
     plain_axes(axes, "x [m]", "y [m]")
     for spine in axes.spines.values():
