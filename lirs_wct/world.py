@@ -24,7 +24,7 @@ from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.meshing.ground_texture import checked_texture
 from lirs_wct.navigation.areas import mapped_area
 from lirs_wct.navigation.footprints import FOOTPRINTS
-from lirs_wct.navigation.spawn_poses import spawn_poses
+from lirs_wct.navigation.spawn_poses import check_inside, spawn_poses
 from lirs_wct.navigation.traversability import overlaid, traversable
 from lirs_wct.sources.clouds.source import read_point_cloud
 from lirs_wct.sources.laser_map import read_laser_map
@@ -313,8 +313,9 @@ def _with_spawn_poses(world: World) -> World:
     On a terrain of kilometres in its middle only, or around that pose: the search is by the decimetre.
 
     Raises:
-        ConfigError: no robot can stand at the pose that was asked for.
+        ConfigError: no robot can stand at the pose that was asked for, or it is outside the world.
     """
+    check_inside(world.name, world.start, world.surface)
     place = world
     if not isinstance(world.ground, LaserMap) and max(world.surface.size) > SPAWN_AREA:
         west, south, east, north = world.surface.bounds

@@ -71,36 +71,35 @@ class Axes:
             self.seeds,
             self.threads,
         )
-        return tuple(
-            SlamExperiment(
-                RunConfig(
-                    source=source,
-                    robot=robot,
-                    mapper=mapper,
-                    lidar=lidar,
-                    terrain=representation.terrain,
-                    rays=representation.rays,
-                    seconds=self.seconds,
-                    seed=seed,
-                    wall_limit=self.wall_limit,
-                    attitude=attitude,
-                    driver=driver,
-                    actors=actors,
-                    threads=threads,
-                    build=self.build,
-                ),
-                tables,
-            )
-            for (
-                source,
-                representation,
-                robot,
-                lidar,
-                driver,
-                actors,
-                mapper,
-                attitude,
-                seed,
-                threads,
-            ) in crossings
+        return tuple(SlamExperiment(self._config(*crossing), tables) for crossing in crossings)
+
+    def _config(
+        self,
+        source: str,
+        representation: Representation,
+        robot: str,
+        lidar: str | None,
+        driver: str,
+        actors: int,
+        mapper: str,
+        attitude: Attitude,
+        seed: int,
+        threads: int,
+    ) -> RunConfig:
+        """Return the config at a crossing, whose values come in the order of `experiments`."""
+        return RunConfig(
+            source=source,
+            robot=robot,
+            mapper=mapper,
+            lidar=lidar,
+            terrain=representation.terrain,
+            rays=representation.rays,
+            seconds=self.seconds,
+            seed=seed,
+            wall_limit=self.wall_limit,
+            attitude=attitude,
+            driver=driver,
+            actors=actors,
+            threads=threads,
+            build=self.build,
         )

@@ -192,3 +192,14 @@ def test_a_world_too_large_to_search_says_so() -> None:
     world = World("dem", Terrain(HeightField.centered(np.zeros((9, 9), np.float32), (11_000.0, 13_800.0))))
     with pytest.raises(SourceError, match=r"cells of 0\.1 m to drive on.*--window"):
         world.traversable(clearance=0.5, max_slope=0.3)
+
+
+@pytest.mark.parametrize("source", ["simple", "medium"])
+@pytest.mark.parametrize(("x", "y"), [(400.0, 0.0), (0.0, -400.0)])
+def test_a_start_outside_is_told_how_far_the_world_reaches(source: str, x: float, y: float) -> None:
+    west, south, east, north = build_world(source).surface.bounds
+    with pytest.raises(ConfigError) as caught:
+        build_world(source, BuildOptions(start=Pose2(x, y)))
+    said = str(caught.value)
+    assert said.startswith(f"{source}: no robot can start at {x:g},{y:g}: that is outside the world")
+    assert f"x is {west:.5g} to {east:.5g} m and y {south:.5g} to {north:.5g} m" in said

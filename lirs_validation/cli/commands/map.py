@@ -64,15 +64,18 @@ RangeMax = Annotated[
     float | None, typer.Option(metavar="METRES", help="Ranges from here on mean that nothing was there.")
 ]
 
+Resolution = Annotated[
+    float | None, typer.Option(metavar="METRES", help="Edge of a map's cell; default: the mapper's own.")
+]
+Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for the map's folder.")]
+
 
 def map_log(
     log: Log,
     mapper: MapperName = "cartographer",
     seed: Annotated[int, typer.Option(help="Seed of the mapper's random numbers.")] = 1,
     particles: Particles = None,
-    resolution: Annotated[
-        float | None, typer.Option(metavar="METRES", help="Edge of a map's cell; default: the mapper's own.")
-    ] = None,
+    resolution: Resolution = None,
     relations: Relations = None,
     reference: Reference = None,
     imu: ImuFile = None,
@@ -83,9 +86,7 @@ def map_log(
     odom_topic: OdomTopic = None,
     imu_topic: ImuTopic = None,
     reference_topic: ReferenceTopic = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the map's folder.")] = Path(
-        "out"
-    ),
+    output: Output = Path("out"),
 ) -> None:
     """Map a laser log: map.pgm and map.yaml for ROS, the path, a picture, and its accuracy."""
     from lirs_validation.config import ATTITUDES, MapConfig

@@ -22,31 +22,32 @@ MESHES = {"dae", "stl", "obj", "glb", "usd"}
 """What `--to` writes as meshes."""
 
 
+Formats = Annotated[
+    str,
+    typer.Option(metavar="F,F,...", help="What to write: dae, stl, sdf, mjcf, obj, hfield, glb, usd, map."),
+]
+GazeboModel = Annotated[
+    str,
+    typer.Option(
+        metavar="solid|heightmap",
+        help="Gazebo's model: the solid mesh, or a heightmap (square, 2^n + 1 px, 8 bit).",
+    ),
+]
+MapHeight = Annotated[
+    float | None,
+    typer.Option(metavar="METRES", show_default="0.3", help="Height of the lidar that --to map is made for."),
+]
+
+
 @with_build_options
 def build(
     source: Source,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the world's folder.")] = Path(
         "worlds"
     ),
-    to: Annotated[
-        str,
-        typer.Option(
-            metavar="F,F,...", help="What to write: dae, stl, sdf, mjcf, obj, hfield, glb, usd, map."
-        ),
-    ] = "dae,stl,sdf,mjcf",
-    terrain: Annotated[
-        str,
-        typer.Option(
-            metavar="solid|heightmap",
-            help="Gazebo's model: the solid mesh, or a heightmap (square, 2^n + 1 px, 8 bit).",
-        ),
-    ] = "solid",
-    map_height: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES", show_default="0.3", help="Height of the lidar that --to map is made for."
-        ),
-    ] = None,
+    to: Formats = "dae,stl,sdf,mjcf",
+    terrain: GazeboModel = "solid",
+    map_height: MapHeight = None,
     *,
     options: SourceOptions,
 ) -> None:

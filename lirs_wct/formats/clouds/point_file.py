@@ -20,6 +20,8 @@ from lirs_wct.geometry.geodesy.earth import CoordinateSystem
 VERTICAL_UNITS = 4099
 """GeoKey of the unit of z."""
 EXTRA = "pip install 'lirs-wct[clouds]'"
+LAS_BEGIN = b"LASF"
+"""The first bytes of a LAS or LAZ file."""
 GROUND, NOISE = 2, (7, 18)
 """Classes of the ASPRS LAS specification 1.4, table 17."""
 
@@ -89,6 +91,10 @@ def _read_pcd(path: Path) -> PointFile:
 
 
 def _read_las(path: Path) -> PointFile:
+    with path.open("rb") as file:
+        begin = file.read(len(LAS_BEGIN))
+    if begin != LAS_BEGIN:
+        raise SourceError(f"{path}: is not a LAS file: it begins with {begin!r}, those with {LAS_BEGIN!r}")
     _require(path, "laspy")
     if path.suffix.lower() == ".laz":
         _require(path, "lazrs")

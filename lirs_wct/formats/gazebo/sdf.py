@@ -115,6 +115,27 @@ def spherical_coordinates(place: Place | None) -> str:
     </spherical_coordinates>"""
 
 
+_DAYLIGHT = """    <scene>
+      <ambient>0.4 0.4 0.4 1</ambient>
+      <background>0.7 0.8 0.9 1</background>
+      <shadows>true</shadows>
+    </scene>
+    <light name="sun" type="directional">
+      <pose>0 0 100 0 0 0</pose>
+      <cast_shadows>true</cast_shadows>
+      <diffuse>0.8 0.8 0.8 1</diffuse>
+      <specular>0.2 0.2 0.2 1</specular>
+      <attenuation>
+        <range>10000</range>
+        <constant>0.9</constant>
+        <linear>0.01</linear>
+        <quadratic>0.001</quadratic>
+      </attenuation>
+      <direction>-0.5 0.1 -0.9</direction>
+    </light>
+"""
+
+
 def world_sdf(
     name: str,
     *,
@@ -147,25 +168,7 @@ def world_sdf(
       <real_time_factor>{step.real_time_factor:g}</real_time_factor>
       <real_time_update_rate>{rate:g}</real_time_update_rate>
     </physics>{spherical_coordinates(place)}
-{_spawning(starts)}{_gui(view)}    <scene>
-      <ambient>0.4 0.4 0.4 1</ambient>
-      <background>0.7 0.8 0.9 1</background>
-      <shadows>true</shadows>
-    </scene>
-    <light name="sun" type="directional">
-      <pose>0 0 100 0 0 0</pose>
-      <cast_shadows>true</cast_shadows>
-      <diffuse>0.8 0.8 0.8 1</diffuse>
-      <specular>0.2 0.2 0.2 1</specular>
-      <attenuation>
-        <range>10000</range>
-        <constant>0.9</constant>
-        <linear>0.01</linear>
-        <quadratic>0.001</quadratic>
-      </attenuation>
-      <direction>-0.5 0.1 -0.9</direction>
-    </light>
-    <include>
+{_spawning(starts)}{_gui(view)}{_DAYLIGHT}    <include>
       <uri>{escape(model_uri(model or name))}</uri>
     </include>
   </world>

@@ -248,6 +248,11 @@ def _gray(path: Path, pixels: NDArray[Any], grayscale: bool) -> NDArray[np.float
     span = pixels.max(axis=2).astype(kind) - pixels.min(axis=2)
     full = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else float(np.nanmax(np.abs(pixels)))
     if not grayscale and (span > GRAY_TOLERANCE * full / 255).any():
+        if pixels.dtype.kind == "f":
+            raise SourceError(
+                f"{path}: has {pixels.shape[2]} different bands of {pixels.dtype}, a terrain needs one band "
+                "of heights: cut that out (gdal_translate -b 1 IN OUT), or mix them with --grayscale"
+            )
         raise SourceError(f"{path}: is in colour, a terrain needs a gray picture; {way_out(pixels)}")
     if not span.any():
         gray = pixels[..., 0].astype(kind)

@@ -309,3 +309,15 @@ def test_a_slope_adds_no_roughness(seed: int) -> None:
     x, y = grid.west + np.arange(grid.shape[1]), grid.south + np.arange(grid.shape[0])
     off = grid.mean(np.column_stack((xy, 0.5 * xy[:, 0] - 0.3 * xy[:, 1]))) - (0.5 * x - 0.3 * y[:, None])
     assert np.sqrt(np.nanmean(off**2)) < 0.02
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+@pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n", bytes(range(200))])
+def test_what_is_no_las_file_says_so_and_asks_for_no_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, content: bytes
+) -> None:
+    monkeypatch.setattr("lirs_wct.formats.clouds.point_file.find_spec", lambda _: None)
+    path = tmp_path / f"a.{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(SourceError, match=rf"a\.{suffix}: is not a LAS file: .*b'LASF'"):
+        build_world(path)

@@ -478,3 +478,13 @@ def test_a_large_picture_stands_in_memory_twice_at_most(tmp_path: Path) -> None:
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 9 * side**2
+
+
+def test_bands_of_floats_are_no_colors(tmp_path: Path) -> None:
+    bands = np.random.default_rng(6).random((9, 8, 3)).astype(np.float32) * 700
+    wrong = png(tmp_path / "bands.tif", bands)
+    expected = r"bands\.tif: has 3 different bands of float32, a terrain needs one band .*-b 1.*--grayscale"
+    with pytest.raises(SourceError, match=expected):
+        read(wrong)
+    assert read(wrong, grayscale=True).shape == (9, 8)
+    assert read(png(tmp_path / "same.tif", np.repeat(bands[..., :1], 3, axis=2))).shape == (9, 8)
