@@ -23,6 +23,7 @@ from lirs_validation.experiment.cost import (
     give_back_memory,
     heap_at_rest,
     large_blocks_apart,
+    left_clean,
 )
 from lirs_validation.experiment.cpu_contention import cpu_contention
 from lirs_validation.experiment.drive_log import DriveLog
@@ -261,6 +262,7 @@ def _evaluated(ready: ReadyRun, log: DriveLog, cost: dict[str, Any], progress: P
     return Run(record, log, maps, scenario.world, None)
 
 
+@left_clean()
 @large_blocks_apart()
 def _written(run: Run, out: Path | None, name: str | None, recorded: Recording | None) -> Run:
     """Write the folder of a run where one is wanted."""

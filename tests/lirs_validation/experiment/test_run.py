@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import time
 import weakref
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.sensors import Observation
@@ -249,5 +251,15 @@ def test_simulation_and_mapper_are_gone_before_the_folder_is_written(
 
     monkeypatch.setattr(run_module, "prepare", noted)
     monkeypatch.setattr(run_module, "write_results", looked)
-    validate("medium", seconds=1, out=tmp_path)
+    figures = number_of_figures()
+    gc.disable()  # a long one: nothing is looked through by itself
+    try:
+        validate("medium", seconds=1, out=tmp_path)
+    finally:
+        gc.enable()
     assert alive == [False, False]
+    assert number_of_figures() == figures
+
+
+def number_of_figures() -> int:
+    return sum(isinstance(one, Figure) for one in gc.get_objects())
