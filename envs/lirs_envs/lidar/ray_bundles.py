@@ -45,11 +45,11 @@ def safe_distance(
     if speed <= 0.0:
         return 0.0
     # From there on the fastest beam is beyond the border.
-    reach = min(max_range, (nx + ny) / speed)
+    reach, per_cell = min(max_range, (nx + ny) / speed), 1.0 / speed
     # Not `LEAF` alone: of a literal Numba would compile `_highest` once more.
     top, level, t = len(terrain.width) - 1, int(np.int64(LEAF)), 0.0
     while t < reach:
-        t_out = min(t + 2.0**level / speed, reach)
+        t_out = min(t + (1 << level) * per_cell, reach)
         west, east = u + min(least_u * t, least_u * t_out), u + max(most_u * t, most_u * t_out)
         south, north = v + min(least_v * t, least_v * t_out), v + max(most_v * t, most_v * t_out)
         if west > nx or east < 0.0 or south > ny or north < 0.0:
@@ -67,9 +67,11 @@ def safe_distance(
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _highest(terrain: TerrainMipmap, box: tuple[int, int, int, int], level: int) -> float:
     """Return the highest bound of a level's squares that hold a box of cells: west, south, east, north."""
-    first, width, highest = terrain.start[level], terrain.width[level], -np.inf
+    # Unsigned: an index that might be negative costs a comparison.
+    row, highest = np.uint64(level), np.float32(-np.inf)
+    first, width = terrain.start[row], terrain.width[row]
     west, south, east, north = box
     for r in range(south >> level, (north >> level) + 1):
         for c in range(west >> level, (east >> level) + 1):
-            highest = max(highest, np.float64(terrain.bound[first + r * width + c]))
-    return highest
+            highest = max(highest, terrain.bound[np.uint64(first + r * width + c)])
+    return np.float64(highest)
