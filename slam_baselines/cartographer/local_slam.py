@@ -125,13 +125,12 @@ class LocalSlam:
 
         Checked on uneven ground only: a hill taken for a wall pulls a scan away at once, and no wheel does.
         """
-        c, sd = self.config, np.sqrt(np.diag(expected.covariance))
+        c, (x, y, yaw) = self.config, expected.covariance.diagonal().tolist()
         slip, turn = pose.distance(expected.pose), abs(wrap_angle(pose.yaw - expected.pose.yaw))
         reach = c.slip_speed * seconds
-        return bool(
-            slip <= reach + c.slip_deviations * max(sd[0], sd[1])
-            and turn <= reach + c.slip_deviations * sd[2]
-        )
+        return slip <= reach + c.slip_deviations * math.sqrt(
+            max(x, y)
+        ) and turn <= reach + c.slip_deviations * math.sqrt(yaw)
 
     def _fits(self, match: Match | None) -> bool:
         """Return whether the scan may enter the submaps: until walls are proven, a match says nothing."""
