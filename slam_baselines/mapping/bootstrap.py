@@ -32,7 +32,7 @@ class BootstrapConfig:
     """When the start is refined.
 
     Attributes:
-        first: distance traveled at the first refinement, metres; the next come whenever it has doubled.
+        first: distance traveled at the first refinement, metres; the next are due at 2, 4, 8 ... times that.
         last: distance after which there is none, metres.
 
     Raises:
@@ -59,6 +59,7 @@ class Bootstrap(Generic[K]):
         self.refinements = 0
         self._last = config.last
         self._next = config.first
+        self._distance = 0.0
 
     @property
     def over(self) -> bool:
@@ -71,13 +72,15 @@ class Bootstrap(Generic[K]):
             self.close()
             return False
         self.keyframes.append(keyframe)
+        self._distance = distance_traveled
         return distance_traveled >= self._next
 
     def replace(self, keyframes: Sequence[K]) -> None:
-        """Take over refined keyframes; the next refinement is due at twice the distance."""
+        """Take over refined keyframes; those refinements that were due by now are done with this one."""
         self.keyframes = list(keyframes)
         self.refinements += 1
-        self._next *= 2
+        while self._next <= self._distance:
+            self._next *= 2
 
     def close(self) -> None:
         """Refine no more."""
