@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import zlib
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,16 +29,16 @@ class PackedLevel:
     Attributes:
         known: zlib, one bit a cell: whether beams came to it.
         hits: zlib, (n,) uint32 numbers of the cells that are more likely occupied than not.
-        value: (n,) what the matcher sees of these where every hit is a wall.
-        min_slope: (n,) their minimum slopes.
+        value: zlib, (n,) what the matcher sees of these where every hit is a wall.
+        min_slope: zlib, (n,) their minimum slopes.
         shape: rows, columns.
         frame: lattice row and column of cell (0, 0), resolution in metres.
     """
 
     known: bytes
     hits: bytes
-    value: ByteArray
-    min_slope: ByteArray
+    value: bytes
+    min_slope: bytes
     shape: tuple[int, int]
     frame: tuple[int, int, float]
 
@@ -52,10 +53,10 @@ class PackedLevel:
         hits = np.flatnonzero(steps > 0)
         frame = level.grid.row0 + box[0].start, level.grid.col0 + box[1].start, level.resolution
         return PackedLevel(
-            zlib.compress(np.packbits(known).data, FASTEST),
-            zlib.compress(hits.astype(np.uint32).data, FASTEST),
-            VALUE[steps[hits] + np.int16(128)],
-            min_slope[hits],
+            _packed(np.packbits(known)),
+            _packed(hits.astype(np.uint32)),
+            _packed(VALUE[steps[hits] + np.int16(128)]),
+            _packed(min_slope[hits]),
             known.shape,
             frame,
         )
@@ -63,8 +64,9 @@ class PackedLevel:
     def unpacked(self, wall_slope: int) -> ByteArray:
         """Return what the matcher sees where hits of a lower minimum slope than `wall_slope` are no walls."""
         value: ByteArray = self._known() * FREE
-        hits = np.frombuffer(zlib.decompress(self.hits), np.uint32)
-        value[hits] = np.where(self.min_slope >= wall_slope, self.value, np.uint8(UNSEEN))
+        hits = _unpacked(self.hits).view(np.uint32)
+        walls = _unpacked(self.min_slope) >= wall_slope
+        value[hits] = np.where(walls, _unpacked(self.value), np.uint8(UNSEEN))
         return value.reshape(self.shape)
 
     def known_cells(self) -> NDArray[np.int64]:
@@ -75,13 +77,20 @@ class PackedLevel:
 
     def _known(self) -> ByteArray:
         """Return (cells,) 1 for those that beams came to."""
-        bits = np.frombuffer(zlib.decompress(self.known), np.uint8)
-        return np.unpackbits(bits, count=math.prod(self.shape))
+        return np.unpackbits(_unpacked(self.known), count=math.prod(self.shape))
 
     @property
     def nbytes(self) -> int:
         """Memory of the packed layers."""
-        return len(self.known) + len(self.hits) + self.value.nbytes + self.min_slope.nbytes
+        return len(self.known) + len(self.hits) + len(self.value) + len(self.min_slope)
+
+
+def _packed(layer: NDArray[Any]) -> bytes:
+    return zlib.compress(layer.data, FASTEST)
+
+
+def _unpacked(packed: bytes) -> ByteArray:
+    return np.frombuffer(zlib.decompress(packed), np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
