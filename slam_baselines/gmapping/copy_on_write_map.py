@@ -46,6 +46,7 @@ class PatchMaps:
         self.tables: Int32Array = np.empty((particles, 0, 0), np.int32)
         self.corner: IntArray = np.zeros(2, np.int64)
         self.patches = resized(None, 256, 64)
+        self._scratch = Scratch.of(0, 0)
         self._steps = (update or UpdateConfig()).steps
 
     @property
@@ -77,10 +78,10 @@ class PatchMaps:
         ends = np.concatenate((scan.hits, scan.free, scan.origin[None]))[:, :2]
         reach = float(np.sqrt((ends**2).sum(axis=1).max())) + 2 * self.resolution
         window = self._cover(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
-        scratch, done = Scratch.of(window), 0
+        self._scratch, done = self._scratch.enough(window), 0
         while True:
             done, needed, records = enter_scans(
-                self.stack, window, poses, scan, min_slopes, wall_slope, self._steps, scratch, done
+                self.stack, window, poses, scan, min_slopes, wall_slope, self._steps, self._scratch, done
             )
             if done == len(poses):
                 return

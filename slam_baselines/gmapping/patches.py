@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import ByteArray, Int32Array
+from lirs_wct.arrays import BoolArray, ByteArray, Int32Array
 from lirs_wct.kernels import njit
 from slam_baselines.mapping.occupancy_map import UNKNOWN
 
@@ -68,17 +68,25 @@ def resized(old: Patches | None, patches: int, records: int) -> Patches:
         np.empty(records + 1, np.int32),
     )
     if old is not None:
-        for name in ("log_odds", "record", "owners", "hits", "mean", "min_slope", "top"):
-            source = getattr(old, name)
-            getattr(new, name)[: len(source)] = source
+        # Rows that were never taken are not copied: they would become memory.
+        patches, records = _end(old.owners > 0), int(old.record.max(initial=ABSENT)) + 1
+        for name in ("log_odds", "record", "owners"):
+            getattr(new, name)[:patches] = getattr(old, name)[:patches]
+        for name in ("hits", "mean", "min_slope", "top"):
+            getattr(new, name)[:records] = getattr(old, name)[:records]
     list_free(new)
     return new
+
+
+def _end(taken: BoolArray) -> int:
+    """Return the index behind the last that is taken; the lowest are taken first."""
+    return len(taken) - int(taken[::-1].argmax()) if taken.any() else 0
 
 
 def reserved(patches: Patches, needed: int, records: int) -> Patches:
     """Return patches of which so many, and so many records, are free; the same where they are."""
     more = [
-        0 if int(free[0]) >= wanted else max(wanted - int(free[0]), (len(free) - 1) // 2)
+        0 if int(free[0]) >= wanted else max(wanted - int(free[0]), len(free) - 1)
         for free, wanted in ((patches.free, needed), (patches.free_records, records))
     ]
     if more == [0, 0]:
@@ -124,33 +132,37 @@ def own_patch(table: Any, patches: Any, row: int, col: int) -> Any:
         patches.log_odds[q] = UNKNOWN
     else:
         patches.owners[p] -= 1
-        # Cell by cell: of assigned rows Numba would compile the message of shapes that differ.
-        for k in range(CELLS):
-            patches.log_odds[q, k] = patches.log_odds[p, k]
+        _copy_row(patches.log_odds, p, q)
         source = patches.record[p]
         if source != ABSENT:
             target = _free_record(patches)
             patches.record[q] = target
+            _copy_row(patches.hits, source, target)
+            _copy_row(patches.min_slope, source, target)
+            _copy_row(patches.top, source, target)
             for k in range(CELLS):
-                patches.hits[target, k] = patches.hits[source, k]
                 patches.mean[target, k, 0] = patches.mean[source, k, 0]
                 patches.mean[target, k, 1] = patches.mean[source, k, 1]
-                patches.min_slope[target, k] = patches.min_slope[source, k]
-                patches.top[target, k] = patches.top[source, k]
     patches.owners[q] = 1
     table[row, col] = q
     return q
 
 
 @njit(cache=True, nogil=True)
-def own_record(patches: Any, p: int) -> Any:
-    """Return the record of a patch's hits, a new one where it has none."""
-    if patches.record[p] == ABSENT:
-        r = _free_record(patches)
-        patches.hits[r] = 0
-        patches.min_slope[r] = 0
-        patches.record[p] = r
-    return patches.record[p]
+def _copy_row(rows: Any, source: int, target: int) -> None:
+    # Cell by cell: of assigned rows Numba would compile the message of shapes that differ.
+    for k in range(CELLS):
+        rows[target, k] = rows[source, k]
+
+
+@njit(cache=True, nogil=True)
+def new_record(patches: Any, p: int) -> Any:
+    """Give a patch its first record, without a hit; return which."""
+    r = _free_record(patches)
+    patches.hits[r] = 0
+    patches.min_slope[r] = 0
+    patches.record[p] = r
+    return r
 
 
 @njit(cache=True, nogil=True)

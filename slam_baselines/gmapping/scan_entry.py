@@ -21,14 +21,17 @@ from slam_baselines.gmapping.patches import (
     MEAN_MEMORY,
     MEAN_STEPS,
     PATCH,
+    new_record,
     own_patch,
-    own_record,
     space_needed,
 )
 from slam_baselines.mapping.occupancy_map import ABOVE, TOP_STEP, UNKNOWN
 
-NEW, PASSED, WALL, DONE = 0, 1, 2, 3
-"""Marks of a cell: not met yet; to be lowered; a wall not met yet; hit, or a wall with a beam above it."""
+NEW, PASSED, WALL, DONE = 0, 1, 2, 4
+"""Marks of a cell: not met yet; met by a beam; a wall not met yet; hit, or a wall with a beam above it.
+
+Bits: a beam adds PASSED whatever the mark, and a cell that bears no other is lowered.
+"""
 
 
 class Window(NamedTuple):
@@ -54,20 +57,33 @@ class Scratch(NamedTuple):
     line: Int32Array
 
     @staticmethod
-    def of(window: Window) -> Scratch:
-        """Return a scratch for a window."""
-        places = window.rows * window.cols
-        line = np.empty((max(window.rows, window.cols) + 1) * PATCH, np.int32)
+    def of(places: int, side: int) -> Scratch:
+        """Return a scratch for windows of so many places, and so many along the longer side."""
+        line = np.empty((side + 1) * PATCH, np.int32)
         return Scratch(np.zeros((places, CELLS), np.uint8), np.zeros(places, np.uint8), line)
+
+    def enough(self, window: Window) -> Scratch:
+        """Return a scratch for a window: this one where it is large enough."""
+        places, side = window.rows * window.cols, max(window.rows, window.cols)
+        if len(self.marked) >= places and len(self.line) >= (side + 1) * PATCH:
+            return self
+        return Scratch.of(places, side)
 
 
 class Site(NamedTuple):
-    """The window in one particle's map: its part of the table, and its corner in the lattice of patches."""
+    """The window in one particle's map.
+
+    Attributes:
+        table: (rows, cols) its part of the table.
+        patches: all patches.
+        corner: row and column of its first patch in the lattice of patches.
+        base: x and y of the base in cells, cosine and sine of its yaw in cells a metre.
+    """
 
     table: Any
     patches: Any
-    top: int
-    left: int
+    corner: Any
+    base: Any
 
 
 @njit(cache=True, nogil=True)
@@ -99,52 +115,48 @@ def enter_scans(
         needed, records = space_needed(table, patches, len(hits))
         if patches.free[0] < needed or patches.free_records[0] < records:
             return k, needed, records
-        site = Site(table, patches, maps.corner[0] + row0, maps.corner[1] + col0)
-        x, y = poses[k, 0] / res, poses[k, 1] / res
         c, s = np.cos(poses[k, 2]) / res, np.sin(poses[k, 2]) / res
-        start = x + c * origin[0] - s * origin[1], y + s * origin[0] + c * origin[1], origin[2]
-        for i in range(len(hits)):
-            u, v = x + c * hits[i, 0] - s * hits[i, 1], y + s * hits[i, 0] + c * hits[i, 1]
-            _hit(site, scratch, (u, v, hits[i, 2]), min_slopes[i], steps)
+        base = poses[k, 0] / res, poses[k, 1] / res, c, s
+        site = Site(table, patches, (maps.corner[0] + row0, maps.corner[1] + col0), base)
+        _raise_hits(site, scratch, hits, min_slopes, steps)
         if wall_slope > 0:
             _mark_walls(site, scratch, wall_slope)
-        for i in range(len(hits) + len(free)):
-            to_end = i >= len(hits)
-            end = free[i - len(hits)] if to_end else hits[i]
-            u, v = x + c * end[0] - s * end[1], y + s * end[0] + c * end[1]
-            _pass(site, scratch, start, (u, v, end[2]), to_end)
+        _mark_passed(site, scratch, origin, hits, False)
+        _mark_passed(site, scratch, origin, free, True)
         _lower(site, scratch, steps)
     return len(poses), 0, 0
 
 
+# Each kernel takes a map's beams all at once: to hand tuples of arrays on costs more than a beam.
 @njit(cache=True, nogil=True)
-def _hit(site: Any, scratch: Any, end: Any, min_slope: int, steps: Any) -> None:
-    """Raise the cell where a beam ends (u, v in cells), once a scan, and move its mean."""
-    table, patches, top, left = site
-    u, v, z = end
-    row, col = int(np.floor(v)), int(np.floor(u))
-    r, c = (row >> BITS) - top, (col >> BITS) - left
-    p = table[r, c]
-    if p == ABSENT or patches.owners[p] != 1:
-        p = own_patch(table, patches, r, c)
-    cell = ((row & MASK) << BITS) | (col & MASK)
-    q = own_record(patches, p)
-    first = patches.hits[q, cell] == 0
-    n = min(patches.hits[q, cell] + 1, MEAN_MEMORY)
-    patches.hits[q, cell] = n
-    for axis, part in ((0, u - col), (1, v - row)):
-        before = patches.mean[q, cell, axis]
-        patches.mean[q, cell, axis] = np.uint16(
-            before + (min(part * MEAN_STEPS, MEAN_STEPS - 1.0) - before) / n
-        )
-    patches.min_slope[q, cell] = max(patches.min_slope[q, cell], min_slope)
-    height = np.int16(z / TOP_STEP)
-    patches.top[q, cell] = height if first else max(patches.top[q, cell], height)
-    place = r * table.shape[1] + c
-    if scratch.marks[place, cell] == NEW:
-        scratch.marks[place, cell], scratch.marked[place] = DONE, 1
-        log_odds = patches.log_odds[p, cell]
-        patches.log_odds[p, cell] = min(steps[2], (0 if log_odds == UNKNOWN else log_odds) + steps[1])
+def _raise_hits(site: Any, scratch: Any, hits: Any, min_slopes: Any, steps: Any) -> None:
+    """Raise the cells where beams end, each once a scan, and move their means."""
+    table, patches, (top, left), (x, y, c, s) = site
+    marks, marked, _ = scratch
+    counts, mean, slopes, tops = patches.hits, patches.mean, patches.min_slope, patches.top
+    for i in range(len(hits)):
+        u, v = x + c * hits[i, 0] - s * hits[i, 1], y + s * hits[i, 0] + c * hits[i, 1]
+        row, col = int(np.floor(v)), int(np.floor(u))
+        r, q = (row >> BITS) - top, (col >> BITS) - left
+        place, cell = r * table.shape[1] + q, ((row & MASK) << BITS) | (col & MASK)
+        p = table[r, q]
+        if p == ABSENT or patches.owners[p] != 1:
+            p = own_patch(table, patches, r, q)
+        q = patches.record[p]
+        if q == ABSENT:
+            q = new_record(patches, p)
+        n = min(counts[q, cell] + 1, MEAN_MEMORY)
+        height = np.int16(hits[i, 2] / TOP_STEP)
+        tops[q, cell] = height if counts[q, cell] == 0 else max(tops[q, cell], height)
+        slopes[q, cell] = max(slopes[q, cell], min_slopes[i])
+        counts[q, cell] = n
+        for axis, part in ((0, u - col), (1, v - row)):
+            before = mean[q, cell, axis]
+            mean[q, cell, axis] = np.uint16(before + (min(part * MEAN_STEPS, MEAN_STEPS - 1.0) - before) / n)
+        if marks[place, cell] == NEW:
+            marks[place, cell], marked[place] = DONE, 1
+            log_odds = patches.log_odds[p, cell]
+            patches.log_odds[p, cell] = min(steps[2], (0 if log_odds == UNKNOWN else log_odds) + steps[1])
 
 
 @njit(cache=True, nogil=True)
@@ -152,6 +164,7 @@ def _mark_walls(site: Any, scratch: Any, wall_slope: int) -> None:
     """Mark the walls of a map that the scan has not hit."""
     table, patches, _, _ = site
     rows, cols = table.shape
+    least = np.int16(wall_slope)
     for r in range(rows):
         for c in range(cols):
             p = table[r, c]
@@ -161,40 +174,46 @@ def _mark_walls(site: Any, scratch: Any, wall_slope: int) -> None:
             mark = scratch.marks[r * cols + c]
             scratch.marked[r * cols + c] = 1
             for cell in range(CELLS):
-                if log_odds[cell] > 0 and min_slope[cell] >= wall_slope and mark[cell] == NEW:
-                    mark[cell] = WALL
+                wall = (log_odds[cell] > 0) & (np.int16(min_slope[cell]) >= least)
+                mark[cell] = WALL if wall & (mark[cell] == NEW) else mark[cell]
 
 
 @njit(cache=True, nogil=True)
-def _pass(site: Any, scratch: Any, start: Any, end: Any, to_end: bool) -> None:
-    """Mark the cells between the laser and the end of one beam (u, v in cells) as passed.
+def _mark_passed(site: Any, scratch: Any, origin: Any, ends: Any, to_end: bool) -> None:
+    """Mark the cells between the laser and the ends of beams as passed.
 
-    A beam that passes above where a wall was hit says nothing about the wall.
+    Without `to_end`, a beam's last cell is spared: the last two steps are left out, which are longer than it.
     """
-    table, patches, top, left = site
-    line, cols = scratch.line, table.shape[1]
-    marks, marked = scratch.marks.ravel(), scratch.marked
-    x, y, z = start
-    n = int(max(abs(end[0] - x), abs(end[1] - y))) + 1
-    du, dv, dz = (end[0] - x) / n, (end[1] - y) / n, (end[2] - z) / n
-    count = n + 1 if to_end else n - 1
-    _number_cells(line, count, (x, y, du, dv), top << BITS, left << BITS, cols)
-    last = -1
-    if not to_end:
-        row, col = int(np.floor(end[1])) - (top << BITS), int(np.floor(end[0])) - (left << BITS)
-        last = ((row >> BITS) * cols + (col >> BITS)) * CELLS + ((row & MASK) << BITS) + (col & MASK)
-    for i in range(count):
-        at = np.uintp(line[i])
-        if line[i] == last:
-            break
-        mark = marks[at]
-        if mark < WALL:
-            marks[at] = PASSED
+    table, patches, (top, left), (x, y, c, s) = site
+    marked, line, cols = scratch.marked, scratch.line, table.shape[1]
+    marks = scratch.marks.ravel()
+    x0, y0, z0 = x + c * origin[0] - s * origin[1], y + s * origin[0] + c * origin[1], origin[2]
+    for i in range(len(ends)):
+        u, v = x + c * ends[i, 0] - s * ends[i, 1], y + s * ends[i, 0] + c * ends[i, 1]
+        n = int(max(abs(u - x0), abs(v - y0))) + 1
+        count = n + 1 if to_end else n - 1
+        _number_cells(line, count, (x0, y0, (u - x0) / n, (v - y0) / n), top << BITS, left << BITS, cols)
+        met = np.uint8(NEW)
+        for k in range(count):
+            at = np.uintp(line[k])
+            mark = marks[at]
+            met |= mark
+            marks[at] = mark | np.uint8(PASSED)
             marked[at >> np.uintp(2 * BITS)] = 1
-        elif mark == WALL:
-            place, cell = line[i] // CELLS, line[i] % CELLS
-            highest = patches.top[patches.record[table[place // cols, place % cols]], cell]
-            marks[at] = DONE if (z + i * dz) / TOP_STEP > highest + ABOVE else PASSED
+        if met & WALL:
+            rise = z0, (ends[i, 2] - z0) / n
+            _pass_walls(table, patches.record, patches.top, marks, line[:count], rise)
+
+
+@njit(cache=True, nogil=True)
+def _pass_walls(table: Any, record: Any, top: Any, marks: Any, line: Any, rise: Any) -> None:
+    """Settle the walls that a beam is the first to meet: passed above, it says nothing about a wall."""
+    z, dz = rise
+    for k in range(len(line)):
+        if marks[line[k]] & WALL:
+            place, cell = line[k] // CELLS, line[k] % CELLS
+            highest = top[record[table[place // table.shape[1], place % table.shape[1]]], cell]
+            marks[line[k]] = DONE if (z + k * dz) / TOP_STEP > highest + ABOVE else PASSED
 
 
 @njit(cache=True, nogil=True)
@@ -216,7 +235,7 @@ def _lower(site: Any, scratch: Any, steps: Any) -> None:
     table, patches, _, _ = site
     cols = table.shape[1]
     miss, least = np.int16(steps[0]), np.int16(-steps[2])
-    for place in range(len(scratch.marked)):
+    for place in range(table.size):
         if scratch.marked[place] == 0:
             continue
         scratch.marked[place] = 0
