@@ -25,14 +25,16 @@ from lirs_wct.kernels import njit
 from slam_baselines.gmapping.copy_on_write_map import MapView, PatchMaps
 from slam_baselines.gmapping.likelihood_field import Beams, forget, near_beams
 from slam_baselines.gmapping.scan_matching import (
+    ALWAYS,
+    IF_POOR,
+    NEVER,
     Prior,
     Tuning,
     between,
     find_peak,
     log_prior,
-    match,
+    match_one,
     moved,
-    prepared,
     score,
 )
 
@@ -187,15 +189,10 @@ class Proposer:
         if beams.weights.sum() < self.config.min_beams:
             return None
         self.searches += wide
-        # Three kernels, not one: Numba compiles with each kernel all that it calls once more.
-        tuning, H = self._tuning, np.empty((3, 3))
-        prior, near = prepared(beams, expected, covariance, tuning.kernelSize)
         pose: FloatArray
-        if wide:
-            pose, _, hit, known, _ = find_peak(view, beams, near, prior, expected, wide, tuning, H)
-        else:
-            pose = match(view, beams, near, prior, expected, tuning, H)
-            _, hit, known = score(view, beams, near, pose, tuning)
+        pose, hit, known = match_one(
+            view, beams, expected, covariance, ALWAYS if wide else NEVER, self._tuning
+        )
         return pose if hit >= max(self.config.search_threshold * known, self.config.min_beams) else None
 
 
@@ -259,21 +256,21 @@ def propose(
         forget(near)
         if step > 0:
             other = moved(start, correction)
-            if score(view, beams, near, other, tuning)[0] > score(view, beams, near, start, tuning)[0]:
+            if score(view, near, other, tuning)[0] > score(view, near, start, tuning)[0]:
                 start = other
         H = np.empty((3, 3))
-        wide = first.wide and step == 0
-        peak, value, hit, known, searched = find_peak(view, beams, near, prior, start, wide, tuning, H)
+        wider = ALWAYS if first.wide and step == 0 else IF_POOR
+        peak, value, hit, known, searched = find_peak(view, beams, near, prior, start, wider, tuning, H)
         searches += searched
         if step == 0:
             correction = between(prior.pose, peak)
         if hit < max(tuning.minimumScore * known, tuning.min_beams):
             _keep(prior.pose, odometry.covariances[k], means[k], sigmas[k])
-            log_eta[k] = score(view, beams, near, prior.pose, tuning)[0]
+            log_eta[k] = score(view, near, prior.pose, tuning)[0]
         else:
             around = np.linalg.inv(H * (2 * tuning.sigma**2 / tuning.lsigma) + prior.information)
             spread = Spread(peak, value, around, samples.cube)
-            log_eta[k] = _fit(view, beams, near, prior, spread, tuning, means[k], sigmas[k])
+            log_eta[k] = _fit(view, near, prior, spread, tuning, means[k], sigmas[k])
         hit_ratio[k], known_ratio[k] = hit / max(known, 1e-9), known / total
     for k in range(n):
         draw = np.linalg.cholesky(sigmas[k]) @ samples.normals[k]
@@ -325,35 +322,36 @@ class Spread(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _fit(view: Any, beams: Any, near: Any, prior: Any, spread: Any, tuning: Any, mu: Any, Sigma: Any) -> Any:
+def _fit(view: Any, near: Any, prior: Any, spread: Any, tuning: Any, mu: Any, Sigma: Any) -> Any:
     """Fill mu and Sigma by eqs. 15-17 from points around the peak; return log eta."""
     peak, value, around, cube = spread
     # Of Sigma, not of `around`, whose other memory order Numba would compile Cholesky for once more.
     _keep(peak, around, mu, Sigma)
     L = np.linalg.cholesky(Sigma)
     n = len(cube)
-    at, logs = np.empty((n, 3)), np.empty(n)
+    at, p = np.empty((n, 3)), np.empty(n)
+    top, eta = -np.inf, 0.0
+    # Number by number: each array expression Numba would compile as a kernel.
     for j in range(n):
         shift = L @ cube[j]
         for i in range(3):
             at[j, i] = peak[i] + shift[i]
         if j > 0:
-            value = score(view, beams, near, at[j], tuning)[0]
-        logs[j] = value + log_prior(at[j], prior)
-    top = logs.max()
-    p = np.exp(logs - top)
-    eta = p.sum()
-    mu[:] = 0.0
+            value = score(view, near, at[j], tuning)[0]
+        p[j] = value + log_prior(at[j], prior)
+        top = max(top, p[j])
     for j in range(n):
-        mu += p[j] / eta * at[j]
+        p[j] = np.exp(p[j] - top)
+        eta += p[j]
+    for a in range(3):
+        mu[a] = 0.0
+        for j in range(n):
+            mu[a] += p[j] / eta * at[j, a]
     # Few points leave Sigma flat in some direction: a share of the curvature's covariance keeps it regular.
     for a in range(3):
         for b in range(3):
             Sigma[a, b] = 0.01 * around[a, b]
-    for j in range(n):
-        d = at[j] - mu
-        for a in range(3):
-            for b in range(3):
-                Sigma[a, b] += p[j] / eta * d[a] * d[b]
+            for j in range(n):
+                Sigma[a, b] += p[j] / eta * (at[j, a] - mu[a]) * (at[j, b] - mu[b])
     # Each point stands for its share of the volume, which differs from particle to particle.
     return top + np.log(eta / n * L[0, 0] * L[1, 1] * L[2, 2])

@@ -121,8 +121,8 @@ def enter_scans(
         _raise_hits(site, scratch, hits, min_slopes, steps)
         if wall_slope > 0:
             _mark_walls(site, scratch, wall_slope)
-        _mark_passed(site, scratch, origin, hits, False)
-        _mark_passed(site, scratch, origin, free, True)
+        _mark_passed(site, scratch, origin, hits, np.int64(2))
+        _mark_passed(site, scratch, origin, free, np.int64(0))
         _lower(site, scratch, steps)
     return len(poses), 0, 0
 
@@ -179,10 +179,10 @@ def _mark_walls(site: Any, scratch: Any, wall_slope: int) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _mark_passed(site: Any, scratch: Any, origin: Any, ends: Any, to_end: bool) -> None:
-    """Mark the cells between the laser and the ends of beams as passed.
+def _mark_passed(site: Any, scratch: Any, origin: Any, ends: Any, spared: int) -> None:
+    """Mark the cells between the laser and the ends of beams as passed, but for the last steps.
 
-    Without `to_end`, a beam's last cell is spared: the last two steps are left out, which are longer than it.
+    Two spared steps spare the cell in which a beam ends, since they are as long as it at least.
     """
     table, patches, (top, left), (x, y, c, s) = site
     marked, line, cols = scratch.marked, scratch.line, table.shape[1]
@@ -191,7 +191,7 @@ def _mark_passed(site: Any, scratch: Any, origin: Any, ends: Any, to_end: bool) 
     for i in range(len(ends)):
         u, v = x + c * ends[i, 0] - s * ends[i, 1], y + s * ends[i, 0] + c * ends[i, 1]
         n = int(max(abs(u - x0), abs(v - y0))) + 1
-        count = n + 1 if to_end else n - 1
+        count = n + 1 - spared
         _number_cells(line, count, (x0, y0, (u - x0) / n, (v - y0) / n), top << BITS, left << BITS, cols)
         met = np.uint8(NEW)
         for k in range(count):

@@ -12,7 +12,6 @@ from slam_baselines.common.linalg import solve3
 from slam_baselines.gmapping.likelihood_field import (
     NOTHING,
     WIDER,
-    coarse_stride,
     linearize,
     log_likelihood,
     near_beams,
@@ -25,6 +24,10 @@ SAME_PEAK = 0.05
 Only the first particle is searched for in any case. A better fit of the same peak, found because it had two
 attempts, would raise its weight above that of the others scan by scan.
 """
+
+
+NEVER, IF_POOR, ALWAYS = 0, 1, 2
+"""When find_peak searches the wider window."""
 
 
 class Prior(NamedTuple):
@@ -55,10 +58,10 @@ class Tuning(NamedTuple):
     min_beams: int
 
 
-@njit(cache=True, nogil=True)
-def score(view: Any, beams: Any, near: Any, pose: Any, tuning: Any) -> Any:
+@njit(cache=True, nogil=True, inline="always")
+def score(view: Any, near: Any, pose: Any, tuning: Any) -> Any:
     """Return the log-likelihood of a scan at a pose, and the weights as of log_likelihood."""
-    return log_likelihood(view, beams, near.fine, pose, tuning.lsigma, tuning.sigma / view.resolution)
+    return log_likelihood(view, near.fine, pose, tuning.lsigma, tuning.sigma / view.resolution)
 
 
 @njit(cache=True, nogil=True)
@@ -69,50 +72,59 @@ def log_prior(pose: Any, prior: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def match(view: Any, beams: Any, near: Any, prior: Any, start: Any, tuning: Any, H: Any) -> Any:
+def match(view: Any, near: Any, prior: Any, start: Any, tuning: Any, H: Any) -> Any:
     """Return the (3,) pose at which the scan fits best near the start; fill H with its information.
 
     Gauss-Newton in two stages: few beams and a wide view, then all beams and a narrow one. The odometry
     is a prior, so that a direction in which the map says nothing follows it.
     """
-    pose, g = start.copy(), np.empty(3)
+    pose, g, A, variance = start.copy(), np.empty(3), np.empty((3, 3)), tuning.sigma**2
     for stage in range(2):
         walls = near.coarse if stage == 0 else near.fine
-        wider, stride, done = (WIDER, coarse_stride(beams), 0.01) if stage == 0 else (1, 1, 0.001)
+        wider, done = (WIDER, 0.01) if stage == 0 else (1, 0.001)
         width = wider * (tuning.sigma / view.resolution)
         for _ in range(tuning.iterations):
-            linearize(view, beams, walls, stride, pose, width, H, g)
-            H /= tuning.sigma**2
+            linearize(view, walls, pose, width, H, g)
             pull = prior.information @ _difference(pose, prior.pose)
-            step = solve3(H + prior.information, g / tuning.sigma**2 - pull)
-            pose += step * (0.2 / max(0.2, np.hypot(step[0], step[1]), 2 * abs(step[2])))
-            if np.hypot(step[0], step[1]) < done and abs(step[2]) < done / 5:
+            # Not in array expressions, each of which Numba would compile as a kernel.
+            for i in range(3):
+                g[i] = g[i] / variance - pull[i]
+                for j in range(3):
+                    H[i, j] /= variance
+                    A[i, j] = H[i, j] + prior.information[i, j]
+            step = solve3(A, g)
+            shift, turn = np.hypot(step[0], step[1]), abs(step[2])
+            share = 0.2 / max(0.2, shift, 2 * turn)
+            for i in range(3):
+                pose[i] += step[i] * share
+            if shift < done and turn < done / 5:
                 break
     return pose
 
 
 @njit(cache=True, nogil=True)
 def find_peak(
-    view: Any, beams: Any, near: Any, prior: Any, start: Any, wide: bool, tuning: Any, H: Any
+    view: Any, beams: Any, near: Any, prior: Any, start: Any, wider: int, tuning: Any, H: Any
 ) -> Any:
     """Return the (3,) pose at which a scan fits best; fill H with its information.
 
-    The wider window is searched where the scan fits poorly near the start, or where `wide` says so.
+    The wider window is searched NEVER, IF_POOR the fit near the start is, or ALWAYS, as `wider` says.
 
     Returns:
         The pose, the scan's log-likelihood there, weights of beams that end at a wall and on known cells,
         whether the window was searched.
     """
-    peak = match(view, beams, near, prior, start, tuning, H)
-    value, hit, known = score(view, beams, near, peak, tuning)
-    if known < tuning.min_beams or not (wide or hit < tuning.search_threshold * known):
+    peak = match(view, near, prior, start, tuning, H)
+    value, hit, known = score(view, near, peak, tuning)
+    poor = hit < tuning.search_threshold * known
+    if known < tuning.min_beams or not (wider == ALWAYS or (wider == IF_POOR and poor)):
         return peak, value, hit, known, False
     curvature = np.empty((3, 3))
-    other = match(view, beams, near, prior, search(view, beams, prior, tuning), tuning, curvature)
+    other = match(view, near, prior, search(view, beams, prior, tuning), tuning, curvature)
     apart = other - peak
     if np.hypot(apart[0], apart[1]) < SAME_PEAK and abs(apart[2]) < SAME_PEAK:
         return peak, value, hit, known, True
-    better, there, seen = score(view, beams, near, other, tuning)
+    better, there, seen = score(view, near, other, tuning)
     gain = better + log_prior(other, prior) - value - log_prior(peak, prior)
     if gain > 0 and there >= tuning.search_threshold * seen:
         # Not `H[:] = curvature`: Numba would compile the message of shapes that differ.
@@ -124,9 +136,21 @@ def find_peak(
 
 
 @njit(cache=True, nogil=True)
-def prepared(beams: Any, expected: Any, covariance: Any, reach: int) -> Any:
-    """Return the prior of an expected pose, and room for the walls within `reach` cells of a scan's ends."""
-    return Prior(expected, np.linalg.inv(covariance)), near_beams(beams, reach)
+def match_one(view: Any, beams: Any, expected: Any, covariance: Any, wider: int, tuning: Any) -> Any:
+    """Return the (3,) pose at which a scan fits best into one map, and the weights as of log_likelihood.
+
+    Args:
+        view: the map.
+        beams: of the scan.
+        expected: (3,) pose by odometry.
+        covariance: (3, 3) of it.
+        wider: when to search a wider window; see find_peak.
+        tuning: of the matching.
+    """
+    prior, near = Prior(expected, np.linalg.inv(covariance)), near_beams(beams, tuning.kernelSize)
+    H = np.empty((3, 3))
+    peak, _, hit, known, _ = find_peak(view, beams, near, prior, expected, wider, tuning, H)
+    return peak, hit, known
 
 
 @njit(cache=True, nogil=True)
@@ -216,6 +240,8 @@ def between(a: Any, b: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def _difference(pose: Any, other: Any) -> Any:
-    d = pose - other
+    d = np.empty(3)
+    for i in range(3):
+        d[i] = pose[i] - other[i]
     d[2] = (d[2] + np.pi) % (2 * np.pi) - np.pi
     return d
