@@ -11,6 +11,8 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
+import numpy as np
+
 from lirs_wct.arrays import ByteArray
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from slam_baselines.common.se2 import in_axes_of
@@ -94,8 +96,10 @@ class BiasedRegistration:
         if later is not None:
             pose = pose @ (later.pose.inverse() @ now.pose)
             covariance = in_axes_of(pose.inverse(), later.motion.reckoned.covariance)
-            ground, drawn = self._ground_filter, partial(maps.min_slope, 0)
-            walls = ground.match_walls(now.scan, pose, now.height, known=now.min_slopes, drawn=drawn)
+            ground = self._ground_filter
+            drawn = maps.min_slope(0, now.scan.transformed(pose, now.height).hits)
+            known = np.maximum(now.min_slopes, drawn)
+            walls = ground.match_walls(now.scan, pose, now.height, known=known)
             view, beams = maps.view(0, ground.match_wall_slope), Beams(now.scan.hits, walls)
             found = self._proposer.match_scan(view, beams, pose.as_array(), covariance)
             pose = pose if found is None else Pose2(*found.tolist())

@@ -211,8 +211,10 @@ class GmappingMapper:
 
     def _beams(self, scan: LeveledScan) -> Beams:
         """Return the scan's hits, weighted by whether they are known for walls."""
-        walls = self._ground_filter.match_walls(scan, self._pose, drawn=self._filter.known_slopes)
-        return Beams(scan.hits, walls)
+        ground, pose = self._ground_filter, self._pose
+        placed = None if ground.flat else scan.transformed(pose, ground.height).hits
+        known = None if placed is None else self._filter.known_slopes(placed)
+        return Beams(scan.hits, ground.match_walls(scan, pose, known=known))
 
     def _enter(self, scan: LeveledScan, motion: GyroIncrement) -> None:
         """Draw the scan; on uneven ground, refine the start of the trajectory when it is due."""

@@ -23,6 +23,7 @@ from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.kernels import njit
 from slam_baselines.gmapping.copy_on_write_map import MapView, PatchMaps
+from slam_baselines.gmapping.gaussian_fit import Spread, fit, keep
 from slam_baselines.gmapping.likelihood_field import Beams, forget, near_beams
 from slam_baselines.gmapping.scan_matching import (
     ALWAYS,
@@ -32,7 +33,6 @@ from slam_baselines.gmapping.scan_matching import (
     Tuning,
     between,
     find_peak,
-    log_prior,
     match_one,
     moved,
     score,
@@ -245,19 +245,15 @@ def propose(
         k = first.particle if step == 0 else step - 1 if step <= first.particle else step
         if step > 1 and _same(maps, odometry, before, k):
             log_eta[k] = log_eta[before]
-            _keep(means[before], sigmas[before], means[k], sigmas[k])
+            keep(means[before], sigmas[before], means[k], sigmas[k])
             hit_ratio[k], known_ratio[k] = hit_ratio[before], known_ratio[before]
             searches += searched
             continue
         before = k
         view = MapView(maps.tables[k], maps.corner, maps.patches, res, wall_slope)
         prior = Prior(odometry.poses[k], np.linalg.inv(odometry.covariances[k]))
-        start = prior.pose
         forget(near)
-        if step > 0:
-            other = moved(start, correction)
-            if score(view, near, other, tuning)[0] > score(view, near, start, tuning)[0]:
-                start = other
+        start = prior.pose if step == 0 else _better_start(view, near, prior.pose, correction, tuning)
         H = np.empty((3, 3))
         wider = ALWAYS if first.wide and step == 0 else IF_POOR
         peak, value, hit, known, searched = find_peak(view, beams, near, prior, start, wider, tuning, H)
@@ -265,27 +261,31 @@ def propose(
         if step == 0:
             correction = between(prior.pose, peak)
         if hit < max(tuning.minimumScore * known, tuning.min_beams):
-            _keep(prior.pose, odometry.covariances[k], means[k], sigmas[k])
+            keep(prior.pose, odometry.covariances[k], means[k], sigmas[k])
             log_eta[k] = score(view, near, prior.pose, tuning)[0]
         else:
             around = np.linalg.inv(H * (2 * tuning.sigma**2 / tuning.lsigma) + prior.information)
             spread = Spread(peak, value, around, samples.cube)
-            log_eta[k] = _fit(view, near, prior, spread, tuning, means[k], sigmas[k])
+            log_eta[k] = fit(view, near, prior, spread, tuning, means[k], sigmas[k])
         hit_ratio[k], known_ratio[k] = hit / max(known, 1e-9), known / total
-    for k in range(n):
-        draw = np.linalg.cholesky(sigmas[k]) @ samples.normals[k]
-        for i in range(3):
-            poses[k, i] = means[k, i] + draw[i]
+    _draw(means, sigmas, samples.normals, poses)
     return searches
 
 
 @njit(cache=True, nogil=True)
-def _keep(mean: Any, sigma: Any, to_mean: Any, to_sigma: Any) -> None:
-    # Not `to_mean[:] = mean`: Numba would compile the message of shapes that differ.
-    for i in range(3):
-        to_mean[i] = mean[i]
-        for j in range(3):
-            to_sigma[i, j] = sigma[i, j]
+def _better_start(view: Any, near: Any, expected: Any, correction: Any, tuning: Any) -> Any:
+    """Return where the scan fits better: the (3,) expected pose, or that pose corrected."""
+    other = moved(expected, correction)
+    return other if score(view, near, other, tuning)[0] > score(view, near, expected, tuning)[0] else expected
+
+
+@njit(cache=True, nogil=True)
+def _draw(means: Any, sigmas: Any, normals: Any, poses: Any) -> None:
+    """Fill poses (n, 3) with draws from Gaussians, by standard normal draws (n, 3)."""
+    for k in range(len(poses)):
+        draw = np.linalg.cholesky(sigmas[k]) @ normals[k]
+        for i in range(3):
+            poses[k, i] = means[k, i] + draw[i]
 
 
 @njit(cache=True, nogil=True)
@@ -303,55 +303,3 @@ def _same(maps: Any, odometry: Any, a: int, b: int) -> bool:
             if maps.tables[a, r, c] != maps.tables[b, r, c]:
                 return False
     return True
-
-
-class Spread(NamedTuple):
-    """Points to evaluate.
-
-    Attributes:
-        peak: (3,) x, y, yaw, the first of them.
-        value: log-likelihood of the scan there.
-        around: (3, 3) covariance.
-        cube: (samples, 3) the points in standard deviations from the peak; the first is 0.
-    """
-
-    peak: FloatArray
-    value: float
-    around: FloatArray
-    cube: FloatArray
-
-
-@njit(cache=True, nogil=True)
-def _fit(view: Any, near: Any, prior: Any, spread: Any, tuning: Any, mu: Any, Sigma: Any) -> Any:
-    """Fill mu and Sigma by eqs. 15-17 from points around the peak; return log eta."""
-    peak, value, around, cube = spread
-    # Of Sigma, not of `around`, whose other memory order Numba would compile Cholesky for once more.
-    _keep(peak, around, mu, Sigma)
-    L = np.linalg.cholesky(Sigma)
-    n = len(cube)
-    at, p = np.empty((n, 3)), np.empty(n)
-    top, eta = -np.inf, 0.0
-    # Number by number: each array expression Numba would compile as a kernel.
-    for j in range(n):
-        shift = L @ cube[j]
-        for i in range(3):
-            at[j, i] = peak[i] + shift[i]
-        if j > 0:
-            value = score(view, near, at[j], tuning)[0]
-        p[j] = value + log_prior(at[j], prior)
-        top = max(top, p[j])
-    for j in range(n):
-        p[j] = np.exp(p[j] - top)
-        eta += p[j]
-    for a in range(3):
-        mu[a] = 0.0
-        for j in range(n):
-            mu[a] += p[j] / eta * at[j, a]
-    # Few points leave Sigma flat in some direction: a share of the curvature's covariance keeps it regular.
-    for a in range(3):
-        for b in range(3):
-            Sigma[a, b] = 0.01 * around[a, b]
-            for j in range(n):
-                Sigma[a, b] += p[j] / eta * (at[j, a] - mu[a]) * (at[j, b] - mu[b])
-    # Each point stands for its share of the volume, which differs from particle to particle.
-    return top + np.log(eta / n * L[0, 0] * L[1, 1] * L[2, 2])

@@ -15,7 +15,6 @@ integrated from attitude and motion, loosens old bounds by the distance traveled
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -194,7 +193,7 @@ class GroundFilter:
         height: float | None = None,
         *,
         known: ByteArray | None = None,
-        drawn: OccupancyMap | Callable[[FloatArray], ByteArray] | None = None,
+        drawn: OccupancyMap | None = None,
         limits: Limits = IN_FULL,
     ) -> ByteArray:
         """Return (n,) the minimum slopes of a scan's hits as known by now, SLOPE_STEP; 0 on a floor.
@@ -204,18 +203,14 @@ class GroundFilter:
             pose: `T_map_base`.
             height: of the base in the map frame, metres; None: the present one.
             known: (n,) what was known of the hits before.
-            drawn: the map whose cells' minimum slopes count as well, or what tells them for hits (n, 3).
+            drawn: the map whose cells' minimum slopes count as well.
             limits: slopes below the first and from the second on need not be told apart, which is faster.
         """
         slopes = self.no_min_slope(len(scan.hits)) if known is None else known.copy()
         if self.match_wall_slope == 0:
             return slopes
         height = self.height if height is None else height
-        cells = NOT_DRAWN
-        if isinstance(drawn, OccupancyMap):
-            cells = _drawn_slopes(drawn)
-        elif drawn is not None:
-            slopes = np.maximum(slopes, drawn(scan.transformed(pose, height).hits))
+        cells = NOT_DRAWN if drawn is None else _drawn_slopes(drawn)
         T = pose.x, pose.y, pose.yaw, height
         return self._raised(slopes, scan.origin, scan.hits, T, pose, limits, cells)
 
@@ -226,7 +221,7 @@ class GroundFilter:
         height: float | None = None,
         *,
         known: ByteArray | None = None,
-        drawn: OccupancyMap | Callable[[FloatArray], ByteArray] | None = None,
+        drawn: OccupancyMap | None = None,
     ) -> FloatArray:
         """Return (n,) 1 for hits on walls, 0 for those that may be ground; on a floor every hit is a wall.
 

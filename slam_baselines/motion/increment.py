@@ -9,6 +9,7 @@ import numpy as np
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
+from slam_baselines.common.linalg import solve3
 from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, PoseEstimate, yaw_rate
 
 GYRO = 5e-4
@@ -16,6 +17,8 @@ GYRO = 5e-4
 
 POSITION, HEADING = 0.05, math.radians(0.5)
 """Standard deviations of a registered scan's pose, metres and radians."""
+REGISTERED = np.diag((POSITION**2, POSITION**2, HEADING**2))
+"""Covariance of a registered scan's pose."""
 STILL = 1e-9
 """Metres and radians up to which a step is none."""
 
@@ -71,8 +74,7 @@ class MotionIncrement:
         """
         off = unbiased(self.reckoned.pose, self.bias, self.seconds).inverse() @ pose
         d = np.array((off.x, off.y, off.yaw))
-        covariance = self.reckoned.covariance + np.diag((POSITION**2, POSITION**2, HEADING**2))
-        return math.sqrt(float(d @ np.linalg.solve(covariance, d)))
+        return math.sqrt(float(d @ solve3(self.reckoned.covariance + REGISTERED, d)))
 
     def _compare(self, turn: float, rate: float, seconds: float) -> None:
         """Believe the heading as a gyro deserves, less what gyro and odometry disagree about since `begin`.

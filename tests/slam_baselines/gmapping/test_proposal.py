@@ -8,7 +8,7 @@ import pytest
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
-from slam_baselines.gmapping.likelihood_field import Beams
+from slam_baselines.gmapping.likelihood_field import Beams, log_likelihood, near_beams
 from slam_baselines.gmapping.proposal import First, PoseDistributions, Proposal, ProposalConfig, Proposer
 from slam_baselines.scan.leveling import ScanPoints
 
@@ -134,3 +134,18 @@ def test_copies_of_a_particle_get_what_each_would_get() -> None:
         np.testing.assert_allclose(getattr(copies, name), getattr(apart, name), atol=1e-6, err_msg=name)
     assert np.array_equal(copies.means[1], copies.means[3])
     assert not np.array_equal(copies.poses[1], copies.poses[3])
+
+
+def test_walls_that_were_looked_up_before_are_those_of_the_place() -> None:
+    """Also where poses lie cells apart, and where beams that do not count stand between."""
+    room, rng = (-3.0, 4.0, -2.5, 2.0), np.random.default_rng(4)
+    view = mapped(1, *room).view(0, 0)
+    points = ends(Pose2(0.2, 0.1, 0.3), *room)
+    counted = rng.random(len(points)) < 0.5
+    beams = Beams(points, counted.astype(np.float64))
+    few = Beams(points[counted].copy(), np.ones(int(counted.sum())))
+    near = near_beams(beams, 1)
+    for pose in np.array((0.2, 0.1, 0.3)) + rng.normal(0.0, (0.06, 0.06, 0.02), (60, 3)):
+        found = log_likelihood(view, near.fine, pose, 0.005, 1.0)
+        assert found == log_likelihood(view, near_beams(few, 1).fine, pose, 0.005, 1.0)
+        assert found[1] > 0

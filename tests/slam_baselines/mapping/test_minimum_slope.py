@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 
 import numpy as np
 from hypothesis import given, settings
@@ -140,7 +139,8 @@ def test_the_filter_weighs_hits_as_by_slopes_found_one_after_the_other() -> None
         pose = Pose2(1.5 * k, -0.7 * k, 0.3 * k)
         ground_filter.move(Pose2(1.5), scan)
         wall = ground_filter.match_wall_slope
-        slopes = ground_filter.min_slopes(scan, pose, drawn=partial(slopes_under, drawn))
+        known = slopes_under(drawn, scan.transformed(pose, ground_filter.height).hits)
+        slopes = ground_filter.min_slopes(scan, pose, known=known)
         np.testing.assert_array_equal(ground_filter.min_slopes(scan, pose, drawn=drawn), slopes)
         walls = ground_filter.match_walls(scan, pose, drawn=drawn)
         np.testing.assert_array_equal(walls, slopes >= wall)
