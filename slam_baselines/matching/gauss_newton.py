@@ -249,12 +249,8 @@ def linearize(
         col, row = np.uintp(int(u)), np.uintp(int(v))
         u -= int(u)
         v -= int(v)
-        sw, se, nw, ne = (
-            value[row, col],
-            value[row, col + one],
-            value[row + one, col],
-            value[row + one, col + one],
-        )
+        sw, se = value[row, col], value[row, col + one]
+        nw, ne = value[row + one, col], value[row + one, col + one]
         south, north = sw + u * (float(se) - sw), nw + u * (float(ne) - nw)
         m = south + v * (north - south)
         if not (sw == UNSEEN and se == UNSEEN and nw == UNSEEN and ne == UNSEEN):
