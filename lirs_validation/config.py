@@ -92,7 +92,7 @@ def check_threads(threads: int, driver: str) -> None:
         ConfigError: there are not 1 or 2, or the driver waits for the mapper.
     """
     if threads not in THREADS:
-        raise ConfigError(f"threads must be 1 or 2 (the mapper has one of its own), got {threads}")
+        raise ConfigError(f"threads must be 1 or 2 (the mapper beside the drive), got {threads}")
     if threads > 1 and driver == FRONTIER:
         raise ConfigError(
             f"driver {driver} waits for the mapper's map and pose: it drives with --threads 1, got {threads}"

@@ -1,8 +1,13 @@
-"""Ctrl-C, also where it comes in disguise."""
+"""Ctrl-C, also where it comes in disguise, and the end of a process that works for another one."""
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
+import time
 from collections.abc import Iterator
+from typing import NoReturn
 
 
 def is_interrupt(error: BaseException) -> bool:
@@ -16,3 +21,26 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
     while error is not None:
         yield error
         error = error.__cause__ or error.__context__
+
+
+def end_with(parent: int) -> None:
+    """Let this process end when it is asked to, as by Ctrl-C, and when its parent was killed.
+
+    Ctrl-C itself is the parent's to handle.
+
+    Args:
+        parent: process id; even a mapper that hangs does not outlive it.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _interrupt)  # a mapper's own `sys.exit` ends nothing but its run
+    threading.Thread(target=_die_with, args=(parent,), daemon=True).start()
+
+
+def _interrupt(*_: object) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def _die_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(1)

@@ -100,7 +100,7 @@ Threads = Annotated[
         "--threads",
         metavar="1|2|1,2",
         show_default="1",
-        help="Threads of a drive. With 2 the mapper works beside the simulation: the same results sooner.",
+        help="Threads of a drive. With 2 the mapper has a process of its own: the same results sooner.",
         rich_help_panel=AXES,
     ),
 ]

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from numba.core.event import TimingListener, install_listener
@@ -20,14 +21,38 @@ _M_MMAP_THRESHOLD, _MOST_KEPT = -3, 1 << 25
 """Of GNU's malloc.h: the parameter, and the largest value that it sets by itself."""
 
 
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What processes took.
+
+    Attributes:
+        cpu_seconds: processor time of all threads.
+        peak_memory: largest resident memory, bytes, what processes share counted in each; None where the
+            system has no such count.
+    """
+
+    cpu_seconds: float
+    peak_memory: int | None
+
+    def __add__(self, other: Cost) -> Cost:
+        """Return what two processes took together: their peaks may not have come at the same time."""
+        peaks = self.peak_memory, other.peak_memory
+        peak = None if None in peaks else sum(filter(None, peaks))
+        return Cost(self.cpu_seconds + other.cpu_seconds, peak)
+
+
 class CostMeter:
-    """Reads processor time and peak memory from its making on."""
+    """Reads processor time and peak memory of this process from its making on."""
 
     def __init__(self) -> None:
         self._begun = time.process_time()
         with suppress(OSError):
             # Linux forgets the peak so far; elsewhere the peak is the process's whole life's.
             (_SELF / "clear_refs").write_text("5", encoding="ascii")
+
+    def cost(self) -> Cost:
+        """Return what this process has taken since then."""
+        return Cost(self.cpu_seconds(), self.peak_memory())
 
     def cpu_seconds(self) -> float:
         """Return the processor time since then, seconds, of all threads."""

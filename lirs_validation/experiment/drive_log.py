@@ -11,6 +11,7 @@ import numpy as np
 from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation.experiment.clouds.sample import CloudSample
+from lirs_validation.experiment.feeding.answer import Place
 from lirs_validation.experiment.observation_log import ObservationLog
 from lirs_validation.record.run_record import Status
 from lirs_wct.arrays import BoolArray
@@ -62,6 +63,7 @@ class DriveLog:
         start: where the driver had the robot set down, world frame.
         commands: what it commanded, one a tick: the commands after the first observation, the second, ...
         spatial: whether the mapper estimates poses in space.
+        mapper_in: where it worked.
     """
 
     observations: ObservationLog
@@ -79,6 +81,7 @@ class DriveLog:
     start: Pose2 = field(default_factory=Pose2)
     commands: Rows[Twist] = field(default_factory=lambda: Rows.of(Twist))
     spatial: bool = False
+    mapper_in: Place = "drive"
 
     @staticmethod
     def begin(start: Pose2, *, spatial: bool = False, folder: Path | None = None) -> DriveLog:

@@ -88,8 +88,7 @@ def evaluate(
         world=evaluate_world(scenario, simulation),
         status=status,
         reason=reason,
-        rtf=evaluate_rtf(log, simulation, scenario.config.threads)
-        | {"compile_seconds": cost["compile_seconds"]},
+        rtf=evaluate_rtf(log, simulation) | {"compile_seconds": cost["compile_seconds"]},
         trajectory=trajectory,
         map=maps.scores,
         collisions=evaluate_collisions(simulation),
@@ -168,14 +167,8 @@ def evaluate_trajectory(log: DriveLog) -> dict[str, Any]:
     }
 
 
-def evaluate_rtf(log: DriveLog, simulation: Simulation, threads: int = 1) -> dict[str, Any]:
-    """Return the real-time factor, its spread over simulated seconds and its parts.
-
-    Args:
-        log: of the drive.
-        simulation: that was driven.
-        threads: of the drive.
-    """
+def evaluate_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
+    """Return the real-time factor of a drive, its spread over simulated seconds and its parts."""
     period = simulation.period
     total = sum(log.walls) / (len(log.walls) * period)
     series = 1.0 / per_second(log.walls, period)
@@ -183,7 +176,8 @@ def evaluate_rtf(log: DriveLog, simulation: Simulation, threads: int = 1) -> dic
         "mean": 1.0 / total,
         "std": float(np.std(series)),
         "min": float(series.min()),
-        "parts": _parts(log, simulation, threads),
+        "parts": _parts(log, simulation),
+        "mapper_in": log.mapper_in,
         **physics_rtf(simulation),
         "simulated_seconds": len(log.walls) * period,
         "wall_seconds": sum(log.walls),
@@ -194,19 +188,20 @@ def evaluate_rtf(log: DriveLog, simulation: Simulation, threads: int = 1) -> dic
     }
 
 
-def _parts(log: DriveLog, simulation: Simulation, threads: int) -> dict[str, float]:
+def _parts(log: DriveLog, simulation: Simulation) -> dict[str, float]:
     """Return wall seconds per simulated second of each part, which add up to the whole.
 
-    With a thread of its own the mapper works beside the others: then `waiting`, in which the drive waited
-    for it, stands in its place in the sum.
+    Where the mapper works beside the others, `waiting`, in which the drive waited for it, stands in its place
+    in the sum.
     """
+    beside = log.mapper_in != "drive"
     timing, driven = simulation.timing, len(log.walls) * simulation.period
     spent = {"physics": timing.physics, "sensors": timing.sensors, "mapper": log.mapper_seconds}
-    if threads > 1:
+    if beside:
         spent["waiting"] = log.waiting
     parts = {name: sum(seconds) / driven for name, seconds in spent.items()}
-    beside = parts["mapper"] if threads > 1 else 0.0
-    return parts | {"rest": sum(log.walls) / driven - (sum(parts.values()) - beside)}
+    summed = sum(parts.values()) - (parts["mapper"] if beside else 0.0)
+    return parts | {"rest": sum(log.walls) / driven - summed}
 
 
 def physics_rtf(simulation: Simulation) -> dict[str, float | None]:

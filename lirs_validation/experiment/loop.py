@@ -6,7 +6,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,8 @@ from lirs_envs.simulation import Simulation
 from lirs_validation.driving.driver import Driver
 from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
 from lirs_validation.experiment.drive_log import DriveLog, Tick
-from lirs_validation.experiment.feeding import feeding, short_turns
+from lirs_validation.experiment.feeding.feeding import DirectFeeding, Feeding
+from lirs_validation.experiment.feeding.thread import short_turns
 from lirs_validation.record.run_record import Status
 from lirs_validation.record.verdict import LostRule
 from lirs_wct.errors import SimulationError
@@ -28,16 +29,16 @@ Recorder = Callable[[Observation, Pose3, Pose2], None]
 """Is shown what was sensed, the cloud included, the true pose `T_world_base` and the mapper's answer
 `T_map_base`, in the plane."""
 
-MOST_AHEAD = 32
+MOST_AHEAD = 64
 """Ticks by which a simulation is driven ahead of its mapper at most."""
 
 
 class Drive:
     """A drive that is taken tick by tick, until its time is over, something fails or its driver is done.
 
-    With two threads the simulation is driven ahead of the log while the mapper works. It is not where a tick
-    may be the last, or where the driver waits for the mapper's pose: so the log, and what the simulation
-    counted, are the same as with one thread.
+    Where the mapper works beside it, the simulation is driven ahead of the log. It is not where a tick may be
+    the last, or where the driver waits for the mapper's pose: so the log, and what the simulation counted,
+    are the same as where the mapper is fed at once.
 
     Attributes:
         log: of what has happened so far; it says how the drive ended.
@@ -51,7 +52,7 @@ class Drive:
         wall_limit: wall seconds after which the drive is stopped; None = never.
         recorder: is shown every scan once it is mapped; its time counts.
         spool: folder of the log's nameless files; None = the system's for temporary files.
-        threads: 1, or 2: the mapper has a thread of its own.
+        feeding: gives the mapper its scans, and is closed by who made it; None = at once.
 
     Raises:
         MapperError: the mapper failed (see `GuardedMapper`).
@@ -67,7 +68,7 @@ class Drive:
         wall_limit: float | None = None,
         recorder: Recorder | None = None,
         spool: Path | None = None,
-        threads: int = 1,
+        feeding: Feeding | None = None,
     ) -> None:
         self._simulation, self._driver = simulation, driver
         self._seconds, self._wall_limit, self._recorder = seconds, wall_limit, recorder
@@ -78,7 +79,8 @@ class Drive:
         self._error: Exception | None = None
         spatial = isinstance(mapper, GuardedCloudMapper)
         self.log, self.over = DriveLog.begin(driver.start, spatial=spatial, folder=spool), False
-        self._feeding = feeding(mapper, threads)
+        self._feeding = feeding or DirectFeeding(mapper)
+        self.log.mapper_in = self._feeding.place
         begun = time.perf_counter()
         self._give(simulation.reset(driver.start))
         self._note(begun)
@@ -120,10 +122,6 @@ class Drive:
         """
         while self._given:
             self.step(ahead=False)
-
-    def close(self) -> None:
-        """End the mapper's thread, where it has one."""
-        self._feeding.close()
 
     def _advance(self) -> None:
         """Drive the simulation for one tick, and give the mapper the scan.
@@ -219,7 +217,6 @@ class Drive:
 
     def _end(self, status: Status, reason: str) -> None:
         self.log.status, self.log.reason, self.over = status, reason, True
-        self.close()
 
 
 def drive(
@@ -232,7 +229,7 @@ def drive(
     wall_limit: float | None = None,
     recorder: Recorder | None = None,
     spool: Path | None = None,
-    threads: int = 1,
+    feeding: Feeding | None = None,
 ) -> DriveLog:
     """Drive for a time, or until something fails or the wall limit is over; the log says which.
 
@@ -245,7 +242,7 @@ def drive(
         wall_limit: wall seconds after which the drive is stopped; None = never.
         recorder: is shown every scan once it is mapped; its time counts.
         spool: folder of the log's nameless files; None = the system's for temporary files.
-        threads: 1, or 2: the mapper has a thread of its own.
+        feeding: gives the mapper its scans, and is closed by who made it; None = at once.
 
     Raises:
         MapperError: the mapper failed (see `GuardedMapper`).
@@ -258,10 +255,10 @@ def drive(
         wall_limit=wall_limit,
         recorder=recorder,
         spool=spool,
-        threads=threads,
+        feeding=feeding,
     )
     next_report = 1.0
-    with closing(taken), short_turns(threads):
+    with short_turns() if taken.log.mapper_in == "thread" else nullcontext():
         while not taken.over:
             taken.step()
             if taken.time >= next_report:

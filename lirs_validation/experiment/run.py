@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from contextlib import ExitStack, closing
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,9 @@ from lirs_validation.experiment.cost import (
 from lirs_validation.experiment.cpu_contention import cpu_contention
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
+from lirs_validation.experiment.feeding.feeding import DirectFeeding, Feeding
+from lirs_validation.experiment.feeding.process import MapperProcess, mapper_process, ready_process
+from lirs_validation.experiment.feeding.thread import ThreadFeeding
 from lirs_validation.experiment.loop import Recorder, drive
 from lirs_validation.experiment.mappers.guard import GuardedMapper
 from lirs_validation.experiment.mappers.loading import mapper_named
@@ -113,7 +117,7 @@ def validate(
         actors: number of walkers on seeded paths, whom the lidar sees and the robot touches.
         bag: storage of a ROS 2 bag, `mcap` or `sqlite3`, that the run's folder then is too; None = no bag.
         sensors_only: whether the bag leaves out what the mapper makes: map -> odom and /map.
-        threads: 2 = the mapper has a thread of its own; results but times are the same.
+        threads: 2 = the mapper has a process of its own; results but times are the same.
         options: how the source becomes a world.
         out: folder that receives the run's folder; None = nothing is written.
         progress: of the run.
@@ -170,9 +174,10 @@ def run(
             raise ConfigError(f"{config.source}: a bag needs a folder to be written to: give out")
     ready = prepare(config, progress, scenarios)
     with recording(config, out, ready.simulation.period) as recorded:
-        log, cost = _timed_drive(ready, progress, recorded.add, _existing(out))
-        log.concurrent = log.concurrent or concurrent
-        evaluated = _evaluated(ready, log, cost, progress)
+        with closing(ready.feeding):
+            log, cost = _timed_drive(ready, progress, recorded.add, _existing(out))
+            log.concurrent = log.concurrent or concurrent
+            evaluated = _evaluated(ready, log, cost, progress)
         # The simulation with its commands, and the mapper's grids: as large as what is drawn now.
         del ready
         return _written(evaluated, out, name, recorded)
@@ -187,14 +192,21 @@ class ReadyRun:
         simulation: of the robot there.
         driver: that will drive.
         mapper: that will map, guarded.
-        compile_seconds: wall seconds that the compiler took.
+        feeding: gives it its scans.
+        compile_seconds: wall seconds that the compiler took, in all processes.
     """
 
     scenario: Scenario
     simulation: Simulation
     driver: Driver
     mapper: GuardedMapper | GuardedCloudMapper
+    feeding: Feeding
     compile_seconds: float
+
+    def cost(self, meter: CostMeter) -> dict[str, Any]:
+        """Return what the drive has cost by now: `cpu_seconds`, `peak_memory`."""
+        cost = meter.cost()
+        return asdict(cost + self.feeding.cost() if isinstance(self.feeding, MapperProcess) else cost)
 
 
 def prepare(
@@ -208,15 +220,26 @@ def prepare(
     robot = make_robot(config.robot)
     mapper = guarded(loaded := mapper_named(config.mapper, config.seed), config)
     check_sensors(loaded, config)
-    progress("build", 0.0)
-    scenario = (scenarios or ScenarioCache()).scenario(config)
-    with compile_timer() as compile_seconds:
-        progress("plan", 0.0)
-        driver = make_driver(scenario.world, robot, config, occupancy_map(mapper))
-        progress("compile", 0.0)
-        warm_up(scenario, robot)
-    simulation = scenario.simulation(robot)
-    return ReadyRun(scenario, simulation, driver, mapper, compile_seconds())
+    with ExitStack() as started:
+        process = mapper_process(config, loaded)
+        if process is not None:
+            started.callback(process.close)
+        progress("build", 0.0)
+        scenario = (scenarios or ScenarioCache()).scenario(config)
+        with compile_timer() as compile_seconds:
+            progress("plan", 0.0)
+            driver = make_driver(scenario.world, robot, config, occupancy_map(mapper))
+            progress("compile", 0.0)
+            process = ready_process(process)
+            warm_up(scenario, robot, process)
+        simulation = scenario.simulation(robot)
+        started.pop_all()
+    feeding: Feeding
+    if process is not None:
+        mapper, feeding = guarded(process, config), process
+    else:
+        feeding = ThreadFeeding(mapper) if config.threads > 1 else DirectFeeding(mapper)
+    return ReadyRun(scenario, simulation, driver, mapper, feeding, compile_seconds())
 
 
 def conclude(
@@ -296,8 +319,8 @@ def _timed_drive(
             wall_limit=config.wall_limit,
             recorder=recorder,
             spool=spool,
-            threads=config.threads,
+            feeding=ready.feeding,
         )
-        cost = {"cpu_seconds": meter.cpu_seconds(), "peak_memory": meter.peak_memory()}
+        cost = ready.cost(meter)
     log.concurrent = others.found
     return log, cost

@@ -8,6 +8,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_validation.config import driver_parts
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.experiment.clouds.guard import guarded, occupancy_map
+from lirs_validation.experiment.feeding.process import MapperProcess
 from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.mappers.loading import mapper_named, warm_up_mapper
 from lirs_validation.experiment.scenario import Scenario
@@ -20,21 +21,30 @@ _WARM: set[tuple[str | None, ...]] = set()
 """What this process has driven already."""
 
 
-def warm_up(scenario: Scenario, robot: Robot) -> None:
+def warm_up(scenario: Scenario, robot: Robot, process: MapperProcess | None = None) -> None:
     """Drive a throw-away simulation for a moment, so that every kernel is compiled.
 
-    What this process drove before is compiled: it is not driven again.
+    What this process drove before is compiled: it is not driven again, unless the mapper has a new process.
+
+    Args:
+        scenario: of the drive.
+        robot: that is driven.
+        process: of the mapper, which begins anew; None = it has none.
     """
     c = scenario.config
     driven = driver_parts(c.driver)[0]
     where = (scenario.world.kind, c.terrain, c.rays, "walkers" if c.actors else "")
     kind = (*where, c.robot, c.lidar, c.mapper, c.attitude, driven)
-    if kind in _WARM:
-        return
-    warm_up_mapper(c.mapper)
+    if process is None:
+        if kind in _WARM:
+            return
+        warm_up_mapper(c.mapper)
     slow = c.rays == "mujoco" and c.terrain == "hfield"
     config = replace(c, seconds=BRIEF if slow else WARM_UP)
-    mapper = guarded(mapper_named(c.mapper, c.seed), c)
+    mapper = guarded(process or mapper_named(c.mapper, c.seed), c)
     driver = make_driver(scenario.world, robot, config, occupancy_map(mapper))
-    drive(scenario.simulation(robot), driver, mapper, config.seconds)
-    _WARM.add(kind)
+    drive(scenario.simulation(robot), driver, mapper, config.seconds, feeding=process)
+    if process is None:
+        _WARM.add(kind)
+    else:
+        process.begin()

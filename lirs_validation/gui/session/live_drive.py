@@ -56,7 +56,7 @@ class LiveDrive:
             ready.mapper,
             config.seconds,
             wall_limit=config.wall_limit,
-            threads=config.threads,
+            feeding=ready.feeding,
         )
         self._T_world_map = self._drive.log.truth[0].to_pose2()
         self._maps: list[MapSnapshot] = []
@@ -146,7 +146,7 @@ class LiveDrive:
         if self.driver.touched:
             driven = replace(self.config, driver=MANUAL)
             ready = replace(ready, scenario=replace(ready.scenario, config=driven))
-        cost = {"cpu_seconds": self._meter.cpu_seconds(), "peak_memory": self._meter.peak_memory()}
+        cost = ready.cost(self._meter)
         try:
             return conclude(ready, log, cost, out, progress)
         finally:

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache
+from lirs_validation.interrupts import end_with
 from lirs_validation.sweep.engines.base import Limits
 from lirs_validation.sweep.experiment import Experiment, attempt
 from lirs_wct.files import remove_orphans
@@ -124,13 +125,11 @@ def _work(pipe: Connection, memory: float | None, trace: str, parent: int) -> No
 
 
 def _serve(pipe: Connection, memory: float | None, trace: str, parent: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
-    signal.signal(signal.SIGTERM, _interrupt)  # as Ctrl-C: a mapper's own `sys.exit` ends nothing but its run
+    end_with(parent)
     file = Path(trace).open("w", encoding="utf-8")  # noqa: SIM115  open as long as the process lives
     faulthandler.enable(file)
     if hasattr(signal, "SIGUSR1"):
         faulthandler.register(signal.SIGUSR1, file=file)
-    threading.Thread(target=_die_with, args=(parent,), daemon=True).start()
     if memory is not None:
         _limit_memory(memory)
     scenarios = ScenarioCache()
@@ -147,17 +146,6 @@ def _serve(pipe: Connection, memory: float | None, trace: str, parent: int) -> N
             pipe.send(("progress", step, share))
 
         pipe.send(("done", attempt(job.experiment, job.out, scenarios, progress, concurrent=job.concurrent)))
-
-
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
-
-
-def _die_with(parent: int) -> None:
-    """End this process when its parent was killed, even if a mapper hangs."""
-    while os.getppid() == parent:
-        time.sleep(1.0)
-    os._exit(1)
 
 
 def _limit_memory(limit: float) -> None:

@@ -1,4 +1,4 @@
-"""A drive of two threads: the bytes of one, however it ends, and nothing that hangs."""
+"""A mapper beside the drive, in a process or a thread: the bytes of one thread, and nothing that hangs."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ from lirs_envs.sensing.sensors import Observation
 from lirs_validation import Run, RunConfig, read_record, validate
 from lirs_validation.experiment import loop
 from lirs_validation.experiment.drive_log import DriveLog
+from lirs_validation.experiment.feeding.feeding import DirectFeeding, Feeding
+from lirs_validation.experiment.feeding.thread import ThreadFeeding
 from lirs_validation.experiment.loop import Drive, drive
 from lirs_validation.experiment.mappers.guard import GuardedMapper
 from lirs_validation.experiment.run import prepare, run
@@ -31,6 +34,7 @@ from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.progress import no_progress
 from slam_baselines.mapper import Mapper
+from tests.lirs_validation.experiment.mapper_processes import mapper_processes
 
 TIMED = ("rtf.csv", "record.json", "overview.png", "manifest-sha256.txt")
 """Files that hold what the clock says."""
@@ -59,9 +63,14 @@ class Failing(Slow):
         if scan.stamp > 1.0: raise ValueError("no more")
         return super().update(scan, odometry, imu)
 
-class Hanging(Slow):
+class HangingInAThread(Slow):
     def update(self, scan, odometry, imu):
         while scan.stamp > 0.5 and threading.current_thread().name == "mapper": time.sleep(0.01)
+        return super().update(scan, odometry, imu)
+
+class Hanging(Slow):
+    def update(self, scan, odometry, imu):
+        while scan.stamp > 0.5: time.sleep(0.01)
         return super().update(scan, odometry, imu)
 """
 
@@ -73,6 +82,7 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.delitem(sys.modules, "own_slam", raising=False)
     yield
     assert not mapper_threads()
+    assert not mapper_processes()
 
 
 def mapper_threads() -> list[threading.Thread]:
@@ -115,6 +125,7 @@ def test_two_threads_give_the_same_bytes(mapper: str) -> None:
     assert one.log.walker_beams
     assert one.record.name != two.record.name
     assert two.record.config.threads == 2
+    assert (one.record.rtf["mapper_in"], two.record.rtf["mapper_in"]) == ("drive", "process")
 
 
 @pytest.mark.parametrize("mapper", ["Lost", "LostForAWhile"])
@@ -138,13 +149,15 @@ def test_a_mapper_that_raises_is_told_as_with_one_thread() -> None:
     told = []
     for threads in (1, 2):
         with pytest.raises(MapperError) as raised:
-            validate("simple", mapper="own_slam:Failing", seconds=4, threads=threads)
-        told.append((str(raised.value), type(raised.value.__cause__)))
+            validate("simple", mapper="own_slam:Failing", seconds=4, threads=threads, out="out")
+        told.append(str(raised.value))
     assert told[0] == told[1]
-    assert "1.040 s: ValueError: no more" in told[0][0]
+    assert "1.040 s: ValueError: no more" in told[0]
+    assert "in update\n    if scan.stamp > 1.0" in raised.value.__notes__[0]  # where, in the other process
+    assert not Path("out").exists()
 
 
-def test_a_cloud_mapper_has_its_thread_too() -> None:
+def test_a_cloud_mapper_has_its_process_too() -> None:
     (Path.cwd() / "own_clouds.py").write_text(
         "import time\n"
         "from lirs_wct.geometry.pose import Pose3\n"
@@ -168,11 +181,12 @@ def test_a_cloud_mapper_has_its_thread_too() -> None:
 
 
 def test_the_simulation_counts_no_tick_beyond_the_log() -> None:
-    config = RunConfig(source="simple", mapper="own_slam:Lost", seconds=8)
     counted = []
     for threads in (1, 2):
+        config = RunConfig(source="simple", mapper="own_slam:Lost", seconds=8, threads=threads)
         ready = prepare(config)
-        log = drive(ready.simulation, ready.driver, ready.mapper, 8.0, threads=threads)
+        with closing(ready.feeding):
+            log = drive(ready.simulation, ready.driver, ready.mapper, 8.0, feeding=ready.feeding)
         counted.append((ready.simulation.controls, ready.simulation.collisions, ready.simulation.time))
         assert len(ready.simulation.timing.physics) == len(log.walls) == len(log.commands)
     np.testing.assert_array_equal(counted[0][0], counted[1][0])
@@ -180,11 +194,12 @@ def test_the_simulation_counts_no_tick_beyond_the_log() -> None:
 
 
 def test_the_parts_of_the_time_add_up() -> None:
-    begun = time.perf_counter()
-    ready = prepare(RunConfig(source="simple", mapper="own_slam:Slow", seconds=4, threads=2))
-    begun = time.perf_counter()
-    log = drive(ready.simulation, ready.driver, ready.mapper, 4.0, threads=2)
-    assert 0.9 * (time.perf_counter() - begun) < sum(log.walls) < time.perf_counter() - begun
+    config = RunConfig(source="simple", mapper="own_slam:Slow", seconds=4, threads=2)
+    ready = prepare(config)
+    with closing(ready.feeding):
+        begun = time.perf_counter()
+        log = drive(ready.simulation, ready.driver, ready.mapper, 4.0, feeding=ready.feeding)
+        assert 0.9 * (time.perf_counter() - begun) < sum(log.walls) < time.perf_counter() - begun
     two = validate("simple", mapper="own_slam:Slow", seconds=4, threads=2).record.rtf
     parts = two["parts"]
     assert set(parts) == {"physics", "sensors", "mapper", "waiting", "rest"}
@@ -246,8 +261,13 @@ class SlowPuppet:
 
 def puppets(fails: str, threads: int, **options: Any) -> tuple[DriveLog, Sim, SlowPuppet]:
     sim, mapper = Sim(fails, 40), SlowPuppet()
-    log = drive(sim, sim, mapper, 4.0, threads=threads, **options)  # type: ignore[arg-type]
+    with closing(fed(mapper, threads)) as feeding:
+        log = drive(sim, sim, mapper, 4.0, feeding=feeding, **options)  # type: ignore[arg-type]
     return log, sim, mapper
+
+
+def fed(mapper: Any, threads: int = 2) -> Feeding:
+    return ThreadFeeding(mapper) if threads > 1 else DirectFeeding(mapper)
 
 
 @pytest.mark.parametrize("fails", ["tipped", "off world", "stuck", "diverged", "nothing"])
@@ -265,21 +285,22 @@ def test_a_failure_ends_both_at_the_same_tick(fails: str) -> None:
 def test_an_error_of_the_driver_comes_after_the_ticks_before_it() -> None:
     for threads in (1, 2):
         sim, mapper = Sim("driver", 40), SlowPuppet()
-        with pytest.raises(ValueError, match="a bug"):
-            drive(sim, sim, mapper, 4.0, threads=threads)  # type: ignore[arg-type]
+        with closing(fed(mapper, threads)) as feeding, pytest.raises(ValueError, match="a bug"):
+            drive(sim, sim, mapper, 4.0, feeding=feeding)  # type: ignore[arg-type]
         assert len(mapper.stamps) == 40
 
 
 def test_a_simulation_that_is_ahead_stays_within_its_limit() -> None:
-    sim = Sim("nothing", 0)
-    taken = Drive(sim, sim, SlowPuppet(0.005), 4.0, threads=2)  # type: ignore[arg-type]
+    sim, mapper = Sim("nothing", 0), SlowPuppet(0.005)
+    feeding = fed(mapper)
+    taken = Drive(sim, sim, mapper, 4.0, feeding=feeding)  # type: ignore[arg-type]
     for _ in range(50):
         taken.step()
         assert sim.ticks <= len(taken.log.truth) + loop.MOST_AHEAD
     assert sim.ticks > len(taken.log.truth) + 5
     taken.catch_up()
     assert sim.ticks == len(taken.log.truth) == len(taken.log.commands) + 1
-    taken.close()
+    feeding.close()
 
 
 def test_a_drive_of_two_threads_stops_at_its_wall_limit() -> None:
@@ -290,8 +311,8 @@ def test_a_drive_of_two_threads_stops_at_its_wall_limit() -> None:
 
 
 def test_a_drive_that_is_forgotten_ends_its_thread() -> None:
-    sim = Sim("nothing", 0)
-    taken = Drive(sim, sim, SlowPuppet(), 4.0, threads=2)  # type: ignore[arg-type]
+    sim, mapper = Sim("nothing", 0), SlowPuppet()
+    taken = Drive(sim, sim, mapper, 4.0, feeding=fed(mapper))  # type: ignore[arg-type]
     taken.step()
     assert mapper_threads()
     del taken
@@ -306,12 +327,12 @@ def mapper_threads_end() -> None:
 
 @pytest.mark.parametrize("inside", [True, False])
 def test_ctrl_c_ends_a_mapper_that_hangs(inside: bool) -> None:
-    ready = prepare(RunConfig(source="simple", mapper="own_slam:Hanging", seconds=4))
+    ready = prepare(RunConfig(source="simple", mapper="own_slam:HangingInAThread", seconds=4))
     mapper = ready.mapper if inside else _Unguarded(ready.mapper)
     usual = sys.getswitchinterval()
     threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT)).start()
-    with pytest.raises(KeyboardInterrupt):
-        drive(ready.simulation, ready.driver, mapper, 4.0, threads=2)  # type: ignore[arg-type]
+    with closing(fed(mapper)) as feeding, pytest.raises(KeyboardInterrupt):
+        drive(ready.simulation, ready.driver, mapper, 4.0, feeding=feeding)  # type: ignore[arg-type]
     mapper_threads_end()
     assert sys.getswitchinterval() == usual
 
@@ -342,6 +363,7 @@ def test_workers_drive_with_two_threads(tmp_path: Path) -> None:
     assert outcome.status == "ok"
     here = run(replace(config, threads=1), out=tmp_path)
     assert here.folder is not None
+    assert read_record(tmp_path / given.name)["rtf"]["mapper_in"] == "process"
     for name in ("truth.tum", "estimate.tum", "map.pgm"):
         assert (tmp_path / given.name / name).read_bytes() == (here.folder / name).read_bytes()
 
@@ -358,6 +380,7 @@ def test_a_guarded_mapper_is_read_in_its_own_thread_alone() -> None:
 
     sim = Sim("nothing", 0)
     mapper: Mapper = GuardedMapper(Watched(0.0), "watched")  # type: ignore[arg-type]
-    drive(sim, sim, mapper, 1.0, threads=2)  # type: ignore[arg-type]
+    with closing(fed(mapper)) as feeding:
+        drive(sim, sim, mapper, 1.0, feeding=feeding)  # type: ignore[arg-type]
     assert set(asked) == {"mapper"}
     assert len(asked) == 26

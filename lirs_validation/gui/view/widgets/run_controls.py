@@ -45,7 +45,7 @@ class RunControls:
             )
             self._walkers = gui.add_number("walkers", 0, min=0, max=WALKERS, step=1)
             self._threads = gui.add_dropdown(
-                "threads", tuple(map(str, THREADS)), hint="With 2 the mapper works beside the simulation."
+                "threads", tuple(map(str, THREADS)), hint="With 2 the mapper has a process of its own."
             )
 
     def config(self, source: str, options: SourceOptions) -> RunConfig:

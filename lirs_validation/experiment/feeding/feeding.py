@@ -1,0 +1,79 @@
+"""Feeding a mapper: scans go in, answers come out in their order; at once, or beside the drive."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from lirs_envs.sensing.sensors import Observation
+from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
+from lirs_validation.experiment.feeding.answer import Answer, AnyMapper, Place, answered
+from lirs_wct.errors import ConfigError
+
+
+class Feeding(Protocol):
+    """Feeds a mapper scan by scan; answers come in the order of the scans."""
+
+    @property
+    def place(self) -> Place:
+        """Where the mapper works."""
+        ...
+
+    @property
+    def ready(self) -> bool:
+        """Whether nothing is gained by waiting for the next answer."""
+        ...
+
+    def give(self, observation: Observation) -> None:
+        """Hand a scan to the mapper.
+
+        Raises:
+            ConfigError: it reads point clouds, and the lidar has no rings.
+            MapperError: its process has ended.
+        """
+        ...
+
+    def answer(self) -> Answer:
+        """Return what the mapper answered to the first scan that is not answered yet.
+
+        Raises:
+            MapperError: the mapper failed.
+        """
+        ...
+
+    def close(self) -> None:
+        """End what goes on; nothing is given or asked afterwards."""
+        ...
+
+
+class DirectFeeding:
+    """Feeds a mapper when it is asked for its answer."""
+
+    place: Place = "drive"
+    ready = True
+
+    def __init__(self, mapper: AnyMapper) -> None:
+        self._mapper = mapper
+
+    def give(self, observation: Observation) -> None:
+        """Keep the scan (see `Feeding`)."""
+        self._sensed = sensed(observation, clouds=isinstance(self._mapper, GuardedCloudMapper))
+
+    def answer(self) -> Answer:
+        """Feed the mapper (see `Feeding`)."""
+        return answered(self._mapper, self._sensed)
+
+    def close(self) -> None:
+        """Nothing goes on."""
+
+
+def sensed(observation: Observation, *, clouds: bool) -> tuple[Any, ...]:
+    """Return what of an observation a mapper's `update` takes.
+
+    Raises:
+        ConfigError: it takes a point cloud, and the lidar has no rings.
+    """
+    if not clouds:
+        return observation.scan, observation.odometry, observation.imu
+    if observation.cloud is None:
+        raise ConfigError("a mapper of point clouds needs a lidar with rings")
+    return observation.cloud, observation.imu

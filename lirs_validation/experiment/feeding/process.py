@@ -1,0 +1,245 @@
+"""A mapper in a process of its own: it works beside the drive, and Python's lock is each one's own."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import warnings
+from collections import deque
+from contextlib import suppress
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import Any, NoReturn
+from weakref import finalize
+
+from lirs_envs.sensing.sensors import Observation
+from lirs_validation.config import RunConfig
+from lirs_validation.experiment.cost import Cost
+from lirs_validation.experiment.feeding.answer import Answer, Place
+from lirs_validation.experiment.feeding.feeding import sensed
+from lirs_validation.experiment.feeding.packing import packed, unpacked_pose
+from lirs_wct.errors import ConfigError, MapperError
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.mapper import CloudMapper, Mapper, MapperStats, reads_clouds
+
+BATCH = 8
+"""Scans that are sent together; a message takes as long as a tenth of a tick."""
+IDLE_END = 0.3
+"""Seconds within which an idle process ends when its pipe is closed."""
+PATIENCE = 1.0
+"""Seconds that a mapper at work is given to tidy up before its process is killed."""
+PROGRAM = (
+    "import sys; sys.argv, sys.path[:] = {argv!r}, {path!r}; "
+    "from lirs_validation.experiment.feeding.server import serve; serve({handle}, {parent})"
+)
+"""Of the process. Those of multiprocessing run the caller's script again, which then needs a guard."""
+
+
+class MapperProcess:
+    """A process that makes a run's mapper, and is fed with scans; it ends with this object.
+
+    It is a `Feeding`, and what it is asked for as a mapper it asks that one: only while no scan is
+    unanswered.
+
+    Attributes:
+        reads_clouds: whether the mapper reads point clouds.
+        compile_seconds: that the compiler took there, once it is ready.
+
+    Raises:
+        MapperError: the process cannot be started.
+    """
+
+    place: Place = "process"
+
+    def __init__(self, config: RunConfig, *, reads_clouds: bool) -> None:
+        self.reads_clouds, self.compile_seconds = reads_clouds, 0.0
+        self._name = config.mapper
+        self._pipe, far = Pipe()
+        try:
+            self._process = _started(far)
+        except OSError as error:
+            raise MapperError(
+                f"mapper {config.mapper!r}: no process of its own can be started ({error}); "
+                "with --threads 1 it needs none"
+            ) from error
+        finally:
+            far.close()
+        self._end = finalize(self, _end, self._process, self._pipe)
+        self._given: list[tuple[Any, ...]] = []
+        self._answers: deque[Answer | Exception] = deque()
+        self._sent = 0
+        self._send("prepare", config)
+
+    def wait_until_ready(self) -> None:
+        """Wait until the mapper is made and its kernels are compiled.
+
+        Raises:
+            ConfigError: it cannot be made there.
+            MapperError: the process ended.
+        """
+        self.compile_seconds = self._reply()
+
+    def begin(self) -> None:
+        """Begin anew with a mapper that knows nothing; what it costs is counted from now on."""
+        self._asked("begin")
+
+    @property
+    def ready(self) -> bool:
+        """Whether the next answer is there; a batch that is not full is not asked for."""
+        return bool(self._answers) or (self._sent > 0 and self._pipe.poll())
+
+    def give(self, observation: Observation) -> None:
+        """Hand over a scan (see `Feeding`)."""
+        self._given.append(sensed(observation, clouds=self.reads_clouds))
+        if len(self._given) >= BATCH:
+            self._flush()
+
+    def answer(self) -> Answer:
+        """Wait for the mapper's next answer (see `Feeding`)."""
+        if not self._answers:
+            self._receive()
+        found = self._answers[0]
+        if isinstance(found, Exception):  # which it stays
+            raise found
+        self._answers.popleft()
+        return found
+
+    def close(self) -> None:
+        """End the process; a mapper that is at work is interrupted."""
+        self._end()
+
+    def update(self, *update: Any) -> Any:
+        """Feed the mapper; return its estimate (see `Mapper` and `CloudMapper`)."""
+        self._given.append(update)
+        return self.answer().estimate
+
+    def map(self) -> OccupancyGrid:
+        """Return the mapper's map."""
+        return self._asked("map")  # type: ignore[no-any-return]
+
+    def trajectory(self) -> Trajectory:
+        """Return the mapper's trajectory."""
+        return self._asked("trajectory")  # type: ignore[no-any-return]
+
+    @property
+    def stats(self) -> MapperStats:
+        """What the mapper counted."""
+        return self._asked("stats")  # type: ignore[no-any-return]
+
+    @property
+    def lost(self) -> bool:
+        """Whether the mapper does not know its place."""
+        return self._asked("lost")  # type: ignore[no-any-return]
+
+    def cost(self) -> Cost:
+        """Return what the process has taken since `begin`."""
+        return self._asked("cost")  # type: ignore[no-any-return]
+
+    def _asked(self, name: str) -> Any:
+        assert self._idle, "a mapper at work is asked nothing"
+        self._send(name)
+        return self._reply()
+
+    @property
+    def _idle(self) -> bool:
+        return not (self._given or self._sent or self._answers)
+
+    def _flush(self) -> None:
+        """Send the scans that were given."""
+        self._send("update", packed(self._given))
+        self._sent += 1
+        self._given.clear()
+
+    def _receive(self) -> None:
+        """Wait for the answers to a batch."""
+        if not self._sent:
+            self._flush()
+        answers, error = self._reply()
+        self._sent -= 1
+        self._answers.extend(Answer(unpacked_pose(pose), lost, seconds) for pose, lost, seconds in answers)
+        if error is not None:
+            self._answers.append(error)
+
+    def _send(self, name: str, *arguments: Any) -> None:
+        try:
+            self._pipe.send_bytes(pickle.dumps((name, *arguments), 5))
+        except OSError:
+            self._raise_end()
+
+    def _reply(self) -> Any:
+        try:
+            value, error = pickle.loads(self._pipe.recv_bytes())
+        except (EOFError, OSError):
+            self._raise_end()
+        if error is not None:
+            raise error
+        return value
+
+    def _raise_end(self) -> NoReturn:
+        """Tell that the process has ended, and how."""
+        self._end()
+        code = self._process.returncode
+        how = f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit code {code}"
+        memory = "; the system may have lacked memory" if how.endswith("SIGKILL") else ""
+        raise MapperError(f"mapper {self._name!r}: its process ended ({how}{memory})")
+
+
+def mapper_process(config: RunConfig, mapper: Mapper | CloudMapper) -> MapperProcess | None:
+    """Start the process of a run's mapper; None with one thread.
+
+    Args:
+        config: of the run.
+        mapper: that was made of it in this process.
+
+    Raises:
+        MapperError: it cannot be started.
+    """
+    return MapperProcess(config, reads_clouds=reads_clouds(mapper)) if config.threads > 1 else None
+
+
+def ready_process(process: MapperProcess | None) -> MapperProcess | None:
+    """Return a process once its mapper is ready; None where it cannot be made there, of which is warned.
+
+    Raises:
+        MapperError: the process ended.
+    """
+    if process is None:
+        return None
+    try:
+        process.wait_until_ready()
+    except ConfigError as error:
+        process.close()
+        warnings.warn(
+            f"no other process can make this mapper ({error}): it works in a thread of this one, which takes "
+            "turns with the simulation",
+            stacklevel=2,
+        )
+        return None
+    return process
+
+
+def _started(far: Connection) -> subprocess.Popen[bytes]:
+    """Start a process that holds one end of a pipe, and that no Ctrl-C reaches but this process."""
+    handle = far.fileno()
+    program = PROGRAM.format(argv=sys.argv, path=sys.path, handle=handle, parent=os.getpid())
+    options: dict[str, Any] = {"pass_fds": (handle,), "start_new_session": True}
+    if sys.platform == "win32":
+        os.set_handle_inheritable(handle, True)
+        inherited = subprocess.STARTUPINFO(lpAttributeList={"handle_list": [handle]})
+        options = {"startupinfo": inherited, "creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+    return subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.DEVNULL, **options)
+
+
+def _end(process: subprocess.Popen[bytes], pipe: Connection) -> None:
+    """End a process: one that is idle ends by itself, one at work is interrupted, and killed in the end."""
+    pipe.close()
+    for end, patience in ((process.terminate, IDLE_END), (process.kill, PATIENCE)):
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(patience)
+            return
+        end()
+    process.wait()

@@ -1,0 +1,135 @@
+"""What a mapper's process does: it makes the mapper, feeds it, and tells what it is asked for."""
+
+from __future__ import annotations
+
+import gc
+import os
+import pickle
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Any
+
+from lirs_validation.config import RunConfig
+from lirs_validation.experiment.clouds.guard import guarded
+from lirs_validation.experiment.cost import Cost, CostMeter, compile_timer
+from lirs_validation.experiment.feeding.answer import answered
+from lirs_validation.experiment.feeding.packing import ScanBatch, packed_pose, unpacked
+from lirs_validation.experiment.mappers.loading import mapper_named, warm_up_mapper
+from lirs_validation.interrupts import end_with
+from lirs_wct.errors import MapperError, WctError
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.mapper import MapperStats
+
+if sys.platform == "win32":
+    from multiprocessing.connection import PipeConnection as Connection
+else:
+    from multiprocessing.connection import Connection
+
+ATTENTION, NAP = 0.1, 2e-4
+"""Seconds for which a message is looked out for, and between two looks."""
+PackedAnswer = tuple[tuple[float, ...], bool, float]
+"""A pose, whether the mapper is lost, seconds."""
+
+
+def serve(handle: int, parent: int) -> None:
+    """Do what comes through a pipe until it is closed, or the parent asks to end.
+
+    Args:
+        handle: of this process's end of the pipe.
+        parent: process id.
+    """
+    with suppress(KeyboardInterrupt, EOFError, OSError):
+        end_with(parent)
+        pipe, server = Connection(handle), _Server()
+        while True:
+            _await(pipe)
+            name, *arguments = pickle.loads(pipe.recv_bytes())
+            pipe.send_bytes(pickle.dumps(_outcome(server, name, arguments), 5))
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends already
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)  # taking the interpreter down in order takes long
+
+
+def _await(pipe: Connection) -> None:
+    """Look out for a message for a moment.
+
+    Waiting for it instead has Linux wake this process on the sender's core, where it takes the sender's
+    place, although the other core is free.
+    """
+    until = time.monotonic() + ATTENTION
+    while not pipe.poll() and time.monotonic() < until:
+        time.sleep(NAP)
+
+
+def _outcome(server: _Server, name: str, arguments: Sequence[Any]) -> tuple[Any, Exception | None]:
+    try:
+        return getattr(server, name)(*arguments), None
+    except Exception as error:
+        return None, _sendable(error)
+
+
+class _Server:
+    """A run's mapper; each method is a request."""
+
+    def prepare(self, config: RunConfig) -> float:
+        """Make the mapper and compile its kernels; return the seconds that the compiler took."""
+        self._config = config
+        self.begin()
+        with compile_timer() as compile_seconds:
+            warm_up_mapper(config.mapper)
+        return compile_seconds()
+
+    def begin(self) -> None:
+        """Make the mapper anew; what there is, is left to Python's garbage collector (see `heap_at_rest`)."""
+        c = self._config
+        self._mapper = guarded(mapper_named(c.mapper, c.seed), c)
+        gc.freeze()
+        self._meter = CostMeter()
+
+    def update(
+        self, batch: ScanBatch | Sequence[tuple[Any, ...]]
+    ) -> tuple[list[PackedAnswer], Exception | None]:
+        """Feed the mapper; return pose, lost and seconds of each scan, and what ended it before the last."""
+        answers: list[PackedAnswer] = []
+        for update in unpacked(batch):
+            try:
+                answer = answered(self._mapper, update)
+            except Exception as error:
+                return answers, _sendable(error)
+            answers.append((packed_pose(answer.estimate), answer.lost, answer.seconds))
+        return answers, None
+
+    def map(self) -> OccupancyGrid:
+        """Return the mapper's map."""
+        return self._mapper.map()  # type: ignore[union-attr]  # of clouds: is not asked
+
+    def trajectory(self) -> Trajectory:
+        """Return the mapper's trajectory."""
+        return self._mapper.trajectory()
+
+    def stats(self) -> MapperStats:
+        """Return what the mapper counted."""
+        return self._mapper.stats
+
+    def lost(self) -> bool:
+        """Return whether the mapper does not know its place."""
+        return self._mapper.lost
+
+    def cost(self) -> Cost:
+        """Return what this process has taken since the mapper was made."""
+        return self._meter.cost()
+
+
+def _sendable(error: Exception) -> Exception:
+    """Return an error that another process can read, with a note of where it was raised."""
+    note = f"In the mapper's process:\n{''.join(traceback.format_exception(error))}"
+    if type(error).__module__ != WctError.__module__:
+        error = MapperError(str(error))
+    error.add_note(note)
+    return error
