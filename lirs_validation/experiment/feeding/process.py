@@ -89,8 +89,8 @@ class MapperProcess:
 
     @property
     def ready(self) -> bool:
-        """Whether the next answer is there; a batch that is not full is not asked for."""
-        return bool(self._answers) or (self._sent > 0 and self._pipe.poll())
+        """Whether the next answer is there, or none will come; a batch that is not full is not asked for."""
+        return bool(self._answers) or self._pipe.closed or (self._sent > 0 and self._pipe.poll())
 
     def give(self, observation: Observation) -> None:
         """Hand over a scan (see `Feeding`)."""

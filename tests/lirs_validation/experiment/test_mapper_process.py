@@ -21,7 +21,7 @@ from lirs_envs.robots.command import Twist
 from lirs_validation import RunConfig, read_record, validate
 from lirs_validation.experiment.clouds.guard import guarded
 from lirs_validation.experiment.feeding.packing import packed, packed_pose, unpacked, unpacked_pose
-from lirs_validation.experiment.feeding.process import MapperProcess
+from lirs_validation.experiment.feeding.process import BATCH, MapperProcess
 from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.mappers.loading import mapper_named
 from lirs_validation.experiment.run import prepare
@@ -108,6 +108,21 @@ def test_a_process_that_dies_is_told_in_a_line(mapper: str, how: str) -> None:
     assert str(raised.value) == f"mapper 'own_slam:{mapper}': its process ended ({how})"
     assert not mapper_processes()
     assert not Path("out").exists()
+
+
+def test_a_process_that_dies_before_a_batch_is_sent_keeps_nobody_waiting() -> None:
+    (observation,) = validate("simple", seconds=1).log.observations[:1]
+    process = MapperProcess(RunConfig(source="simple"), reads_clouds=False)
+    process.wait_until_ready()
+    process._process.kill()
+    process._process.wait()
+    for _ in range(BATCH - 1):
+        process.give(observation)
+    with pytest.raises(MapperError, match="its process ended"):
+        process.give(observation)
+    assert process.ready
+    with pytest.raises(MapperError, match="its process ended"):
+        process.answer()
 
 
 def test_a_process_that_cannot_be_started_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
