@@ -40,7 +40,6 @@ from lirs_wct.geometry.pose import Pose3
 N, HELD = 16, 10
 ALL = np.arange(N)
 TASK: dict[str, Any] = {"world": "medium", "robot": "husky", "control_hz": 25, "time_limit": 1e6}
-OLD = {"world": "medium", "robot": "husky"}
 LIMITS = {
     "cpu_over_physics_and_rays": ("processor time of a step / (physics + rays)", "<=", 1.25),
     "thread_speedup": ("wall time of one thread / of two", ">=", 1.7),
@@ -167,9 +166,7 @@ def measure(rounds: int, steps: int, told: np.ndarray) -> dict[str, float]:
     recording = Recording(steps, told)
     one, two, several = vector(1), vector(2), vector(len(os.sched_getaffinity(0)))
     sync = SyncVectorEnv([lambda: gym.make("LIRS/Mapping-v1", **TASK) for _ in range(N)])
-    old = SyncVectorEnv([lambda: gym.make("LIRS/Mapping-v0", **OLD) for _ in range(N)])
     sync.reset(seed=0)
-    old.reset(seed=0)
     cpu, wall = time.process_time, time.perf_counter
     times = medians(
         {
@@ -178,7 +175,6 @@ def measure(rounds: int, steps: int, told: np.ndarray) -> dict[str, float]:
             "rays": (recording.cast, cpu),
             "marking": (recording.mark, cpu),
             "sync": (lambda k: sync.step(told[k]), cpu),
-            "old_sync": (lambda k: old.step(told[k]), cpu),
             "wall_1": (lambda k: one.step(told[k]), wall),
             "wall_2": (lambda k: two.step(told[k]), wall),
         },
@@ -215,14 +211,13 @@ def ir_sim(python: str | None) -> dict[str, float]:
 
 
 def ratios(times: dict[str, float]) -> dict[str, float]:
-    """Return what is asked for, and how much faster than the old single step."""
+    """Return what is asked for, and how much faster a vector is than single environments."""
     return {
         "cpu_over_physics_and_rays": times["vector"] / (times["physics"] + times["rays"]),
         "thread_speedup": times["wall_1"] / times["wall_2"],
         "marking_over_rays": times["marking"] / times["rays"],
         "sync_over_vector": times["sync"] / times["vector"],
         "async_over_vector": times["wall_async"] / times["wall_all"],
-        "old_sync_over_vector": times["old_sync"] / times["vector"],
     }
 
 

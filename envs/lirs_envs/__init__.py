@@ -25,13 +25,6 @@ def _choose_opengl() -> None:
 
 _choose_opengl()
 
-register(
-    id="LIRS/Mapping-v0",
-    entry_point="lirs_envs.mapping_env:MappingEnv",
-    max_episode_steps=3000,
-    kwargs={"world": "simple", "robot": "husky"},
-)
-
 for _id, _task in (("Mapping-v1", "mapping"), ("Navigation-v0", "navigation"), ("Traverse-v0", "traverse")):
     register(
         id=f"LIRS/{_id}",

@@ -12,7 +12,6 @@ import pytest
 
 from lirs_envs.lidar.mesh_rays import MeshCaster
 from lirs_envs.lidar.pattern import rings
-from lirs_envs.mapping_env import MappingEnv
 from lirs_envs.props import Prop
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
@@ -83,16 +82,3 @@ def test_rays_on_a_true_mesh_follow_the_copy(rough: World) -> None:
     assert np.isfinite(caster.ranges(*rays)).all()
     assert (through_pickle(caster).ranges(*rays) == caster.ranges(*rays)).all()
     assert copy.deepcopy(caster) is caster
-
-
-@COPIES
-def test_an_environment_in_mid_episode(rough: World, copied: Callable[[Any], Any]) -> None:
-    env = MappingEnv(rough)
-    env.reset(seed=1)
-    env.step(np.array((1.0, 0.3), np.float32))
-    again = copied(env)
-    for _ in range(5):
-        one, two = (e.step(np.array((0.5, -0.3), np.float32)) for e in (env, again))
-        assert one[0]["scan"].tobytes() == two[0]["scan"].tobytes()
-        assert one[1] == two[1]
-    assert env.reset()[0]["odometry"].tobytes() == again.reset()[0]["odometry"].tobytes()

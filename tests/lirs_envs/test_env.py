@@ -29,7 +29,9 @@ from gymnasium.wrappers import (
 
 import lirs_envs  # noqa: F401  registers
 from lirs_envs.env import RobotEnv
+from lirs_envs.episodes.config import EnvConfig
 from lirs_envs.robots.catalog import ROBOTS
+from lirs_envs.simulation import Simulation
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
@@ -337,3 +339,9 @@ def test_memory_does_not_grow(name: str) -> None:
     before = megabytes()
     run(60, 800)
     assert megabytes() - before < 1.5
+
+
+def test_the_husky_keeps_the_timestep_of_the_environments(plane: World) -> None:
+    body = Simulation(plane, EnvConfig(world=plane).simulation).body
+    assert body.timestep == 0.004
+    assert body.substeps == (2,) * 5
