@@ -95,7 +95,8 @@ def model_sdf(name: str, *, mesh: str | None = None, friction: float = FRICTION)
 def spherical_coordinates(place: Place | None) -> str:
     """Return the element that says where the world lies; nothing where its latitude is not known.
 
-    SDFormat's heading turns the other way: from north to east.
+    The heading is the angle from east to the world's x axis, counter-clockwise, as gz-sim's NavSat applies it
+    (gz-math, `LOCAL2`). Gazebo classic needs 180 deg minus this value (gazebo-classic #2022).
     """
     if place is None:
         return ""
@@ -111,7 +112,7 @@ def spherical_coordinates(place: Place | None) -> str:
       <latitude_deg>{latitude:.9f}</latitude_deg>
       <longitude_deg>{longitude:.9f}</longitude_deg>
       <elevation>{place.height or 0.0:.4f}</elevation>
-      <heading_deg>{0.0 - heading:.6f}</heading_deg>
+      <heading_deg>{heading:.6f}</heading_deg>
     </spherical_coordinates>"""
 
 

@@ -137,9 +137,9 @@ def test_a_utm_world_says_that_its_x_axis_is_not_east(tmp_path: Path) -> None:
     package = write_package(world, tmp_path, formats=("stl", "sdf"))
     path = "world/spherical_coordinates/heading_deg"
     turned = float(ElementTree.parse(package / "utm.world").findtext(path, ""))
-    assert turned == pytest.approx((75 - 74.006) * np.sin(np.radians(40.71)), abs=2e-3)
+    assert turned == pytest.approx((74.006 - 75) * np.sin(np.radians(40.71)), abs=2e-3)
     assert world.place is not None
-    assert world.place.heading() == pytest.approx(-turned, abs=1e-6)
+    assert world.place.heading() == pytest.approx(turned, abs=1e-6)
 
 
 def test_a_picture_lies_nowhere(tmp_path: Path) -> None:
