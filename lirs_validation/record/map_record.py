@@ -28,8 +28,9 @@ class MapRecord:
         name: of the folder.
         status: `lost` where the mapper lost its place, `incomplete` where the trajectory leaves out scans;
             `reason` says when, and how many.
-        log: scans, beams, laser, seconds, distance by odometry, skipped, late, repaired, inertial_readings,
-            and of the stamps how many went back, were repeated and were moved, and by how much at most.
+        log: scans, beams, laser, seconds, distance by odometry, skipped, left_out (scans), late, repaired,
+            inertial_readings, and of the stamps how many went back, were repeated and were moved, and by how
+            much at most.
         map: cells, resolution, metres, occupied cells, square metres known.
         trajectory: poses, and the share of the scans that has one (scan_coverage).
         mapper: scans received, used, skipped, lost, milliseconds, bytes of its maps, its own counts.
@@ -87,6 +88,7 @@ def describe_log(log: LaserLog) -> dict[str, Any]:
         "seconds": float(stamps[-1] - stamps[0]),
         "odometry_length": log.track.length if len(log.track) else None,
         "skipped": dict(log.skipped),
+        "left_out": log.left_out,
         "late": log.late,
         "stamps": {
             "back": log.lines.back,

@@ -79,6 +79,7 @@ class LaserLog:
         late: lines whose logged stamp is before that of an earlier line.
         repaired: how often something was put right, by what.
         laser: name of the messages that the scans are from.
+        left_out: scans of the file that could not be used and are not in `scans`.
         imu: inertial readings that the log itself holds; a CARMEN log holds none.
     """
 
@@ -90,6 +91,7 @@ class LaserLog:
     late: int = 0
     repaired: Mapping[str, int] = field(default_factory=dict)
     laser: str = "FLASER"
+    left_out: int = 0
     imu: tuple[Imu, ...] = ()
 
     @property

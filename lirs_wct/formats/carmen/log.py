@@ -25,6 +25,7 @@ DAY = 86_400.0
 """A stamp farther than this from the log's middle is damaged, seconds ..."""
 FEW = 0.01
 """... where no more than this share of all are."""
+REPEATED = "scan that is in the log already"
 REASONS = 5
 """Reasons that an error tells."""
 
@@ -71,6 +72,7 @@ def read_carmen(path: Path, facts: LaserFacts | None = None) -> LaserLog:
         late=_late(stamps.logged),
         repaired=dict(repaired),
         laser=laser,
+        left_out=len(lines[laser]) - skipped[REPEATED] - len(found),
     )
 
 
@@ -122,7 +124,7 @@ def _without_repeats(messages: Sequence[Message], skipped: Counter[str]) -> list
     for message in messages:
         first.setdefault((message.stamp, message.base, message.laser, message.ranges.tobytes()), message)
     if len(first) < len(messages):
-        skipped["scan that is in the log already"] += len(messages) - len(first)
+        skipped[REPEATED] += len(messages) - len(first)
     return list(first.values())
 
 

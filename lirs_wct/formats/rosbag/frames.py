@@ -36,8 +36,8 @@ class Frames:
         self._moving: dict[str, list[tuple[int, float, Pose3]]] = {}
         self._parents: dict[str, str] = {}
 
-    def add(self, line: int, message: Any, *, static: bool) -> None:
-        """Take in a TFMessage, the line-th message of the bag."""
+    def add(self, line: int, message: Any, *, static: bool, received: float | None = None) -> None:
+        """Take in a TFMessage, the line-th message of the bag; `received` replaces the stamps in it."""
         for t in message.transforms:
             parent, child = t.header.frame_id.lstrip("/"), t.child_frame_id.lstrip("/")
             T = pose_of(t.transform.translation, t.transform.rotation)
@@ -45,7 +45,8 @@ class Frames:
                 self._fixed[child] = (parent, T)
             else:
                 self._parents[child] = parent
-                self._moving.setdefault(child, []).append((line, seconds(t.header.stamp), T))
+                stamp = seconds(t.header.stamp) if received is None else received
+                self._moving.setdefault(child, []).append((line, stamp, T))
 
     @property
     def names(self) -> set[str]:

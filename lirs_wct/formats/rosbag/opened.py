@@ -5,22 +5,35 @@ Its files are opened one by one: what says which there are is written last, and 
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import cache, partial
+from heapq import merge
+from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NoReturn, TypeAlias
 
 import yaml
-from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
+from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.rosbag.compression import inflated_file, inflated_message
 from lirs_wct.formats.rosbag.library import METADATA
 from lirs_wct.formats.rosbag.salvage.files import fault_of, salvaged
+from lirs_wct.formats.rosbag.salvage.ros1 import MAGIC
 from lirs_wct.formats.suffixes import BAGS, ZSTD, is_bag_file
+
+Reader: TypeAlias = rosbag1.Reader | rosbag2.Reader
+IDL_SEPARATOR = "=" * 80 + "\n"
+"""Between the definitions of a type and of those that it is made of."""
+IDL_TITLE = re.compile(r"\AIDL: .*\n")
+VERSION_LENGTH = 40
+"""Bytes at the start of a ROS 1 bag within which its version ends."""
 
 
 class Bag:
@@ -33,31 +46,70 @@ class Bag:
         undecoded: how many messages could not be decoded, by topic.
     """
 
-    def __init__(self, path: Path, reader: AnyReader, faults: list[str]) -> None:
+    def __init__(self, path: Path, readers: Sequence[Reader], faults: list[str]) -> None:
         self.path, self.faults = path, faults
-        self.kinds: dict[str, str] = {name: info.msgtype or "" for name, info in reader.topics.items()}
+        self._readers = readers
+        types: dict[str, set[str]] = {}
+        for connection in (c for reader in readers for c in reader.connections):
+            types.setdefault(connection.topic, set()).add(connection.msgtype)
+        self.kinds = {topic: kinds.pop() if len(kinds) == 1 else "" for topic, kinds in types.items()}
         self.undecoded: Counter[str] = Counter()
-        self._reader = reader
 
-    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, Any]]:
-        """Yield topics and messages as they were recorded, up to where the bag is damaged."""
-        connections = [c for c in self._reader.connections if c.topic in topics]
-        messages = self._reader.messages(connections) if connections else iter(())
+    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
+        """Yield topic, receive time in nanoseconds, and message as recorded, up to where the bag is damaged.
+
+        Only the types of these topics are parsed: another type that is malformed harms nothing.
+        """
+        messages = merge(*(_of_topics(reader, topics) for reader in self._readers), key=itemgetter(1))
         while True:
             # The parsers of damaged binary data raise whatever the bytes lead to.
             try:
-                connection, _, data = next(messages)
+                connection, received, data = next(messages)
             except StopIteration:
                 return
             except Exception as error:
                 self.faults.append(_reason(error))
                 return
             try:
-                message = self._reader.deserialize(inflated_message(data), connection.msgtype)
+                message = _decoder(connection.msgdef, connection.msgtype, self._ros1)(inflated_message(data))
             except Exception:
                 self.undecoded[connection.topic] += 1
                 continue
-            yield connection.topic, message
+            yield connection.topic, received, message
+
+    @property
+    def _ros1(self) -> bool:
+        return isinstance(self._readers[0], rosbag1.Reader)
+
+
+def _of_topics(reader: Reader, topics: Collection[str]) -> Iterator[tuple[Connection, int, bytes]]:
+    """Yield a file's messages on topics; the library takes an empty selection for all."""
+    chosen = [c for c in reader.connections if c.topic in topics]
+    return reader.messages(chosen) if chosen else iter(())
+
+
+@cache
+def _decoder(definition: MessageDefinition, kind: str, ros1: bool) -> Callable[[bytes | memoryview], Any]:
+    """Return the decoder of a type by the bag's definition; by ROS 2 Jazzy's where the bag holds none.
+
+    The definition states the layout of the bytes, also where the recorded hash of the type differs. The
+    decoder of a definition that cannot be parsed refuses every message.
+    """
+    try:
+        store = get_typestore(Stores.EMPTY if definition.data else Stores.ROS2_JAZZY)
+        if definition.format == MessageDefinitionFormat.MSG:
+            store.register(get_types_from_msg(definition.data, kind))
+        elif definition.format == MessageDefinitionFormat.IDL:
+            for part in filter(None, definition.data.split(IDL_SEPARATOR)):
+                store.register(get_types_from_idl(IDL_TITLE.sub("", part)))
+    except Exception as error:
+        return partial(_refuse, error)
+    decode = store.deserialize_ros1 if ros1 else store.deserialize_cdr
+    return partial(decode, typename=kind)
+
+
+def _refuse(error: Exception, data: bytes | memoryview) -> NoReturn:
+    raise error
 
 
 @contextmanager
@@ -67,17 +119,31 @@ def open_bag(path: Path) -> Iterator[Bag]:
     Raises:
         SourceError: it cannot be read, not even in part.
     """
-    store = get_typestore(Stores.ROS2_JAZZY)
     faults = _missing(path)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="lirs-wct-")))
         try:
             files = [_readable(file, folder / str(k), faults) for k, file in enumerate(_files(path))]
-            reader = stack.enter_context(AnyReader(files, default_typestore=store))
+            readers = [stack.enter_context(_reader(file)) for file in files]
         except Exception as error:
             said = "; ".join([*faults, _reason(error)])
             raise SourceError(f"{path}: not a bag that can be read: {said}") from error
-        yield Bag(path, reader, faults)
+        yield Bag(path, readers, faults)
+
+
+def _reader(file: Path) -> Reader:
+    """Return the library's reader of a file.
+
+    Raises:
+        ValueError: the file is of another version of ROS 1's format.
+    """
+    if file.suffix != ".bag":
+        return rosbag2.Reader(file)
+    with file.open("rb") as begin:
+        version = begin.readline(VERSION_LENGTH).strip()
+    if version.startswith(b"#ROS") and version != MAGIC.strip():
+        raise ValueError(f"its format is {version.decode('latin-1')!r}, legal is {MAGIC.decode().strip()!r}")
+    return rosbag1.Reader(file)
 
 
 def _files(path: Path) -> list[Path]:

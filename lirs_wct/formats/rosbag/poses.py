@@ -63,7 +63,7 @@ def _transformed(bag: Bag, *, required: bool) -> Trajectory | None:
     """
     frames = Frames()
     topics = of_kinds(bag.kinds, TRANSFORMS)
-    for line, (topic, message) in enumerate(bag.messages(topics)):
+    for line, (topic, _, message) in enumerate(bag.messages(topics)):
         frames.add(line, message, static=topic.endswith("tf_static"))
     for base in (name for wanted in BASES for name in sorted(frames.names) if _is(name, wanted)):
         if _is(frames.chain(base)[-1], MAP):
@@ -85,7 +85,7 @@ def _is(frame: str, wanted: str) -> bool:
 def _published(bag: Bag, topic: str) -> Trajectory:
     """Return the poses of a topic by stamp; of two with one stamp the later."""
     found: dict[float, Pose3] = {}
-    for _, message in bag.messages((topic,)):
+    for _, _, message in bag.messages((topic,)):
         if bag.kinds[topic] == PATH:
             found = {}
         for each in message.poses if bag.kinds[topic] == PATH else (message,):

@@ -6,12 +6,9 @@ import math
 import warnings
 from collections import Counter
 from dataclasses import dataclass, field
-from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen.lines import Message
@@ -20,24 +17,12 @@ from lirs_wct.formats.carmen.stamps import in_file_order
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.rosbag.frames import Frames, pose_of, seconds
 from lirs_wct.formats.rosbag.opened import Bag, open_bag
+from lirs_wct.formats.rosbag.scan_messages import Beams, beams_of, geometry, ranges_of
 from lirs_wct.formats.rosbag.topics import TRANSFORMS, Topics, of_kinds
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 
 Vector = tuple[float, float, float]
-SAME_ANGLE = 1e-4
-"""Radians within which angle_max agrees with the increment, both float32."""
-
-
-class _Beams(NamedTuple):
-    """The geometry of a scan's beams, as float32 hold it."""
-
-    first: float
-    step: float
-    last: float
-    range_min: float
-    range_max: float
-    time_increment: float
 
 
 class _Reading(NamedTuple):
@@ -58,15 +43,18 @@ class _Contents:
     down Python's collector of garbage more than all the reading takes.
     """
 
+    topic: str
     laser: str = ""
     scans: list[Message] = field(default_factory=list)
-    beams: list[_Beams] = field(default_factory=list)
+    beams: list[Beams] = field(default_factory=list)
     odometry: list[Message] = field(default_factory=list)
     base: str = ""
     imu: list[_Reading] = field(default_factory=list)
     without_attitude: int = 0
     frames: Frames = field(default_factory=Frames)
     skipped: Counter[str] = field(default_factory=Counter)
+    left_out: int = 0
+    repaired: Counter[str] = field(default_factory=Counter)
 
 
 def read_bag(path: Path, topics: Topics) -> LaserLog:
@@ -81,40 +69,61 @@ def read_bag(path: Path, topics: Topics) -> LaserLog:
     """
     with open_bag(path) as bag:
         try:
-            contents = _contents(bag, topics)
+            contents = _contents(bag, topics, by_header=True)
+            if _stands_still(contents.scans) or _stands_still(contents.odometry):
+                bag.undecoded.clear()
+                contents = _contents(bag, topics, by_header=False)
         except SourceError as error:
             damaged = f" (damaged: {'; '.join(bag.faults)})" if bag.faults else ""
             raise SourceError(f"{error}{damaged}") from None
     for topic, count in bag.undecoded.items():
         contents.skipped[f"message on {topic} that cannot be decoded"] = count
+        contents.left_out += count if topic == contents.topic else 0
     if bag.faults:
         said = f"{len(contents.scans)} scans could be read"
         warnings.warn(f"{path}: damaged ({'; '.join(bag.faults)}): {said}", stacklevel=2)
     if not contents.scans:
-        raise SourceError(f"{path}: holds no laser scan")
+        why = "; ".join(f"{count} x {reason}" for reason, count in contents.skipped.items())
+        raise SourceError(f"{path}: holds no laser scan that can be used" + (f" ({why})" if why else ""))
     return _log(path, contents)
 
 
-def _contents(bag: Bag, topics: Topics) -> _Contents:
-    """Return the messages of the topics, in the order of the bag."""
-    contents = _Contents()
+def _stands_still(messages: list[Message]) -> bool:
+    """Whether all messages have one stamp, as those of a driver that leaves it 0."""
+    return len(messages) > 1 and len({m.stamp for m in messages}) == 1
+
+
+def _contents(bag: Bag, topics: Topics, *, by_header: bool) -> _Contents:
+    """Return the messages of the topics, in the order of the bag.
+
+    Args:
+        bag: that is read.
+        topics: as the user says them.
+        by_header: whether stamps are those of the headers; else all are the times of reception.
+    """
     scan, odometry, imu = topics.found(bag.path, bag.kinds)
+    contents = _Contents(topic=scan)
     transforms = of_kinds(bag.kinds, TRANSFORMS)
     static = {name for name in transforms if name.endswith("tf_static")}
     wanted = {scan, odometry, imu, *(static if odometry else transforms)} - {None}
-    for line, (topic, message) in enumerate(bag.messages(wanted)):
+
+    for line, (topic, received, message) in enumerate(bag.messages(wanted)):
+        stamp = None if by_header else received / 1e9
         if topic == scan:
-            _add_scan(contents, line, message)
+            _add_scan(contents, line, message, stamp)
         elif topic == odometry:
             contents.base = message.child_frame_id.lstrip("/")
-            contents.odometry.append(_odometry(line, message))
+            contents.odometry.append(_odometry(line, message, stamp))
         elif topic == imu:
-            _add_reading(contents, message)
+            _add_reading(contents, message, stamp)
         else:
-            contents.frames.add(line, message, static=topic in static)
+            contents.frames.add(line, message, static=topic in static, received=stamp)
     if odometry and contents.scans and _needs_transforms(contents):
-        for line, (_, message) in enumerate(bag.messages(set(transforms) - static)):
-            contents.frames.add(line, message, static=False)
+        for line, (_, received, message) in enumerate(bag.messages(set(transforms) - static)):
+            stamp = None if by_header else received / 1e9
+            contents.frames.add(line, message, static=False, received=stamp)
+    if not by_header:
+        contents.repaired["header stamps all the same: times of reception are taken"] = len(contents.scans)
     return contents
 
 
@@ -129,7 +138,7 @@ def _log(path: Path, c: _Contents) -> LaserLog:
     odometry = c.odometry or [
         Message(line, stamp, T.to_pose2()) for line, stamp, T in c.frames.odometry(base)
     ]
-    repaired, skipped = Counter[str](), c.skipped
+    repaired, skipped = c.repaired, c.skipped
     scans, odoms, stamps = in_file_order(*_merged(c.scans, odometry))
     if stamps.moved:
         warnings.warn(f"{path}: {stamps.summary()}", stacklevel=3)
@@ -151,36 +160,42 @@ def _log(path: Path, c: _Contents) -> LaserLog:
         skipped=dict(skipped),
         repaired=dict(repaired),
         laser="LaserScan",
+        left_out=c.left_out,
         imu=tuple(_imu(reading, mounts[reading.frame]) for reading in c.imu),
     )
 
 
-def _add_scan(contents: _Contents, line: int, m: Any) -> None:
-    """Keep a scan of as many beams as the first; count another."""
-    ranges = np.asarray(m.ranges, np.float32)
-    if contents.scans and len(ranges) != len(contents.scans[0].ranges):
-        contents.skipped["scan of another number of beams than the first"] += 1
+def _add_scan(contents: _Contents, line: int, m: Any, stamp: float | None) -> None:
+    """Keep a scan with the geometry that it states itself; count one that has none."""
+    ranges = ranges_of(m)
+    beams = beams_of(m, len(ranges)) if len(ranges) else None
+    if beams is None:
+        why = "without beams" if not len(ranges) else "whose angle_min, angle_max, angle_increment disagree"
+        contents.skipped[f"scan {why}"] += 1
+        contents.left_out += 1
         return
+    if beams.step != m.angle_increment:
+        contents.repaired[f"angle_increment {m.angle_increment:g}: derived from angle_min, angle_max"] += 1
     contents.laser = contents.laser or m.header.frame_id
-    contents.scans.append(Message(line, seconds(m.header.stamp), None, None, ranges))
-    contents.beams.append(
-        _Beams(m.angle_min, m.angle_increment, m.angle_max, m.range_min, m.range_max, m.time_increment)
-    )
+    time = seconds(m.header.stamp) if stamp is None else stamp
+    contents.scans.append(Message(line, time, None, None, ranges))
+    contents.beams.append(beams)
 
 
-def _add_reading(contents: _Contents, m: Any) -> None:
+def _add_reading(contents: _Contents, m: Any, stamp: float | None) -> None:
     """Keep an inertial reading; count one that has no attitude."""
     if m.orientation_covariance[0] == -1:
         contents.without_attitude += 1
         return
     q, w, a = m.orientation, m.angular_velocity, m.linear_acceleration
-    attitude, stamp = (q.w, q.x, q.y, q.z), seconds(m.header.stamp)
-    contents.imu.append(_Reading(m.header.frame_id, stamp, attitude, (w.x, w.y, w.z), (a.x, a.y, a.z)))
+    attitude, time = (q.w, q.x, q.y, q.z), seconds(m.header.stamp) if stamp is None else stamp
+    contents.imu.append(_Reading(m.header.frame_id, time, attitude, (w.x, w.y, w.z), (a.x, a.y, a.z)))
 
 
-def _odometry(line: int, message: Any) -> Message:
+def _odometry(line: int, message: Any, stamp: float | None) -> Message:
     pose = message.pose.pose
-    return Message(line, seconds(message.header.stamp), pose_of(pose.position, pose.orientation).to_pose2())
+    time = seconds(message.header.stamp) if stamp is None else stamp
+    return Message(line, time, pose_of(pose.position, pose.orientation).to_pose2())
 
 
 def _merged(scans: list[Message], odoms: list[Message]) -> tuple[list[Message], list[Message]]:
@@ -196,8 +211,8 @@ def _merged(scans: list[Message], odoms: list[Message]) -> tuple[list[Message], 
     return [m for m in numbered if len(m.ranges)], [m for m in numbered if not len(m.ranges)]
 
 
-def _scan(beams: _Beams, message: Message, mount: Pose3) -> LaserScan:
-    first, step, range_min, range_max = _beams(beams, len(message.ranges))
+def _scan(beams: Beams, message: Message, mount: Pose3) -> LaserScan:
+    first, step, range_min, range_max = geometry(beams, len(message.ranges))
     return LaserScan(
         message.ranges,
         first,
@@ -208,30 +223,6 @@ def _scan(beams: _Beams, message: Message, mount: Pose3) -> LaserScan:
         mount,
         beams.time_increment,
     )
-
-
-@lru_cache
-def _beams(beams: _Beams, n: int) -> tuple[float, float, float, float]:
-    """Return the first angle, the increment, and the limits of ranges, as n beams were made."""
-    first, step, last = _angle(beams.first), _angle(beams.step), _angle(beams.last)
-    if n > 1 and abs(first + step * (n - 1) - last) < SAME_ANGLE:
-        # Rounding of the increment would add up over the beams.
-        step = (last - first) / (n - 1)
-    return first, step, _decimal(beams.range_min), _decimal(beams.range_max)
-
-
-def _decimal(value: float) -> float:
-    """Return the shortest decimal that a float32 may have been made of: 0.1 for 0.10000000149."""
-    return float(str(np.float32(value)))
-
-
-def _angle(value: float) -> float:
-    """Return the angle of whole ten-thousandths of a degree that a float32 was made of; else the float32.
-
-    Mappers tell trajectories apart by less than what the messages round away.
-    """
-    exact = math.radians(round(math.degrees(value), 4))
-    return exact if np.float32(exact) == np.float32(value) else float(value)
 
 
 def _imu(reading: _Reading, mounted: Pose3) -> Imu:

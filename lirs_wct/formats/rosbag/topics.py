@@ -8,6 +8,7 @@ from pathlib import Path
 
 from lirs_wct.errors import SourceError
 
+MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
 SCAN, ODOMETRY, IMU = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
 """Types of the messages that are read as a log."""
 PATH = "nav_msgs/msg/Path"
@@ -46,10 +47,13 @@ class Topics:
         Raises:
             SourceError: one is not there, or is of another type, or several could be meant.
         """
-        scans, odometry = of_kinds(kinds, (SCAN,)), of_kinds(kinds, (ODOMETRY,))
-        if self.scan is None and len(scans) != 1:
+        odometry = of_kinds(kinds, (ODOMETRY,))
+        scans = of_kinds(kinds, (SCAN,)) or of_kinds(kinds, (MULTI_ECHO,))
+        if self.scan is None and not scans:
+            raise SourceError(f"{path}: holds no topic of laser scans; {listed(kinds)}")
+        if self.scan is None and len(scans) > 1:
             raise SourceError(f"{path}: --scan-topic must say which; {listed(kinds)}")
-        scan = checked(path, "--scan-topic", self.scan or scans[0], (SCAN,), kinds)
+        scan = checked(path, "--scan-topic", self.scan or scans[0], (SCAN, MULTI_ECHO), kinds)
         given = self.odometry or (odometry[0] if len(odometry) == 1 else None)
         return (
             scan,

@@ -134,6 +134,16 @@ def test_a_scan_or_two_make_a_map(tmp_path: Path, mapper: str, scans: int) -> No
     assert mapped.grid.occupied.sum() > 50
 
 
+@pytest.mark.usefixtures("without_warm_up")
+@pytest.mark.parametrize(("broken", "status"), [(1, "ok"), (3, "incomplete")])
+def test_scans_left_out_of_the_log_have_no_pose(tmp_path: Path, broken: int, status: str) -> None:
+    lines = room_lines(30)[0]
+    lines[10 : 10 + broken] = [" ".join(line.split()[:9]) for line in lines[10 : 10 + broken]]
+    record = map_log(write_log(tmp_path / "x.clf", [*lines, lines[-1]]), mapper="hector").record
+    assert (record.status, record.log["left_out"]) == (status, broken)
+    assert record.trajectory["scan_coverage"] == pytest.approx(1 - broken / 30)
+
+
 def test_a_log_in_which_nothing_was_seen_is_no_map(tmp_path: Path) -> None:
     lines = [flaser(np.full(181, 81.83), Pose2(0.1 * k), START + k) for k in range(20)]
     with pytest.raises(SourceError, match=r"x\.clf: none of its 20 scans met anything within range"):

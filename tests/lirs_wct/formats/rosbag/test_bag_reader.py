@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import shutil
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
+
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.laser_log import LaserLog
@@ -98,14 +106,10 @@ def rewritten(
     target: Path,
     *,
     without: tuple[str, ...] = (),
-    late: int | None = None,
-    short: int | None = None,
+    change: Callable[[int, str, Any], None] = lambda *_: None,
 ) -> Path:
-    """Copy a bag without some topics; the late-th scan is stamped a second early, the short-th cut."""
-    from rosbags.highlevel import AnyReader
-    from rosbags.rosbag2 import StoragePlugin, Writer
-
-    scans = 0
+    """Copy a bag without some topics; `change` gets number, topic and message of each that has a header."""
+    counts = Counter[str]()
     with (
         AnyReader([bag]) as reader,
         Writer(target, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
@@ -116,13 +120,12 @@ def rewritten(
             if c.topic not in without
         }
         for connection, stamp, data in reader.messages():
-            if connection.topic == "/scan" and (scans := scans + 1) in (late, short):
-                message = reader.deserialize(data, connection.msgtype)
-                message.header.stamp.sec -= scans == late
-                message.ranges = message.ranges[: 5 if scans == short else None]
-                data = bytes(reader.typestore.serialize_cdr(message, connection.msgtype))
-            if connection.topic in connections:
-                writer.write(connections[connection.topic], stamp, data)
+            topic, kind = connection.topic, connection.msgtype
+            counts[topic] += 1
+            message = reader.deserialize(data, kind)
+            change(counts[topic], topic, message)
+            if topic in connections:
+                writer.write(connections[topic], stamp, bytes(reader.typestore.serialize_cdr(message, kind)))
     return target
 
 
@@ -138,18 +141,128 @@ def test_without_odometry_and_frames_the_laser_is_at_the_base(bag: Path, tmp_pat
     assert "the laser is taken to be at the base" in repair
 
 
-def test_a_scan_of_another_size_is_left_out_and_counted(bag: Path, given: Drive, tmp_path: Path) -> None:
-    log = read_bag(rewritten(bag, tmp_path / "run", short=7), Topics())
-    assert len(log.scans) == len(given.ticks) - 1
-    assert log.skipped == {"scan of another number of beams than the first": 1}
+def test_each_scan_has_its_own_beams(bag: Path, given: Drive, tmp_path: Path) -> None:
+    def shorten(k: int, topic: str, m: Any) -> None:
+        if topic == "/scan" and k % 5:
+            m.angle_min, m.ranges = m.angle_min + 10 * m.angle_increment, m.ranges[10:]
+
+    log = read_bag(rewritten(bag, tmp_path / "run", change=shorten), Topics())
+    assert len(log.scans) == len(given.ticks)
+    assert (log.skipped, log.left_out) == ({}, 0)
+    for k, (scan, tick) in enumerate(zip(log.scans, given.ticks, strict=True), start=1):
+        first = 10 if k % 5 else 0
+        np.testing.assert_array_equal(scan.ranges, tick.scan.ranges[first:])
+        np.testing.assert_allclose(scan.angles, tick.scan.angles[first:], atol=1e-6)
+
+
+def test_an_increment_of_0_comes_from_the_limits(bag: Path, given: Drive, tmp_path: Path) -> None:
+    def zero(k: int, topic: str, m: Any) -> None:
+        if topic == "/scan":
+            m.angle_increment = 0.0
+
+    log = read_bag(rewritten(bag, tmp_path / "run", change=zero), Topics())
+    check(log, given)
+    assert log.repaired == {"angle_increment 0: derived from angle_min, angle_max": len(given.ticks)}
+
+
+def test_scans_without_geometry_are_left_out_and_counted(bag: Path, tmp_path: Path) -> None:
+    def spoil(k: int, topic: str, m: Any, first: int) -> None:
+        if topic == "/scan" and k > first:
+            m.angle_increment, m.angle_max = 0.0, m.angle_min
+
+    some = rewritten(bag, tmp_path / "some", change=partial(spoil, first=300))
+    log = read_bag(some, Topics())
+    why = "scan whose angle_min, angle_max, angle_increment disagree"
+    assert (len(log.scans), log.left_out, log.skipped) == (300, 100, {why: 100})
+    every = rewritten(bag, tmp_path / "every", change=partial(spoil, first=0))
+    with pytest.raises(SourceError, match=rf"every: holds no laser scan that can be used \(400 x {why}\)$"):
+        read_bag(every, Topics())
+
+
+def test_times_of_reception_replace_stamps_of_0(bag: Path, given: Drive, tmp_path: Path) -> None:
+    def zero(k: int, topic: str, m: Any) -> None:
+        if topic in ("/scan", "/imu"):
+            m.header.stamp.sec = m.header.stamp.nanosec = 0
+
+    log = read_bag(rewritten(bag, tmp_path / "run", change=zero), IMU)
+    check(log, given)
+    assert [reading.stamp for reading in log.imu] == pytest.approx(list(log.stamps))
+    assert log.repaired == {"header stamps all the same: times of reception are taken": 400}
 
 
 def test_stamps_that_go_back_are_repaired_and_said(bag: Path, given: Drive, tmp_path: Path) -> None:
+    def advance(k: int, topic: str, m: Any) -> None:
+        if (k, topic) == (200, "/scan"):
+            m.header.stamp.sec -= 1
+
     with pytest.warns(UserWarning, match="stamps go back"):
-        log = read_bag(rewritten(bag, tmp_path / "run", late=200), Topics())
+        log = read_bag(rewritten(bag, tmp_path / "run", change=advance), Topics())
     stamps = [scan.stamp for scan in log.scans]
     assert (np.diff(stamps) > 0).all()
     np.testing.assert_array_equal(log.scans[199].ranges, given.ticks[199].scan.ranges)
     assert stamps[199] == pytest.approx(
         given.ticks[199].scan.stamp, abs=0.1
     )  # one outlier is shared out among its neighbors
+
+
+def test_the_first_echo_of_each_beam_counts(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    kind = "sensor_msgs/msg/MultiEchoLaserScan"
+    echo, time = store.types["sensor_msgs/msg/LaserEcho"], store.types["builtin_interfaces/msg/Time"]
+    beams = [echo(np.array(found, np.float32)) for found in ((1.5, 4.0), (), (2.5,))]
+    with Writer(tmp_path / "run", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/echoes", kind, typestore=store)
+        for k in range(3):
+            header = store.types["std_msgs/msg/Header"](time(k, 0), "laser")
+            message = store.types[kind](header, -0.1, 0.1, 0.1, 0.0, 0.1, 0.1, 30.0, beams, [])
+            writer.write(connection, k, store.serialize_cdr(message, kind))
+    for scan in read_bag(tmp_path / "run", Topics()).scans:
+        np.testing.assert_array_equal(scan.ranges, np.array((1.5, np.nan, 2.5), np.float32))
+        assert scan.angle_min == pytest.approx(-0.1)
+
+
+@pytest.mark.parametrize("fault", ["definition", "hash"])
+def test_another_type_harms_no_scan(bag: Path, given: Drive, tmp_path: Path, fault: str) -> None:
+    target = tmp_path / "run"
+    with (
+        AnyReader([bag]) as reader,
+        Writer(target, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
+    ):
+        text, rihs = ("int64 a\n---\nint64 b\n", "unknown") if fault == "definition" else ("int64 a\n", "x")
+        other = writer.add_connection("/other", "my_msgs/msg/Other", msgdef=text, rihs01=rihs)
+        made = {
+            c.topic: writer.add_connection(c.topic, c.msgtype, typestore=reader.typestore)
+            for c in reader.connections
+        }
+        for connection, stamp, data in reader.messages():
+            writer.write(other, stamp, bytes(12))
+            writer.write(made[connection.topic], stamp, data)
+    check(read_bag(target, IMU), given)
+
+
+MESSAGES = {
+    "bag_format_v1.bag": r"its format is '#ROSRECORD V1\.2', legal is '#ROSBAG V2\.0'",
+    "constants.bag": r"/constants \(test_roscpp_serialization/msg/Constants\)",
+    "only_services.mcap": r"/add_two_ints/_service_event \(example_interfaces/srv/AddTwoInts_Event\)",
+    "topics_and_services.db3": r"/rosout \(rcl_interfaces/msg/Log\)",
+    "topics_and_services.mcap": r"/rosout \(rcl_interfaces/msg/Log\)",
+    "truncated.bag": "damaged: truncated.bag: its end is missing",
+}
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", MESSAGES)
+def test_real_bags_without_scans_say_what_they_hold(shared_data: Path, name: str) -> None:
+    with pytest.raises(SourceError, match=MESSAGES[name]) as caught:
+        read_bag(shared_data / "bags" / name, Topics())
+    assert str(caught.value).startswith(str(shared_data / "bags" / name))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["cartographer_b0_tiny.bag", "laser_scan_matcher_demo.bag"])
+def test_real_bags_with_scans_are_read(shared_data: Path, name: str) -> None:
+    log = read_bag(shared_data / "bags" / name, Topics())
+    assert len(log.scans) > 20
+    assert (log.skipped, log.left_out, log.lines.moved) == ({}, 0, 0)
+    assert all(scan.hits.mean() > 0.3 for scan in log.scans)
