@@ -9,7 +9,7 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from lirs_wct.arrays import ByteArray, FloatArray, Int32Array, IntArray
+from lirs_wct.arrays import FloatArray, Int32Array, IntArray
 from lirs_wct.errors import SimulationError
 from lirs_wct.kernels import njit
 
@@ -31,8 +31,9 @@ class Collisions:
     Attributes:
         max_penetration: deepest that the robot was in ground or walls, metres; a loaded tyre's 1 mm counts.
         penetration_p999: what it stayed below in 99.9 % of the samples, metres.
-        body_contacts: times that the body (not a wheel) came to touch something.
-        body_contact_seconds: time that it touched.
+        body_contacts: times that the robot came to collide: its body touched something, or a wheel a face
+            steeper than it climbs.
+        body_contact_seconds: time that it did.
         samples: number of samples, one each control update.
     """
 
@@ -47,26 +48,25 @@ class Collisions:
 class ContactMonitor:
     """Statistics of the contacts after each control update."""
 
-    wheel_geoms: frozenset[int]
-    own_geoms: frozenset[int] | None = None
-    """The robot's geoms, where props have contacts as well; None = all contacts are the robot's."""
+    drops: FloatArray
+    """(ngeom,) see `lirs_envs.robot_model.RobotModel.contact_drops`."""
     penetrations: array[float] = field(default_factory=lambda: array("d"))
     body_contacts: int = 0
     body_seconds: float = 0.0
     _touching: bool = False
-    _roles: ByteArray | None = None
+    _compiled: bool = False
 
     def record(self, data: mujoco.MjData, dt: float) -> None:
-        """Record the deepest contact, and whether the body touches."""
+        """Record the deepest contact, and whether the robot collides."""
         if data.ncon == 0:
             self.penetrations.append(0.0)
             self._touching = False
             return
-        if self._roles is None:
-            self._roles = _roles(data.model.ngeom, self.wheel_geoms, self.own_geoms)
+        if not self._compiled:
             compile_contact_state()
+            self._compiled = True
         contact = data.contact
-        depth, touching = contact_state(contact.dist, contact.geom, self._roles)
+        depth, touching = contact_state(contact.dist, contact.geom, contact.pos, data.geom_xpos, self.drops)
         self.penetrations.append(depth)
         self.body_contacts += touching and not self._touching
         self.body_seconds += dt * touching
@@ -84,30 +84,21 @@ class ContactMonitor:
         )
 
 
-WHEEL, OWN = 1, 2
-"""What a geom is, as bits: a wheel or caster, one of the robot's."""
-
-
-def _roles(geoms: int, wheels: frozenset[int], own: frozenset[int] | None) -> ByteArray:
-    """Return (geoms,) what each geom is; all are the robot's where `own` is None."""
-    roles = np.full(geoms, OWN if own is None else 0, np.uint8)
-    roles[list(own or ())] |= OWN
-    roles[list(wheels)] |= WHEEL
-    return roles
-
-
 @njit(cache=True, nogil=True)
-def contact_state(distance: FloatArray, pairs: Int32Array, roles: ByteArray) -> tuple[float, bool]:
-    """Return the deepest of the robot's contacts, metres, and whether more of it than its wheels touches.
+def contact_state(
+    distance: FloatArray, pairs: Int32Array, points: FloatArray, centers: FloatArray, drops: FloatArray
+) -> tuple[float, bool]:
+    """Return the deepest of the robot's contacts, metres, and whether one of them is a collision.
 
     The ground's and walls' geoms come after the robot's or before; a contact has one of each.
     """
     depth, touching = 0.0, False
     for k in range(len(distance)):
-        a, b = roles[pairs[k, 0]], roles[pairs[k, 1]]
-        if (a | b) & OWN:
-            depth = max(depth, -distance[k])
-            touching |= not (a | b) & WHEEL
+        for side in range(2):
+            geom = pairs[k, side]
+            if drops[geom] > -np.inf:
+                depth = max(depth, -distance[k])
+                touching |= centers[geom, 2] - points[k, 2] < drops[geom]
     return depth, touching
 
 
@@ -118,7 +109,7 @@ def compile_contact_state() -> None:
     A single contact lies contiguously in memory, several do not: the first single contact of a drive would
     wait for the compiler.
     """
-    contact_state.compile("Tuple((f8, b1))(f8[:], i4[:, :], u1[::1])")
+    contact_state.compile("Tuple((f8, b1))(f8[:], i4[:, :], f8[:, :], f8[:, ::1], f8[::1])")
     contact_state.disable_compile()
 
 

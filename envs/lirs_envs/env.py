@@ -28,7 +28,7 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
     Action: (2,) in [-1, 1]: speed ahead and turn rate, of the robot's largest; of a robot that flies (3,):
     of 3 m/s, 1.5 rad/s and a climb of 1 m/s.
 
-    Reward: that of the task, less 5 a second of contact of the body and 0.1 a second of full action.
+    Reward: that of the task, less 5 a second of collision and 0.1 a second of full action.
 
     Terminated: by the task, tipped over, left the world, or the simulation diverged (`info["error"]`); why is
     `info["reason"]`. Truncated: the time is up.

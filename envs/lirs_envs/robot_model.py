@@ -31,8 +31,15 @@ REFERENCE_TIMESTEP = 0.004
 """Longest step of the reference physics, seconds, whatever a robot's own step is."""
 SETTLING_TIME = 0.6
 """Time that a robot is given to come to rest after it was set down, seconds."""
-CONTACT_SENSOR = "touch_"
-"""Prefix of the names of contact sensors, one for each geom that is not meant to touch the ground."""
+CONTACT_SENSOR, CENTER_SENSOR = "touch_", "center_"
+"""Prefixes of the names of contact sensors, one for each geom that touches, and of wheels' positions."""
+WHEEL_CONTACTS = 16
+"""Contacts of a wheel that its sensor holds; on ground and at a wall there are up to 6."""
+FACE_MARGIN = math.radians(10)
+"""Margin of a single face above the robot's `max_slope`, which is a mean over 0.3 m.
+
+On ground that it may drive, contacts of a wheel come up to 7 deg above it, 2 of them by its own deformation.
+"""
 TIPPED = 0.5
 """Cosine of the tilt from which a robot counts as tipped: 60 deg."""
 
@@ -48,7 +55,8 @@ class RobotModel:
             `longest_timestep`.
         substeps: steps of each control update of one period.
         wheel_geoms: ids of the geoms that are meant to touch the ground.
-        own_geoms: ids of all of the robot's geoms; None where nobody else has any.
+        contact_drops: (ngeom,) least height of a geom's center above a contact that is no collision, metres;
+            inf = every contact is one (the body), -inf = the geom is not the robot's.
         actuators: ids of the actuators of the wheels on the left and on the right, or of each rotor.
         left_angles: where `qpos` holds the angles of the driven wheels on the left.
         right_angles: the same on the right.
@@ -65,7 +73,7 @@ class RobotModel:
         actors: number of walkers that have a body (see `lirs_envs.actors.walkers`).
         height_range: lowest and highest height that `replace_surface` may write, metres; the ground that is
             touched is then the surface itself. None = the ground stays.
-        contact_sensors: whether to add a contact sensor for each geom that is not meant to touch the ground.
+        contact_sensors: whether to add sensors of the robot's contacts.
         longest_timestep: longest step of the physics, seconds (see `shorten_timestep`); None = the robot's.
     """
 
@@ -111,7 +119,7 @@ class RobotModel:
         self.replace_surface(world.surface)
         self.data = mujoco.MjData(self.model)
         self.wheel_geoms = _wheel_geoms(self.model, robot)
-        self.own_geoms = _own_geoms(self.model) if props else None
+        self.contact_drops = _contact_drops(self.model, robot, self.wheel_geoms)
         self._flies = robot.flies
         self._find_drives(robot)
         self._make_views()
@@ -327,16 +335,26 @@ def is_tipped(T_world_base: Pose3) -> bool:
 
 
 def _add_contact_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Add sensors that count contacts; MuJoCo's batches show none otherwise."""
+    """Add sensors that count contacts, and of wheels where they are; MuJoCo's batches show none otherwise."""
     wheels = {*robot.left_wheels, *robot.right_wheels}
-    for geom in spec.geoms:
-        if geom.contype and geom.name not in wheels and not geom.name.endswith("caster"):
+    found, point = (
+        1 << int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{name}")) for name in ("FOUND", "POS")
+    )
+    for geom in [geom for geom in spec.geoms if geom.contype]:
+        rolls = geom.name in wheels or geom.name.endswith("caster")
+        spec.add_sensor(
+            name=CONTACT_SENSOR + geom.name,
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=mujoco.mjtObj.mjOBJ_GEOM,
+            objname=geom.name,
+            intprm=[found | point, 0, WHEEL_CONTACTS] if rolls else [found, 0, 1],
+        )
+        if rolls:
             spec.add_sensor(
-                name=CONTACT_SENSOR + geom.name,
-                type=mujoco.mjtSensor.mjSENS_CONTACT,
+                name=CENTER_SENSOR + geom.name,
+                type=mujoco.mjtSensor.mjSENS_FRAMEPOS,
                 objtype=mujoco.mjtObj.mjOBJ_GEOM,
                 objname=geom.name,
-                intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND), 0, 1],
             )
 
 
@@ -352,7 +370,14 @@ def _wheel_geoms(model: mujoco.MjModel, robot: Robot) -> frozenset[int]:
     )
 
 
-def _own_geoms(model: mujoco.MjModel) -> frozenset[int]:
-    """Return the ids of all geoms of the robot, not of props."""
-    base = model.body("base_link").id
-    return frozenset(np.flatnonzero(model.body_rootid[model.geom_bodyid] == base).tolist())
+def _contact_drops(model: mujoco.MjModel, robot: Robot, wheels: frozenset[int]) -> FloatArray:
+    """Return `RobotModel.contact_drops`.
+
+    A wheel of radius r touches a face of slope s at r cos(s) below its center. Normals of MuJoCo's contacts
+    are no measure: between two prisms of a height field some are level.
+    """
+    own = model.body_rootid[model.geom_bodyid] == model.body("base_link").id
+    drops = np.where(own, np.inf, -np.inf)
+    rolling = sorted(wheels)
+    drops[rolling] = math.cos(robot.max_slope + FACE_MARGIN) * model.geom_size[rolling, 0]
+    return drops

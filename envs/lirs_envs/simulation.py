@@ -99,7 +99,7 @@ class Simulation:
         body, config = self.body, self.config
         self._sensors = Sensors(self.robot, body, self.preset, self.caster, config.noise, self._seed)
         self._controller = make_controller(self.robot, body, self.world.surface)
-        self._contacts = ContactMonitor(body.wheel_geoms, body.own_geoms)
+        self._contacts = ContactMonitor(body.contact_drops)
         self._controls: Rows[tuple[float, ...]] = Rows(_numbers, tuple, len(self.robot.rotors) or 2)
         self._initial_state: FloatArray | None = None
         self._initial_walkers = None if self.walkers is None else self.walkers.state()

@@ -15,7 +15,14 @@ from mujoco.batch import Batch
 from mujoco.batch import SimulationError as BatchError
 
 from lirs_envs.collisions import DIVERGENCE_WARNINGS, KINDS, is_sound
-from lirs_envs.robot_model import CONTACT_SENSOR, SETTLING_TIME, RobotModel, base_pose
+from lirs_envs.robot_model import (
+    CENTER_SENSOR,
+    CONTACT_SENSOR,
+    SETTLING_TIME,
+    WHEEL_CONTACTS,
+    RobotModel,
+    base_pose,
+)
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, Vector3
 from lirs_wct.geometry.pose import Pose3
@@ -51,10 +58,7 @@ class Bodies:
         self.count, self.threads = count, threads
         self.models = [copy.copy(body.model) for _ in range(count)] if own_models else [body.model] * count
         self._own_models = own_models
-        sensors = [body.model.sensor(i) for i in range(body.model.nsensor)]
-        self._touch = np.array(
-            [int(s.adr[0]) for s in sensors if s.name.startswith(CONTACT_SENSOR)], np.int64
-        )
+        self._touch, self._wheels, self._drops = _contact_sensors(body)
         self._force = int(body.model.sensor("accelerometer").adr[0])
         self._make_batch()
 
@@ -115,8 +119,8 @@ class Bodies:
         self._batch.bind("time")[i] = 0.0
 
     def add_touching(self, touched: BoolArray) -> None:
-        """Mark in (N,) whose geoms that are no wheels touch anything, at the beginning of the last step."""
-        _add_touching(self._sensordata, self._touch, touched)
+        """Mark in (N,) which robots collide, at the beginning of the last step."""
+        _add_touching(self._sensordata, self._touch, self._wheels, self._drops, touched)
 
     def specific_force(self) -> FloatArray:
         """(N, 3) true readings of the accelerometers along the bases' axes, m/s^2."""
@@ -146,12 +150,34 @@ class Bodies:
         _read_poses(rows, self.qpos, out)
 
 
+def _contact_sensors(body: RobotModel) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return addresses of the body's sensors (n,) and the wheels' (m, 2), contacts and center; drops (m,)."""
+    model, touch, wheels, drops = body.model, list[int](), list[tuple[int, int]](), list[float]()
+    for sensor in (model.sensor(i) for i in range(model.nsensor)):
+        if sensor.name.startswith(CONTACT_SENSOR):
+            geom, address = int(sensor.objid[0]), int(sensor.adr[0])
+            if geom in body.wheel_geoms:
+                center = model.sensor(CENTER_SENSOR + model.geom(geom).name)
+                wheels.append((address, int(center.adr[0])))
+                drops.append(float(body.contact_drops[geom]))
+            else:
+                touch.append(address)
+    return np.array(touch, np.int64), np.array(wheels, np.int64).reshape(-1, 2), np.array(drops, np.float64)
+
+
 @njit(cache=True, nogil=True)
-def _add_touching(sensordata: FloatArray, sensors: IntArray, touched: BoolArray) -> None:
+def _add_touching(
+    sensordata: FloatArray, touch: IntArray, wheels: IntArray, drops: FloatArray, touched: BoolArray
+) -> None:
+    """Mark robots as `lirs_envs.collisions.contact_state` does, from what contact sensors hold."""
     for i in range(len(touched)):
-        for k in sensors:
-            if sensordata[i, k] > 0.0:
-                touched[i] = True
+        for k in touch:
+            touched[i] |= sensordata[i, k] > 0.0
+        for j in range(len(wheels)):
+            contacts, center = wheels[j]
+            # Each contact: how many there are, x, y, z.
+            for k in range(contacts, contacts + min(int(sensordata[i, contacts]), WHEEL_CONTACTS) * 4, 4):
+                touched[i] |= sensordata[i, center + 2] - sensordata[i, k + 3] < drops[j]
 
 
 @njit(cache=True, nogil=True)

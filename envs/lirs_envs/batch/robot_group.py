@@ -30,7 +30,7 @@ class RobotGroup:
         imu: inertial readings.
         surfaces: ground of each robot; to be replaced.
         walkers: around each robot; empty = there are none. To be replaced.
-        touched: (n,) whether the robot's body (not a wheel) touched anything in the last `advance`.
+        touched: (n,) whether the robot collided in the last `advance` (see `RobotModel.contact_drops`).
 
     Args:
         config: robot and sensors.

@@ -51,7 +51,7 @@ class BatchSimulation:
         ranges: (N, beams) float32 of the last scans (see `LaserScan`).
         odometry: (N, 3) `T_odom_base`: x, y, yaw, metres and radians.
         attitude: (N, 2) measured roll and pitch, radians.
-        touched: (N,) whether the robot's body (not a wheel) touched anything in the last `advance`.
+        touched: (N,) whether the robot collided in the last `advance` (see `RobotModel.contact_drops`).
         T_world_base: (N, 7) x, y, z, qw, qx, qy, qz of the last valid pose of each robot.
         errors: of each robot, why its simulation cannot go on; empty = it can.
 
@@ -185,7 +185,7 @@ class BatchSimulation:
 
     @property
     def touched(self) -> BoolArray:
-        """(N,) whether the robot's body (not a wheel) touched anything in the last `advance`."""
+        """(N,) whether the robot collided in the last `advance` (see `RobotModel.contact_drops`)."""
         return np.concatenate([group.touched for group in self.groups])
 
     def replace_terrain(self, i: int, world: World) -> None:

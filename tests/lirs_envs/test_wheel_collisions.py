@@ -1,0 +1,117 @@
+"""Wheels collide with what is steeper than their robot climbs, and with nothing else."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from lirs_envs.collisions import ContactMonitor
+from lirs_envs.env import RobotEnv
+from lirs_envs.placement import standing_pose
+from lirs_envs.robot_model import RobotModel
+from lirs_envs.robots.catalog import ROBOTS, make_robot
+from lirs_envs.robots.command import Twist
+from lirs_envs.robots.drive import DifferentialDrive
+from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.tasks.site import make_site
+from lirs_envs.vector_env import RobotVectorEnv
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.world import World, build_world
+
+GROUND = [name for name, robot in ROBOTS.items() if not robot.flies]
+SPEEDS = np.array(((1 / 3, 0.0), (2 / 3, 0.0), (1.0, 0.0)))
+BOX = {"shape": "box", "size": (0.1, 1.0, 0.3), "place": (3.1, 0.0, 0.0)}
+
+
+@lru_cache(maxsize=2)
+def world_of(name: str) -> World:
+    return build_world(name)
+
+
+@pytest.mark.parametrize("name", GROUND)
+@pytest.mark.parametrize("kind", ["laser map", "terrain", "prop"])
+def test_a_wall_is_a_collision_at_once(
+    kind: str,
+    name: str,
+    walled: World,
+    plane: World,
+    T_world_wall: Pose2,
+    make_world: Callable[..., World],
+) -> None:
+    frame, robot = T_world_wall if kind == "laser map" else Pose2(), make_robot(name)
+    ridge = make_world(lambda x, _: 0.5 * ((x > 2.95) & (x < 4.0)))
+    world = {"laser map": walled, "terrain": ridge, "prop": plane}[kind]
+    props = (BOX,) if kind == "prop" else ()
+    env = RobotVectorEnv(
+        3, "navigation", world=world, robot=name, props=props, autoreset_mode="Disabled", threads=1
+    )
+    start = frame @ Pose2(3.0 - robot.radius - 0.3, 0.0, 0.3)
+    env.reset(seed=1, options={"start": start, "goal": frame.apply((0.0, 0.0))})
+    for speed in range(3):
+        row, steps = np.array((speed,)), 0
+        while not env.episodes.terminated[speed]:
+            env.episodes.step(row, SPEEDS[row])
+            steps += 1
+        info = env.episodes.infos()
+        assert info["reason"][speed] == "collision", speed
+        # The wheels stand out of the Jackal on all sides: it is not let climb.
+        assert abs(env.episodes.simulation.pose(speed).rotation[2, 2]) > math.cos(math.radians(15))
+        assert steps * 0.1 < 2.0 + 0.5 / (SPEEDS[speed, 0] * robot.max_speed)
+
+
+def test_one_environment_collides_as_a_vector_does(walled: World, T_world_wall: Pose2) -> None:
+    options = {"start": T_world_wall @ Pose2(2.0, 0.0), "goal": T_world_wall.apply((0.0, 0.0))}
+    chosen = {"world": walled, "robot": "jackal"}
+    one, two = RobotEnv("navigation", **chosen), RobotVectorEnv(2, "navigation", threads=1, **chosen)
+    one.reset(seed=3, options=options)
+    two.reset(seed=3, options=options)
+    ended = False
+    while not ended:
+        _, reward, ended, _, info = one.step(SPEEDS[2])
+        _, rewards, terminated, _, infos = two.step(SPEEDS[[2, 2]])
+        assert (reward, ended, info["contact"]) == (rewards[0], terminated[0], infos["contact"][0])
+    assert info["reason"] == "collision"
+
+
+def test_validation_counts_a_wheel_at_a_wall(walled: World, T_world_wall: Pose2) -> None:
+    sim = Simulation(walled, SimulationConfig(robot=make_robot("jackal")))
+    sim.reset(T_world_wall @ Pose2(2.0, 0.0))
+    while sim.collisions.body_contacts == 0:
+        assert sim.time < 2.0
+        sim.advance(Twist(1.0))
+    assert not sim.tipped
+
+
+@pytest.mark.parametrize("name", GROUND)
+@pytest.mark.parametrize("where", ["simple", "medium"])
+def test_ground_that_can_be_driven_is_none(where: str, name: str) -> None:
+    world, robot = world_of(where), make_robot(name)
+    site = make_site(world, replace(robot, radius=robot.radius + 0.3))
+    body, rng = RobotModel(world, robot, 0.1), np.random.default_rng(2)
+    driven = 0.0
+    for _ in range(8):
+        body.settle(standing_pose(world, robot, site.draw_start(rng)))
+        drive, monitor, turn = (
+            DifferentialDrive(robot),
+            ContactMonitor(body.contact_drops),
+            rng.uniform(-1, 1),
+        )
+        for _ in range(20):
+            before = body.pose()
+            if not site.area(before.x, before.y):
+                break
+            for steps in body.substeps:
+                dt = steps * body.timestep
+                command = Twist(robot.max_speed, turn * robot.max_turn_rate)
+                body.step(drive.update(command, body.rates()[2], dt), steps)
+                monitor.record(body.data, dt)
+            here = body.pose()
+            driven += math.hypot(here.x - before.x, here.y - before.y)
+        assert monitor.body_contacts == 0
+    assert driven > 5 * robot.max_speed
