@@ -1,6 +1,6 @@
-"""Writing so that nothing half-written is ever seen: a temporary name, then a rename.
+"""Atomic writes: a temporary name, then a rename.
 
-What a process that was killed left behind under such names goes when its place is written next.
+A killed process leaves temporary files behind. The next write of the same path removes them.
 """
 
 from __future__ import annotations
@@ -9,31 +9,38 @@ import os
 import re
 import secrets
 import shutil
+import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from lirs_wct.errors import OutputError
-from lirs_wct.manifest import MANIFEST, keep_foreign, write_manifest
+from lirs_wct.foreign_files import link_foreign, move_foreign
+from lirs_wct.manifest import write_manifest
+from lirs_wct.renames import exchange
 
-_TEMPORARY = re.compile(r"(\..*)\.(\d+)-[0-9a-f]{8}(|\.[^.]*)")
-"""What `_beside` names: stem, process, random digits, suffix."""
+if sys.platform != "win32":
+    import fcntl
+
+_TEMPORARY = re.compile(r"(\..*)\.(\d+)-[0-9a-f]{8}(~?)(|\.[^.]*)")
+"""Stem, process, mark and suffix of a temporary name. The mark ~: the folder may hold the user's files."""
 _WRITING: set[str] = set()
-"""Temporary names that this process has given out."""
+"""Temporary names that this process is using."""
 
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`; what is written there takes its place when the block ends well.
+    """Yield a temporary path; its file replaces `path` when the block succeeds.
 
     The temporary name keeps the suffix, since many libraries choose the format by it. Missing parent
     folders are made. When the block raises, Ctrl-C included, the temporary file is removed and an
-    older file at `path` stays as it was.
+    older file at `path` stays unchanged.
 
     Raises:
-        OutputError: the file cannot be written, or nothing was.
+        OutputError: the file cannot be written, or the block wrote none.
     """
-    temporary = _beside(path)
+    temporary = _temporary(path)
+    _WRITING.add(temporary.name)
     try:
         if path.is_dir():
             raise OutputError(f"{path}: is a folder, a file is to be written there")
@@ -44,57 +51,106 @@ def atomic_write(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise _cannot_write(path, error) from error
     finally:
-        with _quiet():
+        with suppress(OSError):
             temporary.unlink(missing_ok=True)
         _WRITING.discard(temporary.name)
 
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """Give a new empty folder beside `path`; it takes the place of `path` when the block ends well.
+    """Yield a new empty folder; it replaces the folder at `path` when the block succeeds.
 
-    Of an older folder at `path` those files go that its manifest says were written here; whatever else lies
-    there stays (see `keep_foreign`). When the block raises, Ctrl-C included, the temporary folder is
-    removed and the older one stays as it was. A link to a folder stays a link.
+    The files that the manifest of the older folder names are removed, if unchanged. All other files are the
+    user's and stay (see `lirs_wct.foreign_files`). When the block raises, Ctrl-C included, the temporary
+    folder is removed and the older one stays unchanged. A link to a folder stays a link.
 
     Raises:
         OutputError: the folder cannot be written, or a file has its name.
     """
-    place = path.resolve() if path.is_symlink() else path
-    temporary, old = _beside(place), _beside(place)
+    target = path.resolve() if path.is_symlink() else path
+    temporary = _temporary(target)
+    _WRITING.add(temporary.name)
     try:
         if path.exists() and not path.is_dir():
             raise OutputError(f"{path}: is a file, a folder is to be written there")
         temporary.mkdir(parents=True)
-        remove_leftovers([place])
+        remove_leftovers([target])
         yield temporary
         write_manifest(temporary)
         _flush(temporary)
-        if place.exists():
-            keep_foreign(place, temporary, shown=path)
-        _exchange(place, temporary, old)
+        with _lock(target.parent):
+            _replace_folder(target, temporary, shown=path)
     except OSError as error:
         raise _cannot_write(path, error) from error
     finally:
-        for own in (temporary, old):
-            shutil.rmtree(own, ignore_errors=True)
-            _WRITING.discard(own.name)
+        shutil.rmtree(temporary, ignore_errors=True)
+        _WRITING.discard(temporary.name)
 
 
-def _exchange(place: Path, new: Path, old: Path) -> None:
-    """Put a new folder in a place; an older one that is there gets the name `old`."""
-    if place.exists():
-        place.rename(old)
+@contextmanager
+def _lock(folder: Path) -> Iterator[None]:
+    """Let one process at a time exchange folders below a folder; the system frees a dead process's lock."""
+    if sys.platform == "win32":  # it has no locks of folders
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
     try:
-        new.rename(place)
+        # Some network file systems have no locks. One writer at a time is safe there, too.
+        with suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        # A child process may have inherited the descriptor: closing it here would not unlock.
+        with suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_UN)
+        os.close(descriptor)
+
+
+def _replace_folder(path: Path, new: Path, shown: Path) -> None:
+    """Replace a folder by a new one, and move the user's files; requires the lock."""
+    for leftover, _, found in _leftovers([path]):
+        if found[3]:
+            _recover(leftover, path)
+    if not path.exists():
+        new.rename(path)
+        return
+    replaced = _temporary(path, mark="~")
+    link_foreign(path, new, later=replaced.name)
+    new.rename(replaced)
+    try:
+        _exchange(replaced, path)
     except OSError:
-        if old.exists():
-            old.rename(place)
+        replaced.rename(new)
         raise
+    move_foreign(replaced, path, shown)
+
+
+def _exchange(new: Path, path: Path) -> None:
+    """Exchange two folders; without support by the file system, `path` is missing for a moment."""
+    if exchange(new, path):
+        return
+    old = _temporary(path, mark="~")
+    path.rename(old)
+    try:
+        new.rename(path)
+    except OSError:
+        old.rename(path)
+        raise
+    old.rename(new)
+
+
+def _recover(leftover: Path, path: Path) -> None:
+    """Complete an exchange of folders that a killed process began; requires the lock."""
+    if not leftover.is_dir():
+        return
+    if path.exists():
+        move_foreign(leftover, path, shown=path)
+    else:
+        leftover.rename(path)
 
 
 def _flush(folder: Path) -> None:
-    """Wait until the disk has every file: else a power cut after the rename leaves empty ones."""
+    """Wait until the disk has every file: otherwise a power cut after the rename leaves empty files."""
     for path in folder.rglob("*"):
         if path.is_file():
             with path.open("rb+") as file:
@@ -102,27 +158,32 @@ def _flush(folder: Path) -> None:
 
 
 def remove_leftovers(paths: Iterable[Path]) -> None:
-    """Remove what processes that were killed left behind while they wrote these paths.
+    """Remove the temporary files of killed processes that were writing these paths.
 
-    What a process that still lives is writing stays. A folder that is complete, of a process that was killed
-    between two renames and left none at its path, is put there.
+    Files of a running process stay. A folder that may hold the user's files is merged into its path.
     """
+    for leftover, path, found in _leftovers(paths):
+        if found[3]:
+            # The next write of this path tries again, and reports the error.
+            with suppress(OSError), _lock(path.parent):
+                _recover(leftover, path)
+        elif not _in_use(leftover.name, int(found[2])):
+            _remove(leftover)
+
+
+def _leftovers(paths: Iterable[Path]) -> Iterator[tuple[Path, Path, re.Match[str]]]:
+    """Yield each temporary file or folder of these paths, its path and the parts of its name."""
     wanted = {(path.parent, f".{path.stem[:80]}", path.suffix): path for path in paths}
     for folder in {parent for parent, _, _ in wanted}:
         for name in _hidden(folder):
             found = _TEMPORARY.fullmatch(name)
-            path = wanted.get((folder, found[1], found[3])) if found else None
-            if found is None or path is None or _in_use(name, int(found[2])):
-                continue
-            # The manifest is written last.
-            if (folder / name / MANIFEST).is_file() and not path.exists():
-                (folder / name).rename(path)
-            else:
-                _remove(folder / name)
+            path = wanted.get((folder, found[1], found[4])) if found else None
+            if found is not None and path is not None:
+                yield folder / name, path, found
 
 
 def remove_orphans(folder: Path, prefix: str) -> None:
-    """Remove what processes that were killed left in a folder under `PREFIXpid-...`."""
+    """Remove the files `PREFIXpid-...` of killed processes from a folder."""
     for entry in folder.glob(f"{prefix}*"):
         pid = entry.name.removeprefix(prefix).partition("-")[0]
         if pid.isdigit() and not lives(int(pid)):
@@ -130,7 +191,7 @@ def remove_orphans(folder: Path, prefix: str) -> None:
 
 
 def _remove(entry: Path) -> None:
-    with _quiet():
+    with suppress(OSError):
         shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
 
 
@@ -143,7 +204,7 @@ def _hidden(folder: Path) -> list[str]:
 
 
 def _in_use(name: str, pid: int) -> bool:
-    """Whether the process that gave out a temporary name still writes there; in containers ids come again."""
+    """Whether a process still uses a temporary name; containers reuse process ids."""
     return name in _WRITING if pid == os.getpid() else lives(pid)
 
 
@@ -151,7 +212,7 @@ def lives(pid: int) -> bool:
     """Return whether a process of this machine is running."""
     try:
         os.kill(pid, 0)
-        # Dead, but nobody has asked how it ended: where no init process does, that stays so.
+        # A zombie has ended, but its parent has not read its exit status.
         return not re.search(r"\) Z ", Path(f"/proc/{pid}/stat").read_text(encoding="utf-8"))
     except ProcessLookupError:
         return False
@@ -159,22 +220,12 @@ def lives(pid: int) -> bool:
         return True
 
 
-def _beside(path: Path) -> Path:
+def _temporary(path: Path, mark: str = "") -> Path:
     """Return an unused hidden name in the same folder, so that the rename stays on one file system."""
-    temporary = path.with_name(f".{path.stem[:80]}.{os.getpid()}-{secrets.token_hex(4)}{path.suffix}")
-    _WRITING.add(temporary.name)
-    return temporary
+    number = f"{os.getpid()}-{secrets.token_hex(4)}"
+    return path.with_name(f".{path.stem[:80]}.{number}{mark}{path.suffix}")
 
 
 def _cannot_write(path: Path, error: OSError) -> OutputError:
     where = f" ({error.filename})" if error.filename and Path(error.filename) != path else ""
     return OutputError(f"{path}: cannot be written: {error.strerror or error}{where}")
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Pass over trouble while tidying up: the first error is the one to report."""
-    try:
-        yield
-    except OSError:
-        return

@@ -195,23 +195,6 @@ def test_a_link_to_a_folder_stays_one(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir() if p.name.startswith(".")] == []
 
 
-def test_a_user_s_file_survives_a_kill_between_the_two_renames(tmp_path: Path) -> None:
-    target = tmp_path / "world"
-    write_folder(target, model="1")
-    (target / "notes").write_text("mine")
-    script = (
-        "import os, pathlib, sys\nfrom lirs_wct import files\n"
-        "rename = pathlib.Path.rename\n"
-        "pathlib.Path.rename = lambda a, b: (rename(a, b), os.kill(os.getpid(), 9))\n"
-        "with files.atomic_folder(pathlib.Path(sys.argv[1])) as new: (new / 'model').write_text('2')\n"
-    )
-    assert subprocess.run([sys.executable, "-c", script, str(target)]).returncode == -9
-    assert not target.exists()
-    write_folder(target, model="3")
-    assert (target / "notes").read_text() == "mine"
-    assert listing(tmp_path) == ["world", f"world/{MANIFEST}", "world/model", "world/notes"]
-
-
 def test_a_user_s_file_that_cannot_be_kept_leaves_the_folder_as_it_was(tmp_path: Path) -> None:
     target = tmp_path / "world"
     write_folder(target, model="1")
