@@ -1,69 +1,167 @@
-"""Golden results: digests of what fixed commands write, to show that a rearrangement changed nothing.
+"""Golden results: what fixed commands and environments give, to show that a rearrangement changed nothing.
 
-    python benchmarks/golden.py record FILE [--data FOLDER] [--quick]
-    python benchmarks/golden.py compare FILE [--data FOLDER] [--quick]
+    python benchmarks/golden.py record FILE [--only PART,...] [--data FOLDER] [--quick]
+    python benchmarks/golden.py compare FILE [--only PART,...] [--data FOLDER] [--quick]
 
-`record` runs three mappers x three worlds x two seeds for 30 s, a laser map, a log and the build of six
-sources, and writes the SHA-256 of every `estimate.tum`, `map.pgm`, STL, DAE, MJCF and SDF. `compare` runs
-them again and exits 1, naming the files whose bytes differ. Digests hold on one machine: compilers round
-differently on another.
+Parts: builds, runs, options, originals, clouds, logs, score, collide, bench, envs. `record` stores the
+SHA-256 of trajectories, maps, meshes, models, scans and tables, every value of the JSON files except
+`EXCLUDED`, and each step of the environments. `compare` repeats the parts in FILE, or those named, and exits
+1 with the first values that differ, by file. Digests hold on one machine: compilers round differently on
+another. The script uses the command line and Gymnasium only, so that it also runs after internals move.
 """
 
 from __future__ import annotations
 
 import argparse
+import gzip
 import hashlib
 import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from fnmatch import fnmatch
 from pathlib import Path
+from typing import Any
+
+from golden_envs import environment_outcomes
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
-KEPT = ("estimate.tum", "odometry.tum", "map.pgm", ".stl", ".dae", ".xml", ".sdf", ".world")
+DIGESTED = (".tum", ".pgm", ".yaml", ".stl", ".dae", ".xml", ".sdf", ".world", ".config", ".hfield", ".npz")
+DIGESTED += ("scans.clf.gz", "imu.csv.gz", "commands.csv", "collisions.csv")
 MAPPERS = "hector,gmapping,cartographer"
+PARTS = (
+    *("builds", "runs", "options", "originals", "clouds"),
+    *("logs", "score", "collide", "bench", "envs"),
+)
+EXCLUDED = (
+    "versions*",
+    "machine*",
+    "name",  # ends with a digest of the configuration, as the folder's name
+    *("rtf.mean", "rtf.std", "rtf.min", "rtf.parts*", "rtf.physics*", "rtf.series*", "rtf.concurrent"),
+    *("*wall_seconds", "*compile_seconds", "*cpu_seconds", "*read_seconds", "*map_seconds"),
+    *("*peak_memory", "mapper.ms_*", "*date", "*created"),
+    *("file_sizes.rtf.csv", "file_sizes.overview.png"),
+)
+"""Patterns of JSON keys that change from run to run: wall-clock times, RTF, machine, versions, dates.
+
+Of paths, the data folder and the output folder are replaced by DATA and OUT.
+"""
+SHOWN = 3
+"""Differing values that are printed for each file."""
+ABSENT = "absent"
+Outcomes = dict[str, Any]
 
 
-def commands(data: Path, quick: bool) -> list[list[str]]:
-    """Return the arguments of every command of the golden set."""
+def commands(part: str, data: Path, quick: bool) -> list[list[str]]:
+    """Return the arguments of every command of a part; RUN stands for the folder of the part's first run."""
     seconds, seeds = ("10", "1") if quick else ("30", "1-2")
-    maps, height = data / "maps", data / "height"
-    depot = next(maps.glob("navigation2/*depot*.yaml"))
-    builds = [
-        ["medium"],
-        [str(height / "mujoco__hfield.png"), "--grayscale"],
-        [str(height / "gz-common__dem_squared.tif")],
-        [str(height / "pydelatin__fuji.png"), "--grayscale"],
-        [str(depot)],
-        [str(data / "stl" / "unitree_mujoco__terrain.STL")],
-    ]
+    depot = str(next((data / "maps").glob("navigation2/*depot*.yaml")))
+    originals = ",".join(f"{name}_original" for name in MAPPERS.split(","))
+    generated = ["--set", "generated", "--split", "validation"]
+    logs, height = data / "logs", data / "height"
     run = ["--mapper", MAPPERS, "--seconds", seconds]
-    return [
-        ["validate", "simple", "medium", "advanced", *run, "--seeds", seeds],
-        ["validate", str(depot), *run, "--seeds", "1"],
-        *(
-            ["map", str(data / "logs" / "csail" / "mit-csail.clf.gz"), "--mapper", mapper]
-            for mapper in MAPPERS.split(",")
-        ),
-        *(["build", *source] for source in builds),
-    ]
+    short = ["--seconds", "5" if quick else "10"]
+    table = {
+        "builds": [
+            ["build", "medium"],
+            ["build", str(height / "mujoco__hfield.png"), "--grayscale"],
+            ["build", str(height / "gz-common__dem_squared.tif")],
+            ["build", str(height / "pydelatin__fuji.png"), "--grayscale"],
+            ["build", depot],
+            ["build", str(data / "stl" / "unitree_mujoco__terrain.STL")],
+        ],
+        "runs": [
+            ["validate", "simple", "medium", "advanced", *run, "--seeds", seeds],
+            ["validate", depot, *run, "--seeds", "1"],
+        ],
+        "options": [
+            ["validate", "simple", "--robot", "jackal,turtlebot3_burger,quadrotor", *short],
+            ["validate", depot, "--actors", "3", "--attitude", "none", *short],
+            ["validate", "medium", "--window", "0,0,16", "--rays", "mujoco", "--driver", "frontier", *short],
+            ["validate", "medium", "--terrain", "mesh", "--threads", "2", *short],
+        ],
+        "originals": [["validate", source, "--mapper", originals, *short] for source in ("medium", depot)],
+        "clouds": [["validate", "medium", depot, "--mapper", "kiss-icp", "--lidar", "vlp16", *short]],
+        "logs": [
+            *(
+                ["map", str(logs / "csail" / "mit-csail.clf.gz"), "--mapper", mapper]
+                for mapper in MAPPERS.split(",")
+            ),
+            [
+                *("map", str(logs / "orebro" / "orebro.clf.gz"), "--mapper", "hector"),
+                *("--reference", str(logs / "orebro" / "reference_poses.tum.gz")),
+            ],
+        ],
+        "score": [
+            ["validate", depot, "--mapper", "hector", *short],
+            ["score", "RUN", "--trajectory", "RUN/odometry.tum", "--map", "RUN/map.yaml"],
+        ],
+        "collide": [["collide", "advanced", "--robot", "husky,jackal", "--seconds", short[1]]],
+        "bench": [
+            ["bench", "straight", "go_to_goal", *generated, "--task", task]
+            for task in (["navigation"] if quick else ["navigation", "traverse"])
+        ],
+    }
+    return table[part]
 
 
-def digests(data: Path, quick: bool) -> dict[str, str]:
-    """Run every command in a folder of its own; return file -> SHA-256."""
-    found: dict[str, str] = {}
-    program = Path(sys.executable).with_name("lirs-wct")
+def outcomes_of_part(part: str, data: Path, quick: bool) -> Outcomes:
+    """Run a part; return file or environment -> digest, values or steps."""
+    if part == "envs":
+        return {f"envs/{name}": steps for name, steps in environment_outcomes(40 if quick else 100)}
+    found: Outcomes = {}
     with tempfile.TemporaryDirectory() as folder:
-        for number, command in enumerate(commands(data, quick)):
-            out = Path(folder, f"{number:02d}")
-            done = subprocess.run([program, *command, "-o", out], capture_output=True, text=True, check=False)
-            if done.returncode not in (0, 3):  # 3: a run that failed, which is a result as well
-                sys.exit(f"lirs-wct {' '.join(command)}: exit {done.returncode}\n{done.stderr}")
+        base = Path(folder, part)
+        for number, command in enumerate(commands(part, data, quick)):
+            out = base / f"{number:02d}"
+            run_command(command, out)
             for file in sorted(out.rglob("*")):
-                if file.is_file() and file.name.endswith(KEPT):
-                    found[stable_name(file, Path(folder))] = hashlib.sha256(file.read_bytes()).hexdigest()
+                name = stable_name(file, Path(folder))
+                outcome = read_outcome(file, {str(data): "DATA", folder: "OUT"})
+                if name in found:
+                    sys.exit(f"{name}: two runs of one name; give each a command of its own")
+                if outcome is not None:
+                    found[name] = outcome
     return found
+
+
+def run_command(command: list[str], out: Path) -> None:
+    """Run a command that writes into a folder, and exit where it fails."""
+    out.mkdir(parents=True)
+    run = next((file.parent for file in (out.parent / "00").glob("*/record.json")), None)
+    arguments = [argument.replace("RUN", str(run)) for argument in command]
+    target = out / "score.json" if command[0] == "score" else out
+    program = Path(sys.executable).with_name("lirs-wct")
+    done = subprocess.run([program, *arguments, "-o", target], capture_output=True, text=True, check=False)
+    if done.returncode not in (0, 3):  # 3: a run that failed, which is a result as well
+        sys.exit(f"lirs-wct {' '.join(command)}: exit {done.returncode}\n{done.stderr}")
+
+
+def read_outcome(file: Path, stands_for: dict[str, str]) -> Any:
+    """Return the digest of a file, the values of a JSON file, or None if the file is not compared."""
+    if file.suffix == ".json" and file.name != "sweep.json":
+        text = file.read_text(encoding="utf-8")
+        for folder, name in stands_for.items():
+            text = text.replace(folder, name)
+        return without_excluded(json.loads(text, parse_constant=str))
+    if not file.is_file() or not file.name.endswith(DIGESTED):
+        return None
+    # A gzip header holds the time of writing.
+    content = gzip.decompress(file.read_bytes()) if file.suffix == ".gz" else file.read_bytes()
+    return hashlib.sha256(content).hexdigest()
+
+
+def without_excluded(value: Any, path: str = "") -> Any:
+    """Return a JSON value without the keys in `EXCLUDED`."""
+    if isinstance(value, list):
+        return [without_excluded(item, path) for item in value]
+    if not isinstance(value, dict):
+        return value
+    paths = {key: f"{path}.{key}".lstrip(".") for key in value}
+    kept = {key: p for key, p in paths.items() if not any(fnmatch(p, pattern) for pattern in EXCLUDED)}
+    return {key: without_excluded(value[key], p) for key, p in kept.items()}
 
 
 def stable_name(file: Path, folder: Path) -> str:
@@ -72,23 +170,75 @@ def stable_name(file: Path, folder: Path) -> str:
     return "/".join(part[:-9] if part[-9:-8] == "-" and "." not in part[-8:] else part for part in parts)
 
 
+def differences(before: Any, now: Any, path: str = "") -> Iterator[str]:
+    """Yield the path of every differing value, with both values."""
+    if isinstance(before, list) and isinstance(now, list):
+        before, now = ({f"[{i}]": item for i, item in enumerate(items)} for items in (before, now))
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in before | now:
+            yield from differences(before.get(key, ABSENT), now.get(key, ABSENT), f"{path}.{key}".lstrip("."))
+    elif before != now:
+        yield f"{path}: {short_text(before)} -> {short_text(now)}"
+
+
+def short_text(value: Any) -> str:
+    """Return a value as text of at most 60 characters."""
+    text = value[:12] if isinstance(value, str) and len(value) == 64 else str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def compare(before: Outcomes, now: Outcomes) -> int:
+    """Print the first differing values by file; return the number of files that differ."""
+    changed = 0
+    for name in sorted(before.keys() | now.keys()):
+        found = list(differences(before.get(name, ABSENT), now.get(name, ABSENT)))
+        if found:
+            more = f" (and {len(found) - SHOWN} more)" if len(found) > SHOWN else ""
+            print(f"differs: {name}: {'; '.join(line.lstrip(': ') for line in found[:SHOWN])}{more}")
+            changed += 1
+    print(f"{changed} of {len(before)} differ")
+    return changed
+
+
+def read_parts(text: str) -> list[str]:
+    """Return the named parts in their order.
+
+    Raises:
+        argparse.ArgumentTypeError: there is no such part.
+    """
+    for name in text.split(","):
+        if name not in PARTS:
+            raise argparse.ArgumentTypeError(f"no part {name!r}; parts: {', '.join(PARTS)}")
+    return [part for part in PARTS if part in text.split(",")]
+
+
 def main() -> None:
     """Record or compare."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("action", choices=("record", "compare"))
     parser.add_argument("file", type=Path)
+    parser.add_argument("--only", type=read_parts, metavar="PART,...", help=", ".join(PARTS))
     parser.add_argument("--data", type=Path, default=DATA, help="folder with height/, maps/, logs/ and stl/")
-    parser.add_argument("--quick", action="store_true", help="one seed, 10 s")
+    parser.add_argument("--quick", action="store_true", help="one seed, shorter drives")
     given = parser.parse_args()
-    now = digests(given.data, given.quick)
+    stored: dict[str, Any] = {"quick": given.quick, "parts": {}}
+    if given.action == "compare":
+        stored = json.loads(given.file.read_text(encoding="utf-8"))
+        if stored["quick"] != given.quick:
+            parser.error(f"{given.file}: recorded {'with' if stored['quick'] else 'without'} --quick")
+    parts = given.only or (list(stored["parts"]) if given.action == "compare" else list(PARTS))
+    if given.action == "compare" and set(parts) - stored["parts"].keys():
+        parser.error(f"{given.file}: recorded only {', '.join(stored['parts'])}")
+    now = {part: outcomes_of_part(part, given.data, given.quick) for part in parts}
     if given.action == "record":
-        given.file.write_text(json.dumps(now, indent=1) + "\n", encoding="utf-8")
-        print(f"{given.file}: {len(now)} digests")
+        text = json.dumps(stored | {"parts": now})
+        given.file.write_text(text + "\n", encoding="utf-8")
+        print(f"{given.file}: {sum(map(len, now.values()))} outcomes")
         return
-    before = json.loads(given.file.read_text(encoding="utf-8"))
-    changed = sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))
-    print(*(f"differs: {name}" for name in changed), f"{len(changed)} of {len(before)} differ", sep="\n")
-    sys.exit(bool(changed))
+    before = {name: value for part in parts for name, value in stored["parts"][part].items()}
+    # Through JSON, as the stored outcomes went.
+    after = json.loads(json.dumps({name: value for part in now.values() for name, value in part.items()}))
+    sys.exit(bool(compare(before, after)))
 
 
 if __name__ == "__main__":
