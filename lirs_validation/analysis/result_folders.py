@@ -12,7 +12,7 @@ from lirs_validation.record.map_record import is_mapped_log
 from lirs_validation.record.schema import read_whole_record
 from lirs_validation.sweep.collision_experiment import STATUS, read_verdict
 from lirs_validation.sweep.manifest import NAME as MANIFEST
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import SourceError, reason_of
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def _json(path: Path) -> Entry:
     try:
         entry = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise SourceError(f"{path}: not readable, or damaged ({type(error).__name__})") from error
+        raise SourceError(f"{path}: not readable, or damaged: {reason_of(error)}") from error
     if not isinstance(entry, dict):
-        raise SourceError(f"{path}: damaged: an object is required, got {type(entry).__name__}")
+        raise SourceError(f"{path}: damaged: an object is required, got {entry!r:.40}")
     return entry

@@ -21,7 +21,7 @@ from lirs_validation.record.provenance import versions
 from lirs_validation.record.run_record import plain
 from lirs_validation.record.staleness import is_stale
 from lirs_validation.sweep.outcome import Outcome
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import Progress
 
@@ -174,7 +174,7 @@ def read_episode(folder: Path) -> dict[str, Any]:
         names = ("set", "set_version", "task", "policy", "arguments", "status", "reason", "trace", "versions")
         whole = whole and all(name in entry for name in names)
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise SourceError(f"{path}: not an episode's record, or damaged ({type(error).__name__})") from error
+        raise SourceError(f"{path}: not an episode's record, or damaged: {reason_of(error)}") from error
     if not whole:
         raise SourceError(f"{path}: not an episode's record of schema {SCHEMA}")
     return entry

@@ -14,7 +14,7 @@ from typing import Any
 from lirs_envs.generators.terrain import KINDS
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.bench.task_worlds import WorldSpec, read_world
-from lirs_wct.errors import ConfigError, SourceError, WctError, unknown_name
+from lirs_wct.errors import ConfigError, SourceError, WctError, reason_of, unknown_name
 from lirs_wct.field_validators import is_finite, require_above, require_seed, require_within
 
 SETS = ("indoor", "hills", "lirs", "generated")
@@ -167,7 +167,7 @@ def task_set(name: str) -> TaskSet:
     except WctError as error:
         raise SourceError(f"{path}: {error}") from error
     except (ValueError, RecursionError) as error:
-        raise SourceError(f"{path}: not JSON: {error}") from error
+        raise SourceError(f"{path}: {reason_of(error)}") from error
 
 
 @cache
@@ -190,7 +190,7 @@ def read_task_set(entry: Any, where: str) -> TaskSet:
         tasks = tuple(_read_task(task, worlds) for task in entry["tasks"])
         found = TaskSet(name=str(entry["name"]), version=int(entry["version"]), tasks=tasks)
     except (KeyError, TypeError, AttributeError) as error:
-        raise ConfigError(f"not a set of tasks, or damaged ({type(error).__name__}: {error})") from error
+        raise ConfigError(f"not a set of tasks, or damaged: {reason_of(error)}") from error
     names = [task.name for task in tasks]
     if len(set(names)) < len(names):
         raise ConfigError(f"{where}: two tasks have one name")

@@ -33,6 +33,8 @@ from lirs_wct.errors import MapperError, WctError
 
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """What the system says of a disk without room."""
+LONGEST = 900
+"""Characters of a complaint; a longer one quotes a damaged file, of which the middle is left out."""
 app = typer.Typer(
     name="lirs-wct",
     no_args_is_help=True,
@@ -111,6 +113,8 @@ def main() -> None:
 
 
 def _fail(message: str, code: int = BAD_INPUT) -> None:
+    if len(message) > LONGEST:
+        message = f"{message[: LONGEST - 200]} ... {message[-200:]}"
     err.print(f"lirs-wct: {message}", markup=False, highlight=False, soft_wrap=True, style="red")
     sys.exit(code)
 

@@ -13,7 +13,7 @@ import numpy as np
 from lirs_validation.config import RunConfig, run_name
 from lirs_validation.record.provenance import machine, versions
 from lirs_wct.display import ShownAsTable
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_write
 
 SCHEMA = 3
@@ -107,7 +107,7 @@ def read_record(folder: Path) -> dict[str, Any]:
         entry: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         schema = entry["schema"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise SourceError(f"{path}: not a run's record, or damaged ({type(error).__name__})") from error
+        raise SourceError(f"{path}: not a run's record, or damaged: {reason_of(error)}") from error
     if schema != SCHEMA:
         raise SourceError(f"{path}: schema {schema} is not the one this version reads ({SCHEMA})")
     return entry

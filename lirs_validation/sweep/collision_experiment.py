@@ -17,7 +17,7 @@ from lirs_validation.record.staleness import is_stale, world_files
 from lirs_validation.sweep.outcome import Outcome
 from lirs_validation.sweep.slam_experiment import world_name
 from lirs_wct.contact.contact_geometry import ContactGeometry
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import Progress
 
@@ -136,7 +136,7 @@ def read_verdict(folder: Path) -> CollisionVerdict:
         entry = json.loads(path.read_text(encoding="utf-8"))["collisions"][0]
         verdict = CollisionVerdict(**{f.name: entry[f.name] for f in fields(CollisionVerdict)})
     except (OSError, ValueError, KeyError, IndexError, TypeError, RecursionError) as error:
-        raise SourceError(f"{path}: not a collision check, or damaged ({type(error).__name__})") from error
+        raise SourceError(f"{path}: not a collision check, or damaged: {reason_of(error)}") from error
     for name, value in vars(verdict).items():
         if not isinstance(value, (str, int, float, NoneType)) or isinstance(value, str) != (name in TEXTS):
             raise SourceError(f"{path}: damaged: {name} is {value!r}")

@@ -24,7 +24,7 @@ from lirs_validation.record.schema import read_whole_record
 from lirs_validation.record.source_files import same_source
 from lirs_validation.record.staleness import is_stale, world_files
 from lirs_validation.sweep.outcome import Outcome
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.rosbag.library import require_rosbags
 from lirs_wct.progress import Progress
@@ -154,4 +154,4 @@ def world_name(config: RunConfig) -> str:
     try:
         return str(json.loads(path.read_text(encoding="utf-8"))["name"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise SourceError(f"{path}: damaged ({type(error).__name__})") from error
+        raise SourceError(f"{path}: damaged: {reason_of(error)}") from error

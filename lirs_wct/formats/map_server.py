@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.images.header import MAX_PIXELS
 from lirs_wct.formats.images.image_writer import write_image
 from lirs_wct.formats.images.picture import read_picture
+from lirs_wct.formats.yaml_text import load_yaml
 from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 
@@ -51,7 +51,11 @@ def read_map(path: Path, max_pixels: int = MAX_PIXELS) -> OccupancyGrid:
         SourceError: one of the two is missing or cannot be used.
     """
     metadata = read_metadata(path)
-    if not metadata.image.is_file():
+    try:
+        there = metadata.image.is_file()
+    except OSError as error:  # such as a name that is too long
+        raise SourceError(f"{path}: its image {metadata.image} {reason_of(error)}") from error
+    if not there:
         raise SourceError(f"{path}: its image {metadata.image} is not there")
     return _grid(metadata, max_pixels)
 
@@ -92,7 +96,7 @@ def read_metadata(path: Path) -> MapMetadata:
     except OSError as error:
         raise SourceError(f"{path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise SourceError(f"{path}: is not text") from error
+        raise SourceError(f"{path}: {reason_of(error)}") from error
     except ValueError as error:
         raise SourceError(f"{path}: {error}") from error
 
@@ -170,15 +174,7 @@ def _entries(text: str) -> dict[str, Entry]:
     Raises:
         ValueError: no YAML, or something that a map has no use for (nesting, two documents).
     """
-    try:
-        # BaseLoader makes texts, lists and dictionaries only.
-        found = yaml.load(text, yaml.BaseLoader) or {}
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        reasons = ", ".join(reason for reason in (error.context, error.problem) if reason)
-        raise ValueError(f"line {mark.line + 1 if mark else 1}: {reasons}") from error
-    except (yaml.YAMLError, RecursionError) as error:
-        raise ValueError(f"is not YAML: {str(error).splitlines()[0]}") from error
+    found = load_yaml(text, typed=False) or {}
     if not isinstance(found, dict):
         raise ValueError("line 1 is not `key: value`")
     for key, value in found.items():

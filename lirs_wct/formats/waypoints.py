@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from lirs_wct.errors import SourceError
+from lirs_wct.formats.yaml_text import load_yaml
 
 LEAST = 2
 """Waypoints in a file: where the drive begins, and where it leads."""
@@ -64,13 +63,13 @@ def _lines(text: str) -> list[tuple[str, Any]]:
 def _yaml(path: Path, text: str) -> list[tuple[str, Any]]:
     """Return where each waypoint stands, and its values."""
     try:
-        entries = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise SourceError(f"{path}: no YAML: {' '.join(str(error).split())}") from error
+        entries = load_yaml(text)
+    except ValueError as error:
+        raise SourceError(f"{path}: {error}") from error
     if isinstance(entries, dict) and set(entries) == {"waypoints"}:
         entries = entries["waypoints"]
     if not isinstance(entries, list):
-        raise SourceError(f"{path}: a YAML list of waypoints is needed, got {type(entries).__name__}")
+        raise SourceError(f"{path}: a YAML list of waypoints is needed, got {entries!r:.40}")
     return [
         (f"waypoint {k}", _values(entry) if isinstance(entry, dict) else entry)
         for k, entry in enumerate(entries, 1)

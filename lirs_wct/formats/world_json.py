@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import BoolArray
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_write
 from lirs_wct.geometry.geodesy.earth import CoordinateSystem
 from lirs_wct.geometry.geodesy.place import Place
@@ -175,12 +175,7 @@ def checked_content(folder: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        reason = (
-            f"{error.strerror}"
-            if isinstance(error, OSError) and error.strerror
-            else f"{type(error).__name__}: {error}"
-        )
-        raise SourceError(f"{folder / JSON}: not a built world, or damaged ({reason})") from error
+        raise SourceError(f"{folder / JSON}: not a built world, or damaged: {reason_of(error)}") from error
 
 
 def texture_path(name: str, role: str, given: Path | None) -> Path:

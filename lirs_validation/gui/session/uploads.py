@@ -19,6 +19,7 @@ from lirs_wct.field_validators import require_above
 from lirs_wct.files import remove_orphans
 from lirs_wct.formats.images.header import MAX_PIXELS
 from lirs_wct.formats.suffixes import BAGS, CLOUDS, LOGS, MAPS, MESHES, RASTERS, ZSTD
+from lirs_wct.formats.yaml_text import load_yaml
 
 PICTURES = (".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".tif", ".tiff", ".gif", ".bmp")
 SUFFIXES = (*PICTURES, *RASTERS, *MAPS, *MESHES, *CLOUDS, *LOGS, ".gz", *BAGS, ZSTD)
@@ -141,8 +142,8 @@ def harmless(name: str) -> str:
 def _beside(name: str, content: bytes) -> bytes:
     """Return a map's YAML whose picture is the uploaded file of that name, and no other of this machine."""
     try:
-        entry = yaml.safe_load(content.decode("utf-8"))
+        entry = load_yaml(content.decode("utf-8"))
         entry["image"] = harmless(str(entry["image"]))
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise SourceError(f"{name}: is no YAML of a map, which names its image") from error
     return yaml.safe_dump(entry).encode()

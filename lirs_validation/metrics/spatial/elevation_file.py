@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lirs_validation.metrics.spatial.elevation import ElevationMap
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import SourceError, reason_of
 
 ELEVATION = "elevation.npz"
 
@@ -32,6 +32,6 @@ def read_elevation(path: Path) -> tuple[ElevationMap, ElevationMap]:
             cell, (x, y) = float(file["cell"]), file["origin"].tolist()
             grids = [file[name].astype(np.float64) for name in ("built", "true_pose")]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise SourceError(f"{path}: no elevation maps, or damaged ({type(error).__name__})") from error
+        raise SourceError(f"{path}: no elevation maps, or damaged: {reason_of(error)}") from error
     built, true_pose = (ElevationMap(grid, cell, (x, y)) for grid in grids)
     return built, true_pose

@@ -41,7 +41,7 @@ class PictureHeader:
 
 
 def read_header(data: mmap.mmap) -> PictureHeader:
-    """Return the header of a PNG, PNM, GIF, JPEG, TIFF or BMP file.
+    """Return the header of a PNG, PNM, GIF, JPEG, TIFF, BMP or WebP file.
 
     Raises:
         ValueError: the format is none of these, or the file is damaged.
@@ -53,13 +53,14 @@ def read_header(data: mmap.mmap) -> PictureHeader:
         ((b"\xff\xd8\xff",), _jpeg),
         ((b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), _tiff),
         ((b"BM",), _bmp),
+        ((b"RIFF",), _webp),
         (tuple(b"P%c" % c for c in b"123456fF"), _pnm),
     )
     start = data[:8]
     for magics, read in readers:
         if start.startswith(magics):
             return read(data)
-    raise ValueError("is not a picture; legal: PNG, PGM/PNM, GIF, JPEG, TIFF, BMP")
+    raise ValueError("is not a picture; legal: PNG, PGM/PNM, GIF, JPEG, TIFF, BMP, WebP")
 
 
 def check_complete(data: mmap.mmap) -> None:
@@ -143,6 +144,35 @@ def _bmp(data: mmap.mmap) -> PictureHeader:
     (size,) = struct.unpack("<I", data[14:18])
     width, height = struct.unpack("<HH", data[18:22]) if size == 12 else struct.unpack("<ii", data[18:26])
     return PictureHeader(width, abs(height))
+
+
+def _webp(data: mmap.mmap) -> PictureHeader:
+    """Read the first chunk of a WebP file (RFC 9649): lossy, lossless or extended."""
+    form, kind = data[8:12], data[12:16]
+    if form != b"WEBP" or kind not in (b"VP8 ", b"VP8L", b"VP8X"):
+        raise ValueError("is not a picture: a RIFF file is read if it is a WebP")
+    announced = struct.unpack("<I", data[4:8])[0] + 8
+    if announced > len(data):
+        raise ValueError(f"is truncated: {announced} bytes announced, {len(data)} there")
+    if kind == b"VP8 ":
+        width, height = (side & 0x3FFF for side in struct.unpack("<HH", data[26:30]))
+        return PictureHeader(width, height)
+    if kind == b"VP8L":
+        (bits,) = struct.unpack("<I", data[21:25])
+        return PictureHeader((bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1)
+    if len(data) < 30:
+        raise ValueError("is truncated: the file ends inside its header")
+    width, height = (int.from_bytes(data[at : at + 3], "little") + 1 for at in (24, 27))
+    return PictureHeader(width, height, max(_webp_frames(data), 1))
+
+
+def _webp_frames(data: mmap.mmap) -> int:
+    at, frames = 12, 0
+    while at + 8 <= len(data):
+        frames += data[at : at + 4] == b"ANMF"
+        (length,) = struct.unpack("<I", data[at + 4 : at + 8])
+        at += 8 + length + length % 2
+    return frames
 
 
 def _pnm(data: mmap.mmap) -> PictureHeader:

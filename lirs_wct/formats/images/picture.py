@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import mmap
+import os
+import re
 import struct
+import tempfile
 import threading
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import cv2
 import numpy as np
@@ -25,6 +28,11 @@ from lirs_wct.formats.images.header import MAX_PIXELS, PictureHeader, check_comp
 _AS_STORED = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
 """Gray stays gray, depth is kept, palettes are resolved, EXIF orientation is applied, alpha is dropped."""
 _LOG_LEVEL = threading.Lock()
+STDERR = 2
+"""File descriptor that C libraries write to."""
+_BY = re.compile(r"^lib(?:png|jpeg) (?:warning|error): ")
+_LOST = re.compile(r"(?!.*extraneous bytes)(?:Corrupt JPEG data|Premature end)")
+"""Notes after which pixels are missing; bytes between two markers are skipped without loss."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,11 +66,18 @@ def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = Fals
         raise SourceError(f"{path}: is truncated: the file ends inside its header") from error
     except ValueError as error:
         raise SourceError(f"{path}: {error}") from error
-    pixels = _decode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED if alpha else _AS_STORED)
+    pixels, notes = _decode(
+        np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED if alpha else _AS_STORED
+    )
     if header.tags and (pixels is None or header.masked or not _typed(pixels, header.tags)):
         pixels = _by_gdal(path, pixels, header)
     if pixels is None:
-        raise SourceError(f"{path}: is damaged or uses a feature that cannot be decoded")
+        said = f" ({notes[-1]})" if notes else ""
+        raise SourceError(f"{path}: is damaged or uses a feature that cannot be decoded{said}")
+    for note in notes:
+        if _LOST.match(note):
+            raise SourceError(f"{path}: is damaged: {note}")
+        warnings.warn(f"{path}: its decoder notes: {note}", stacklevel=3)
     if header.pages > 1:
         warnings.warn(f"{path}: has {header.pages} pages, the first is taken", stacklevel=3)
     bands = int(header.tags[tiff.SAMPLES][0]) if tiff.SAMPLES in header.tags else 1
@@ -121,23 +136,33 @@ def check_size(path: Path, w: int, h: int, max_pixels: int) -> None:
                           "(--max-pixels)")  # fmt: skip
 
 
-def _decode(data: ByteArray, flags: int) -> NDArray[Any] | None:
-    with _quiet_codecs():
-        try:
-            pixels: NDArray[Any] | None = cv2.imdecode(data, flags)
-        except cv2.error:
-            return None
-    return pixels
+def _decode(data: ByteArray, flags: int) -> tuple[NDArray[Any] | None, list[str]]:
+    """Return the pixels, None where there are none, and the notes of the decoder, each once."""
+    pixels: NDArray[Any] | None = None
+    with _quiet_codecs() as output:
+        with suppress(cv2.error):
+            pixels = cv2.imdecode(data, flags)
+        output.seek(0)
+        lines = output.read().decode(errors="replace").splitlines()
+    notes = dict.fromkeys(_BY.sub("", line).strip() for line in lines if line.strip())
+    return pixels, list(notes)
 
 
 @contextmanager
-def _quiet_codecs() -> Iterator[None]:
-    """Keep OpenCV's log off stderr: unknown TIFF tags and broken files are reported by us, once."""
+def _quiet_codecs() -> Iterator[IO[bytes]]:
+    """Keep codecs off stderr, which we report once; give the file that holds their lines.
+
+    libjpeg and libpng write to the file descriptor, OpenCV logs besides.
+    """
     log = cv2.utils.logging
-    with _LOG_LEVEL:
+    with _LOG_LEVEL, tempfile.TemporaryFile() as output:
         before = log.getLogLevel()
         log.setLogLevel(log.LOG_LEVEL_SILENT)
+        kept = os.dup(STDERR)
+        os.dup2(output.fileno(), STDERR)
         try:
-            yield
+            yield output
         finally:
+            os.dup2(kept, STDERR)
+            os.close(kept)
             log.setLogLevel(before)

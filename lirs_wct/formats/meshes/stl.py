@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lirs_wct.arrays import Float32Array, FloatArray
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.meshes.ply_header import require_positions
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -104,8 +104,7 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     try:
         loaded = trimesh.load_mesh(path, resolver=textures)
     except Exception as error:  # every loader of trimesh has errors of its own
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise SourceError(f"{path}: cannot be read as a mesh: {reason}") from error
+        raise SourceError(f"{path}: cannot be read as a mesh: {reason_of(error)}") from error
     if len(getattr(loaded, "faces", ())) == 0:
         raise SourceError(f"{path}: holds no triangles, at least one is needed")
     if not np.isfinite(loaded.vertices).all():

@@ -31,7 +31,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 IHDR = chunk(b"IHDR", struct.pack(">IIBBBBB", 258, 771, 8, 0, 0, 0, 0))
 
 
-@pytest.mark.parametrize("form", ["PNG", "GIF", "JPEG", "TIFF", "BMP", "PPM"])
+@pytest.mark.parametrize("form", ["PNG", "GIF", "JPEG", "TIFF", "BMP", "PPM", "WEBP"])
 @pytest.mark.parametrize("mode", ["L", "RGB"])
 def test_sizes_that_pillow_writes(form: str, mode: str) -> None:
     file = io.BytesIO()
@@ -181,3 +181,15 @@ def test_pnm_size_between_comments(kind: int) -> None:
     for data in (b"P%c\n300" % kind, b"P%c 300 x" % kind, b"P%c300 70" % kind, late + bytes(99) + b"\n1 2"):
         with pytest.raises(ValueError, match="the PNM header lacks the size"):
             header(data)
+
+
+def test_webp_of_each_kind_says_size_and_frames() -> None:
+    pages = [Image.new("RGB", (31, 17), color) for color in ("red", "green")]
+    for options, frames in (({"lossless": True}, 1), ({"exif": b"Exif"}, 1), ({"append_images": pages}, 3)):
+        file = io.BytesIO()
+        Image.new("RGB", (31, 17)).save(file, "WEBP", save_all="append_images" in options, **options)
+        assert header(file.getvalue()) == PictureHeader(31, 17, frames)
+        with pytest.raises(ValueError, match="is truncated"):
+            header(file.getvalue()[:-9])
+    with pytest.raises(ValueError, match="a RIFF file is read if it is a WebP"):
+        header(b"RIFF\4\0\0\0WAVEfmt ")

@@ -107,3 +107,15 @@ def test_the_decoders_log_is_left_as_it_was(tmp_path: Path) -> None:
         assert log.getLogLevel() == log.LOG_LEVEL_ERROR
     finally:
         log.setLogLevel(before)
+
+
+def test_a_jpeg_without_its_end_is_refused_in_our_words(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.jpg"
+    cv2.imwrite(str(path), np.random.default_rng(1).integers(0, 255, (64, 64), np.uint8))
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2] + b"\xff\xd9")
+    with pytest.raises(SourceError, match=r"a\.jpg: is damaged: Corrupt JPEG data"):
+        read_picture(path)
+    assert capfd.readouterr().err == ""
