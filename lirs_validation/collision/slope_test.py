@@ -33,7 +33,7 @@ class Climb:
 
     Attributes:
         slope: of the ground under the robot, degrees.
-        slid: while its wheels held, metres.
+        slid: while it was to stand, beyond what its wheels rolled, metres.
         climbed: share of the commanded distance that it came uphill.
     """
 
@@ -49,17 +49,25 @@ def climb(body: RobotModel, world: World, robot: Robot) -> Climb | None:
             body.settle(standing_pose(world, robot, start))
         except SimulationError:
             continue
-        before = body.pose().position
-        body.step((0.0, 0.0), round(HELD / body.timestep))
-        slid = float(np.linalg.norm(body.pose().position - before))
-        return Climb(math.degrees(slope), slid, _climbed(body, robot, start.yaw))
+        return Climb(math.degrees(slope), _slid(body, robot), _climbed(body, robot, start.yaw))
     return None
+
+
+def _slid(body: RobotModel, robot: Robot) -> float:
+    """Return metres that a robot moves while it is to stand, without those that its wheels roll.
+
+    A wheel's servo has no integral part: it turns at torque / kv, which says nothing of the contact.
+    """
+    before, angles = body.pose(), body.wheel_angles()
+    body.step((0.0, 0.0), round(HELD / body.timestep))
+    rolled = robot.wheel_radius * float(np.mean(np.subtract(body.wheel_angles(), angles)))
+    moved = body.pose().position - before.position
+    return float(np.linalg.norm(moved - rolled * before.rotation[:, 0]))
 
 
 def _climbed(body: RobotModel, robot: Robot, uphill: float) -> float:
     """Return the share of the commanded distance; both counted once the robot is up to speed."""
-    drive, v = DifferentialDrive(robot), min(SPEED, robot.max_speed)
-    ramp, distance = v / robot.max_acceleration + 0.2, 2 * robot.radius
+    drive, (v, ramp, distance) = DifferentialDrive(robot), _course(robot)
     axis = np.array((math.cos(uphill), math.sin(uphill)))
     before, time = body.pose().position, 0.0
     began: float | None = None
@@ -75,8 +83,17 @@ def _climbed(body: RobotModel, robot: Robot, uphill: float) -> float:
     return length / (v * (time - (began or 0.0)))
 
 
+def _course(robot: Robot) -> tuple[float, float, float]:
+    """Return speed, time until it is reached, and distance that then counts; m/s, s, m."""
+    v = min(SPEED, robot.max_speed)
+    return v, v / robot.max_acceleration + 0.2, 2 * robot.radius
+
+
 def _steepest(world: World, robot: Robot) -> list[tuple[float, Pose2]]:
-    """Return slopes (radians) and poses facing uphill, the steepest legal ones first."""
+    """Return slopes (radians) and poses facing uphill, from where the climb ends on free ground.
+
+    The steepest legal ones come first.
+    """
     free = world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope)
     cells = np.argwhere(free.free)
     x, y = free.centers(cells[:: max(1, len(cells) // PLACES)]).T
@@ -84,10 +101,15 @@ def _steepest(world: World, robot: Robot) -> list[tuple[float, Pose2]]:
         return []
     r, z = robot.radius, world.surface.height_at
     east, north = (z(x + r, y) - z(x - r, y)) / (2 * r), (z(x, y + r) - z(x, y - r)) / (2 * r)
-    slope = np.nan_to_num(np.arctan(np.hypot(east, north)), nan=np.inf)
+    slope, uphill = np.nan_to_num(np.arctan(np.hypot(east, north)), nan=np.inf), np.arctan2(north, east)
+    v, ramp, distance = _course(robot)
+    length = v * ramp + distance
+    ends = free.cells(np.stack((x + length * np.cos(uphill), y + length * np.sin(uphill)), axis=-1))
+    held = np.clip(ends, 0, np.array(free.shape) - 1)
+    slope = np.where(free.free[held[:, 0], held[:, 1]] & (held == ends).all(axis=1), slope, np.inf)
     order = np.argsort(-np.where(slope <= robot.max_slope, slope, -1.0), kind="stable")[:TRIES]
     return [
-        (float(slope[i]), Pose2(float(x[i]), float(y[i]), math.atan2(north[i], east[i])))
+        (float(slope[i]), Pose2(float(x[i]), float(y[i]), float(uphill[i])))
         for i in order.tolist()
         if slope[i] <= robot.max_slope
     ]

@@ -230,6 +230,17 @@ def test_the_steepest_legal_slope_is_found_and_climbed() -> None:
     assert lost.climbed < 0.8
 
 
+@pytest.mark.parametrize("name", [name for name, robot in ROBOTS.items() if not robot.flies])
+def test_no_robot_slides_on_the_steepest_slope_that_it_drives(name: str) -> None:
+    robot = make_robot(name)
+    world = terrain(lambda x, y: math.tan(robot.max_slope - 1e-3) * (0.8 * x + 0.6 * y))
+    found = climb(body_in(world, name), world, robot)
+    assert found is not None
+    assert found.slope == pytest.approx(math.degrees(robot.max_slope), abs=0.1)
+    assert found.slid < 0.03
+    assert 0.9 < found.climbed < 1.1
+
+
 def test_half_the_places_are_beside_an_obstacle(blocks: World) -> None:
     robot = make_robot("turtlebot2")
     found = places(blocks, robot, np.random.default_rng(1))
