@@ -136,7 +136,7 @@ class World(ShownAsPicture):
         """How the mesh files are made, the default budget filled in."""
         if self.kind != "terrain":
             return self.export_options
-        return self.export_options.with_default(self.surface.relief)
+        return self.export_options.with_default(self.surface)
 
     def _within(self, options: ExportOptions) -> TriangleMesh:
         mesh, most = self.ground.mesh(options), options.max_triangles

@@ -115,7 +115,7 @@ def dress(spec: mujoco.MjSpec, world: World, folder: Path) -> None:
         return
     for geom in spec.worldbody.geoms:
         geom.group = TOUCHED_GROUP
-    for part in world_parts(world):
+    for part in world_parts(world, world.file_mesh):
         _add_material(spec, part.wear.name, _as_png(world, part.wear, folder), folder)
         tiles = list(split_tiles(part.mesh, aim=MUJOCO_FACES // 2))
         for k, tile in enumerate(tiles):

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.option import Options, documented, option, positive
 
 _PANEL: dict[str, Any] = {"panel": "Mesh files"}
 
 
-DEFAULT_SHARE = 0.001
-"""Of a terrain's relief by which its mesh files may differ from it, unless a budget is given."""
+DEFAULT_SHARE, LEAST_SHARE = 0.001, 1e-6
+"""Default budget of a terrain's mesh files: a share of its relief, at least a share of its longer side."""
 
 
 def _budget(value: float, _: str) -> None:
@@ -39,7 +40,7 @@ class ExportOptions(Options):
     max_error: float | None = option(
         None,
         "Fewest triangles that stay this near the ground, vertically, at every pixel; 0 = all pixels. "
-        "Default: 0.1 % of the relief of a terrain.",
+        "Default: 0.1 % of the relief of a terrain, at least a millionth of its longer side.",
         metavar="METRES",
         check=_budget,
         **_PANEL,
@@ -99,11 +100,14 @@ class ExportOptions(Options):
         """Whether a budget was asked for."""
         return bool(self.max_error) or self.max_triangles is not None
 
-    def with_default(self, relief: float) -> ExportOptions:
-        """Return the options of a terrain's mesh files: without a word on the budget, the default one."""
-        if self.limited or self.max_error == 0 or relief == 0:
+    def with_default(self, surface: HeightField) -> ExportOptions:
+        """Return the options of a terrain's mesh files: the default budget where none was given.
+
+        The share of the longer side, 50 micrometers of 50 m, keeps flat ground at two triangles.
+        """
+        if self.limited or self.max_error == 0:
             return self
-        return replace(self, max_error=DEFAULT_SHARE * relief)
+        return replace(self, max_error=max(DEFAULT_SHARE * surface.relief, LEAST_SHARE * max(surface.size)))
 
     def updated(self, given: ExportOptions) -> ExportOptions:
         """Return what other options ask for; what they do not mention stays as it is here.

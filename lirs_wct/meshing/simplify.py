@@ -43,6 +43,9 @@ def simplified_solid(
     Raises:
         ConfigError: neither or both budgets are given, or one is not legal.
     """
+    _check(max_error, max_triangles)
+    if max_error is not None:
+        max_error = max(max_error - _file_rounding(surface), max_error / 2)
     points, faces = triangulate(surface, max_error=max_error, max_triangles=max_triangles)
     x, y = node_axes(surface)
     row, col = points.T
@@ -72,6 +75,17 @@ def triangulate(
         tin = _grown(tin)
     points, triangles = int(tin.used[POINTS]), int(tin.used[TRIANGLES])
     return tin.point[:points].copy(), tin.link.reshape(-1, STRIDE)[:triangles, :3].copy()
+
+
+def _file_rounding(surface: HeightField) -> float:
+    """Return the vertical error, meters, of the float32 positions of mesh files on the steepest ground."""
+    step = float(np.spacing(np.float32(max(map(abs, surface.bounds)))))
+    slopes = (
+        float(np.abs(np.diff(surface.z, axis=axis)).max()) / cell
+        for axis, cell in ((1, surface.cell[0]), (0, surface.cell[1]))
+    )
+    # Half a step sideways along each axis, and half a step of height.
+    return sum(slopes) * step / 2 + float(np.spacing(np.float32(np.abs(surface.z).max()))) / 2
 
 
 def _check(max_error: float | None, max_triangles: int | None) -> None:

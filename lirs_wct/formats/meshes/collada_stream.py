@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 from xml.sax.saxutils import escape
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from lirs_wct.arrays import FloatArray, Int32Array
 from lirs_wct.errors import ConfigError
@@ -107,21 +107,8 @@ class MeshPart:
         return self.mesh.normals
 
 
-@dataclass(frozen=True)
-class Digits:
-    """How exact a file's numbers are.
-
-    Attributes:
-        step: share of the width that positions are exact to; heights, to ten times this share of their own.
-        normals: digits after the point of a normal's components.
-    """
-
-    step: float
-    normals: int
-
-
-FINE, BRIEF = Digits(2e-7, 3), Digits(2e-6, 2)
-"""Of files of some megabytes, and of those where bytes count: their shading is exact to 0.5 deg."""
+NORMAL_DIGITS, BRIEF_NORMAL_DIGITS = 3, 2
+"""Digits after the point in files of some megabytes, and where bytes count: shading exact to 0.5 deg."""
 
 
 def stream_collada(
@@ -139,14 +126,14 @@ def stream_collada(
     Raises:
         OSError: the file cannot be written.
     """
-    digits = BRIEF if brief else FINE
-    size = np.ptp(np.concatenate([part.mesh.bounds for part in parts]), axis=0)
-    normals, numbers = _distinct([part.normals for part in parts], digits.normals)
+    digits = BRIEF_NORMAL_DIGITS if brief else NORMAL_DIGITS
+    farthest = np.abs([part.mesh.bounds for part in parts]).max(axis=(0, 1))
+    normals, numbers = _distinct([part.normals for part in parts], digits)
     with path.open("wb") as file:
         file.write(_head(parts).encode())
         positions = [part.mesh.vertices for part in parts]
-        _write_source(file, "positions", positions, _position_decimals(size, digits.step), "XYZ")
-        _write_source(file, "normals", [normals], (digits.normals,) * 3, "XYZ")
+        _write_source(file, "positions", positions, _position_decimals(farthest), "XYZ")
+        _write_source(file, "normals", [normals], (digits,) * 3, "XYZ")
         _write_source(file, "UV", [part.uv for part in parts], (_UV_DECIMALS,) * 2, "ST")
         file.write(_VERTICES.encode())
         before = 0
@@ -238,9 +225,14 @@ def _chunks(table: NDArray[Any]) -> Iterator[NDArray[Any]]:
     return (table[i : i + _ROWS] for i in range(0, len(table), _ROWS))
 
 
-def _position_decimals(size: ArrayLike, step: float) -> tuple[int, int, int]:
-    """Return the digits worth writing: with 2e-6, 0.1 mm in a world of 50 m and 5 m of relief."""
-    x, y, z = np.asarray(size, dtype=np.float64)
-    least = np.array([max(x, y) * step, max(x, y) * step, z * 10 * step])
-    a, b, c = np.clip(np.ceil(-np.log10(np.maximum(least, 1e-9)) - 1e-9), 0, 6).astype(int).tolist()
-    return a, b, c
+def _position_decimals(farthest: FloatArray) -> tuple[int, int, int]:
+    """Return the digits after the point that tell float32 coordinates apart.
+
+    Fewer would break the error budget: a millimeter sideways is meters of height on rough ground.
+
+    Args:
+        farthest: (3,) largest absolute coordinate of each axis.
+    """
+    step = np.spacing(farthest.astype(np.float32)).astype(np.float64)
+    x, y, z = np.clip(np.ceil(-np.log10(step)), 0, 9).astype(int).tolist()
+    return x, y, z

@@ -18,8 +18,8 @@ def fixed_text(table: ArrayLike, decimals: ArrayLike, between: bytes = b" ") -> 
     Zeros that say nothing are left out (`.5`, `-3`), as XML Schema's double allows.
 
     Args:
-        table: (rows, columns) finite numbers below 1e12.
-        decimals: digits after the point, 0 to 6, for each column.
+        table: (rows, columns) finite numbers below 9e18 / 10**decimals.
+        decimals: digits after the point, 0 to 9, for each column.
         between: a character that separates columns, or one for each gap between two.
     """
     values = np.ascontiguousarray(table, dtype=np.float64)

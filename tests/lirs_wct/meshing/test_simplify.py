@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,14 +13,18 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lirs_validation.metrics.mesh import mesh_error
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.ground import Terrain
+from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.meshing.simplify import simplified_solid, triangulate
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.pictures.picture import read_height_field
 from lirs_wct.sources.rasterize import rasterize_heights
+from lirs_wct.world import World
 
 
 def hills(rows: int, cols: int, seed: int = 0, blur: float = 3.0) -> HeightField:
@@ -165,6 +170,32 @@ def test_a_plane_needs_two_triangles() -> None:
     plane = HeightField.centered(x + x[:40, None], (1, 1))
     assert len(triangulate(plane, max_error=1e-9)[1]) == 2
     assert len(simplified_solid(plane, max_triangles=1000).faces) == 14
+
+
+def test_flat_and_almost_flat_ground_needs_few_triangles() -> None:
+    """The default budget is at least a millionth of the longer side."""
+    column, row = np.meshgrid(np.arange(80, dtype=np.float32), np.arange(60, dtype=np.float32))
+    rounding = np.random.default_rng(1).normal(0, 1e-6, (60, 80)).astype(np.float32)
+    dent = np.zeros((60, 80), np.float32)
+    dent[20, 30] = 0.01
+    grounds = {14: (0 * column, rounding, 0.05 * column + 0.02 * row + rounding), 40: (dent,)}
+    for most, heights in grounds.items():
+        for z in heights:
+            world = World("ground", Terrain(HeightField.centered(z, (0.5, 0.5))))
+            assert len(world.file_mesh.faces) <= most
+            assert mesh_error(world, world.file_mesh) <= max(1e-6 * 39.5, 1e-3 * world.surface.relief)
+    exact = replace(world, export_options=ExportOptions(max_error=0))
+    assert len(exact.file_mesh.faces) > 2 * 59 * 79
+
+
+def test_the_budget_holds_in_float32() -> None:
+    """Mesh files hold float32 positions, which move rough ground far from the origin."""
+    rough = np.random.default_rng(4).random((50, 60)).astype(np.float32)
+    surface = HeightField(rough * 10, (0.01, 0.01), (4000.0, 4000.0))
+    world = World("rough", Terrain(surface))
+    mesh = simplified_solid(surface, max_error=1.0)
+    read = TriangleMesh(mesh.vertices.astype(np.float32).astype(np.float64), mesh.faces)
+    assert mesh_error(world, read) <= 1.0
 
 
 def test_a_single_pixel_is_not_missed() -> None:
