@@ -22,7 +22,7 @@ def inertial_readings(config: MapConfig, log: LaserLog) -> list[Imu | None]:
     Raises:
         SourceError: the file cannot be used, or has no reading at any scan.
     """
-    readings: list[Imu | None] = [None] * len(log.scans)
+    readings: list[Imu | None] = [None] * len(log.stamps)
     held = log.imu if config.imu is None else read_imu(Path(config.imu))
     if not held:
         return readings
@@ -33,7 +33,7 @@ def inertial_readings(config: MapConfig, log: LaserLog) -> list[Imu | None]:
     if not any(readings):
         raise SourceError(
             f"{config.imu or config.imu_topic}: other stamps: none of its {len(found)} readings lies "
-            f"within {MAX_GAP} s of one of the log's {len(log.scans)} scans"
+            f"within {MAX_GAP} s of one of the log's {len(log.stamps)} scans"
         )
     return readings
 

@@ -2,25 +2,52 @@
 
 from __future__ import annotations
 
-from typing import Any
+from pathlib import Path
+from typing import Any, cast
 
 from lirs_validation.config import MapConfig
-from lirs_validation.experiment.mappers.loading import planar_mapper_named
+from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
+from lirs_validation.experiment.mappers.attitude import with_attitude
+from lirs_validation.experiment.mappers.guard import GuardedMapper
+from lirs_validation.experiment.mappers.loading import mapper_named
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.laser_log import LaserLog
-from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS, Mapper, make_mapper, parameters, requires_odometry
+from lirs_wct.sources.source import is_bag
+from slam_baselines.mapper import (
+    CLOUD_MAPPERS,
+    MAPPERS,
+    CloudMapper,
+    Mapper,
+    make_mapper,
+    parameters,
+    reads_clouds,
+    requires_odometry,
+)
 from slam_baselines.warm_up import warm_up
 
 WARM_UP_CONFIG = {"gmapping": {"particles": 4}}
 """Kernels need no more particles than these to be compiled."""
 
 
-def make_log_mapper(config: MapConfig) -> Mapper:
-    """Make the mapper; a parameter that it does not have is refused.
+def make_log_mapper(config: MapConfig) -> GuardedMapper | GuardedCloudMapper:
+    """Make the mapper behind its guard; a parameter that it does not have is refused.
 
     Raises:
-        ConfigError: there is no such mapper, or it has no such parameter.
+        ConfigError: there is no such mapper, or it has no such parameter, or it reads point clouds and the
+            log is no bag.
     """
+    mapper = _make(config)
+    if not reads_clouds(mapper):
+        return GuardedMapper(with_attitude(cast("Mapper", mapper), config.attitude), config.mapper)
+    if not is_bag(Path(config.log)):
+        raise ConfigError(
+            f"{config.log}: mapper {config.mapper} reads point clouds, a CARMEN log holds planar scans; "
+            f"legal: {', '.join(MAPPERS)}"
+        )
+    return GuardedCloudMapper(mapper, config.mapper, attitude=config.attitude == "imu")
+
+
+def _make(config: MapConfig) -> Mapper | CloudMapper:
     given: dict[str, Any] = {}
     if config.particles is not None:
         given["particles"] = config.particles
@@ -33,15 +60,17 @@ def make_log_mapper(config: MapConfig) -> Mapper:
         return make_mapper(config.mapper, seed=config.seed, **given)
     if given and config.mapper not in CLOUD_MAPPERS:
         raise ConfigError(f"{', '.join(given)} can be given for {', '.join(MAPPERS)} only")
-    return planar_mapper_named(config.mapper, config.seed)
+    return mapper_named(config.mapper, config.seed)
 
 
-def check_log(config: MapConfig, mapper: Mapper, log: LaserLog) -> None:
+def check_log(config: MapConfig, mapper: GuardedMapper | GuardedCloudMapper, log: LaserLog) -> None:
     """Tell whether a log holds what the mapper needs.
 
     Raises:
         SourceError: nothing was seen in it, or it holds no odometry and the mapper needs it.
     """
+    if isinstance(mapper, GuardedCloudMapper):
+        return
     if not any(scan.hits.any() for scan in log.scans):
         raise SourceError(f"{config.log}: none of its {len(log.scans)} scans met anything within range")
     if requires_odometry(mapper) and log.odometry[0] is None:

@@ -11,9 +11,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from lirs_validation.config import Attitude, MapConfig
+from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
 from lirs_validation.experiment.cost import CostMeter, compile_timer, heap_at_rest
-from lirs_validation.experiment.mappers.attitude import with_attitude
-from lirs_validation.experiment.mappers.guard import GuardedMapper
+from lirs_validation.logs.cloud_replay import horizontal_map, replay_clouds
 from lirs_validation.logs.inertial import inertial_readings, with_recorded_mount
 from lirs_validation.logs.log_mapper import check_log, make_log_mapper, warm_up_log_mapper
 from lirs_validation.logs.mapped_log import MappedLog
@@ -32,7 +32,7 @@ from lirs_wct.geometry.scan import Imu
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.source import find_source, is_bag
-from slam_baselines.mapper import Mapper
+from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS, Mapper
 
 
 def map_log(
@@ -102,11 +102,11 @@ def map_log(
 def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progress = no_progress) -> MappedLog:
     """Map a log by its config (see `map_log`)."""
     meter, seconds = CostMeter(), dict[str, float]()
-    mapper = GuardedMapper(with_attitude(make_log_mapper(config), config.attitude), config.mapper)
+    mapper = make_log_mapper(config)
     relations, reference = read_truth(config)
     progress("read", 0.0)
     with _timed(seconds, "read_seconds"):
-        name, log = folder_name(config), read_log(config)
+        name, log = folder_name(config), read_log(config, clouds=isinstance(mapper, GuardedCloudMapper))
         check_log(config, mapper, log)
         readings = inertial_readings(config, log)
         log = log if config.imu is None or is_bag(Path(config.log)) else with_recorded_mount(config, log)
@@ -115,13 +115,18 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
         warm_up_log_mapper(config)
     seconds["compile_seconds"] = compile_seconds()
     with heap_at_rest(), _timed(seconds, "map_seconds"):
-        tracking = replay(config, mapper, log, readings, progress)
-        grid, trajectory = mapper.map(), mapper.trajectory()
+        if isinstance(mapper, GuardedCloudMapper):
+            tracking, level = replay_clouds(config.log, mapper, log.clouds or (), readings, progress)
+            trajectory = mapper.trajectory()
+            grid = horizontal_map(level, trajectory, config.resolution)
+        else:
+            tracking = replay(config, mapper, log, readings, progress)
+            grid, trajectory = mapper.map(), mapper.trajectory()
     relations = None if relations is None else relations_in_time(relations, log.lines)
     reference = None if reference is None else reference_in_time(reference, log.lines)
     accuracy = trajectory_accuracy(trajectory, log.track, relations, reference)
     cost = {**seconds, **asdict(meter.cost())}
-    used = len(log.scans) / (len(log.scans) + log.left_out)
+    used = len(log.stamps) / (len(log.stamps) + log.left_out)
     coverage = used * scan_coverage(log.stamps, trajectory.stamps)
     lost, lacking = tracking.reason(), incompleteness(coverage)
     record = MapRecord(
@@ -141,8 +146,8 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
     return mapped if out is None else replace(mapped, folder=_write(mapped, out, progress))
 
 
-def read_log(config: MapConfig) -> LaserLog:
-    """Read the log with what the config says about its laser.
+def read_log(config: MapConfig, *, clouds: bool = False) -> LaserLog:
+    """Read the log with what the config says about its laser; of a bag its point clouds if asked for.
 
     Raises:
         SourceError: it cannot be used.
@@ -156,7 +161,7 @@ def read_log(config: MapConfig) -> LaserLog:
         from lirs_wct.formats.rosbag.reader import read_bag
         from lirs_wct.formats.rosbag.topics import Topics
 
-        return read_bag(path, Topics(*topics))
+        return read_bag(path, Topics(*topics, clouds, ", ".join(MAPPERS if clouds else CLOUD_MAPPERS)))
     if any(topics):
         raise ConfigError(f"{path}: topics can be given for a ROS bag only, this is none")
     fov = None if config.fov is None else math.radians(config.fov)

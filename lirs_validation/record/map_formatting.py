@@ -17,9 +17,10 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
     log, grid, mapper, cost = record.log, record.map, record.mapper, record.cost
     width, depth = grid["size"]
     driven = log["odometry_length"]
+    beams = "" if log["beams"] is None else f" of {log['beams']} beams"
     lines = [
         ("status", record.status),
-        ("scans", f"{log['scans']} of {log['beams']} beams ({log['laser']})"),
+        ("scans", f"{log['scans']}{beams} ({log['laser']})"),
         ("time", f"{log['seconds']:.0f} s"),
         ("distance by odometry", "no odometry" if driven is None else f"{driven:.0f} m"),
         *_inertial_line(record),

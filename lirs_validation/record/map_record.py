@@ -79,12 +79,12 @@ def is_mapped_log(folder: Path) -> bool:
 
 def describe_log(log: LaserLog) -> dict[str, Any]:
     """Return what a record holds of a log."""
-    first, stamps = log.scans[0], log.stamps
+    first, stamps = log.scans[0] if log.scans else None, log.stamps
     return {
         "laser": log.laser,
-        "scans": len(log.scans),
-        "beams": len(first.ranges),
-        "fov_deg": math.degrees(first.angle_increment * (len(first.ranges) - 1)),
+        "scans": len(stamps),
+        "beams": first and len(first.ranges),
+        "fov_deg": first and math.degrees(first.angle_increment * (len(first.ranges) - 1)),
         "seconds": float(stamps[-1] - stamps[0]),
         "odometry_length": log.track.length if len(log.track) else None,
         "skipped": dict(log.skipped),

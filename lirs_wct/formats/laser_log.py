@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
@@ -80,6 +81,7 @@ class LaserLog:
         repaired: how often something was put right, by what.
         laser: name of the messages that the scans are from.
         left_out: scans of the file that could not be used and are not in `scans`.
+        clouds: point clouds in place of scans, read one by one; None of a log of planar scans.
         imu: inertial readings that the log itself holds; a CARMEN log holds none.
     """
 
@@ -92,9 +94,10 @@ class LaserLog:
     repaired: Mapping[str, int] = field(default_factory=dict)
     laser: str = "FLASER"
     left_out: int = 0
+    clouds: Iterable[PointCloud] | None = None
     imu: tuple[Imu, ...] = ()
 
     @property
     def stamps(self) -> FloatArray:
-        """(n,) seconds, of the scans."""
-        return np.array([scan.stamp for scan in self.scans])
+        """(n,) seconds, of the scans or clouds."""
+        return self.lines.repaired[self.lines.scans]

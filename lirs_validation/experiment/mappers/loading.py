@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from lirs_validation.experiment.own_code import make_own, own_class, own_source_file
 from lirs_wct.errors import ConfigError, unknown_name
@@ -44,20 +44,6 @@ def mapper_named(name: str, seed: int) -> Mapper | CloudMapper:
     maker = own_class(name, "mapper", "update")
     mapper = make_own(maker, {"seed": seed, "resolution": RESOLUTION}, name, "mapper")
     return _checked(mapper, name)
-
-
-def planar_mapper_named(name: str, seed: int) -> Mapper:
-    """Make a planar mapper by its name (see `mapper_named`).
-
-    Raises:
-        ConfigError: nothing has that name, or it reads point clouds.
-    """
-    mapper = mapper_named(name, seed)
-    if reads_clouds(mapper):
-        raise ConfigError(
-            f"mapper {name} reads point clouds, a log holds planar scans; legal: {', '.join(MAPPERS)}"
-        )
-    return cast("Mapper", mapper)
 
 
 def package_versions(name: str) -> dict[str, str]:

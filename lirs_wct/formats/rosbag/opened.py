@@ -68,7 +68,8 @@ class Bag:
             except StopIteration:
                 return
             except Exception as error:
-                self.faults.append(_reason(error))
+                if (reason := _reason(error)) not in self.faults:
+                    self.faults.append(reason)
                 return
             try:
                 message = _decoder(connection.msgdef, connection.msgtype, self._ros1)(inflated_message(data))

@@ -10,11 +10,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen.lines import Message
 from lirs_wct.formats.carmen.odometry import odometry_of
 from lirs_wct.formats.carmen.stamps import in_file_order
 from lirs_wct.formats.laser_log import LaserLog
+from lirs_wct.formats.rosbag.cloud_messages import BagClouds, records_of, start_of
 from lirs_wct.formats.rosbag.frames import Frames, pose_of, seconds
 from lirs_wct.formats.rosbag.opened import Bag, open_bag
 from lirs_wct.formats.rosbag.scan_messages import Beams, beams_of, geometry, ranges_of
@@ -23,6 +26,10 @@ from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 
 Vector = tuple[float, float, float]
+
+
+CLOUD_MARK = np.zeros(1, np.float32)
+"""Stands for the ranges of a cloud, whose points are read later."""
 
 
 class _Reading(NamedTuple):
@@ -44,6 +51,7 @@ class _Contents:
     """
 
     topic: str
+    clouds: bool
     laser: str = ""
     scans: list[Message] = field(default_factory=list)
     beams: list[Beams] = field(default_factory=list)
@@ -80,11 +88,12 @@ def read_bag(path: Path, topics: Topics) -> LaserLog:
         contents.skipped[f"message on {topic} that cannot be decoded"] = count
         contents.left_out += count if topic == contents.topic else 0
     if bag.faults:
-        said = f"{len(contents.scans)} scans could be read"
+        said = f"{len(contents.scans)} {'clouds' if topics.clouds else 'scans'} could be read"
         warnings.warn(f"{path}: damaged ({'; '.join(bag.faults)}): {said}", stacklevel=2)
     if not contents.scans:
         why = "; ".join(f"{count} x {reason}" for reason, count in contents.skipped.items())
-        raise SourceError(f"{path}: holds no laser scan that can be used" + (f" ({why})" if why else ""))
+        kind = "point cloud" if topics.clouds else "laser scan"
+        raise SourceError(f"{path}: holds no {kind} that can be used" + (f" ({why})" if why else ""))
     return _log(path, contents)
 
 
@@ -102,14 +111,16 @@ def _contents(bag: Bag, topics: Topics, *, by_header: bool) -> _Contents:
         by_header: whether stamps are those of the headers; else all are the times of reception.
     """
     scan, odometry, imu = topics.found(bag.path, bag.kinds)
-    contents = _Contents(topic=scan)
+    contents = _Contents(scan, topics.clouds)
     transforms = of_kinds(bag.kinds, TRANSFORMS)
     static = {name for name in transforms if name.endswith("tf_static")}
     wanted = {scan, odometry, imu, *(static if odometry else transforms)} - {None}
 
     for line, (topic, received, message) in enumerate(bag.messages(wanted)):
         stamp = None if by_header else received / 1e9
-        if topic == scan:
+        if topic == scan and topics.clouds:
+            _add_cloud(contents, line, message, stamp)
+        elif topic == scan:
             _add_scan(contents, line, message, stamp)
         elif topic == odometry:
             contents.base = message.child_frame_id.lstrip("/")
@@ -148,7 +159,12 @@ def _log(path: Path, c: _Contents) -> LaserLog:
         repaired[
             f"no transform from {base or 'the base'} to {laser}: the laser is taken to be at the base"
         ] = 1
-    found = [_scan(beams, m, mount or Pose3()) for beams, m in zip(c.beams, scans, strict=True)]
+    found: list[LaserScan] = []
+    clouds = None
+    if c.clouds:
+        clouds = BagClouds(path, c.topic, tuple(m.stamp for m in scans), mount or Pose3())
+    else:
+        found = [_scan(beams, m, mount or Pose3()) for beams, m in zip(c.beams, scans, strict=True)]
     mounts = {frame: c.frames.mount(base, frame) or Pose3() for frame in {reading.frame for reading in c.imu}}
     if c.without_attitude:
         skipped["inertial reading without an attitude"] = c.without_attitude
@@ -159,7 +175,8 @@ def _log(path: Path, c: _Contents) -> LaserLog:
         stamps,
         skipped=dict(skipped),
         repaired=dict(repaired),
-        laser="LaserScan",
+        laser="PointCloud2" if c.clouds else "LaserScan",
+        clouds=clouds,
         left_out=c.left_out,
         imu=tuple(_imu(reading, mounts[reading.frame]) for reading in c.imu),
     )
@@ -180,6 +197,19 @@ def _add_scan(contents: _Contents, line: int, m: Any, stamp: float | None) -> No
     time = seconds(m.header.stamp) if stamp is None else stamp
     contents.scans.append(Message(line, time, None, None, ranges))
     contents.beams.append(beams)
+
+
+def _add_cloud(contents: _Contents, line: int, m: Any, stamp: float | None) -> None:
+    """Keep when a cloud's sweep began, and not its points; count one that cannot be used."""
+    records = records_of(m)
+    if records is None:
+        contents.skipped["cloud without legal x, y, z, or shorter than it states"] += 1
+        contents.left_out += 1
+        return
+    contents.laser = contents.laser or m.header.frame_id
+    header = seconds(m.header.stamp)
+    time = header if stamp is None else stamp
+    contents.scans.append(Message(line, time + start_of(records, header), None, None, CLOUD_MARK))
 
 
 def _add_reading(contents: _Contents, m: Any, stamp: float | None) -> None:

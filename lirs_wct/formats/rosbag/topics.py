@@ -11,6 +11,7 @@ from lirs_wct.errors import SourceError
 MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
 SCAN, ODOMETRY, IMU = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
 """Types of the messages that are read as a log."""
+CLOUD = "sensor_msgs/msg/PointCloud2"
 PATH = "nav_msgs/msg/Path"
 POSES = (
     ODOMETRY,
@@ -19,6 +20,7 @@ POSES = (
     PATH,
 )
 """Types of the messages that hold poses."""
+NAMES = {False: "laser scans", True: "point clouds"}
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 """Types of the messages that hold transforms; the second is of old ROS 1."""
 
@@ -31,11 +33,15 @@ class Topics:
         scan: None = the only topic of laser scans.
         odometry: None = the only topic of odometry, else /tf.
         imu: None = inertial readings are left alone.
+        clouds: whether point clouds are read in place of laser scans.
+        others: mappers of the other kind, which messages name.
     """
 
     scan: str | None = None
     odometry: str | None = None
     imu: str | None = None
+    clouds: bool = False
+    others: str = ""
 
     def found(self, path: Path, kinds: Mapping[str, str]) -> tuple[str, str | None, str | None]:
         """Return the topics of scans, odometry (None = /tf) and inertial readings (None = none).
@@ -48,12 +54,17 @@ class Topics:
             SourceError: one is not there, or is of another type, or several could be meant.
         """
         odometry = of_kinds(kinds, (ODOMETRY,))
-        scans = of_kinds(kinds, (SCAN,)) or of_kinds(kinds, (MULTI_ECHO,))
+        planar = of_kinds(kinds, (SCAN,)) or of_kinds(kinds, (MULTI_ECHO,))
+        clouds = of_kinds(kinds, (CLOUD,))
+        scans, others = (clouds, planar) if self.clouds else (planar, clouds)
         if self.scan is None and not scans:
-            raise SourceError(f"{path}: holds no topic of laser scans; {listed(kinds)}")
+            wanted, held = NAMES[self.clouds], NAMES[not self.clouds]
+            fitting = f"; --mapper {self.others} read its {held}" if others and self.others else ""
+            raise SourceError(f"{path}: holds no topic of {wanted}{fitting}; {listed(kinds)}")
         if self.scan is None and len(scans) > 1:
             raise SourceError(f"{path}: --scan-topic must say which; {listed(kinds)}")
-        scan = checked(path, "--scan-topic", self.scan or scans[0], (SCAN, MULTI_ECHO), kinds)
+        legal = (CLOUD,) if self.clouds else (SCAN, MULTI_ECHO)
+        scan = checked(path, "--scan-topic", self.scan or scans[0], legal, kinds)
         given = self.odometry or (odometry[0] if len(odometry) == 1 else None)
         return (
             scan,

@@ -16,7 +16,9 @@ from lirs_validation.analysis.result_folders import read_run
 from lirs_validation.analysis.run_export import export_run
 from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import folder_name, read_log, run_mapping
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.formats.tum import read_tum
+from lirs_wct.geometry.pose import Pose3
 
 
 @pytest.fixture(scope="module")
@@ -77,3 +79,26 @@ def test_the_name_of_a_map_depends_on_the_bag_alone(run: Path, tmp_path: Path) -
     assert folder_name(MapConfig(log=str(copy))) == before
     (copy / "metadata.yaml").write_text("")
     assert folder_name(MapConfig(log=str(copy))) != before
+
+
+def test_a_recorded_cloud_mapper_gives_the_same_poses_again(tmp_path: Path) -> None:
+    pytest.importorskip("kiss_icp", reason="the extra [slam] is not installed")
+    made = validate("simple", mapper="kiss-icp", lidar="vlp16", seconds=2.0, bag="mcap", out=tmp_path / "out")
+    assert made.folder is not None
+    bag = next(made.folder.glob("*.mcap"))
+    mapped = map_log(bag, mapper="kiss-icp", out=tmp_path)
+    online = read_tum(made.folder / "estimate.tum")
+    start = Pose3.from_arrays(online.positions[0], online.quaternions[0]).inverse()
+    np.testing.assert_allclose(mapped.trajectory.xy, online.moved(start).xy, atol=1e-6)
+    np.testing.assert_allclose(mapped.trajectory.stamps, online.stamps, atol=1e-9)
+    assert mapped.grid.occupied.sum() > 100
+    with pytest.raises(ConfigError, match="mapper kiss-icp reads point clouds, a CARMEN log holds planar"):
+        map_log(made.folder / "scans.clf.gz", mapper="kiss-icp")
+
+
+def test_a_bag_without_clouds_names_the_mappers_that_fit(run: Path) -> None:
+    pytest.importorskip("kiss_icp", reason="the extra [slam] is not installed")
+    with pytest.raises(
+        SourceError, match=r"bag: holds no topic of point clouds; --mapper hector, .*/scan \("
+    ):
+        map_log(run / "export" / "bag", mapper="kiss-icp")

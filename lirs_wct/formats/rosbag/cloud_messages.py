@@ -1,0 +1,125 @@
+"""Point clouds of bags: `sensor_msgs/PointCloud2` of any driver as points, rings and times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_wct.arrays import FloatArray
+from lirs_wct.formats.rosbag.frames import seconds
+from lirs_wct.formats.rosbag.opened import open_bag
+from lirs_wct.geometry.cloud import PointCloud
+from lirs_wct.geometry.pose import Pose3
+
+TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+"""NumPy's types by the `datatype` of a PointField."""
+TIMES = ("t", "time", "timestamp", "offset_time")
+"""Names that drivers give the time of a point."""
+READ = ("x", "y", "z", "ring", *TIMES)
+"""Fields that are read."""
+NANOSECONDS = 1e-9
+ABSOLUTE = 1e3
+"""Seconds from which on a point's time is no time within a sweep but a clock's."""
+ABSOLUTE_NANOSECONDS = 1e15
+"""Floating-point times from here on are a clock's nanoseconds."""
+LONGEST_SWEEP = 10.0
+"""Seconds from the header's stamp within which a clock's times are the same clock's."""
+
+
+def records_of(message: Any) -> NDArray[Any] | None:
+    """Return the points (n,) with the message's fields by name; None of a message without legal x, y, z.
+
+    Rows, whose ends may be padded, are joined.
+    """
+    m = message
+    kinds = {f.name: (f.datatype, f.offset) for f in m.fields if f.name in READ and f.datatype in TYPES}
+    fields = {name: ("<>"[m.is_bigendian] + TYPES[kind], at) for name, (kind, at) in kinds.items()}
+    if any(fields.get(axis, ("",))[0][1:] not in ("f4", "f8") for axis in "xyz"):
+        return None
+    if any(offset + np.dtype(kind).itemsize > m.point_step for kind, offset in fields.values()):
+        return None
+    row = m.row_step if m.height > 1 else m.width * m.point_step
+    if row < m.width * m.point_step or len(m.data) < m.height * row:
+        return None
+    formats, offsets = zip(*fields.values(), strict=True)
+    dtype = np.dtype(
+        {"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": m.point_step}
+    )
+    shape, strides = (m.height, m.width), (row, m.point_step)
+    return np.ndarray(shape, dtype, np.ascontiguousarray(m.data).data, 0, strides).ravel()
+
+
+def times_of(records: NDArray[Any], header: float) -> FloatArray:
+    """Return (n,) seconds of the points from the header's stamp; 0 where the driver gives none.
+
+    Integers are nanoseconds. Times of a clock count from the header's stamp where that is of the same clock,
+    else from the earliest point.
+    """
+    name = next((name for name in TIMES if name in (records.dtype.names or ())), None)
+    if name is None or not len(records):
+        return np.zeros(len(records))
+    unit = NANOSECONDS if records.dtype[name].kind in "iu" else 1.0
+    times = records[name].astype(np.float64)
+    known = np.isfinite(times)
+    times[~known] = times.min(where=known, initial=times.max(where=known, initial=0.0))
+    if times.max() > ABSOLUTE_NANOSECONDS:
+        unit = NANOSECONDS
+    first = float(times.min()) * unit
+    if abs(first) < ABSOLUTE:
+        return times * unit
+    same_clock = abs(first - header) < LONGEST_SWEEP
+    return (times - (header / unit if same_clock else times.min())) * unit
+
+
+def start_of(records: NDArray[Any], header: float) -> float:
+    """Return by how many seconds the sweep began before the header's stamp, as a number of at most 0."""
+    return min(0.0, float(times_of(records, header).min(initial=0.0)))
+
+
+@dataclass(frozen=True)
+class BagClouds:
+    """The clouds of a bag, read one by one whenever they are asked for: all at once may not fit into memory.
+
+    Attributes:
+        path: of the bag.
+        topic: of the clouds.
+        stamps: of the usable clouds, seconds, in the order of the bag.
+        T_base_laser: where the sensor sits on the robot.
+    """
+
+    path: Path
+    topic: str
+    stamps: tuple[float, ...]
+    T_base_laser: Pose3
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def __iter__(self) -> Iterator[PointCloud]:
+        with open_bag(self.path) as bag:
+            stamps = iter(self.stamps)
+            for _, _, message in bag.messages((self.topic,)):
+                records = records_of(message)
+                if records is not None:
+                    header = seconds(message.header.stamp)
+                    yield _cloud(records, header, next(stamps), self.T_base_laser)
+
+
+def _cloud(records: NDArray[Any], header: float, stamp: float, T_base_laser: Pose3) -> PointCloud:
+    """Return the valid points: finite, and not at the sensor itself, where drivers put missing returns."""
+    xyz = np.stack([records[axis] for axis in "xyz"], axis=1).astype(np.float32)
+    time = times_of(records, header) - start_of(records, header)
+    ring = records["ring"] if "ring" in (records.dtype.names or ()) else np.zeros(len(records))
+    valid = np.isfinite(xyz).all(axis=1) & (xyz != 0.0).any(axis=1)
+    return PointCloud(
+        np.ascontiguousarray(xyz[valid]),
+        ring[valid].astype(np.uint16),
+        time[valid].astype(np.float32),
+        stamp,
+        T_base_laser,
+    )
