@@ -23,6 +23,8 @@ from lirs_wct.geometry.pose import Pose2
 Entry = str | list[str]
 """A value in a map's YAML, not yet read as number."""
 MODES = ("trinary", "scale", "raw")
+MAX_RESOLUTION = 1000.0
+"""Meters of a cell's edge: a map of robots has cells of centimeters."""
 BLACK, WHITE, UNKNOWN = 0, 254, 205
 """Pixels of occupied, free and unknown cells, as map_saver writes them."""
 WRITTEN_FREE = 0.196
@@ -156,8 +158,11 @@ def _probability(pixels: NDArray[Any], metadata: MapMetadata) -> FloatArray:
 
 
 def _checked(metadata: MapMetadata) -> MapMetadata:
-    if not 0 < metadata.resolution < math.inf:
-        raise ValueError(f"resolution must be a finite number above 0, got {metadata.resolution}")
+    if not 0 < metadata.resolution <= MAX_RESOLUTION:
+        raise ValueError(
+            f"resolution must be a finite number above 0, at most {MAX_RESOLUTION:g} m, "
+            f"got {metadata.resolution}"
+        )
     if metadata.mode not in MODES:
         raise ValueError(f"unknown mode {metadata.mode!r}; legal: {', '.join(MODES)}")
     if not 0 <= metadata.free_thresh <= metadata.occupied_thresh <= 1:

@@ -7,7 +7,7 @@ import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.clouds.point_file import is_cloud_ply
 from lirs_wct.formats.map_server import read_metadata
 from lirs_wct.formats.suffixes import CLOUDS, LOGS, MAPS, MESHES, ZSTD, is_bag_file
@@ -15,6 +15,8 @@ from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.options import BuildOptions, without_effect
 from lirs_wct.sources.source_kind import SourceKind
 
+LONGEST_NAME = 200
+"""Characters: file systems take 255, and files of a world have endings of up to 40."""
 WHOLE = 0.98
 """Share of a window's side from which on it counts as inside: it is cut by whole nodes."""
 
@@ -147,4 +149,7 @@ def _stem(path: Path) -> str:
 
 def _name(stem: str, options: BuildOptions) -> str:
     """Return a name that every consumer accepts: Gazebo's URIs take no spaces."""
-    return re.sub(r"[^A-Za-z0-9_.-]+", "_", options.name or stem).strip("_.-") or "world"
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "_", options.name or stem).strip("_.-") or "world"
+    if len(name) > LONGEST_NAME:
+        raise ConfigError(f"--name: a world's name has at most {LONGEST_NAME} characters, got {len(name)}")
+    return name

@@ -37,7 +37,7 @@ def read_ascii_grid(path: Path, max_pixels: int) -> tuple[FloatArray, RasterInfo
         SourceError: the file is missing or damaged, or of another size than is legal.
     """
     try:
-        with path.open(encoding="ascii", errors="strict") as file:
+        with path.open(encoding="utf-8-sig", errors="strict") as file:
             header, first = _header(path, file)
             rows, cols = int(header["nrows"]), int(header["ncols"])
             check_size(path, cols, rows, max_pixels)

@@ -52,6 +52,8 @@ def read_raster(path: Path, max_pixels: int = MAX_PIXELS) -> Raster:
         picture = read_picture(path, max_pixels)
         pixels = picture.pixels
         info = raster_info(path, picture.tags) if picture.tags else RasterInfo()
+    if pixels.dtype.kind == "c":
+        raise SourceError(f"{path}: holds complex numbers, heights must be integers or real numbers")
     if info.georeference is None:
         return Raster(pixels, info)
     georeference = _by_proj(path, info.georeference, pixels.shape[:2])

@@ -13,7 +13,7 @@ from scipy import ndimage
 from lirs_wct.errors import SourceError
 
 UNTAGGED_NODATA = (-9999.0, -32768.0)
-"""What elevation rasters hold where nothing was measured, even without a tag; below -1e30 likewise."""
+"""What elevation rasters hold where nothing was measured, even without a tag; beyond 1e30 likewise."""
 BORDER, CLIFF, STEPS = 0.02, 50.0, 10.0
 """Lowest value on the border as undeclared "no data": share of the border, metres of the cliff beside it, and
 that over the usual step between neighbours."""
@@ -27,7 +27,7 @@ def fill_nodata(
     Raises:
         SourceError: more than half of the pixels have none.
     """
-    missing = ~np.isfinite(values) | (values < -1e30)
+    missing = ~np.isfinite(values) | (np.abs(values) > 1e30)
     if nodata is not None:
         missing |= values == values.dtype.type(nodata)
     for value in UNTAGGED_NODATA:
