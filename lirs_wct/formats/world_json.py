@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lirs_wct.arrays import BoolArray
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_write
+from lirs_wct.formats.references import referenced_file
 from lirs_wct.geometry.geodesy.earth import CoordinateSystem
 from lirs_wct.geometry.geodesy.place import Place
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -144,7 +145,7 @@ def read_world(folder: Path) -> WorldFile:
             raise SourceError(
                 f"{path}: schema {entry['schema']} is not the one this version reads ({SCHEMA})"
             )
-        with np.load(folder / entry["arrays"], allow_pickle=False) as arrays:
+        with np.load(referenced_file(path, entry["arrays"]), allow_pickle=False) as arrays:
             surface = HeightField(
                 arrays["surface"], _pair(entry["surface"]["cell"]), _pair(entry["surface"]["origin"])
             )
@@ -205,7 +206,8 @@ def _kept_textures(world: WorldFile, folder: Path) -> dict[str, str | None]:
 
 def _export_settings(entry: dict[str, Any], folder: Path) -> dict[str, Any]:
     given: dict[str, Any] = entry.get("finish", {})
-    return given | {role: folder / given[role] for role in TEXTURE_OPTIONS if given.get(role)}
+    owner = folder / JSON
+    return given | {role: referenced_file(owner, given[role]) for role in TEXTURE_OPTIONS if given.get(role)}
 
 
 def _place(entry: dict[str, Any] | None) -> Place | None:

@@ -11,17 +11,17 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import SourceError
+from lirs_wct.formats.clouds.headers import check_las, check_pcd
 from lirs_wct.formats.elevation.wkt import system_of_text, units_of_text
 from lirs_wct.formats.images.geotiff import system_of_keys
 from lirs_wct.formats.images.tiff import METRES
+from lirs_wct.formats.limited import run_limited
 from lirs_wct.formats.meshes.ply_header import ply_elements, require_positions, require_xyz
 from lirs_wct.geometry.geodesy.earth import CoordinateSystem
 
 VERTICAL_UNITS = 4099
 """GeoKey of the unit of z."""
 EXTRA = "pip install 'lirs-wct[clouds]'"
-LAS_BEGIN = b"LASF"
-"""The first bytes of a LAS or LAZ file."""
 GROUND, NOISE = 2, (7, 18)
 """Classes of the ASPRS LAS specification 1.4, table 17."""
 
@@ -76,12 +76,14 @@ def _read_ply(path: Path) -> PointFile:
     import trimesh  # here: a log's first scan does not wait for it
 
     require_positions(path)
-    loaded = trimesh.load(path, process=False)
+    # Points have no texture.
+    loaded = trimesh.load(path, process=False, skip_materials=True)
     return PointFile(np.asarray(loaded.vertices, np.float64).reshape(-1, 3))
 
 
 def _read_pcd(path: Path) -> PointFile:
     _require(path, "pypcd4")
+    check_pcd(path)
     from pypcd4 import PointCloud
 
     loaded = PointCloud.from_path(path)
@@ -91,13 +93,16 @@ def _read_pcd(path: Path) -> PointFile:
 
 
 def _read_las(path: Path) -> PointFile:
-    with path.open("rb") as file:
-        begin = file.read(len(LAS_BEGIN))
-    if begin != LAS_BEGIN:
-        raise SourceError(f"{path}: is not a LAS file: it begins with {begin!r}, those with {LAS_BEGIN!r}")
+    compressed = check_las(path)
     _require(path, "laspy")
-    if path.suffix.lower() == ".laz":
-        _require(path, "lazrs")
+    if not compressed:
+        return _las_points(path)
+    _require(path, "lazrs")
+    # The header does not bound what compressed points unpack to.
+    return run_limited(path, _las_points, path)
+
+
+def _las_points(path: Path) -> PointFile:
     import laspy
 
     las = laspy.read(path)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.elevation.ascii_grid import read_ascii_grid
 from lirs_wct.formats.elevation.hgt import read_hgt
-from lirs_wct.formats.images.gdal import opened, rasterio_there, read_band
+from lirs_wct.formats.images.gdal import DRIVERS, rasterio_there, read_gdal
 from lirs_wct.formats.images.geotiff import RasterInfo, height_unit, located, raster_info, tell_turn
 from lirs_wct.formats.images.header import MAX_PIXELS
 from lirs_wct.formats.images.picture import check_size, read_picture
@@ -66,8 +66,7 @@ def _by_proj(path: Path, found: Georeference, shape: tuple[int, ...]) -> Georefe
     """Let GDAL, if it is there, say where a GeoTIFF lies whose system is defined by its parameters."""
     if found.system.name or not found.located or path.suffix.lower() == ".asc" or not rasterio_there():
         return found
-    with opened(path) as dataset:
-        system = system_of(dataset.crs)
+    system = system_of(read_gdal(path, DRIVERS[".tif"], 0).crs)
     if system.form != "other":
         return found
     try:
@@ -78,18 +77,17 @@ def _by_proj(path: Path, found: Georeference, shape: tuple[int, ...]) -> Georefe
 
 def _read_by_gdal(path: Path, max_pixels: int) -> tuple[NDArray[Any], RasterInfo]:
     """Read the first band of a raster, and what GDAL says of it."""
-    with opened(path) as dataset:
-        check_size(path, dataset.width, dataset.height, max_pixels)
-        unit = height_unit(path, dataset.units[0] or "")
-        info = RasterInfo(None, dataset.nodata, dataset.scales[0], dataset.offsets[0], unit)
-        if not dataset.transform.is_identity:
-            affine = middle_of_pixels(tuple(dataset.transform)[:6])
-            system = system_of(dataset.crs)
-            try:
-                info = replace(info, georeference=located(path, system, affine, dataset.shape))
-            except ConfigError as error:
-                raise SourceError(f"{path}: {error}") from error
-        return read_band(dataset), info
+    found = read_gdal(path, DRIVERS[path.suffix.lower()], max_pixels)
+    check_size(path, found.width, found.height, max_pixels)
+    assert found.pixels is not None
+    info = RasterInfo(None, found.nodata, found.scale, found.offset, height_unit(path, found.unit))
+    if found.transform is not None:
+        affine = middle_of_pixels(found.transform)
+        try:
+            info = replace(info, georeference=located(path, system_of(found.crs), affine, found.pixels.shape))
+        except ConfigError as error:
+            raise SourceError(f"{path}: {error}") from error
+    return found.pixels, info
 
 
 def system_of(crs: Any) -> CoordinateSystem:

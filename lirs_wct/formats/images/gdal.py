@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,60 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.errors import SourceError
+from lirs_wct.formats.images.vrt import followed_files
+from lirs_wct.formats.limited import run_limited
+from lirs_wct.formats.references import referenced_file
 
 EXTRA = "pip install 'lirs-wct[geo]'"
+DRIVERS = {
+    ".tif": ("GTiff",),
+    ".tiff": ("GTiff",),
+    ".asc": ("AAIGrid",),
+    ".hgt": ("SRTMHGT",),
+    ".dt0": ("DTED",),
+    ".dt1": ("DTED",),
+    ".dt2": ("DTED",),
+    ".img": ("HFA", "ENVI"),
+    ".vrt": ("VRT",),
+    ".bil": ("EHdr", "ENVI"),
+    ".flt": ("EHdr",),
+    ".dem": ("USGSDEM", "EHdr"),
+    ".adf": ("AIG",),
+    ".nc": ("netCDF",),
+    ".jp2": ("JP2OpenJPEG",),
+    ".png": ("PNG",),
+    ".jpg": ("JPEG",),
+}
+"""Drivers by suffix; a VRT's sources are read by those of the whole table."""
+PIXEL_BYTES = 20
+"""Memory of a pixel: a 64-bit number twice, and its mask."""
+
+
+@dataclass(frozen=True)
+class GdalRaster:
+    """The first band of a raster, and what GDAL says of it.
+
+    Attributes:
+        width: columns of pixels.
+        height: rows of pixels.
+        pixels: (rows, cols); NaN where a mask is set that no nodata value says; None of too many pixels.
+        nodata: value of pixels without a height, or None.
+        scale: factor of the pixels.
+        offset: added to the scaled pixels.
+        unit: name of the heights' unit, or empty.
+        transform: of the pixels' corners, the six numbers in rasterio's order; None where it is not known.
+        crs: rasterio's CRS, or None.
+    """
+
+    width: int
+    height: int
+    pixels: NDArray[Any] | None
+    nodata: float | None
+    scale: float
+    offset: float
+    unit: str
+    transform: tuple[float, float, float, float, float, float] | None
+    crs: Any
 
 
 def rasterio_there() -> bool:
@@ -22,29 +73,78 @@ def rasterio_there() -> bool:
     return find_spec("rasterio") is not None
 
 
-@contextmanager
-def opened(path: Path) -> Iterator[Any]:
-    """Open a raster; give rasterio's dataset.
+def read_gdal(path: Path, drivers: tuple[str, ...], max_pixels: int) -> GdalRaster:
+    """Read a raster in a process that knows only its drivers, and files in its folder.
+
+    Args:
+        path: file.
+        drivers: names of those that may read it.
+        max_pixels: a larger raster is described without its pixels.
 
     Raises:
-        SourceError: rasterio is not there, or cannot read the file.
+        SourceError: rasterio is not there, or cannot read the file, or the file names others elsewhere.
     """
     try:
         import rasterio
-        from rasterio.errors import NotGeoreferencedWarning, RasterioError
     except ImportError:
         raise SourceError(f"{path}: needs the package rasterio: {EXTRA}") from None
+    if not path.is_file():
+        raise SourceError(f"{path}: no such file")
+    real = path.resolve()
+    files = followed_files(real)
+    known = set(drivers) | (set().union(*DRIVERS.values()) if "VRT" in drivers else set())
+    with rasterio.Env() as library:
+        # A driver can be left out only when the library starts: others fetch from a network.
+        skipped = ",".join(set(library.drivers()) - known)
+    return run_limited(
+        path,
+        _read,
+        path,
+        drivers,
+        max_pixels,
+        size=sum(file.stat().st_size for file in files - {real}),
+        memory=PIXEL_BYTES * max_pixels,
+        environment={
+            "GDAL_SKIP": skipped,
+            "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
+            "GDAL_VRT_ENABLE_PYTHON": "NO",
+            "GDAL_CACHEMAX": "64",
+            "PROJ_NETWORK": "OFF",
+        },
+    )
+
+
+def _read(path: Path, drivers: tuple[str, ...], max_pixels: int) -> GdalRaster:
+    import rasterio
+    from rasterio.errors import RasterioError
+
+    real = path.resolve()
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            dataset = rasterio.open(path)
+            warnings.simplefilter("ignore")
+            # Where there are several, the library knows no others.
+            dataset = rasterio.open(real, driver=drivers[0] if len(drivers) == 1 else None)
         with dataset:
-            yield dataset
+            for name in dataset.files:
+                # A grid of ArcInfo is a folder, which has tables beside it.
+                referenced_file(real.parent if "AIG" in drivers else real, str(Path(name).absolute()))
+            small = dataset.width * dataset.height <= max_pixels
+            return GdalRaster(
+                dataset.width,
+                dataset.height,
+                _band(dataset) if small else None,
+                dataset.nodata,
+                dataset.scales[0],
+                dataset.offsets[0],
+                dataset.units[0] or "",
+                None if dataset.transform.is_identity else tuple(dataset.transform)[:6],
+                dataset.crs,
+            )
     except RasterioError as error:
         raise SourceError(f"{path}: cannot be read by GDAL: {str(error).splitlines()[0]}") from error
 
 
-def read_band(dataset: Any) -> NDArray[Any]:
+def _band(dataset: Any) -> NDArray[Any]:
     """Return the first band; what its mask leaves out, and no nodata value says, is NaN."""
     band: NDArray[Any] = dataset.read(1)
     if "per_dataset" in {flag.name for flag in dataset.mask_flag_enums[0]}:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.images import tiff
-from lirs_wct.formats.images.gdal import EXTRA, opened, rasterio_there, read_band
+from lirs_wct.formats.images.gdal import DRIVERS, EXTRA, rasterio_there, read_gdal
 from lirs_wct.formats.images.header import MAX_PIXELS, PictureHeader, check_complete, read_header
 
 _AS_STORED = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
@@ -104,8 +104,7 @@ def _by_gdal(path: Path, pixels: NDArray[Any] | None, header: PictureHeader) -> 
         SourceError: rasterio is not there and the file holds what only it reads.
     """
     if rasterio_there():
-        with opened(path) as dataset:
-            return read_band(dataset)
+        return read_gdal(path, DRIVERS[".tif"], header.width * header.height).pixels
     if header.masked and pixels is not None:
         warnings.warn(f"{path}: its mask is not read, {EXTRA} reads it", stacklevel=4)
         return pixels

@@ -32,10 +32,10 @@ def ply_elements(path: Path) -> dict[str, tuple[int, tuple[str, ...]]] | None:
 
 
 def require_positions(path: Path) -> None:
-    """Check that the vertices of a PLY file have x, y and z.
+    """Check that the vertices of a PLY file have x, y and z, and that its elements fit into the file.
 
     Raises:
-        SourceError: it has no vertices, or these have other properties.
+        SourceError: it has no vertices, or these have other properties, or it is too short for its counts.
     """
     elements = ply_elements(path)
     if elements is None:
@@ -44,6 +44,11 @@ def require_positions(path: Path) -> None:
         got = ", ".join(elements) or "none"
         raise SourceError(f"{path}: needs an element 'vertex' with x, y and z; its elements are: {got}")
     require_xyz(path, elements["vertex"][1])
+    # Each value takes a byte at least, of a number or of its text.
+    need, size = sum(n * len(names) for n, names in elements.values()), path.stat().st_size
+    if need > size:
+        counts = ", ".join(f"{n} of {name}" for name, (n, _) in elements.items())
+        raise SourceError(f"{path}: is damaged or cut off: {counts} need {need} bytes or more, it has {size}")
 
 
 def require_xyz(path: Path, fields: tuple[str, ...]) -> None:

@@ -145,8 +145,9 @@ def test_other_rasters_are_read_by_gdal(suffix: str, tmp_path: Path, monkeypatch
     rasterio = pytest.importorskip("rasterio")
     from rasterio.shutil import copy
 
-    path = tmp_path / f"a.{suffix}"
-    copy(HERE / "utm.tif", path, driver={"img": "HFA", "bil": "EHdr", "vrt": "VRT"}[suffix])
+    path, origin = tmp_path / f"a.{suffix}", tmp_path / "utm.tif"
+    origin.write_bytes((HERE / "utm.tif").read_bytes())  # a VRT names it, and none outside its folder
+    copy(origin, path, driver={"img": "HFA", "bil": "EHdr", "vrt": "VRT"}[suffix])
     with rasterio.open(path) as file:
         assert file.driver != "GTiff"
     found, known = read_raster(path), read("utm")

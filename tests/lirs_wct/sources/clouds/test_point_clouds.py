@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import resource
+import struct
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -184,15 +187,71 @@ def test_a_ply_with_faces_is_a_mesh(tmp_path: Path) -> None:
     assert kinds == [SourceKind.MESH, SourceKind.CLOUD]
 
 
+def las_header(offset: int = 227, records: int = 0, points: int = 0, compressed: bool = False) -> bytes:
+    """Return a LAS 1.2 header without what it announces."""
+    head = bytearray(227)
+    head[:4], head[24:26] = b"LASF", bytes((1, 2))
+    struct.pack_into("<HIIBHI", head, 94, 227, offset, records, 0x80 * compressed, 20, points)
+    return bytes(head)
+
+
 @pytest.mark.parametrize(("suffix", "package"), [("las", "laspy"), ("laz", "laspy"), ("pcd", "pypcd4")])
 def test_a_missing_package_is_named(
     suffix: str, package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     path = tmp_path / f"a.{suffix}"
-    path.write_bytes(b"LASF")
+    path.write_bytes(las_header())
     with pytest.raises(SourceError, match=rf"a\.{suffix}: needs the package {package}: .*lirs-wct\[clouds\]"):
         build_world(path)
+
+
+PCD = b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT %d 1 1\nWIDTH %d\nHEIGHT 1\nPOINTS %d\nDATA %s\n"
+MANY = 4_000_000_000
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("a.las", las_header(points=MANY), "is damaged or cut off: 4000000000 points of 20 bytes"),
+        ("a.laz", las_header(records=MANY), "is damaged: 4000000000 records from byte 227"),
+        ("a.laz", las_header(offset=MANY), "is damaged: its header has 227 bytes"),
+        ("a.laz", las_header(points=MANY, compressed=True) + bytes(600), "cannot be read"),
+        ("a.pcd", PCD % (1, MANY, MANY, b"binary"), "is damaged or cut off: 4000000000 points of 12 bytes"),
+        ("a.pcd", PCD % (1, MANY, MANY, b"ascii"), "is damaged or cut off: 4000000000 points of 12 bytes"),
+        ("a.pcd", PCD % (MANY, 1, 1, b"binary"), "is damaged or cut off: 1 points of 16000000008 bytes"),
+        (
+            "a.pcd",
+            PCD % (1, 9, 9, b"binary_compressed") + struct.pack("<II", 4, MANY) + bytes(4),
+            "is damaged or cut off: 9 points",
+        ),
+        (
+            "a.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 4000000000\nproperty float x\nproperty float y\n"
+            b"property float z\nend_header\n",
+            "is damaged or cut off: 4000000000 of vertex need 12000000000 bytes or more, it has",
+        ),
+    ],
+)
+def test_counts_are_checked_against_the_size(name: str, content: bytes, reason: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic()
+    with pytest.raises(SourceError, match=rf"^{path}: {reason}") as refused:
+        build_world(path)
+    assert "\n" not in str(refused.value)
+    assert time.monotonic() - began < 10
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # kilobytes
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_bytes_that_begin_like_a_las_file_end_soon(seed: int, tmp_path: Path) -> None:
+    path = tmp_path / "a.laz"
+    path.write_bytes(b"LASF" + np.random.default_rng(seed).bytes(600))
+    began = time.monotonic()
+    with pytest.raises(SourceError, match=rf"^{path}: [^\n]*$"):
+        build_world(path)
+    assert time.monotonic() - began < 10
 
 
 def test_clouds_that_are_none(tmp_path: Path) -> None:
