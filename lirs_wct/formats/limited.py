@@ -13,7 +13,7 @@ from threading import Timer
 from time import monotonic
 from typing import Any, TypeVar
 
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import SourceError, reason_of
 
 T = TypeVar("T")
 SECONDS, SECONDS_PER_BYTE = 30.0, 5e-6
@@ -107,7 +107,7 @@ def _serve() -> None:
         except MemoryError:
             fault = f"needs more than {memory >> 20} MiB of memory"
         except BaseException as error:  # a reader in Rust panics with an exception that is none of Python's
-            fault = " ".join(str(error).split()) or type(error).__name__
+            fault = str(error) if isinstance(error, SourceError) else reason_of(error)
         pickle.dump((value, fault), out, 5)
 
 

@@ -31,7 +31,7 @@ def test_an_error_keeps_its_one_line(path: Path) -> None:
     with pytest.raises(SourceError, match=rf"^{path}: wrong$"):
         run_limited(path, _refuse, f"{path}: wrong")
     with pytest.raises(SourceError, match=rf"^{path}: cannot be read: two lines$"):
-        run_limited(path, _refuse, "two\nlines")
+        run_limited(path, _fail, "two\nlines")
 
 
 def test_memory_is_limited(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,3 +61,7 @@ def _print_and_double(values: np.ndarray) -> np.ndarray:
 
 def _refuse(text: str) -> None:
     raise SourceError(text)
+
+
+def _fail(text: str) -> None:
+    raise ValueError(text)
