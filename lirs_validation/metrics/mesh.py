@@ -19,4 +19,5 @@ def mesh_error(world: World, mesh: TriangleMesh | None = None) -> float:
     surface = world.surface
     chosen = world.mesh if mesh is None else mesh
     top = rasterize_heights(chosen, (*surface.origin, *surface.cell), surface.shape)
-    return float(np.nanmax(np.abs(top - surface.south_up)))
+    top -= surface.south_up
+    return float(np.nanmax(np.abs(top, out=top)))
