@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 import struct
+import warnings
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -249,3 +251,32 @@ def test_a_message_that_cannot_be_decoded_is_left_out_and_counted(
     log = read_bag(tmp_path / "run", IMU)
     check(log, given, SCANS - 1)
     assert log.skipped == {"message on /scan that cannot be decoded": 1}
+
+
+def test_a_chunk_with_a_wrong_checksum_is_told(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    kind = "sensor_msgs/msg/LaserScan"
+    header = store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](1, 0), "laser")
+    ranges, none = np.full(4, 2.5, np.float32), np.empty(0, np.float32)
+    scan = store.types[kind](header, -0.15, 0.15, 0.1, 0.0, 0.1, 0.1, 30.0, ranges, none)
+    with Writer(tmp_path / "run", version=8, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/scan", kind, typestore=store)
+        writer.write(connection, 1, store.serialize_cdr(scan, kind))
+    (file,) = (tmp_path / "run").glob("*.mcap")
+    data = bytearray(file.read_bytes())
+    at = 8
+    while data[at] != 6:  # the library writes 0, no checksum, into its chunks
+        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    end = at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    name = int.from_bytes(data[at + 37 : at + 41], "little")
+    data[at + 33 : at + 37] = struct.pack("<I", zlib.crc32(data[at + 49 + name : end]))
+    file.write_bytes(data)
+    with warnings.catch_warnings(action="error"):
+        read_bag(tmp_path / "run", Topics())
+    data[data.index(ranges.tobytes())] ^= 1
+    file.write_bytes(data)
+    with (
+        pytest.warns(UserWarning, match=r"damaged \(Chunk checksum mismatch\.\): 0 scans could be read"),
+        pytest.raises(SourceError, match="run: holds no laser scan"),
+    ):
+        read_bag(tmp_path / "run", Topics())
