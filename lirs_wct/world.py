@@ -24,8 +24,9 @@ from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.meshing.ground_texture import checked_texture
 from lirs_wct.navigation.areas import mapped_area
 from lirs_wct.navigation.footprints import FOOTPRINTS
-from lirs_wct.navigation.spawn_poses import check_inside, spawn_poses
-from lirs_wct.navigation.traversability import overlaid, traversable
+from lirs_wct.navigation.refusal import cause_of_refusal, nearest_place
+from lirs_wct.navigation.spawn_poses import spawn_poses
+from lirs_wct.navigation.traversability import blocked_ground, overlaid, traversable
 from lirs_wct.sources.clouds.source import read_point_cloud
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
@@ -158,6 +159,24 @@ class World(ShownAsPicture):
             max_slope=max_slope,
             resolution=resolution,
         )
+
+    def refusal(
+        self, place: tuple[float, float], *, clearance: float, max_slope: float, resolution: float = 0.1
+    ) -> tuple[str, str | None]:
+        """Return the cause why a robot cannot stand at a place, and the nearest `x,y` where it can.
+
+        Args:
+            place: x and y in the world, metres.
+            clearance: as in `traversable`.
+            max_slope: likewise.
+            resolution: likewise.
+        """
+        free = self.traversable(clearance=clearance, max_slope=max_slope, resolution=resolution)
+        blocked = blocked_ground(
+            self.surface, self.walls, self.truth, self.no_ground, max_slope=max_slope, grid=free
+        )
+        cause = cause_of_refusal(self.surface, blocked, free, place, clearance=clearance, max_slope=max_slope)
+        return cause, nearest_place(self.driven(free), place)
 
     def starts(self, free: OccupancyGrid, count: int = 8) -> tuple[Pose2, ...]:
         """Return poses spread over where a robot can be and is meant to drive (see `spawn_poses`)."""
@@ -315,13 +334,12 @@ def _with_spawn_poses(world: World) -> World:
     Raises:
         ConfigError: no robot can stand at the pose that was asked for, or it is outside the world.
     """
-    check_inside(world.name, world.start, world.surface)
     place = world
     if not isinstance(world.ground, LaserMap) and max(world.surface.size) > SPAWN_AREA:
         west, south, east, north = world.surface.bounds
         middle = world.start or Pose2((west + east) / 2, (south + north) / 2)
-        if world.surface.contains(middle.x, middle.y):
-            place = replace(world, ground=_cut(world.ground, (middle.x, middle.y, SPAWN_AREA))[0])
+        x, y = min(max(middle.x, west), east), min(max(middle.y, south), north)
+        place = replace(world, ground=_cut(world.ground, (x, y, SPAWN_AREA))[0])
     resolution = 0.1 if world.walls is not None else max(0.1, max(place.surface.size) / SPAWN_CELLS)
     for footprint in FOOTPRINTS:
         for clearance, slope in footprint.limits:
@@ -333,8 +351,33 @@ def _with_spawn_poses(world: World) -> World:
                 first = () if world.start is None else (world.start,)
                 return replace(world, spawn_poses=(*first, *found)[: len(found)], spawn_for=footprint.robot)
     if world.start is not None:
-        raise ConfigError(
-            f"{world.name}: no robot can start at {world.start.x:g},{world.start.y:g}: it is in or too near "
-            "a wall, steep ground or the border"
-        )
+        raise _refused_start(world, place, world.start, resolution)
     return replace(world, spawn_poses=(), spawn_for="")
+
+
+def _refused_start(world: World, place: World, start: Pose2, resolution: float) -> ConfigError:
+    """Return the error that no robot can start at a pose: the cause for the one that gets farthest.
+
+    Args:
+        world: the whole.
+        place: its part around the pose.
+        start: pose that was asked for.
+        resolution: metres a cell of the search.
+    """
+    where = f"{world.name}: no robot can start at {start.x:g},{start.y:g}: "
+    smallest, climber = FOOTPRINTS[-1], max(FOOTPRINTS, key=lambda footprint: footprint.max_slope)
+    for footprint in (smallest, climber):
+        clearance, slope = footprint.limits[-1]
+        cause, nearest = place.refusal(
+            (start.x, start.y), clearance=clearance, max_slope=slope, resolution=resolution
+        )
+        if " deg (limit" not in cause:
+            break
+    if not world.surface.contains(start.x, start.y):
+        west, south, east, north = world.surface.bounds
+        cause = (
+            f"that is outside the world, whose x is {west:.5g} to {east:.5g} m and y {south:.5g} to "
+            f"{north:.5g} m"
+        )
+    found = f"nearest place: {nearest}" if nearest else "no place is free"
+    return ConfigError(f"{where}{cause}; {found} ({footprint.robot})")

@@ -55,7 +55,7 @@ def make_driver(
     pace = driver_config(robot)
     if kind == "waypoints":
         waypoints = read_waypoints(Path(path))
-        check_waypoints(Path(path), waypoints, free, robot.name)
+        check_waypoints(Path(path), waypoints, free, robot.name, lambda place: _cause(world, robot, place)[0])
         first, second = waypoints[:2]
         ahead = math.atan2(second.y - first.y, second.x - first.x)
         start = Pose2(first.x, first.y, ahead if first.yaw is None else first.yaw)
@@ -108,13 +108,20 @@ def _start(world: World, free: OccupancyGrid, robot: Robot, config: RunConfig) -
     """
     if world.start is not None:
         if not free.free_at(world.start.x, world.start.y):
-            needed = f"{2 * (robot.radius + MARGIN):.1f} m of free ground"
+            cause, nearest = _cause(world, robot, (world.start.x, world.start.y))
+            if nearest is None:
+                raise no_room(config.source, world, robot, MARGIN)
             raise ConfigError(
                 f"{config.source}: {robot.name} cannot drive from {world.start.x:g},{world.start.y:g} "
-                f"(--start): it needs {needed} no steeper than {math.degrees(robot.max_slope):.0f} deg"
+                f"(--start): {cause}; nearest place: {nearest}"
             )
         return world.start
     starts = world.starts(free)
     if not starts:
         raise no_room(config.source, world, robot, MARGIN)
     return starts[(config.seed - 1) % len(starts)]
+
+
+def _cause(world: World, robot: Robot, place: tuple[float, float]) -> tuple[str, str | None]:
+    """Return the cause why a plan cannot lead to a place, and the nearest `x,y` where it can."""
+    return world.refusal(place, clearance=robot.radius + MARGIN, max_slope=robot.max_slope)

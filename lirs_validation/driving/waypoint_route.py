@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path as File
 
 import numpy as np
@@ -14,13 +15,14 @@ from lirs_validation.driving.planning.grid_search import area_round, nearest
 from lirs_validation.driving.planning.path_smoothing import arc_length, smoothed
 from lirs_validation.driving.pursuit import speed_profile
 from lirs_validation.driving.tour import ground_height
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.waypoints import Waypoint
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.grid_search import search
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.navigation.refusal import nearest_place
 
 
 class WaypointRoute:
@@ -92,7 +94,13 @@ class WaypointRoute:
         return smoothed(cells, self._grid, self._room, keep=self._config.pursuit.careful_room)
 
 
-def check_waypoints(path: File, waypoints: tuple[Waypoint, ...], free: OccupancyGrid, robot: str) -> None:
+def check_waypoints(
+    path: File,
+    waypoints: tuple[Waypoint, ...],
+    free: OccupancyGrid,
+    robot: str,
+    cause: Callable[[tuple[float, float]], str],
+) -> None:
     """Check that a robot can stand at every waypoint, and drive to each.
 
     Args:
@@ -100,6 +108,7 @@ def check_waypoints(path: File, waypoints: tuple[Waypoint, ...], free: Occupancy
         waypoints: world frame.
         free: free cells = where the robot's centre may be, world frame.
         robot: its name.
+        cause: returns why the robot cannot stand at a place of the world.
 
     Raises:
         SourceError: a waypoint is off the map, where the robot cannot be, or cut off from the first.
@@ -110,15 +119,28 @@ def check_waypoints(path: File, waypoints: tuple[Waypoint, ...], free: Occupancy
     for number, (waypoint, cell, within) in enumerate(zip(waypoints, cells, inside, strict=True), start=1):
         named = f"{path}: waypoint {number} ({waypoint.x:g}, {waypoint.y:g})"
         if not within:
-            raise SourceError(f"{named} is off the map, which is {_extent(free)}")
+            raise SourceError(
+                f"{named} is off the map, which is {_extent(free)}{_nearest(free, area, waypoint)}"
+            )
         if not free.free[cell[0], cell[1]]:
             raise SourceError(
-                f"{named} is no place for {robot}: in or too near a wall, steep ground or the border"
+                f"{named} is no place for {robot}: {cause((waypoint.x, waypoint.y))}"
+                f"{_nearest(free, area, waypoint)}"
             )
         if area is None:
             area = area_round(free, Pose2(waypoint.x, waypoint.y))
         if not area[cell[0], cell[1]]:
-            raise SourceError(f"{named}: no way leads there from the first waypoint for {robot}")
+            raise SourceError(
+                f"{named}: no way leads there from the first waypoint for {robot}"
+                f"{_nearest(free, area, waypoint)}"
+            )
+
+
+def _nearest(free: OccupancyGrid, area: BoolArray | None, waypoint: Waypoint) -> str:
+    """Return the end of an error: the nearest place that is free and, if known, reached."""
+    reached = free if area is None else OccupancyGrid.from_mask(~area, free.resolution, free.origin)
+    place = nearest_place(reached, (waypoint.x, waypoint.y))
+    return "" if place is None else f"; nearest place: {place}"
 
 
 def _extent(grid: OccupancyGrid) -> str:

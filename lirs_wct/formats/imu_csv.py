@@ -48,4 +48,7 @@ def read_imu(path: Path) -> tuple[Imu, ...]:
         raise SourceError(f"{path}: not inertial readings: {error}") from error
     if lines[:1] != [HEADER] or any(len(row) != COLUMNS for row in rows):
         raise SourceError(f"{path}: inertial readings have {COLUMNS} numbers a line ({HEADER})")
+    wrong = next((k for k, row in enumerate(rows, start=2) if not np.isfinite(row).all()), None)
+    if wrong is not None:
+        raise SourceError(f"{path}: line {wrong}: inertial readings must be finite numbers")
     return tuple(Imu.from_row(*row) for row in rows)

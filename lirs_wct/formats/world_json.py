@@ -27,6 +27,8 @@ from lirs_wct.geometry.walls import WallGrid
 
 SCHEMA = 1
 JSON, ARRAYS = "world.json", "world.npz"
+CELLS = (1e-5, 1e6)
+"""Smallest and largest distance of two nodes of a stored surface, meters."""
 TEXTURES = Path("materials") / "textures"
 """Where Gazebo looks for a model's textures."""
 TEXTURE_OPTIONS = ("texture", "wall_texture")
@@ -146,9 +148,10 @@ def read_world(folder: Path) -> WorldFile:
                 f"{path}: schema {entry['schema']} is not the one this version reads ({SCHEMA})"
             )
         with np.load(referenced_file(path, entry["arrays"]), allow_pickle=False) as arrays:
-            surface = HeightField(
-                arrays["surface"], _pair(entry["surface"]["cell"]), _pair(entry["surface"]["origin"])
-            )
+            cell = _pair(entry["surface"]["cell"])
+            if not CELLS[0] <= min(cell) <= max(cell) <= CELLS[1]:
+                raise ValueError(f"cell must be {CELLS[0]:g} to {CELLS[1]:g} m, got {cell}")
+            surface = HeightField(arrays["surface"], cell, _pair(entry["surface"]["origin"]))
             walls, truth = entry.get("walls"), entry.get("truth")
             hole = arrays.get("hole")
             return WorldFile(

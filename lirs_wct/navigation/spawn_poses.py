@@ -7,9 +7,7 @@ import math
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.navigation.areas import largest_area
 from lirs_wct.navigation.traversability import distance_to
@@ -42,21 +40,6 @@ def spawn_poses(free: OccupancyGrid, count: int = 8, *, corridors: bool = False)
     first = int(np.argmax(np.minimum(room, 3.0) - 0.02 * np.hypot(*(points - middle).T)))
     chosen = _farthest(points, np.minimum(room, 2.0), first, min(count, len(points)))
     return tuple(_facing(free if corridors else None, points[i], middle) for i in chosen)
-
-
-def check_inside(name: str, start: Pose2 | None, surface: HeightField) -> None:
-    """Refuse a start outside a world.
-
-    Raises:
-        ConfigError: the pose lies beyond the border of the world's surface.
-    """
-    if start is None or surface.contains(start.x, start.y):
-        return
-    west, south, east, north = surface.bounds
-    raise ConfigError(
-        f"{name}: no robot can start at {start.x:g},{start.y:g}: that is outside the world, whose x is "
-        f"{west:.5g} to {east:.5g} m and y {south:.5g} to {north:.5g} m"
-    )
 
 
 def _inner(area: BoolArray) -> BoolArray:

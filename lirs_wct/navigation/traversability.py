@@ -22,6 +22,8 @@ MOST_CELLS = 400_000_000
 """Of a grid: 1.6 GB, the square of 2 km at 0.1 m."""
 COARSE = 1.0
 """Metres between nodes above which the slope of each triangle counts: there are no short steps to find."""
+STEEP, WALLS = "steep ground", "a wall or a hole"
+"""Causes of blocked cells (see `blocked_ground`)."""
 _STRIP = 512
 """Rows of nodes looked at together: a large surface would else stand four times in the memory."""
 
@@ -59,16 +61,67 @@ def traversable(
             "scale it (--size)"
         )
     grid = OccupancyGrid(np.zeros(shape, np.float32), resolution, Pose2(west, south))
-    blocked = _steep_cells(surface, max_slope, grid)
-    if no_ground is not None:
-        blocked |= _nodes_cells(surface, no_ground, grid)
-        blocked |= _without_ground(surface, no_ground, grid)
-    if walls is not None:
-        blocked |= _wall_cells(walls, grid)
-    if truth is not None:
-        blocked |= ~_lookup(truth.free, truth.resolution, truth.origin, grid)
-    distance = distance_to(blocked, resolution)
+    found = blocked_ground(surface, walls, truth, no_ground, max_slope=max_slope, grid=grid)
+    distance = distance_to(np.logical_or.reduce(list(found.values())), resolution)
     return OccupancyGrid.from_mask(distance <= clearance, resolution, grid.origin)
+
+
+def blocked_ground(
+    surface: HeightField,
+    walls: WallGrid | None,
+    truth: OccupancyGrid | None,
+    no_ground: BoolArray | None,
+    *,
+    max_slope: float,
+    grid: OccupancyGrid,
+) -> dict[str, BoolArray]:
+    """Return the cells of a grid on which no wheel may be, by cause (arguments: see `traversable`)."""
+    found = {STEEP: _steep_cells(surface, max_slope, grid)}
+    if no_ground is not None:
+        found["a place without ground"] = _nodes_cells(surface, no_ground, grid) | _without_ground(
+            surface, no_ground, grid
+        )
+    if walls is not None:
+        found[WALLS] = _wall_cells(walls, grid)
+    if truth is not None:
+        found["a cell that the map does not show as free"] = ~_lookup(
+            truth.free, truth.resolution, truth.origin, grid
+        )
+    return found
+
+
+def steepness(surface: HeightField, place: FloatArray, resolution: float) -> float:
+    """Return the slope at the cell around a place, radians, measured as `traversable` does.
+
+    It is the largest limit that the cell exceeds, by bisection.
+
+    Args:
+        surface: the ground.
+        place: (2,) center of the cell, world frame.
+        resolution: metres a cell.
+    """
+    x, y = place.tolist()
+    half = BASELINE + 2 * max(surface.cell) + 2 * resolution
+    around, reach = _nodes_around(surface, x, y, half), math.ceil(half / resolution) + 1
+    corner = Pose2(*(place - (reach + 0.5) * resolution).tolist())
+    grid = OccupancyGrid(np.zeros((2 * reach + 1, 2 * reach + 1), np.float32), resolution, corner)
+    low, high = 0.0, math.pi / 2
+    for _ in range(12):
+        middle = (low + high) / 2
+        steep = _steep_cells(around, middle, grid)[reach, reach]
+        low, high = (middle, high) if steep else (low, middle)
+    return low
+
+
+def _nodes_around(surface: HeightField, x: float, y: float, half: float) -> HeightField:
+    """Return the part of a surface within `half` meters of a place, rounded outward to nodes."""
+    (west, south), (dx, dy), (rows, cols) = surface.origin, surface.cell, surface.shape
+    left = min(max(math.floor((x - half - west) / dx), 0), cols - 2)
+    low = min(max(math.floor((y - half - south) / dy), 0), rows - 2)
+    right = max(left + 1, min(math.ceil((x + half - west) / dx), cols - 1))
+    high = max(low + 1, min(math.ceil((y + half - south) / dy), rows - 1))
+    z = surface.z[rows - 1 - high : rows - low, left : right + 1]
+    return HeightField(z, surface.cell, (west + left * dx, south + low * dy))
 
 
 def _steep_cells(surface: HeightField, max_slope: float, grid: OccupancyGrid) -> BoolArray:

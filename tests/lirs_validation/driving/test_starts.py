@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -97,10 +99,12 @@ def test_the_start_that_was_asked_for_is_everyones(tmp_path: Path) -> None:
 
 
 def test_a_start_where_nobody_can_stand_is_refused(corridor: Path) -> None:
-    with pytest.raises(ConfigError, match=r"no robot can start at 0,0\.45: "):
+    near = r"0,0\.45: it is 0\.05 m from a wall or a hole, .* needs 0\.29 m; nearest place: -?0\.05,0\.25 "
+    with pytest.raises(ConfigError, match=near):
         build_world(corridor, BuildOptions(start=Pose2(0.0, 0.45)))
+    build_world(corridor, BuildOptions(start=Pose2(-0.05, 0.25)))
     world = build_world(corridor, BuildOptions(start=Pose2(0.0, 0.0)))
-    with pytest.raises(ConfigError, match=r"husky cannot drive from 0,0 \(--start\)"):
+    with pytest.raises(ConfigError, match=r"no place for husky: it needs 1\.5 m"):
         make_driver(world, make_robot("husky"), RunConfig(source="corridor"), no_map)
     with pytest.raises(SimulationError, match="husky cannot start"):
         places(world, make_robot("husky"), np.random.default_rng(0))
@@ -112,3 +116,21 @@ def test_a_large_terrain_is_cut_around_its_start() -> None:
     build = BuildOptions(size=600, start=Pose2(150.0, -120.0))
     window = build_scenario(RunConfig(source="medium", build=build)).window
     assert window == (150.0, -120.0, 50.0)
+
+
+def test_a_refused_start_says_its_slope_and_the_nearest_place(tmp_path: Path) -> None:
+    z = np.zeros((101, 101))
+    z[:, 50:61] = np.arange(11) / 10
+    z[:, 61:] = 1
+    cv2.imwrite(str(tmp_path / "ramp.png"), (65535 * z).astype(np.uint16))
+    options = BuildOptions(size=20, height=2 * math.tan(math.radians(34)))
+    with pytest.raises(ConfigError) as caught:
+        build_world(tmp_path / "ramp.png", replace(options, start=Pose2(1.0, 0.0)))
+    said = str(caught.value)
+    found = re.search(r"it is on ground of ([\d.]+) deg \(limit 30\); nearest place: (\S+) \(jackal\)", said)
+    assert found, said
+    assert float(found[1]) == pytest.approx(34, abs=1)
+    free = build_world(tmp_path / "ramp.png", options).traversable(clearance=0.46, max_slope=math.radians(30))
+    assert free.free_at(*map(float, found[2].split(",")))
+    with pytest.raises(ConfigError, match=r"outside the world.*; nearest place: "):
+        build_world(tmp_path / "ramp.png", replace(options, start=Pose2(11.0, 0.0)))

@@ -44,8 +44,10 @@ def test_every_form_of_file_is_read(name: str, text: str, tmp_path: Path) -> Non
         ("w.yaml", "- [1, 2]\n- {x: 1}\n", "waypoint 2"),
         ("w.yaml", "- [1, 2]\n- [true, 2]\n", "waypoint 2"),
         ("w.yaml", "- [1, 2]\n- 3\n", "waypoint 2"),
+        ("w.yaml", "- {x: 1, x: 2, y: 3}\n", "line 1: the key 'x' stands on line 1, too"),
+        ("w.yaml", f"- [{'9' * 5000}, 1]\n", "too many digits"),
         ("w.yaml", "x: 3\n", "a YAML list"),
-        ("w.yaml", "- [1, 2\n", "no YAML"),
+        ("w.yaml", "- [1, 2\n", "line 2: "),
     ],
 )
 def test_a_bad_file_is_one_line_with_its_path_first(name: str, text: str, says: str, tmp_path: Path) -> None:
@@ -73,13 +75,19 @@ def two_rooms() -> OccupancyGrid:
 
 @pytest.mark.parametrize(
     ("place", "says"),
-    [((7.0, 1.0), "is off the map"), ((3.05, 1.0), "is no place for husky"), ((5.0, 1.0), "no way leads")],
+    [
+        ((7.0, 1.0), "is off the map.*"),
+        ((3.05, 1.0), "is no place for husky: it is on a wall"),
+        ((5.0, 1.0), "no way leads.*"),
+    ],
 )
 def test_places_where_the_robot_cannot_be_are_named(place: tuple[float, float], says: str) -> None:
     given = (Waypoint(1.0, 1.0), Waypoint(2.0, 5.0), Waypoint(*place))
-    with pytest.raises(SourceError, match=rf"^way\.csv: waypoint 3 \(.*\):? {says}"):
-        check_waypoints(Path("way.csv"), given, two_rooms(), "husky")
-    check_waypoints(Path("way.csv"), given[:2], two_rooms(), "husky")
+    with pytest.raises(
+        SourceError, match=rf"^way\.csv: waypoint 3 \(.*\):? {says}; nearest place: 2\.95,[\d.]+$"
+    ):
+        check_waypoints(Path("way.csv"), given, two_rooms(), "husky", lambda place: "it is on a wall")
+    check_waypoints(Path("way.csv"), given[:2], two_rooms(), "husky", str)
 
 
 def drive(free: OccupancyGrid, way: tuple[Waypoint, ...], seconds: float) -> tuple[PathDriver, np.ndarray]:
@@ -99,7 +107,7 @@ def test_waypoints_are_passed_in_their_order_round_obstacles(seed: int) -> None:
         x, y = free.centers(cells[rng.integers(len(cells))]).tolist()
         if abs(x) < 12 and abs(y) < 12:
             picked.append(Waypoint(x, y))
-    check_waypoints(Path("w"), tuple(picked), free, "husky")
+    check_waypoints(Path("w"), tuple(picked), free, "husky", str)
     driver, poses = drive(free, tuple(picked), 240.0)
     assert driver.finished == "the last waypoint is reached"
     at = 0

@@ -54,6 +54,7 @@ def test_nothing_to_write_is_a_header(tmp_path: Path) -> None:
         (HEADER.encode(), "cannot be read"),
         (gzip.compress(b"stamp\n1\n", mtime=0), "9 numbers a line"),
         (gzip.compress(f"{HEADER}\n1,2,3\n".encode(), mtime=0), "9 numbers a line"),
+        (gzip.compress(f"{HEADER}\n1,2,3,4,5,6,7,8,inf\n".encode(), mtime=0), "line 2: .* finite"),
         (gzip.compress(f"{HEADER}\n1,2,x\n".encode(), mtime=0), "not inertial readings"),
         (gzip.compress(f"{HEADER}\n1,2,3\n".encode() * 50, mtime=0)[:60], "not inertial readings"),
     ],

@@ -97,18 +97,28 @@ def test_another_schema_is_refused(tmp_path: Path) -> None:
         read_world(tmp_path)
 
 
+@pytest.mark.parametrize("cell", [1e-300, 1e300])
+def test_a_surface_beyond_all_scales_is_refused(tmp_path: Path, cell: float) -> None:
+    again(tmp_path)
+    entry = json.loads((tmp_path / "world.json").read_text())
+    entry["surface"]["cell"][0] = cell
+    (tmp_path / "world.json").write_text(json.dumps(entry))
+    with pytest.raises(SourceError, match=r"cell must be 1e-05 to 1e\+06 m, got"):
+        read_world(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("error", "reason"),
     [
-        (FileNotFoundError(2, "No such file"), r"\(No such file\)"),
-        (OSError("no number"), r"\(OSError: no number\)"),
-        (KeyError("walls"), r"\(KeyError: 'walls'\)"),
-        (ValueError("bad"), r"\(ValueError: bad\)"),
+        (FileNotFoundError(2, "No such file"), "cannot be read: No such file"),
+        (OSError("no number"), "no number"),
+        (KeyError("walls"), "'walls' is missing"),
+        (ValueError("bad"), "bad"),
     ],
 )
 def test_damage_is_named(tmp_path: Path, error: Exception, reason: str) -> None:
     with (
-        pytest.raises(SourceError, match=rf"world\.json: not a built world, or damaged {reason}"),
+        pytest.raises(SourceError, match=rf"world\.json: not a built world, or damaged: {reason}$"),
         checked_content(tmp_path),
     ):
         raise error
