@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from types import UnionType
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -67,16 +67,23 @@ def require_seed(seed: Any) -> None:
 
 def is_finite(value: object) -> bool:
     """Whether a value is a number, and finite."""
-    return isinstance(value, NUMBERS) and math.isfinite(value)
+    return is_number(value) and math.isfinite(value)
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Whether a value is a number; a bool is none."""
+    return isinstance(value, NUMBERS) and not isinstance(value, bool)
 
 
 def _require(config: Any, names: tuple[str, ...], of: str, legal: str, finite: bool, holds: Any) -> None:
     for name in names:
         value = getattr(config, name)
-        if not holds(value) or (finite and not math.isfinite(value)):
+        if not is_number(value) or not holds(value) or (finite and not math.isfinite(value)):
             owner = f" of {of}" if of else ""
             kind = "a finite number " if finite else ""
-            raise ConfigError(f"{name}{owner} must be {kind}{legal}, got {value}")
+            raise ConfigError(
+                f"{name}{owner} must be {kind}{legal}, got {value if is_number(value) else repr(value)}"
+            )
 
 
 def _space(unit: str) -> str:

@@ -11,7 +11,6 @@ from lirs_envs.episodes.config import EnvConfig
 from lirs_envs.episodes.episodes import Episodes, EpisodeView
 from lirs_envs.rendering.snapshot import Snapshot
 from lirs_envs.rendering.views import RENDER_MODES, Views, check_render_mode
-from lirs_envs.tasks.traverse import MIXED
 from lirs_wct.arrays import ByteArray, Float32Array
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
@@ -38,7 +37,7 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
 
     Args:
         task: `mapping`, `navigation` or `traverse`.
-        kind: of the course, where the task is to cross one.
+        kind: of the course, where the task is to cross one; None = `mixed`.
         render_mode: `human`, `rgb_array`, `depth_array`, `map` (see `lirs_envs.rendering.views`) or None.
         **options: fields of `EnvConfig`.
     """
@@ -46,7 +45,7 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012  Gymnasium's contract
 
     def __init__(
-        self, task: str, *, kind: str = MIXED, render_mode: str | None = None, **options: Any
+        self, task: str, *, kind: str | None = None, render_mode: str | None = None, **options: Any
     ) -> None:
         check_render_mode(render_mode)
         self.render_mode = render_mode
@@ -71,7 +70,7 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
     def step(self, action: Float32Array) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
         """Act for one period (see `Episodes.step`)."""
         episodes = self.episodes
-        reward = episodes.step(ROW, np.asarray(action)[None])
+        reward = episodes.step(ROW, [action])
         ended = bool(episodes.terminated[0]), bool(episodes.truncated[0])
         self._show()
         return self._observed(), float(reward[0]), *ended, self._info()

@@ -12,11 +12,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from lirs_envs.env import Observed, make_config, snapshot_of
-from lirs_envs.episodes.episodes import Episodes, EpisodeView
+from lirs_envs.episodes.episodes import Episodes, EpisodeView, action_array, check_options
 from lirs_envs.rendering.views import RENDER_MODES, Views, check_render_mode
-from lirs_envs.tasks.traverse import MIXED
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.geometry.pose import Pose2
 
 Stepped = tuple[Observed, FloatArray, BoolArray, BoolArray, dict[str, Any]]
@@ -31,7 +30,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
     Args:
         num_envs: number of robots, N.
         task: `mapping`, `navigation` or `traverse`.
-        kind: of the course, where the task is to cross one.
+        kind: of the course, where the task is to cross one; None = `mixed`.
         autoreset_mode: `NextStep`, `SameStep` or `Disabled` (see Gymnasium's `AutoresetMode`).
         threads: number of threads; None = all processors of this process.
         max_episode_steps: truncates an episode before its time limit does; None = it does not.
@@ -50,15 +49,23 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         num_envs: int,
         task: str,
         *,
-        kind: str = MIXED,
+        kind: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
         max_episode_steps: int | None = None,
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        if num_envs < 1:
-            raise ConfigError(f"num_envs must be at least 1, got {num_envs}")
+        for name, count in (
+            ("num_envs", num_envs),
+            ("threads", threads),
+            ("max_episode_steps", max_episode_steps),
+        ):
+            if not _is_count(count) and (count is not None or name == "num_envs"):
+                raise ConfigError(f"{name} must be a whole number from 1 up, got {count!r}")
+        modes = [mode.value for mode in AutoresetMode]
+        if autoreset_mode not in (*AutoresetMode, *modes):
+            raise unknown_name("autoreset_mode", str(autoreset_mode), modes)
         check_render_mode(render_mode, self.metadata["render_modes"])
         self.num_envs, self.render_mode = num_envs, render_mode
         threads = len(os.sched_getaffinity(0)) if threads is None else threads
@@ -96,7 +103,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
             ConfigError: the number of seeds is not N, the mask is no mask, or an option is not legal.
             SimulationError: see `Episodes.reset`.
         """
-        given = dict(options or {})
+        given = dict(check_options(options))
         ids = self._all if "reset_mask" not in given else self._masked(given.pop("reset_mask"))
         for i, one in zip(self._all.tolist(), self._seeds(seed), strict=True):
             if one is not None and i in ids:
@@ -222,7 +229,8 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         return np.flatnonzero(mask)
 
     def _checked(self, actions: Any) -> FloatArray:
-        shape = (self.num_envs, *(self.single_action_space.shape or ()))
-        if np.shape(actions) != shape:
-            raise ConfigError(f"actions must have shape {shape}, got {np.shape(actions)}")
-        return np.asarray(actions, dtype=np.float64)
+        return action_array(actions, (self.num_envs, *(self.single_action_space.shape or ())))
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= 1

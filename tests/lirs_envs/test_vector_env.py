@@ -150,7 +150,7 @@ def test_one_that_diverges_is_reset_alone(plane: World) -> None:
 
 
 def test_what_cannot_be(plane: World) -> None:
-    with pytest.raises(ConfigError, match="num_envs must be at least 1"):
+    with pytest.raises(ConfigError, match="num_envs must be a whole number from 1 up"):
         RobotVectorEnv(0, "mapping", world=plane)
     env = RobotVectorEnv(2, "mapping", world=plane, threads=1)
     with pytest.raises(SimulationError, match="must be reset before"):
@@ -160,7 +160,7 @@ def test_what_cannot_be(plane: World) -> None:
     with pytest.raises(ConfigError, match="reset_mask must be a bool array"):
         env.reset(options={"reset_mask": np.zeros(2, np.bool_)})
     env.reset(seed=0)
-    with pytest.raises(ConfigError, match=r"actions must have shape \(2, 2\), got \(2,\)"):
+    with pytest.raises(ConfigError, match=r"actions must be numbers of shape \(2, 2\), got shape \(2,\)"):
         env.step(np.zeros(2))
 
 

@@ -60,7 +60,7 @@ class Episodes:
         config: options.
         count: number of robots, N.
         threads: number of threads.
-        kind: of the course, where the task is to cross one.
+        kind: of the course, where the task is to cross one; None = `mixed`.
         max_steps: truncates an episode before its time limit does; None = it does not.
     """
 
@@ -71,12 +71,14 @@ class Episodes:
         count: int,
         *,
         threads: int = 1,
-        kind: str = MIXED,
+        kind: str | None = None,
         max_steps: int | None = None,
     ) -> None:
         if task not in TASKS:
             raise unknown_name("task", task, TASKS)
         crossing, robot = task == "traverse", config.simulation.robot
+        if kind is not None and not crossing:
+            raise ConfigError(f"kind is for the traverse task alone, the task is {task}, got kind {kind!r}")
         scale = course_scale(robot)
         factors = _factors(config, crossing)
         world = _world(config, crossing, scale)
@@ -93,7 +95,11 @@ class Episodes:
         )
         names = TASKS[task].observe if config.observe is None else config.observe
         self.stage = self._make_stage(factors, sees=task == "mapping" or "seen_map" in names)
-        self.task = TraverseTask(self.stage, kind, scale) if crossing else TASKS[task](self.stage)
+        self.task = (
+            TraverseTask(self.stage, MIXED if kind is None else kind, scale)
+            if crossing
+            else TASKS[task](self.stage)
+        )
         if {"goal", "goal_direction"} & set(names) and not self.task.has_goal:
             raise ConfigError(f"the {task} task has no goal to observe")
         self.observations = Observations(names, self.stage, self.task)
@@ -135,7 +141,7 @@ class Episodes:
             ConfigError: an option is unknown or has a value that is not legal.
             SimulationError: the start or goal that was asked for cannot be, or none could be drawn.
         """
-        options = options or {}
+        options, reason = check_options(options), ""
         self._check_options(i, options)
         self._ready[i] = False
         self._randomization.draw(i, rng)
@@ -146,7 +152,8 @@ class Episodes:
                 continue
             try:
                 self.simulation.reset(i, start, seed)
-            except SimulationError:
+            except SimulationError as error:
+                reason = f"; of the last one, {error}"
                 if "start" in options or not (self.stage.randomize_start or self.stage.randomize_terrain):
                     raise
                 continue
@@ -154,6 +161,7 @@ class Episodes:
             return
         raise SimulationError(
             f"{self.simulation.worlds[i].name}: none of {DRAWS} starts and goals that were drawn can be used"
+            + reason
         )
 
     def _begin(self, i: int, redrawn: int) -> None:
@@ -237,13 +245,7 @@ class Episodes:
             raise SimulationError(f"the episode has ended ({reason}): a reset comes before the next step")
 
     def _checked(self, ids: IntArray, actions: Any) -> FloatArray:
-        try:
-            taken = np.asarray(actions, dtype=np.float64)
-        except (TypeError, ValueError):
-            taken = np.empty(0)
-        size = self.action_space.shape[0]
-        if taken.shape != (len(ids), size):
-            raise ConfigError(f"an action must be {size} numbers, got shape {np.shape(actions)[1:]}")
+        taken = action_array(actions, (len(ids), *self.action_space.shape))
         if not np.isfinite(taken).all():
             raise ConfigError("an action must be finite")
         return np.clip(taken, -1.0, 1.0)
@@ -262,6 +264,36 @@ class Episodes:
             "redrawn": self._redrawn.copy(),
             **self.task.infos(),
         }
+
+
+def action_array(actions: Any, shape: tuple[int, ...]) -> FloatArray:
+    """Return actions as an array.
+
+    Raises:
+        ConfigError: they are no numbers, or have another shape.
+    """
+    try:
+        taken = np.asarray(actions)
+    except (TypeError, ValueError):
+        raise ConfigError(
+            f"actions must be numbers of shape {shape}, got rows of different lengths"
+        ) from None
+    if taken.shape != shape:
+        raise ConfigError(f"actions must be numbers of shape {shape}, got shape {taken.shape}")
+    if taken.dtype.kind not in "fiu":
+        raise ConfigError(f"actions must be numbers of shape {shape}, got {actions!r}")
+    return np.asarray(taken, np.float64)
+
+
+def check_options(options: Any) -> Mapping[str, Any]:
+    """Return the options of a reset; none where they are None.
+
+    Raises:
+        ConfigError: they are no mapping.
+    """
+    if options is not None and not isinstance(options, Mapping):
+        raise ConfigError(f"options of reset must be a mapping or None, got {options!r}")
+    return options or {}
 
 
 @njit(cache=True, nogil=True)

@@ -25,10 +25,11 @@ CANDIDATES = 8
 
 
 class NavigationTask(Task):
-    """Metres of way gained on the goal are worth as much; reaching it 10, touching anything -5 and the end.
+    """Metres of way gained on the goal are worth as much; reaching it 10, a collision -5 and the end.
 
-    The way is the shortest over ground that the robot can drive. Difficulty sets how long it is, and how
-    rough and how much blocked the straight line to the goal is.
+    The way is the shortest over ground that the robot can drive. The goal is reached where way and straight
+    distance are at most 0.5 m, or the robot's radius if that is more. Difficulty sets how long the way is,
+    and how rough and how much blocked the straight line to the goal is.
     """
 
     observe: ClassVar = ("scan", "goal", "attitude")
@@ -80,7 +81,8 @@ class NavigationTask(Task):
                 # Off the ground that can be driven nothing is gained until the robot is back on it.
                 rewards[k] = self._ways[i, 1] - way
                 self._ways[i, 1] = way
-            self._success[i] = self._distance(i) <= self._radius
+            # Within the radius, but not through an obstacle.
+            self._success[i] = max(self._distance(i), way) <= self._radius
             self._collision[i] = bool(stage.simulation.touched[i]) and not self._success[i]
             rewards[k] += SUCCESS * bool(self._success[i]) + COLLISION * bool(self._collision[i])
         return rewards

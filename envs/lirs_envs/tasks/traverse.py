@@ -13,7 +13,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.tasks.site import SeenFrame, seen_frame
 from lirs_envs.tasks.task import Stage, Task
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.errors import unknown_name
+from lirs_wct.errors import SimulationError, unknown_name
 from lirs_wct.geometry.pose import Pose2
 
 SUCCESS = 10.0
@@ -62,8 +62,14 @@ class TraverseTask(Task):
             kind = KINDS[int(rng.integers(len(KINDS)))]
         drawn = rng if self.stage.randomize_terrain else np.random.default_rng(0)
         course = generate(kind, float(self.stage.difficulty[i]), drawn, **self._scale._asdict())
+        try:
+            self.stage.simulation.replace_terrain(i, course.world())
+        except SimulationError:
+            # No ground to walk on for walkers, on the steepest courses.
+            if not self.stage.randomize_terrain:
+                raise
+            return None
         self._courses[i], self._kinds[i] = course, kind
-        self.stage.simulation.replace_terrain(i, course.world())
         return course.start
 
     def ground(self, i: int) -> tuple[SeenFrame, BoolArray]:

@@ -14,6 +14,7 @@ from lirs_envs.tasks.site import SEEN_CELL
 from lirs_envs.tasks.task import CONTACT_COST, EFFORT_COST
 from lirs_envs.tasks.traverse import TraverseTask, course_scale
 from lirs_wct.arrays import FloatArray
+from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.world import World
 
@@ -114,6 +115,19 @@ def test_difficulty_lengthens_the_way_and_roughens_it(rough: World) -> None:
         assert all(env.reset(seed=s)[1]["redrawn"] < 100 for s in range(3))
     assert ways[0.0] < 4
     assert ways[1.0] > 10
+
+
+def test_traverse_draws_another_course_where_no_walker_can_walk() -> None:
+    env = RobotEnv("traverse", robot="turtlebot3_burger", actors=3, observe=["goal"])
+    assert max([env.reset(seed=seed)[1]["redrawn"] for seed in range(50)]) > 0
+    crowd = RobotEnv("traverse", robot="turtlebot3_burger", actors=3, observe=["goal"], randomize=["sensor"])
+    crowd.episodes.simulation.replace_terrain = refused  # type: ignore[method-assign]
+    with pytest.raises(SimulationError, match="no ground"):
+        crowd.reset(seed=0)
+
+
+def refused(*_: object) -> None:
+    raise SimulationError("no ground")
 
 
 def test_traverse_progress_and_success() -> None:
