@@ -78,8 +78,8 @@ def commands(part: str, data: Path, quick: bool) -> list[list[str]]:
         ],
         "options": [
             ["validate", "simple", "--robot", "jackal,turtlebot3_burger,quadrotor", *short],
-            ["validate", depot, "--actors", "3", "--attitude", "none", *short],
-            ["validate", "medium", "--window", "0,0,16", "--rays", "mujoco", "--driver", "frontier", *short],
+            ["validate", depot, "--actors", "3", "--attitude", "none", "--driver", "frontier", *short],
+            ["validate", "medium", "--window", "0,0,16", "--lidar", "lds01", "--rays", "mujoco", *short],
             ["validate", "medium", "--terrain", "mesh", "--threads", "2", *short],
         ],
         "originals": [["validate", source, "--mapper", originals, *short] for source in ("medium", depot)],
