@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -148,8 +149,18 @@ def _stem(path: Path) -> str:
 
 
 def _name(stem: str, options: BuildOptions) -> str:
-    """Return a name that every consumer accepts: Gazebo's URIs take no spaces."""
-    name = re.sub(r"[^A-Za-z0-9_.-]+", "_", options.name or stem).strip("_.-") or "world"
+    """Return a name that every consumer accepts: Gazebo's URIs take no spaces.
+
+    Accents are dropped from letters; of other scripts nothing remains.
+    """
+    given = options.name or stem
+    plain = "".join(c for c in unicodedata.normalize("NFKD", given) if not unicodedata.combining(c))
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "_", plain).strip("_.-") or "world"
+    if not given.isascii():
+        warnings.warn(
+            f"{given}: the world is named {name}; names hold letters a to z, digits and _.- alone",
+            stacklevel=4,
+        )
     if len(name) > LONGEST_NAME:
         raise ConfigError(f"--name: a world's name has at most {LONGEST_NAME} characters, got {len(name)}")
     return name

@@ -1,0 +1,49 @@
+"""Names of worlds in any script."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import cv2
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from lirs_wct.export.package import write_package
+from lirs_wct.formats.map_server import read_map
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import find_source
+from lirs_wct.world import build_world
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [("ünï ćode 世界", "uni_code"), ("世界", "world"), ("שלום 😀", "world"), ('a\'b "c"', "a_b_c")],
+)
+def test_a_name_is_made_legal_and_the_change_of_letters_is_said(given: str, name: str) -> None:
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        assert find_source("simple", BuildOptions(name=given)).name == name
+    told = [f"{given}: the world is named {name}; "] if not given.isascii() else []
+    assert [str(w.message)[: len(told[0])] for w in said] == told if told else not said
+
+
+def test_every_file_of_a_world_of_any_name_and_folder_loads(tmp_path: Path) -> None:
+    source = tmp_path / "ünï ćode 世界 'q\" 😀 שלום.png"
+    picture = np.add.outer(np.arange(9), np.arange(9)).astype(np.uint8)
+    source.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+    with pytest.warns(UserWarning, match="the world is named uni_code_q"):
+        world = build_world(source, BuildOptions(size=20, height=1))
+    folder = write_package(
+        world, tmp_path / "výstup 世界", formats=["dae", "stl", "sdf", "mjcf", "obj", "glb", "map"]
+    )
+    assert folder.name == "uni_code_q"
+    for suffix in ("stl", "dae", "obj", "glb"):
+        (mesh,) = folder.rglob(f"*.{suffix}")
+        assert len(trimesh.load_mesh(mesh).faces) > 0
+    mujoco.MjModel.from_xml_path(str(folder / "uni_code_q.xml"))
+    (yaml,) = folder.rglob("*.yaml")
+    assert read_map(yaml).free.any()
+    assert build_world(folder).name == "uni_code_q"
