@@ -28,8 +28,8 @@ class NavigationTask(Task):
     """Metres of way gained on the goal are worth as much; reaching it 10, a collision -5 and the end.
 
     The way is the shortest over ground that the robot can drive. The goal is reached where way and straight
-    distance are at most 0.5 m, or the robot's radius if that is more. Difficulty sets how long the way is,
-    and how rough and how much blocked the straight line to the goal is.
+    distance are at most 0.5 m, or the robot's radius if that is more, and no obstacle is between. Difficulty
+    sets how long the way is, and how rough and how much blocked the straight line to the goal is.
     """
 
     observe: ClassVar = ("scan", "goal", "attitude")
@@ -39,6 +39,10 @@ class NavigationTask(Task):
     def __init__(self, stage: Stage) -> None:
         super().__init__(stage)
         self._radius = max(0.5, stage.simulation.config.robot.radius)
+        robot, grid = stage.simulation.config.robot, stage.site.grid
+        self._open = stage.site.world.traversable(
+            clearance=0.0, max_slope=robot.max_slope, resolution=grid.resolution
+        ).free
         self._goals = np.zeros((stage.count, 2))
         self._costs: list[FloatArray] = [np.zeros((0, 0))] * stage.count
         self._ways = np.zeros((stage.count, 2))
@@ -82,7 +86,8 @@ class NavigationTask(Task):
                 rewards[k] = self._ways[i, 1] - way
                 self._ways[i, 1] = way
             # Within the radius, but not through an obstacle.
-            self._success[i] = max(self._distance(i), way) <= self._radius
+            near = max(self._distance(i), way) <= self._radius
+            self._success[i] = near and self._sees_goal(i)
             self._collision[i] = bool(stage.simulation.touched[i]) and not self._success[i]
             rewards[k] += SUCCESS * bool(self._success[i]) + COLLISION * bool(self._collision[i])
         return rewards
@@ -105,6 +110,13 @@ class NavigationTask(Task):
             "distance": np.array([self._distance(i) for i in range(self.stage.count)]),
             "shortest_path": self._ways[:, 0].copy(),
         }
+
+    def _sees_goal(self, i: int) -> bool:
+        """Return whether the straight line to the goal is free: a short way may lead around a wall."""
+        T, share = self.stage.pose(i), np.linspace(0.0, 1.0, 32)[:, None]
+        cells = self.stage.site.grid.cells((1 - share) * np.array((T.x, T.y)) + share * self._goals[i])
+        row, col = np.clip(cells, 0, np.array(self._open.shape) - 1).T
+        return bool(self._open[row, col].all())
 
     def _distance(self, i: int) -> float:
         T = self.stage.pose(i)

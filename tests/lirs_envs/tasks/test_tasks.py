@@ -96,6 +96,21 @@ def test_navigation_succeeds_at_the_goal(plane: World) -> None:
     assert total == pytest.approx(10 + 3.0 - 0.58, abs=0.5)
 
 
+@pytest.mark.parametrize("robot", ["jackal", "turtlebot3_burger"])
+def test_no_goal_is_reached_through_a_wall(robot: str, walled: World, T_world_wall: Pose2) -> None:
+    env = RobotEnv("navigation", world=walled, robot=robot)
+    task, simulation, rng = env.episodes.task, env.episodes.simulation, np.random.default_rng(0)
+    env.reset(seed=0)
+    radius, rows = make_robot(robot).radius, np.zeros(1, np.int64)
+    for _ in range(1000):
+        y = rng.uniform(-5.0, 5.0)
+        here, goal = (T_world_wall.apply((x, y)).tolist() for x in (3.0 - radius, 3.1 + radius))
+        task._goals[0], simulation.T_world_base[0, :2] = goal, here  # type: ignore[attr-defined]
+        task._costs[0] = np.zeros(env.episodes.stage.site.areas.shape)  # type: ignore[attr-defined]
+        task.step(rows)
+        assert not task.end(0)
+
+
 def test_navigation_ends_at_a_collision(walled: World) -> None:
     env = RobotEnv("navigation", world=walled)
     env.reset(seed=0, options={"start": Pose2(1.5, 0.0, 0.4), "goal": [0.0, -3.0]})
