@@ -19,9 +19,10 @@ from lirs_validation.logs.log_mapper import check_log, make_log_mapper, warm_up_
 from lirs_validation.logs.mapped_log import MappedLog
 from lirs_validation.logs.truth import odometry_accuracy, read_truth, reference_in_time, relations_in_time
 from lirs_validation.metrics.association import scan_coverage
+from lirs_validation.metrics.consistency import contradicted_share
 from lirs_validation.metrics.log_accuracy import trajectory_accuracy
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
-from lirs_validation.record.verdict import LostRule, incompleteness
+from lirs_validation.record.verdict import LostRule, incompleteness, inconsistency
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import read_carmen
@@ -128,7 +129,8 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
     cost = {**seconds, **asdict(meter.cost())}
     used = len(log.stamps) / (len(log.stamps) + log.left_out)
     coverage = used * scan_coverage(log.stamps, trajectory.stamps)
-    lost, lacking = tracking.reason(), incompleteness(coverage)
+    contradicted = contradicted_share(log.scans, readings, trajectory)
+    lost, lacking = tracking.reason() or inconsistency(contradicted), incompleteness(coverage)
     record = MapRecord(
         name=name,
         config=config,
@@ -136,7 +138,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
         reason=lost or lacking or "",
         log=describe_log(log) | {"inertial_readings": sum(reading is not None for reading in readings)},
         map=describe_map(grid),
-        trajectory={"poses": len(trajectory), "scan_coverage": coverage},
+        trajectory={"poses": len(trajectory), "scan_coverage": coverage, "contradicted": contradicted},
         mapper=asdict(mapper.stats),
         accuracy=accuracy.metrics(),
         odometry=odometry_accuracy(log.track, relations, reference),

@@ -28,6 +28,7 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
         ("known", f"{grid['known_area']:.0f} m2"),
         ("scans received, used", f"{mapper['received']}, {mapper['used']}"),
         ("scans while lost", f"{mapper['lost']}"),
+        *_contradiction_line(record),
         ("scans with a pose", f"{100 * record.trajectory['scan_coverage']:.1f} %"),
         (
             "ms a scan (p50, p95, max)",
@@ -52,6 +53,12 @@ def repair_lines(record: MapRecord) -> list[tuple[str, str]]:
         if errors is not None and errors["outside"]:
             lines.append((f"outside the log, {name}", f"{errors['outside']}"))
     return lines
+
+
+def _contradiction_line(record: MapRecord) -> list[tuple[str, str]]:
+    """Return the share of scans that contradict other passes, where the scans are level."""
+    share = record.trajectory["contradicted"]
+    return [] if share is None else [("scans in contradiction", f"{100 * share:.1f} %")]
 
 
 def _inertial_line(record: MapRecord) -> list[tuple[str, str]]:

@@ -26,13 +26,14 @@ class MapRecord:
 
     Attributes:
         name: of the folder.
-        status: `lost` where the mapper lost its place, `incomplete` where the trajectory leaves out scans;
-            `reason` says when, and how many.
+        status: `lost` where the mapper lost its place or the scans contradict each other, `incomplete` where
+            the trajectory leaves out scans; `reason` says when, and how many.
         log: scans, beams, laser, seconds, distance by odometry, skipped, left_out (scans), late, repaired,
             inertial_readings, and of the stamps how many went back, were repeated and were moved, and by how
             much at most.
         map: cells, resolution, metres, occupied cells, square metres known.
-        trajectory: poses, and the share of the scans that has one (scan_coverage).
+        trajectory: poses, the share of the scans that has one (scan_coverage), and the share that contradicts
+            other passes (contradicted; null where not tested).
         mapper: scans received, used, skipped, lost, milliseconds, bytes of its maps, its own counts.
         accuracy: `relations` (relative-pose constraints) and `reference`, null where not given.
         odometry: the same of the raw odometry alone; empty where the log has none.

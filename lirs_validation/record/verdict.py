@@ -1,6 +1,7 @@
 """What makes a result that came to its end no result: the place was lost, or scans were left out.
 
-The same rules hold for runs, mapped logs and scores.
+The same rules hold for runs, mapped logs and scores; only mapped logs are tested for scans that contradict
+each other (`lirs_validation.metrics.consistency`): a run knows the truth, and its hillsides contradict.
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ LOST_SECONDS = 5.0
 LOST_SCANS = 10
 """A mapper that does not know its place for so long, and during so many scans in a row, has lost it ..."""
 LOST_SHARE = 0.05
-"""... and so has one that does not know it for more than this share of the scans."""
+"""... and so has one that does not know it for more than this share of the scans, or whose trajectory puts
+more than this share of them where they contradict other passes."""
 
 
 class LostRule:
@@ -79,4 +81,14 @@ def incompleteness(coverage: float) -> str | None:
     return (
         f"the trajectory has a pose for {100 * coverage:.1f} % of the scans, "
         f"at least {100 * LEAST_COVERAGE:g} % are required"
+    )
+
+
+def inconsistency(contradicted: float | None) -> str | None:
+    """Return why a trajectory with this share of contradicting scans is wrong; None where it is not."""
+    if contradicted is None or contradicted <= LOST_SHARE:
+        return None
+    return (
+        f"{100 * contradicted:.1f} % of the scans end in space that other passes saw free, "
+        f"at most {100 * LOST_SHARE:g} % may"
     )

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import pytest
 
-from lirs_validation.record.verdict import LostRule, incompleteness
+from lirs_validation.record.verdict import LostRule, incompleteness, inconsistency
 
 
 def judged(flags: Iterable[bool], period: float = 0.1) -> str | None:
@@ -49,3 +49,9 @@ def test_a_trajectory_needs_a_pose_for_95_percent_of_the_scans(coverage: float, 
     assert (lacking is None) == complete
     if lacking is not None:
         assert "at least 95 % are required" in lacking
+
+
+def test_up_to_5_percent_of_the_scans_may_contradict_other_passes() -> None:
+    assert inconsistency(None) is None
+    assert inconsistency(0.05) is None
+    assert "5.1 % of the scans" in (inconsistency(0.051) or "")

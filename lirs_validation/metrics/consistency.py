@@ -1,0 +1,181 @@
+"""Consistency of a trajectory with its own scans: walls in space that another pass saw free.
+
+Rays pass through no walls. Placed by a correct trajectory, the scan of one pass ends where the other passes
+see a wall as well, or where they cannot see. Placed by a wrong one, many of its beams end in space that the
+beams of another pass crossed. The test needs neither the truth nor the mapper. People, doors and furniture
+that moved contradict too, but only a few beams of a scan.
+
+A hit is contradicted where every beam of another scan that passes within `MARGIN` of it ends more than
+`MARGIN` behind it. A hit behind what the other scan sees, or beside a beam without return, says nothing.
+
+Limits: the test misses a place that was passed only once, a shift along a corridor whose walls look alike,
+and errors below `MARGIN`. A hillside seen from two heights contradicts itself: where the attitude is known
+and the robot tilts, there is no test; where it is unknown, the ground is taken for level.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from lirs_validation.metrics.association import associated
+from lirs_validation.metrics.planar import planar
+from lirs_wct.arrays import FloatArray, IntArray
+from lirs_wct.geometry.pose import Pose2, Pose3, wrap_angle
+from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.kernels import njit
+
+MARGIN = 0.3
+"""Distance by which a hit must lie in free space, meters: more than noise and small errors of a map."""
+REACH = 10.0
+"""Range up to which beams count, meters: farther away, a small error of the yaw exceeds `MARGIN`."""
+PASS = 10.0
+"""Distance driven between two scans from which on they belong to different passes, meters."""
+STEP, TURN = 0.5, 0.5
+"""Meters and radians after which the next scan is tested: those between see the same."""
+HITS = 90
+"""Number of beams of a scan that are tested, about; the other scan counts with all of its beams."""
+FEWEST = 30
+"""Hits in view of other passes that a scan needs to be tested."""
+CONTRADICTED = 0.25
+"""Share of these hits in free space above which the scan contradicts the other passes."""
+LEVEL_SHARE = 0.95
+"""Share of the scans that must be level."""
+
+
+def contradicted_share(
+    scans: Sequence[LaserScan], readings: Sequence[Imu | None], trajectory: Trajectory
+) -> float | None:
+    """Return the share of scans, one per half meter, that contradict the scans of other passes.
+
+    A scan that no other pass can test counts as consistent.
+
+    Args:
+        scans: of a planar laser.
+        readings: attitude at each scan; None where unknown.
+        trajectory: `T_map_base` of the scans, by their stamps.
+
+    Returns:
+        None where there is no test: fewer than two poses, or scans that are not level.
+    """
+    i, j = associated(np.array([scan.stamp for scan in scans]), trajectory.stamps)
+    poses = planar(trajectory)[j]
+    chosen, driven = _spaced(poses)
+    used = i[chosen]
+    level = [_is_level(scans[k], readings[k]) for k in used]
+    if len(used) < 2 or np.mean(level) < LEVEL_SHARE:
+        return None
+    sweeps = [_sweep(scans[k]) for k in used]
+    ranges = np.full((len(used), max(len(sweep) for sweep, _, _ in sweeps)), np.nan)
+    for row, (sweep, _, _) in zip(ranges, sweeps, strict=True):
+        row[: len(sweep)] = sweep
+    angles = np.array([(start, step) for _, start, step in sweeps])
+    mounts = [scans[k].T_base_laser.to_pose2() for k in used]
+    sensors = np.array(
+        [
+            (Pose2(*pose) @ mount).as_array()
+            for pose, mount in zip(poses[chosen].tolist(), mounts, strict=True)
+        ]
+    )
+    seen, against = _compare(ranges, angles, sensors, driven)
+    return float(((seen >= FEWEST) & (against > CONTRADICTED * seen)).mean())
+
+
+def _spaced(poses: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return indices of poses (n, 3) at least a step or turn apart, and the meters driven up to each."""
+    chosen, driven, total = list[int](), list[float](), 0.0
+    for k, (x, y, yaw) in enumerate(poses.tolist()):
+        if chosen:
+            x0, y0, yaw0 = poses[chosen[-1]].tolist()
+            distance = math.hypot(x - x0, y - y0)
+            if distance < STEP and abs(wrap_angle(yaw - yaw0)) < TURN:
+                continue
+            total += distance
+        chosen.append(k)
+        driven.append(total)
+    return np.array(chosen, dtype=np.int64), np.array(driven)
+
+
+def _is_level(scan: LaserScan, reading: Imu | None) -> bool:
+    """Return whether a hit at `REACH` lies less than `MARGIN` above or below the laser."""
+    attitude = Pose3() if reading is None else Pose3.from_rpy(0, 0, 0, reading.roll, reading.pitch, 0)
+    upright = (attitude @ scan.T_base_laser).rotation[2, 2]
+    return bool(abs(upright) >= math.cos(MARGIN / REACH))
+
+
+def _sweep(scan: LaserScan) -> tuple[FloatArray, float, float]:
+    """Return ranges counter-clockwise, NaN without return, and angle of the first beam and between beams."""
+    ranges = np.where(scan.hits, scan.ranges, np.nan)
+    side = -1.0 if scan.T_base_laser.rotation[2, 2] < 0 else 1.0  # a laser mounted upside down
+    start, step = side * scan.angle_min, side * scan.angle_increment
+    if step >= 0:
+        return ranges, start, step
+    return ranges[::-1], start + step * (len(ranges) - 1), -step
+
+
+@njit(cache=True)
+def _compare(
+    ranges: FloatArray, angles: FloatArray, sensors: FloatArray, driven: FloatArray
+) -> tuple[IntArray, IntArray]:
+    """Return (n,) hits of each scan in view of other passes, and how many of them lie in free space.
+
+    Args:
+        ranges: (n, beams) NaN without return, meters.
+        angles: (n, 2) of the first beam, and between beams, radians.
+        sensors: (n, 3) poses of the laser in the map.
+        driven: (n,) meters driven up to each scan.
+    """
+    n, beams = ranges.shape
+    seen, against = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    stride = max(1, beams // HITS)
+    for i in range(n):
+        for j in range(n):
+            dx, dy = sensors[i, 0] - sensors[j, 0], sensors[i, 1] - sensors[j, 1]
+            if abs(driven[i] - driven[j]) < PASS or dx * dx + dy * dy > 4 * REACH * REACH:
+                continue
+            for k in range(0, beams, stride):
+                r = ranges[i, k]
+                if not r <= REACH:
+                    continue
+                bearing = sensors[i, 2] + angles[i, 0] + k * angles[i, 1]
+                x, y = dx + r * math.cos(bearing), dy + r * math.sin(bearing)
+                distance = math.sqrt(x * x + y * y)
+                if distance > REACH or distance < 2 * MARGIN:
+                    continue
+                start, step = sensors[j, 2] + angles[j, 0], angles[j, 1]
+                turn = (math.atan2(y, x) - start) % math.tau
+                nearest = int(turn / step + 0.5)
+                if nearest >= beams or not ranges[j, nearest] >= distance - MARGIN:
+                    continue
+                verdict = _sees(ranges[j], turn, step, distance)
+                seen[i] += verdict >= 0
+                against[i] += verdict == 1
+    return seen, against
+
+
+@njit(cache=True)
+def _sees(ranges: FloatArray, turn: float, step: float, distance: float) -> int:
+    """Return 1 where a scan sees free space around a point, 0 where it sees a wall, -1 where it cannot tell.
+
+    Args:
+        ranges: (beams,) of the scan, meters.
+        turn: from its first beam to the point, radians.
+        step: between beams, radians.
+        distance: of the point, meters.
+    """
+    if ranges[int(turn / step + 0.5)] <= distance + MARGIN:
+        return 0
+    around = math.asin(MARGIN / distance)
+    first, last = math.ceil((turn - around) / step), math.floor((turn + around) / step)
+    if first < 0 or last >= len(ranges):
+        return -1
+    for k in range(first, last + 1):
+        if math.isnan(ranges[k]):
+            return -1
+    for k in range(first, last + 1):
+        if ranges[k] <= distance + MARGIN:
+            return 0
+    return 1

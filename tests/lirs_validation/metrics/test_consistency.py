@@ -1,0 +1,110 @@
+"""Scans contradict each other where a trajectory is wrong, and not where it is right."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lirs_validation.metrics.consistency import contradicted_share
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry.trajectory import Trajectory
+from tests.slam_baselines.synthetic import ranges_to
+
+
+def box(left: float, bottom: float, right: float, top: float) -> list[tuple[float, ...]]:
+    """The four walls of a rectangle."""
+    return [
+        (left, bottom, right, bottom),
+        (right, bottom, right, top),
+        (right, top, left, top),
+        (left, top, left, bottom),
+    ]
+
+
+CORRIDORS = np.array(box(0, 0, 24, 14) + box(4, 3, 20, 9))
+"""Corridors around a block: 3 m wide on the near side, 5 m on the far side."""
+CORNERS = ((2.0, 1.5), (22.0, 1.5), (22.0, 11.5), (2.0, 11.5), (2.0, 1.5))
+LAP = [
+    Pose2(*(a + (b - a) * t), math.atan2(*(b - a)[::-1]))
+    for a, b in zip(np.array(CORNERS), np.array(CORNERS)[1:], strict=False)
+    for t in np.linspace(0, 1, 40, endpoint=False)
+]
+BEAMS = np.radians(np.arange(-90, 91, 1.0))
+
+
+def scans_at(poses: list[Pose2], mount: Pose3 | None = None) -> list[LaserScan]:
+    """Scans of 180 deg, with noise of 2 cm."""
+    rng, mount = np.random.default_rng(1), mount or Pose3()
+    side = np.sign(mount.rotation[2, 2])
+    return [
+        LaserScan(
+            (ranges_to(CORRIDORS, pose, side * BEAMS) + rng.normal(0, 0.02, len(BEAMS))).astype(np.float32),
+            BEAMS[0], BEAMS[1] - BEAMS[0], 0.05, 30.0, float(k), mount,
+        )
+        for k, pose in enumerate(poses)
+    ]  # fmt: skip
+
+
+TRUE = LAP + LAP
+SCANS = scans_at(TRUE)
+UNKNOWN = [None] * len(SCANS)
+
+
+def share(poses: list[Pose2], scans: list[LaserScan] = SCANS) -> float | None:
+    return contradicted_share(scans, UNKNOWN, Trajectory.from_poses([s.stamp for s in scans], poses))
+
+
+def in_wrong_corridor(poses: list[Pose2]) -> list[Pose2]:
+    """The second lap's near side is placed in the far corridor."""
+    second = range(len(LAP), len(LAP) + 40)
+    return [Pose2(p.x, p.y + 10.0, p.yaw) if k in second else p for k, p in enumerate(poses)]
+
+
+def test_two_laps_at_the_true_poses_do_not_contradict() -> None:
+    assert share(TRUE) == 0.0
+
+
+def test_small_errors_are_no_contradiction() -> None:
+    rng = np.random.default_rng(2)
+    errors = rng.normal(0, (0.05, 0.05, math.radians(0.5)), (len(TRUE), 3))
+    assert share([p @ Pose2(*e) for p, e in zip(TRUE, errors.tolist(), strict=True)]) == 0.0
+
+
+def test_scans_matched_into_the_wrong_corridor_contradict() -> None:
+    wrong = share(in_wrong_corridor(TRUE))
+    assert wrong is not None
+    assert wrong > 0.1
+
+
+def test_a_lap_that_turns_too_far_contradicts() -> None:
+    bent = [Pose2(yaw=0.01 * max(0, k - 80)) @ p for k, p in enumerate(TRUE)]
+    assert (share(bent) or 0.0) > 0.3
+
+
+def test_one_pass_alone_cannot_contradict() -> None:
+    bent = [Pose2(yaw=0.02 * k) @ p for k, p in enumerate(LAP[:20])]  # 10 m of a corridor
+    assert share(bent, SCANS[:20]) == 0.0
+    assert share(LAP[:1], SCANS[:1]) is None
+
+
+@pytest.mark.parametrize("wrong", [False, True])
+def test_the_mount_of_the_laser_does_not_matter(wrong: bool) -> None:
+    upside_down = scans_at(TRUE, Pose3.from_rpy(0.0, 0.0, 0.3, math.pi, 0.0, 0.0))
+    backwards = [
+        replace(s, ranges=s.ranges[::-1].copy(), angle_min=BEAMS[-1], angle_increment=-s.angle_increment)
+        for s in SCANS
+    ]
+    poses = in_wrong_corridor(TRUE) if wrong else TRUE
+    assert share(poses, backwards) == share(poses)
+    assert ((share(poses, upside_down) or 0.0) > 0.1) == wrong
+
+
+def test_a_robot_that_tilts_is_not_tested() -> None:
+    trajectory = Trajectory.from_poses([s.stamp for s in SCANS], in_wrong_corridor(TRUE))
+    for pitch, tested in ((0.02, True), (0.05, False)):
+        readings = [Imu(pitch=pitch, stamp=s.stamp) for s in SCANS]
+        assert (contradicted_share(SCANS, readings, trajectory) is not None) == tested
