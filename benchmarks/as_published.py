@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,15 @@ from rich.console import Console
 
 from lirs_validation import read_record
 from lirs_validation.analysis.as_published import SUFFIX, conclusion, outcome_of, published_pairs
-from lirs_validation.cli.arguments import read_names, read_seeds
 from lirs_validation.cli.progress import run_with_progress
+from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.report.tables.method_tables import method_tables
 from lirs_validation.report.tables.table import as_markdown
-from lirs_validation.sweep.axes import Axes
+from lirs_validation.sweep.axes import cross
 from lirs_validation.sweep.engines.factory import make_executor
+from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
+from lirs_wct.sources.option_text import read_names, read_numbers
 from slam_baselines.mapper import MAPPERS
 
 WORLDS = ("simple", "medium", "advanced")
@@ -49,25 +52,25 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     methods = read_names(given.mapper, "--mapper")
-    axes = Axes(
-        sources=tuple(given.sources),
-        robots=(given.robot,),
-        mappers=tuple(name for method in methods for name in (method + SUFFIX, method)),
-        seeds=read_seeds("1" if given.quick else given.seeds),
+    configs = cross(
+        tuple(given.sources),
+        robot=given.robot,
+        mapper=tuple(name for method in methods for name in (method + SUFFIX, method)),
+        seed=read_numbers("1" if given.quick else given.seeds, "--seeds"),
         seconds=20.0 if given.quick else given.seconds,
     )
     with tempfile.TemporaryDirectory() as temporary:
-        entries = driven(axes, given.output or Path(temporary), given.jobs)
+        entries = driven(configs, given.output or Path(temporary), given.jobs)
     for table in method_tables(entries):
         print(as_markdown(table))
     if given.json:
         given.json.write_text(json.dumps(rows(entries), indent=1) + "\n", encoding="utf-8")
 
 
-def driven(axes: Axes, out: Path, jobs: int | None) -> list[dict[str, Any]]:
-    """Run what is not there yet; return the records."""
-    sweep = Sweep(axes.experiments(), out)
-    for _ in run_with_progress(sweep, make_executor(None, jobs=jobs), Console(stderr=True)):
+def driven(configs: Sequence[RunConfig], out: Path, jobs: int | None) -> list[dict[str, Any]]:
+    """Run the configs that have no result yet; return all records."""
+    sweep = Sweep([SlamExperiment(config) for config in configs], out)
+    for _ in run_with_progress(sweep, make_executor(EngineOptions(jobs=jobs)), Console(stderr=True)):
         pass
     return [read_record(out / experiment.name) for experiment in sweep.experiments]
 
@@ -76,8 +79,8 @@ def rows(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the rows with every run's figures."""
     return [
         {
-            "world": pair.group.world,
-            "method": pair.group.mapper,
+            "world": pair.group["world"],
+            "method": pair.group["mapper"],
             "conclusion": conclusion(outcome_of(pair.planar), outcome_of(pair.aware), pair.how),
             "runs": [
                 {

@@ -31,12 +31,12 @@ from rich.table import Table
 from scipy.stats import spearmanr
 
 from lirs_envs.robots.catalog import make_robot
-from lirs_validation.cli.arguments import read_seeds
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct import Trajectory
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.imu_csv import read_imu
 from lirs_wct.formats.tum import read_tum
+from lirs_wct.sources.option_text import read_numbers
 from slam_baselines.mapper import make_mapper
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "fidelity"
@@ -87,7 +87,7 @@ def main() -> None:
     runs = sorted(path.parent for path in given.data.glob("*/scans.clf.gz"))[: QUICK if given.quick else None]
     if not runs:
         parser.error(f"{given.data}: holds no run with scans.clf.gz")
-    seeds = read_seeds("1" if given.quick else given.seeds)
+    seeds = read_numbers("1" if given.quick else given.seeds, "--seeds")
     rows = {run.name: ates(run, seeds) for run in track(runs, "mapping")}
     found = {method: agreement(rows.values(), method) for method in PUBLISHED}
     Console(width=170).print(table(rows))

@@ -22,12 +22,12 @@ from rich.table import Table
 from scipy.stats import spearmanr
 
 from lirs_envs.robots.catalog import make_robot
-from lirs_validation.cli.arguments import read_names, read_seeds
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.scan_support import scan_support
 from lirs_wct.errors import MapperError, WctError
+from lirs_wct.sources.option_text import read_names, read_numbers
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "data"
 OWN = ("simple", "medium", "advanced", str(EXAMPLES / "office.yaml"), str(EXAMPLES / "dunes.png"))
@@ -60,7 +60,7 @@ def runs(
 ) -> list[dict[str, Any]]:
     found = []
     held = {"source": source, "robot": options.robot, "mapper": mapper, "seconds": options.seconds}
-    for seed in read_seeds(options.seeds):
+    for seed in read_numbers(options.seeds, "--seeds"):
         config = RunConfig(**held, seed=seed)
         try:
             record = run(config, scenarios=worlds).record

@@ -25,8 +25,8 @@ from rich.table import Table
 
 from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS
 from lirs_validation import validate
-from lirs_validation.cli.arguments import read_seeds
 from lirs_wct.errors import WctError
+from lirs_wct.sources.option_text import read_numbers
 from lirs_wct.sources.options import BuildOptions
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "height"
@@ -49,7 +49,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="also write the rows there")
     given = parser.parse_args()
     seconds = 30.0 if given.quick else given.seconds
-    seeds = read_seeds("1" if given.quick else given.seeds)
+    seeds = read_numbers("1" if given.quick else given.seeds, "--seeds")
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         pictures = list(generated(Path(folder), seeds))

@@ -24,15 +24,17 @@ from rich.console import Console
 
 from lirs_validation import read_record
 from lirs_validation.analysis.repeats import repeats
-from lirs_validation.cli.arguments import read_names, read_seeds
 from lirs_validation.cli.progress import run_with_progress
+from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.record.formatting import NOTHING
 from lirs_validation.record.metric_catalog import METRICS
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.tables.table import ReportTable, as_markdown
-from lirs_validation.sweep.axes import Axes
+from lirs_validation.sweep.axes import cross
 from lirs_validation.sweep.engines.factory import make_executor
+from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
+from lirs_wct.sources.option_text import read_names, read_numbers
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 WORLDS = ("simple", "medium", "advanced")
@@ -76,37 +78,38 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
-        entries = driven(axes_of(given), given.output or Path(temporary), given.jobs)
+        entries = driven(configs_of(given), given.output or Path(temporary), given.jobs)
     print(as_markdown(table(entries)))
     if given.json:
         given.json.write_text(json.dumps(rows(entries), indent=1) + "\n", encoding="utf-8")
 
 
-def axes_of(given: argparse.Namespace) -> list[Axes]:
-    """Return the sweeps: planar methods with the robot's lidar, and with the other; 3D systems."""
+def configs_of(given: argparse.Namespace) -> list[RunConfig]:
+    """Return the runs: planar methods with the robot's lidar, and with the other; 3D systems."""
     sources = given.sources or [*WORLDS, *(str(given.data / name) for name in FILES)]
     asked = ((given.planar, None), (given.same_lidar, given.lidar), (given.cloud, given.lidar))
     return [
-        Axes(
-            sources=("medium",) if given.quick else tuple(sources),
-            robots=(given.robot,),
-            mappers=tuple(read_names(names, "mapper")),
-            lidars=(lidar,),
-            seeds=read_seeds("1" if given.quick else given.seeds),
-            seconds=10.0 if given.quick else given.seconds,
-        )
+        config
         for names, lidar in asked
         if names.strip()
+        for config in cross(
+            ("medium",) if given.quick else tuple(sources),
+            robot=given.robot,
+            mapper=read_names(names, "--mapper"),
+            lidar=lidar,
+            seed=read_numbers("1" if given.quick else given.seeds, "--seeds"),
+            seconds=10.0 if given.quick else given.seconds,
+        )
     ]
 
 
-def driven(sweeps: Sequence[Axes], out: Path, jobs: int | None) -> list[dict[str, Any]]:
-    """Run what is not there yet; return the records, a source's beside each other."""
-    experiments = [experiment for axes in sweeps for experiment in axes.experiments()]
+def driven(configs: Sequence[RunConfig], out: Path, jobs: int | None) -> list[dict[str, Any]]:
+    """Run the configs that have no result yet; return all records, source by source."""
+    experiments = [SlamExperiment(config) for config in configs]
     order = list(dict.fromkeys(experiment.config.source for experiment in experiments))
     experiments.sort(key=lambda experiment: order.index(experiment.config.source))
     sweep = Sweep(experiments, out)
-    for _ in run_with_progress(sweep, make_executor(None, jobs=jobs), Console(stderr=True)):
+    for _ in run_with_progress(sweep, make_executor(EngineOptions(jobs=jobs)), Console(stderr=True)):
         pass
     return [read_record(out / experiment.name) for experiment in sweep.experiments]
 

@@ -29,10 +29,10 @@ from rich.console import Console
 from rich.table import Table
 
 from lirs_validation import validate
-from lirs_validation.cli.arguments import read_seeds
 from lirs_validation.experiment.evaluation import evaluate_trajectory
 from lirs_validation.experiment.mappers.loading import mapper_named
 from lirs_validation.experiment.run import Run
+from lirs_wct.sources.option_text import read_numbers
 
 WORLDS = ("simple", "medium", "advanced")
 PAPER_RTF = {
@@ -57,7 +57,7 @@ def main() -> None:
     rows = [
         row(source, validate(source, mapper=given.mapper, seconds=seconds, seed=seed, threads=given.threads))
         for source in given.sources
-        for seed in read_seeds("1" if given.quick else given.seeds)
+        for seed in read_numbers("1" if given.quick else given.seeds, "--seeds")
     ]
     Console(width=210).print(table(rows))
     if given.json:

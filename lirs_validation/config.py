@@ -1,52 +1,48 @@
-"""What can be asked for: a run of a robot through a world, a map of a log."""
+"""Declarations of a validation run, of a log's map and of a sweep: every option is defined here once.
+
+Command line, sweep axes, page controls, digests, groups of runs and reference docs come from these fields.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field, fields
+import re
+from collections.abc import Collection
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
-from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.field_validators import require_above, require_at_least, require_within
+from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
+from lirs_wct.errors import ConfigError
 from lirs_wct.formats.rosbag.library import STORAGES, Storage
-from lirs_wct.option import option
+from lirs_wct.option import (
+    Options,
+    Slider,
+    Switch,
+    declared,
+    digest_fields,
+    documented,
+    one_of,
+    option,
+    positive,
+    within,
+)
+from lirs_wct.sources.option_text import choice, read_names, read_numbers
 from lirs_wct.sources.options import MAP_PANEL, BuildOptions
 from lirs_wct.sources.source_kind import SourceKind
-
-if TYPE_CHECKING:
-    from lirs_wct.contact.contact_geometry import ContactGeometry
+from slam_baselines.mapper import MAPPERS
 
 Attitude = Literal["imu", "none"]
 ATTITUDES: tuple[Attitude, ...] = get_args(Attitude)
-"""What a mapper is told of roll and pitch: the IMU's readings, or nothing."""
 TOUR, FRONTIER = "tour", "frontier"
 DRIVERS = {TOUR: "", FRONTIER: "", "waypoints": "FILE", "replay": "RUN"}
-"""Who drives, and what each needs: a file of waypoints, the folder of a finished run."""
-THREADS = (1, 2)
-"""Of a drive: one, or one for the simulation and one for the mapper."""
+"""Drivers, and the argument that each needs."""
 MANUAL = "manual"
-"""What records say where a person drove in the live page; such a drive is repeated as `replay:RUN`."""
-LATER: dict[str, Any] = {"attitude": "imu", "driver": TOUR, "actors": 0, "threads": 1}
-"""Options of a run that came later: with these values they are in no digest, and folders keep their names."""
-LATER_OF_BUILDS: dict[str, Any] = {
-    "start": None,
-    "zero": None,
-    "nodata": None,
-    "encoding": "gray",
-    "cloud_surface": "ground",
-    "ground_slope": None,
-    "drape": False,
-    "wall_texture": None,
-}
-"""The same of how a source becomes a world."""
-OUTSIDE_DIGEST = ("wall_limit", "bag", "sensors_only")
-"""Options of a run that say nothing of what is tried: how long one waits, and what is recorded."""
-LATER_OF_MAPS: dict[str, Any] = {"attitude": "imu", "scan_topic": None, "odom_topic": None, "imu_topic": None}
-"""The same of a log that is mapped."""
-RECORDED_RAYS = {"builtin": "ours", "mujoco": "mujoco"}
-"""Rays as records name them."""
+"""Driver of a record that a person drove on the live page; `replay:RUN` repeats it."""
+
+AXES, RECORDING = "Axes of a sweep: every combination is run", "ROS 2 bags (no ROS needed)"
+ENGINE, BAG_TOPICS = "Execution of a sweep", "Topics of a bag"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,11 +56,12 @@ class SourceOptions(BuildOptions):
         metavar="NAME|module:Class",
         panel=MAP_PANEL,
         kinds={SourceKind.LOG},
+        names=tuple(MAPPERS),
     )
 
     @classmethod
     def of(cls, options: BuildOptions) -> SourceOptions:
-        """Return options that say nothing of logs with the default for them; others as they are."""
+        """Return the options, with the defaults for a log if they have none."""
         if isinstance(options, SourceOptions):
             return options
         return cls(**{entry.name: getattr(options, entry.name) for entry in fields(options)})
@@ -74,108 +71,361 @@ def driver_parts(text: str) -> tuple[str, str]:
     """Return kind and path of a driver: `tour`, `frontier`, `waypoints:FILE`, `replay:RUN` or `manual`.
 
     Raises:
-        ConfigError: it is none of these.
+        ConfigError: the text is none of these.
     """
     if text == MANUAL:
         return MANUAL, ""
     kind, colon, path = text.partition(":")
     if kind not in DRIVERS or bool(DRIVERS[kind]) != bool(path) or (colon and not path):
-        legal = ", ".join(f"{name}:{what}" if what else name for name, what in DRIVERS.items())
+        legal = ", ".join(f"{name}:{argument}" if argument else name for name, argument in DRIVERS.items())
         raise ConfigError(f"unknown driver {text!r}; legal: {legal}")
     return kind, path
 
 
-def check_threads(threads: int, driver: str) -> None:
-    """Tell whether a kind of driver can drive with so many threads.
+def read_drivers(text: str, flag: str = "--driver") -> tuple[str, ...]:
+    """Return the drivers of a list such as `tour,replay:out/a,b`, without repetitions.
+
+    A path may hold commas: the list is split before each driver.
 
     Raises:
-        ConfigError: there are not 1 or 2, or the driver waits for the mapper.
+        ConfigError: one is no driver.
     """
-    if threads not in THREADS:
-        raise ConfigError(f"threads must be 1 or 2 (the mapper beside the drive), got {threads}")
-    if threads > 1 and driver == FRONTIER:
-        raise ConfigError(
-            f"driver {driver} waits for the mapper's map and pose: it drives with --threads 1, got {threads}"
-        )
+    plain = "|".join(name for name, argument in DRIVERS.items() if not argument)
+    with_path = "|".join(name for name, argument in DRIVERS.items() if argument)
+    drivers = re.split(rf",\s*(?=(?:{plain})\s*(?:,|$)|(?:{with_path}):)", text.strip())
+    for driver in drivers:
+        try:
+            driver_parts(driver.strip())
+        except ConfigError as error:
+            raise ConfigError(f"{flag}: {error}") from error
+    return tuple(dict.fromkeys(driver.strip() for driver in drivers))
 
 
+def _robots() -> Collection[str]:
+    from lirs_envs.robots.catalog import ROBOTS
+
+    return ROBOTS
+
+
+def _lidars() -> Collection[str]:
+    from lirs_envs.lidar.presets import LIDARS
+
+    return LIDARS
+
+
+def _ray_casters() -> Collection[str]:
+    from lirs_envs.lidar.casters import RAYS
+
+    return RAYS
+
+
+@documented
 @dataclass(frozen=True, kw_only=True)
-class RunConfig:
-    """What to run.
+class RunConfig(Options):
+    """One validation run.
 
     Attributes:
-        source: a bundled world's name, a built folder, a picture or a map YAML.
-        robot: name of a robot.
-        mapper: name of a mapper, or `module:name` of your own.
-        lidar: name of a lidar preset; None = the robot's own.
-        terrain: what MuJoCo touches.
-        rays: whose rays the lidar takes: `builtin`, which records name `ours`, or `mujoco` for comparison.
-        seconds: simulated time to drive.
-        seed: of every random number in the run.
-        wall_limit: wall seconds after which the drive is stopped; None = never.
-        attitude: what the mapper is told of roll and pitch: `imu`, or `none` (no inertial reading).
-        driver: who drives: `tour`, `frontier`, `waypoints:FILE` or `replay:RUN` (docs/sweeps.md).
-        actors: number of walkers in the world.
-        bag: how the drive is recorded as a ROS 2 bag: `mcap` or `sqlite3`; None = it is not.
-        sensors_only: whether the bag leaves out what the mapper makes: map -> odom and /map.
-        threads: of the drive: 1, or 2, where the mapper works beside the simulation; results but times are
-            the same.
-        build: how the source becomes a world.
+        source: a bundled world's name, a built folder, an image, a map YAML, a mesh or a laser log.
+        build: options of the world's construction.
 
     Raises:
-        ConfigError: seconds or the wall limit is not above 0, seed or actors is negative, there is no such
-            terrain, rays, attitude, driver or storage, or the driver waits for the mapper and is to drive
-            with two threads.
+        ConfigError: a value is not legal, or two options contradict.
     """
 
     source: str
-    robot: str = "husky"
-    mapper: str = "hector"
-    lidar: str | None = None
-    terrain: ContactGeometry = "hfield"
-    rays: str = "ours"
-    seconds: float = 120.0
-    seed: int = 1
-    wall_limit: float | None = None
-    attitude: Attitude = "imu"
-    driver: str = TOUR
-    actors: int = 0
-    bag: Storage | None = None
-    sensors_only: bool = False
-    threads: int = 1
+    robot: str = option("husky", "Robots.", axis=read_names, metavar="R,R,...", panel=AXES, names=_robots)
+    mapper: str = option(
+        "hector",
+        "SLAM methods (lirs-wct mappers lists them); module:Class for your own.",
+        axis=read_names,
+        metavar="M,M,...",
+        panel=AXES,
+        names=tuple(MAPPERS),
+    )
+    lidar: str | None = option(
+        None,
+        "Lidars; default: the robot's own.",
+        axis=read_names,
+        metavar="L,L,...",
+        panel=AXES,
+        names=_lidars,
+    )
+    terrain: ContactGeometry = option(
+        "hfield",
+        "Contact geometry: the height field; the same, and rays meet the mesh; a prism per triangle within "
+        "--max-error; the convex parts of a closed mesh, or its faces if they are many.",
+        axis=read_names,
+        metavar="hfield|mesh|prisms|convex",
+        panel=AXES,
+        check=one_of(CONTACT_GEOMETRIES),
+        label="terrain for MuJoCo",
+    )
+    rays: str = option(
+        "builtin",
+        "Ray caster of the lidar: this package's own, or MuJoCo's for comparison.",
+        axis=read_names,
+        metavar="builtin|mujoco",
+        panel=AXES,
+        check=one_of(_ray_casters),
+        shown="rays: {}",
+        on_page=False,
+    )
+    attitude: Attitude = option(
+        "imu",
+        "Roll and pitch of the mapper: the IMU's readings, or none, as in planar SLAM.",
+        axis=read_names,
+        metavar="imu|none",
+        panel=AXES,
+        check=one_of(ATTITUDES),
+        shown="attitude: {}",
+    )
+    driver: str = option(
+        TOUR,
+        "A tour over the true ground; an explorer on the mapper's map and pose; waypoints (x, y[, yaw] per "
+        "line) by the true pose; the commands of a finished run.",
+        axis=read_drivers,
+        metavar="tour|frontier|waypoints:FILE|replay:RUN",
+        panel=AXES,
+        check=lambda value, _: driver_parts(value) and None,
+        names=(TOUR, FRONTIER),
+        shown="driver: {}",
+    )
+    actors: int = option(
+        0,
+        "Walkers on seeded paths: the lidar sees them, the robot touches them.",
+        axis=read_numbers,
+        metavar="N,N,...",
+        panel=AXES,
+        check=within("[0, inf)"),
+        title="walkers",
+        slider=Slider(low=0, high=100, step=1, neutral=0),
+        shown="{} walkers",
+    )
+    threads: int = option(
+        1,
+        "Threads of a drive. With 2 the mapper runs in its own process: the same results sooner.",
+        axis=read_numbers,
+        metavar="1|2|1,2",
+        panel=AXES,
+        check=within("[1, 2]"),
+        slider=Slider(low=1, high=2, step=1, neutral=1),
+        shown="threads: {}",
+    )
+    seed: int = option(
+        1,
+        "Seeds of every random number: 1-5 or 1,3,7-9.",
+        axis=read_numbers,
+        flags=("--seed", "--seeds"),
+        metavar="N|N-M|N,N,...",
+        panel=AXES,
+        check=within("[0, inf)"),
+    )
+    seconds: float = option(
+        120.0,
+        "Simulated seconds to drive in each run.",
+        check=positive,
+        slider=Slider(low=1, high=3600, step=1, neutral=120),
+        shown="{:g} s",
+    )
+    wall_limit: float | None = option(
+        None,
+        "Stop a drive after this many wall seconds; its RTF is extrapolated and marked.",
+        metavar="S",
+        check=positive,
+        in_digest=False,
+        on_page=False,
+    )
+    bag: Storage | None = option(
+        None,
+        "Storage of the bag's messages.",
+        flags=("--storage",),
+        metavar="mcap|sqlite3",
+        panel=RECORDING,
+        read=choice(*STORAGES),
+        check=one_of(STORAGES),
+        label="storage of a bag",
+        switch=Switch(flag="--bag", value=STORAGES[0], help="Record each run as a ROS 2 bag in its folder."),
+        hidden=True,
+        in_digest=False,
+        on_page=False,
+    )
+    sensors_only: bool = option(
+        False,
+        "Bags without map -> odom and /map, for a SLAM system that publishes these.",
+        panel=RECORDING,
+        hidden=True,
+        in_digest=False,
+        on_page=False,
+    )
     build: BuildOptions = field(default_factory=SourceOptions)
 
     def __post_init__(self) -> None:
-        # The names belong to the simulator, which who maps a log does not load.
-        from lirs_envs.lidar.casters import resolve_rays
-        from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES
-
+        super().__post_init__()
         object.__setattr__(self, "build", SourceOptions.of(self.build))
-        require_above(self, 0, "seconds", finite=True)
-        if self.wall_limit is not None:
-            require_above(self, 0, "wall_limit", unit="s")
-        require_at_least(self, 0, "seed", "actors")
-        if self.terrain not in CONTACT_GEOMETRIES:
-            raise unknown_name("terrain for MuJoCo", self.terrain, CONTACT_GEOMETRIES)
-        if self.attitude not in ATTITUDES:
-            raise unknown_name("attitude", self.attitude, ATTITUDES)
-        check_threads(self.threads, driver_parts(self.driver)[0])
-        if self.bag is not None and self.bag not in STORAGES:
-            raise unknown_name("storage of a bag", self.bag, STORAGES)
-        object.__setattr__(self, "rays", RECORDED_RAYS[resolve_rays(self.rays)])
+        if self.threads > 1 and driver_parts(self.driver)[0] == FRONTIER:
+            raise ConfigError(
+                f"driver {FRONTIER} waits for the mapper's map and pose: it needs --threads 1, "
+                f"got {self.threads}"
+            )
+        if self.sensors_only and self.bag is None:
+            raise ConfigError("--sensors-only is an option of bags: give --bag")
 
     @property
     def digest(self) -> str:
-        """Eight hex digits that distinguish this experiment from others.
+        """Eight hex digits that distinguish this experiment from others."""
+        entry = digest_fields(self) | {"source": self.source, "build": digest_fields(self.build)}
+        return _digest(entry)
 
-        What says nothing of what is tried is left out (`OUTSIDE_DIGEST`).
+
+RUN_AXES = tuple(name for name, found in declared(RunConfig) if found.axis is not None)
+"""Options that a sweep crosses, in the order of its runs."""
+
+
+def run_name(config: RunConfig, world: str) -> str:
+    """Return the name of the run's folder, with the name part of `module:name` and the driver's kind."""
+    mapper = config.mapper.rpartition(":")[2]
+    driver = "" if config.driver == TOUR else f"-{driver_parts(config.driver)[0]}"
+    return f"{world}-{config.robot}-{mapper}{driver}-s{config.seed}-{config.digest}"
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class EngineOptions(Options):
+    """Execution of a sweep's experiments.
+
+    Raises:
+        ConfigError: a value is not legal, or two options contradict.
+    """
+
+    engine: str | None = option(
+        None,
+        "Serial runs, processes of this machine, or a Ray cluster. RTFs of concurrent runs are marked.",
+        metavar="serial|processes|ray",
+        panel=ENGINE,
+        check=one_of(("serial", "processes", "ray")),
+    )
+    jobs: int | None = option(None, "Concurrent runs, each in its own process.", metavar="N", panel=ENGINE)
+    address: str | None = option(
+        None, "Address of a Ray cluster; default: start a local one.", panel=ENGINE, hidden=True
+    )
+    cell_timeout: float | None = option(
+        None,
+        "End a run after this many wall seconds in all.",
+        metavar="S",
+        panel=ENGINE,
+        check=positive,
+        hidden=True,
+    )
+    cell_memory: float | None = option(
+        None, "End a run that takes more memory.", metavar="GB", panel=ENGINE, check=positive, hidden=True
+    )
+    retry_failed: bool = option(False, "Repeat failed runs of an earlier sweep.", panel=ENGINE)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.jobs is not None and self.jobs < 1:
+            raise ConfigError(f"--jobs must be 1 or more, got {self.jobs}")
+        if self.address is not None and self.engine != "ray":
+            raise ConfigError(f"--address is of a Ray cluster; the engine is {self.engine or 'serial'}")
+        if self.engine == "serial" and self.jobs not in (None, 1):
+            raise ConfigError(f"--engine serial runs one experiment at a time, got --jobs {self.jobs}")
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class MapConfig(Options):
+    """Mapping of a laser log.
+
+    Attributes:
+        log: path of a CARMEN log or a ROS bag.
+
+    Raises:
+        ConfigError: a value is not legal, or two options contradict.
+    """
+
+    log: str
+    mapper: str = option(
+        "cartographer",
+        "SLAM method: hector, gmapping, cartographer, ...",
+        metavar="NAME|module:Class",
+    )
+    seed: int = option(1, "Seed of the mapper's random numbers.", check=within("[0, inf)"))
+    particles: int | None = option(None, "Number of gmapping's particles; default: 30.")
+    resolution: float | None = option(
+        None,
+        "Cell size of the map, 0.01 to 1 m; default: the mapper's own.",
+        metavar="METERS",
+        check=within("[0.01, 1]", "m"),
+    )
+    fov: float | None = option(
+        None,
+        "Field of view of the laser, if the log does not state it.",
+        metavar="DEG",
+        check=within("(0, 360]", "deg"),
+    )
+    range_max: float | None = option(
+        None, "Ranges from this value on are no return.", metavar="METERS", check=positive
+    )
+    relations: str | None = option(
+        None,
+        "True relations between poses: the record then holds the accuracy.",
+        metavar="FILE",
+        in_digest=False,
+    )
+    reference: str | None = option(
+        None,
+        "Reference trajectory (TUM, ROS bag, or CARMEN of corrected poses); the same.",
+        metavar="FILE",
+        in_digest=False,
+    )
+    imu: str | None = option(
+        None, "Inertial readings at the scans: imu.csv.gz of a run.", metavar="FILE", in_digest=False
+    )
+    attitude: Attitude = option(
+        "imu",
+        "Roll and pitch of the mapper: --imu, or none.",
+        metavar="imu|none",
+        read=choice(*ATTITUDES),
+        check=one_of(ATTITUDES),
+    )
+    scan_topic: str | None = option(
+        None, "Laser scans of a bag; default: the only such topic.", metavar="TOPIC", panel=BAG_TOPICS
+    )
+    odom_topic: str | None = option(
+        None, "Odometry of a bag; default: the only one, else /tf.", metavar="TOPIC", panel=BAG_TOPICS
+    )
+    imu_topic: str | None = option(
+        None, "Inertial readings of a bag; default: none.", metavar="TOPIC", panel=BAG_TOPICS
+    )
+    reference_topic: str | None = option(
+        None,
+        "Poses of a reference bag; default: /tf, else the only such topic.",
+        metavar="TOPIC",
+        panel=BAG_TOPICS,
+        in_digest=False,
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.reference_topic is not None and self.reference is None:
+            raise ConfigError("--reference-topic is of a --reference, which is not given")
+
+    def digest(self, content: bytes | Path, readings: bytes | None = None) -> str:
+        """Return eight hex digits that distinguish this map from others.
+
+        Args:
+            content: of the log, or its file, in place of its path.
+            readings: content of the file of inertial readings, if any.
+
+        Raises:
+            OSError: the file cannot be read.
         """
-        entry = asdict(self) | {"seconds": float(self.seconds)}
-        for name in OUTSIDE_DIGEST:
-            del entry[name]
-        entry = _without(LATER, entry) | {"build": _without(LATER_OF_BUILDS, entry["build"])}
-        text = json.dumps(entry, sort_keys=True, default=str)
-        return hashlib.sha256(text.encode()).hexdigest()[:8]
+        entry = digest_fields(self) | {"log": _sha256(content)}
+        return _digest(entry if readings is None else entry | {"imu": _sha256(readings)})
+
+
+def _digest(entry: dict[str, Any]) -> str:
+    return _sha256(json.dumps(entry, sort_keys=True, default=str).encode())[:8]
 
 
 def _sha256(content: bytes | Path) -> str:
@@ -184,89 +434,3 @@ def _sha256(content: bytes | Path) -> str:
         return hashlib.sha256(content).hexdigest()
     with content.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _without(later: dict[str, Any], entry: dict[str, Any]) -> dict[str, Any]:
-    """Return a config's fields without those that came later and are as they would be without."""
-    return {key: value for key, value in entry.items() if key not in later or value != later[key]}
-
-
-def run_name(config: RunConfig, world: str) -> str:
-    """Return the name of the run's folder; of `module:name` only the name, of a driver only the kind."""
-    mapper = config.mapper.rpartition(":")[2]
-    driver = "" if config.driver == TOUR else f"-{driver_parts(config.driver)[0]}"
-    return f"{world}-{config.robot}-{mapper}{driver}-s{config.seed}-{config.digest}"
-
-
-@dataclass(frozen=True, kw_only=True)
-class MapConfig:
-    """How a log is mapped.
-
-    Attributes:
-        log: path of a CARMEN log.
-        mapper: name of a mapper, or `module:name` of your own.
-        seed: of its random numbers.
-        particles: of gmapping; None = its own number.
-        resolution: edge of a cell, metres, 0.01 to 1: finer ones fill the memory, coarser ones hold no room;
-            None = the mapper's own.
-        fov: field of view of the laser, degrees; None = as the log says.
-        range_max: ranges from here on are no return, metres; None = as the log says.
-        relations: path of relative-pose constraints that are known to be true.
-        reference: path of a reference trajectory: TUM, a bag, or a CARMEN log of corrected poses.
-        imu: path of inertial readings, as a run records them (`imu.csv.gz`); None = the log has none.
-        attitude: what the mapper is told of them: `imu`, or `none`.
-        scan_topic: of a bag: where the scans are; None = the only topic of scans.
-        odom_topic: of a bag: where the odometry is; None = the only topic of odometry, else /tf.
-        imu_topic: of a bag: where inertial readings are; None = they are left alone.
-        reference_topic: of a reference that is a bag: where its poses are; None = /tf, else the only topic.
-
-    Raises:
-        ConfigError: a value is not legal.
-    """
-
-    log: str
-    mapper: str = "cartographer"
-    seed: int = 1
-    particles: int | None = None
-    resolution: float | None = None
-    fov: float | None = None
-    range_max: float | None = None
-    relations: str | None = None
-    reference: str | None = None
-    imu: str | None = None
-    attitude: Attitude = "imu"
-    scan_topic: str | None = None
-    odom_topic: str | None = None
-    imu_topic: str | None = None
-    reference_topic: str | None = None
-
-    def __post_init__(self) -> None:
-        require_at_least(self, 0, "seed")
-        if self.resolution is not None:
-            require_within(self, "[0.01, 1]", "resolution", unit="m")
-        if self.fov is not None:
-            require_within(self, "(0, 360]", "fov", unit="deg")
-        if self.range_max is not None:
-            require_above(self, 0, "range_max", unit="m", finite=True)
-        if self.attitude not in ATTITUDES:
-            raise unknown_name("attitude", self.attitude, ATTITUDES)
-        if self.reference_topic is not None and self.reference is None:
-            raise ConfigError("--reference-topic is of a --reference, which is not given")
-
-    def digest(self, content: bytes | Path, readings: bytes | None = None) -> str:
-        """Return eight hex digits that distinguish this map from others.
-
-        Args:
-            content: of the log, or its file. Its path is left out, and what the map is only evaluated by.
-            readings: content of the file of inertial readings, if any.
-
-        Raises:
-            OSError: the file cannot be read.
-        """
-        entry = asdict(self) | {"log": _sha256(content)}
-        for name in ("relations", "reference", "reference_topic", "imu"):
-            del entry[name]
-        if readings is not None:
-            entry["imu"] = hashlib.sha256(readings).hexdigest()
-        entry = _without(LATER_OF_MAPS, entry)
-        return hashlib.sha256(json.dumps(entry, sort_keys=True).encode()).hexdigest()[:8]

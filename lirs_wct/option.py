@@ -1,6 +1,6 @@
-"""An option declared once: a field with its help, its spelling at a command line, and what is legal.
+"""Options declared once, as dataclass fields with help, command-line flag and legal values.
 
-A command line is made from the fields (`declared`), as are checks and warnings: a new option is a new field.
+Command line, page, sweep axes, digest, checks and reference are generated from the fields (`declared`).
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from enum import Enum
 from typing import Any, TypeVar
 
@@ -20,6 +20,8 @@ Check = Callable[[Any, str], None]
 """Raises ConfigError for a value that is not legal; called with the value, never None, and its name."""
 Reader = Callable[[str, str], Any]
 """Text at a command line -> value; called with the text and the flag."""
+Names = Collection[Any] | Callable[[], Collection[Any]]
+"""Legal values, or a function that imports them where the import is slow."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +58,7 @@ class Slider:
 
 @dataclass(frozen=True, kw_only=True)
 class Option:
-    """What a field of options says beside its type and default.
+    """Declaration of an option; type and default are those of its field.
 
     Attributes:
         help: one sentence or two.
@@ -66,6 +68,12 @@ class Option:
         label: name in errors; empty = the field's name.
         check: legality.
         read: reader of the value; None = as its type is read.
+        axis: reader of a list of values, which a sweep crosses; None = the option has one value.
+        names: values that a page offers; empty = those of its type.
+        shown: format of the value in the name of a group of runs.
+        hidden: whether the command line's help leaves it out.
+        on_page: whether the live page offers it.
+        in_digest: whether it distinguishes results, whose folders are named by it.
         switch: flag that stands for a value.
         kinds: of source on which it has an effect; None = all.
         title: of its control on a page, the paper's name where it has one; empty = the field's name.
@@ -79,6 +87,12 @@ class Option:
     label: str = ""
     check: Check | None = None
     read: Reader | None = None
+    axis: Reader | None = None
+    names: Names = ()
+    shown: str = "{}"
+    hidden: bool = False
+    on_page: bool = True
+    in_digest: bool = True
     switch: Switch | None = None
     kinds: Collection[Enum] | None = None
     title: str = ""
@@ -91,11 +105,42 @@ def option(default: Any, help: str, **given: Any) -> Any:
 
 
 def declared(options: type[Options]) -> Iterator[tuple[str, Option]]:
-    """Yield name and `Option` of each field, the flag of its name filled in."""
+    """Yield name and `Option` of each declared field, with the flag of its name if it has no other."""
     for entry in fields(options):
-        found: Option = entry.metadata[_KEY]
-        usual = (f"--{entry.name.replace('_', '-')}",)
-        yield entry.name, found if found.flags else replace(found, flags=usual)
+        if _KEY in entry.metadata:
+            found: Option = entry.metadata[_KEY]
+            usual = (f"--{entry.name.replace('_', '-')}",)
+            yield entry.name, found if found.flags else replace(found, flags=usual)
+
+
+def defaults(options: type[Options]) -> dict[str, Any]:
+    """Return the default of each declared field that has one."""
+    names = dict(declared(options))
+    return {f.name: f.default for f in fields(options) if f.name in names and f.default is not MISSING}
+
+
+def check_names(options: type[Options], given: Iterable[str]) -> None:
+    """Raise ConfigError unless every given name is a declared field."""
+    legal = dict(declared(options))
+    for name in given:
+        if name not in legal:
+            raise unknown_name("option", name, legal)
+
+
+def changed(options: Options) -> dict[str, Any]:
+    """Return the declared fields whose values differ from their defaults."""
+    usual = defaults(type(options))
+    return {name: getattr(options, name) for name in usual if getattr(options, name) != usual[name]}
+
+
+def digest_fields(options: Options) -> dict[str, Any]:
+    """Return the changed fields that distinguish results; numbers have the type of their default."""
+    usual, counted = defaults(type(options)), dict(declared(type(options)))
+    return {
+        name: float(value) if isinstance(usual[name], float) else value
+        for name, value in changed(options).items()
+        if counted[name].in_digest
+    }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,9 +162,11 @@ Declared = TypeVar("Declared", bound=type[Options])
 
 
 def documented(options: Declared) -> Declared:
-    """Return a class of options with the help of each in its docstring."""
+    """Return a class of options with the help of each appended to its docstring's attributes."""
+    text = inspect.cleandoc(options.__doc__ or "")
+    heading = () if "Attributes:" in text else ("", "Attributes:")
     lines = (f"    {name}: {found.help}" for name, found in declared(options))
-    options.__doc__ = "\n".join((inspect.cleandoc(options.__doc__ or ""), "", "Attributes:", *lines))
+    options.__doc__ = "\n".join((text, *heading, *lines))
     return options
 
 
@@ -130,11 +177,24 @@ def positive(value: float | Iterable[float], label: str) -> None:
             raise ConfigError(f"{label} must be a finite number above 0, got {number}")
 
 
-def one_of(legal: Collection[str]) -> Check:
+def within(legal: str, unit: str = "") -> Check:
+    """Return a check that a number lies in an interval such as "[0, inf)" or "(0, 360]"; NaN never does."""
+    low, high = (float(bound) for bound in legal[1:-1].split(","))
+
+    def check(value: float, label: str) -> None:
+        above = value >= low if legal[0] == "[" else value > low
+        if not (above and (value <= high if legal[-1] == "]" else value < high)):
+            raise ConfigError(f"{label} must be within {legal}{unit and f' {unit}'}, got {value}")
+
+    return check
+
+
+def one_of(legal: Names) -> Check:
     """Return a check that a value is one of the legal names."""
 
-    def check(value: str, label: str) -> None:
-        if value not in legal:
-            raise unknown_name(label, value, legal)
+    def check(value: Any, label: str) -> None:
+        names = legal() if callable(legal) else legal
+        if value not in names:
+            raise unknown_name(label, value, names)
 
     return check

@@ -25,7 +25,7 @@ class SimulationConfig:
         robot: the robot.
         lidar: name of a lidar preset; None = the robot's own.
         noise: errors of all sensors.
-        rays: whose rays meet the world: `builtin` (also `ours`), or `mujoco` for comparison: those of its
+        rays: whose rays meet the world: `builtin`, or `mujoco` for comparison: those of its
             hfield, or with contact geometry `mesh` those of its mesh.
         contact_geometry: what MuJoCo touches: `hfield`, `mesh` (the same, and its rays meet the mesh),
             `prisms` or `convex`.

@@ -8,11 +8,11 @@ that share do not. Runs that ended because of the drive, not of the mapper, are 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import median
 from typing import Literal
 
-from lirs_validation.analysis.groups import Group, by_group
+from lirs_validation.analysis.groups import RunGroup, by_group
 from lirs_validation.record.formatting import Entry, value_at
 from lirs_validation.record.odometry import ATE, ODOMETRY_ATE
 from lirs_validation.record.run_record import Status, succeeded
@@ -84,7 +84,7 @@ class MethodPair:
         how: what the planar ones are.
     """
 
-    group: Group
+    group: RunGroup
     planar: tuple[Entry, ...]
     aware: tuple[Entry, ...]
     how: Planar
@@ -101,7 +101,7 @@ def published_pairs(entries: Iterable[Entry]) -> tuple[MethodPair, ...]:
     return tuple(
         MethodPair(group=group, planar=tuple(planar), aware=tuple(aware), how="as published")
         for group, aware in groups.items()
-        if group.attitude == "imu" and (planar := _as_published(group, groups))
+        if group["attitude"] == "imu" and (planar := _as_published(group, groups))
     )
 
 
@@ -114,9 +114,9 @@ def attitude_pairs(entries: Iterable[Entry]) -> tuple[MethodPair, ...]:
     return tuple(
         MethodPair(group=group, planar=tuple(planar), aware=tuple(aware), how="without attitude")
         for group, aware in groups.items()
-        if group.attitude == "imu"
-        and not group.mapper.endswith(SUFFIX)
-        and (planar := groups.get(replace(group, attitude="none")))
+        if group["attitude"] == "imu"
+        and not group["mapper"].endswith(SUFFIX)
+        and (planar := groups.get(group.replaced(attitude="none")))
     )
 
 
@@ -173,7 +173,7 @@ def _compared(planar: Outcome, aware: Outcome) -> str:
     return "as well as with attitude"
 
 
-def _as_published(group: Group, groups: Mapping[Group, list[Entry]]) -> list[Entry] | None:
+def _as_published(group: RunGroup, groups: Mapping[RunGroup, list[Entry]]) -> list[Entry] | None:
     """Return the runs of a group's method as published; it gets no attitude, whatever was asked for."""
-    original = replace(group, mapper=group.mapper + SUFFIX)
-    return groups.get(original) or groups.get(replace(original, attitude="none"))
+    original = group.replaced(mapper=group["mapper"] + SUFFIX)
+    return groups.get(original) or groups.get(original.replaced(attitude="none"))

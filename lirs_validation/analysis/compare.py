@@ -9,11 +9,11 @@ Sequentially Rejective Multiple Test Procedure" (Scandinavian Journal of Statist
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lirs_validation.analysis.groups import FIELDS, Group, by_group
+from lirs_validation.analysis.groups import FIELDS, RunGroup, by_group
 from lirs_validation.analysis.paired import Test, holm, paired_test
 from lirs_validation.record.formatting import Entry
 from lirs_validation.record.metric_catalog import Metric
@@ -47,7 +47,7 @@ class Difference:
         p_corrected: after Holm, over all tests of the comparison.
     """
 
-    group: Group
+    group: RunGroup
     metric: Metric
     a: float
     b: float
@@ -81,12 +81,12 @@ class Comparison:
     """
 
     differences: tuple[Difference, ...]
-    only_a: tuple[Group, ...]
-    only_b: tuple[Group, ...]
-    failed_a: dict[Group, tuple[int, int]]
-    failed_b: dict[Group, tuple[int, int]]
-    worse_a: dict[Group, int]
-    worse_b: dict[Group, int]
+    only_a: tuple[RunGroup, ...]
+    only_b: tuple[RunGroup, ...]
+    failed_a: dict[RunGroup, tuple[int, int]]
+    failed_b: dict[RunGroup, tuple[int, int]]
+    worse_a: dict[RunGroup, int]
+    worse_b: dict[RunGroup, int]
 
 
 def compare(
@@ -127,15 +127,15 @@ def compare(
     )
 
 
-def by_shared(entries: Sequence[Entry], across: Sequence[str]) -> dict[Group, dict[int, Entry]]:
+def by_shared(entries: Sequence[Entry], across: Sequence[str]) -> dict[RunGroup, dict[int, Entry]]:
     """Return the runs of each group by seed, the fields in `across` left open.
 
     Raises:
         ConfigError: a group holds a seed twice.
     """
-    found: dict[Group, dict[int, Entry]] = {}
+    found: dict[RunGroup, dict[int, Entry]] = {}
     for entry in entries:
-        runs = found.setdefault(_shared(Group.of(entry), across), {})
+        runs = found.setdefault(_shared(RunGroup.of(entry), across), {})
         seed = int(entry["seed"])
         if seed in runs:
             raise ConfigError(_ambiguous(runs[seed], entry, across))
@@ -153,7 +153,9 @@ def corrected(differences: Sequence[Difference]) -> tuple[Difference, ...]:
     return tuple(result)
 
 
-def _difference(group: Group, metric: Metric, a: dict[int, Entry], b: dict[int, Entry]) -> Difference | None:
+def _difference(
+    group: RunGroup, metric: Metric, a: dict[int, Entry], b: dict[int, Entry]
+) -> Difference | None:
     """Compare one metric over the seeds in which both runs succeeded; None where none has it."""
     seeds = [seed for seed in sorted(set(a) & set(b)) if succeeded(a[seed]) and succeeded(b[seed])]
     values = [
@@ -180,10 +182,9 @@ def _difference(group: Group, metric: Metric, a: dict[int, Entry], b: dict[int, 
     )
 
 
-def _shared(group: Group, across: Sequence[str]) -> Group:
+def _shared(group: RunGroup, across: Sequence[str]) -> RunGroup:
     """Return the group with the fields in `across` left open."""
-    blank = {f.name: 0.0 if f.name == "seconds" else "*" for f in fields(Group) if f.name in across}
-    return replace(group, **blank)  # type: ignore[arg-type]
+    return group.replaced(**{name: 0.0 if name == "seconds" else "*" for name in FIELDS if name in across})
 
 
 def _counts(runs: dict[int, Entry]) -> tuple[int, int]:
@@ -193,13 +194,13 @@ def _counts(runs: dict[int, Entry]) -> tuple[int, int]:
 
 def _ambiguous(first: Entry, second: Entry, across: Sequence[str]) -> str:
     """Say what two runs of one result differ in that are to be paired with the same run of the other."""
-    groups = Group.of(first), Group.of(second)
-    differing = [f for f in FIELDS if f in across and getattr(groups[0], f) != getattr(groups[1], f)]
+    groups = RunGroup.of(first), RunGroup.of(second)
+    differing = [f for f in FIELDS if f in across and groups[0][f] != groups[1][f]]
     runs = f"one result holds two runs of one group and seed, {first['name']} and {second['name']}"
     if not differing:
         return f"{runs}: move one of them to another folder"
-    values = ", ".join(f"{f} ({getattr(groups[0], f)} and {getattr(groups[1], f)})" for f in differing)
-    chosen = " ".join(f"{f}={getattr(groups[0], f)}" for f in differing)
+    values = ", ".join(f"{f} ({groups[0][f]} and {groups[1][f]})" for f in differing)
+    chosen = " ".join(f"{f}={groups[0][f]}" for f in differing)
     return f"{runs}; they differ in {values}: choose one with --only-a or --only-b, such as {chosen}"
 
 
@@ -212,23 +213,22 @@ def only(entries: Sequence[Entry], fields: Mapping[str, str]) -> list[Entry]:
     for field, value in fields.items():
         if field not in FIELDS:
             raise unknown_name("field of a group", field, FIELDS)
-        there = {_text(Group.of(entry), field) for entry in entries}
+        there = {_text(RunGroup.of(entry), field) for entry in entries}
         if value not in there:
             raise unknown_name(field, value, there)
-    return [e for e in entries if all(_text(Group.of(e), f) == value for f, value in fields.items())]
+    return [e for e in entries if all(_text(RunGroup.of(e), f) == value for f, value in fields.items())]
 
 
-def _text(group: Group, field: str) -> str:
-    value = getattr(group, field)
+def _text(group: RunGroup, field: str) -> str:
+    value = group[field]
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _nothing_common(a: Sequence[Group], b: Sequence[Group]) -> str:
+def _nothing_common(a: Sequence[RunGroup], b: Sequence[RunGroup]) -> str:
     """Say in which fields the two results have nothing in common."""
-    apart = [f for f in FIELDS if not {getattr(group, f) for group in a} & {getattr(group, f) for group in b}]
+    apart = [f for f in FIELDS if not {group[f] for group in a} & {group[f] for group in b}]
     differing = ", ".join(
-        f"{f} ({'/'.join(sorted({str(getattr(c, f)) for c in a}))} and "
-        f"{'/'.join(sorted({str(getattr(c, f)) for c in b}))})"
+        f"{f} ({'/'.join(sorted({str(c[f]) for c in a}))} and {'/'.join(sorted({str(c[f]) for c in b}))})"
         for f in apart
     )
     if not apart:

@@ -3,76 +3,79 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 from lirs_envs.robots.catalog import make_robot
-from lirs_validation.config import LATER
+from lirs_validation.config import RUN_AXES, RunConfig
 from lirs_validation.record.formatting import Entry
 from lirs_wct.errors import ConfigError
+from lirs_wct.option import declared, defaults
 
-FIELDS = (
-    *("world", "robot", "mapper", "terrain", "rays", "lidar", "seconds"),
-    *("attitude", "driver", "actors", "threads"),
-)
+FIELDS = ("world", *(name for name in RUN_AXES if name != "seed"), "seconds")
+"""Fields of a group: the world's name, and the options of its runs."""
+DEFAULTS = defaults(RunConfig)
 
 
 @dataclass(frozen=True, order=True)
-class Group:
-    """What the runs of a group have in common."""
+class RunGroup:
+    """World and options that the runs of a group share.
 
-    world: str
-    robot: str
-    mapper: str
-    terrain: str
-    rays: str
-    lidar: str
-    seconds: float
-    attitude: str = LATER["attitude"]
-    driver: str = LATER["driver"]
-    actors: int = LATER["actors"]
-    threads: int = LATER["threads"]
+    Attributes:
+        values: one for each of FIELDS.
+    """
+
+    values: tuple[Any, ...]
 
     @staticmethod
-    def of(entry: Entry) -> Group:
-        """Return the group of a record; without an LRF of its own a config means the robot's."""
-        c = entry["config"]
-        return Group(
-            entry["world"]["name"],
-            c["robot"],
-            c["mapper"],
-            c["terrain"],
-            c["rays"],
-            c["lidar"] or _own_lidar(c["robot"]),
-            float(c["seconds"]),
-            *(c.get(name, usual) for name, usual in LATER.items()),
-        )
+    def of(entry: Entry) -> RunGroup:
+        """Return the group of a record; the lidar is the robot's own if the config names none."""
+        given = {"world": entry["world"]["name"], **DEFAULTS, **entry["config"]}
+        given |= {"lidar": given["lidar"] or _own_lidar(given["robot"]), "seconds": float(given["seconds"])}
+        return RunGroup(tuple(given[name] for name in FIELDS))
+
+    def __getitem__(self, name: str) -> Any:
+        return self.values[FIELDS.index(name)]
+
+    def replaced(self, **values: Any) -> RunGroup:
+        """Return the group with other values of some fields."""
+        return RunGroup(tuple(values.get(name, self[name]) for name in FIELDS))
 
     def named(self, fields: Iterable[str] = FIELDS) -> str:
         """Return the group's name: its fields, or some of them, in one line."""
-        texts = {**dict(zip(FIELDS, astuple(self), strict=True)), "seconds": f"{self.seconds:g} s"}
-        texts |= {"rays": f"rays: {self.rays}", "attitude": f"attitude: {self.attitude}"}
-        texts |= {"driver": f"driver: {self.driver}", "actors": f"{self.actors} walkers"}
-        texts |= {"threads": f"{self.threads} thread{'s' * (self.threads > 1)}"}
-        return ", ".join(str(texts[field]) for field in FIELDS if field in set(fields))
+        forms = {name: option.shown for name, option in declared(RunConfig)}
+        wanted = set(fields)
+        return ", ".join(forms.get(f, "{}").format(self[f]) for f in FIELDS if f in wanted)
 
 
-def by_group(entries: Iterable[Entry]) -> dict[Group, list[Entry]]:
+def unusual_fields(groups: Iterable[RunGroup]) -> tuple[str, ...]:
+    """Return the axes in which a group differs from the default run."""
+    kept = list(groups)
+    return tuple(name for name in RUN_AXES if name in FIELDS and any(_is_unusual(g, name) for g in kept))
+
+
+def _is_unusual(group: RunGroup, name: str) -> bool:
+    usual = _own_lidar(group["robot"]) if name == "lidar" else DEFAULTS[name]
+    return bool(group[name] != usual)
+
+
+def by_group(entries: Iterable[Entry]) -> dict[RunGroup, list[Entry]]:
     """Return the records of each group, by seed; groups in the order in which they first come."""
-    found: dict[Group, list[Entry]] = {}
+    found: dict[RunGroup, list[Entry]] = {}
     for entry in entries:
-        found.setdefault(Group.of(entry), []).append(entry)
+        found.setdefault(RunGroup.of(entry), []).append(entry)
     return {group: sorted(runs, key=lambda e: int(e["seed"])) for group, runs in found.items()}
 
 
-def distinguishing_fields(groups: Iterable[Group]) -> tuple[str, ...]:
+def distinguishing_fields(groups: Iterable[RunGroup]) -> tuple[str, ...]:
     """Return the fields in which groups differ; `world` where they do not differ at all.
 
     The LRF is left out where each robot has its own.
     """
     kept = list(groups)
-    different = [f for f in FIELDS if len({getattr(group, f) for group in kept}) > 1]
-    if len({(g.robot, g.lidar) for g in kept}) == len({g.robot for g in kept}):
+    different = [f for f in FIELDS if len({group[f] for group in kept}) > 1]
+    if len({(g["robot"], g["lidar"]) for g in kept}) == len({g["robot"] for g in kept}):
         different = [f for f in different if f != "lidar"]
     return tuple(different) or ("world",)
 

@@ -1,4 +1,4 @@
-"""How a command runs a sweep: what is kept is said, what there is is shown, also after Ctrl-C."""
+"""Sweeps of a command: skip finished runs, print the results, also when interrupted."""
 
 from __future__ import annotations
 
@@ -13,42 +13,29 @@ from lirs_validation.cli.console import RUN_FAILED, err
 from lirs_wct.errors import OutputError
 
 if TYPE_CHECKING:
-    from lirs_validation.sweep.engines.base import Executor
+    from lirs_validation.config import EngineOptions
     from lirs_validation.sweep.manifest import Manifest
     from lirs_validation.sweep.sweep import Sweep
 
 
-def executor_for(
-    engine: str | None,
-    jobs: int | None,
-    address: str | None,
-    cell_timeout: float | None,
-    cell_memory: float | None,
-) -> Executor:
-    """Return what runs a command's experiments, by its options: see `sweep_options`."""
-    from lirs_validation.sweep.engines.base import Limits
-    from lirs_validation.sweep.engines.factory import make_executor
-
-    limits = Limits(seconds=cell_timeout, memory=None if cell_memory is None else cell_memory * 1e9)
-    return make_executor(engine, jobs=jobs, address=address, limits=limits)
-
-
 def manifest_of_command(suite: str | None = None) -> Manifest:
-    """Return the manifest of the command that was typed."""
+    """Return the manifest of this process's command line."""
     from lirs_validation.sweep.manifest import Manifest
 
     return Manifest(command=shlex.join(["lirs-wct", *sys.argv[1:]]), suite=suite)
 
 
-def run_sweep(sweep: Sweep, executor: Executor, show: Callable[[], None]) -> None:
-    """Run what is pending, then show.
+def run_sweep(sweep: Sweep, engine: EngineOptions, show: Callable[[], None]) -> None:
+    """Run a sweep: skip finished runs, then call `show`, also when interrupted.
 
     Raises:
         OutputError: a result cannot be written.
         typer.Exit: an experiment failed.
     """
     from lirs_validation.cli.progress import run_with_progress
+    from lirs_validation.sweep.engines.factory import make_executor
 
+    executor = make_executor(engine)
     if sweep.kept:
         again = f"; {len(sweep.pending)} to run" if sweep.pending else ""
         err.print(f"kept {sweep.kept} of {len(sweep.experiments)} from before{again}", highlight=False)

@@ -1,62 +1,72 @@
-"""The options of `build`, which every command that takes a source takes too; made from their declarations."""
+"""Command-line options, generated from the declarations of option classes."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import wraps
-from typing import Annotated, Any, Literal, TypeVar, get_type_hints
+from typing import Annotated, Any, Literal, get_type_hints
 
 import typer
 
 from lirs_validation.cli.log_sources import with_logs_mapped
 from lirs_validation.config import SourceOptions
 from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
-from lirs_wct.option import Option, Options, declared
+from lirs_wct.option import Option, Options, declared, defaults
 from lirs_wct.sources.option_text import chosen
 
-Given = TypeVar("Given", bound=Options)
 _SWITCH = "_switch"
-"""Ends the names of parameters that are switches."""
+"""Suffix of the names of parameters that are switches."""
 
 
 def gazebo_terrain(given: str) -> Literal["solid", "heightmap"]:
-    """Return what Gazebo's model is to be.
+    """Return the kind of terrain of a Gazebo model.
 
     Raises:
-        ConfigError: it is neither.
+        ConfigError: it is neither `solid` nor `heightmap`.
     """
     terrain: Literal["solid", "heightmap"] = chosen(given, "--terrain", ("solid", "heightmap"))
     return terrain
 
 
 def mujoco_terrain(given: str) -> ContactGeometry:
-    """Return what MuJoCo is to touch.
+    """Return the contact geometry of a MuJoCo model.
 
     Raises:
-        ConfigError: it is none of these.
+        ConfigError: there is no such geometry.
     """
     terrain: ContactGeometry = chosen(given, "--terrain", CONTACT_GEOMETRIES)
     return terrain
 
 
-def with_build_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command the options that the class of its last parameter, `options`, declares.
+def with_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Replace each parameter of an option class by the options that the class declares.
 
-    Logs among its sources are mapped before it sees them.
+    A parameter of type `SourceOptions`, say, becomes an instance. One of type
+    `Annotated[dict[str, Any], RunConfig]` becomes the options that were given, a tuple for each axis. Logs
+    among the sources of a command with `SourceOptions` are mapped before it runs.
     """
-    own = inspect.signature(command, eval_str=True)
-    kind: type[SourceOptions] = own.parameters["options"].annotation
-    parameters = [p for p in own.parameters.values() if p.name != "options"]
-    shared = list(_parameters(kind, taken={f"--{p.name}" for p in parameters}))
+    own = list(inspect.signature(command, eval_str=True).parameters.values())
+    groups = {p.name: group for p in own if (group := _OptionGroup.of(p.annotation)) is not None}
+    plain = [p for p in own if p.name not in groups]
+    taken = {f"--{p.name.replace('_', '-')}" for p in plain}
+    generated: dict[str, list[inspect.Parameter]] = {}
+    for name, group in groups.items():
+        generated[name] = list(group.parameters(taken))
+        taken |= {flag for _, option in declared(group.kind) for flag in option.flags}
 
     @wraps(command)
     def wrapped(**given: Any) -> Any:
-        said = {p.name: given.pop(p.name) for p in shared}
-        given, options = with_logs_mapped(given, read_options(kind, said))
-        return command(**given, options=options)
+        for name, group in groups.items():
+            given[name] = group.read({p.name: given.pop(p.name) for p in generated[name]})
+        if isinstance(given.get("options"), SourceOptions):
+            options = given.pop("options")
+            given, given["options"] = with_logs_mapped(given, options)
+        return command(**given)
 
-    keywords = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in (*parameters, *shared)]
+    parameters = [*plain, *(p for found in generated.values() for p in found)]
+    keywords = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in parameters]
     wrapped.__signature__ = inspect.Signature(keywords)  # type: ignore[attr-defined]
     wrapped.__annotations__ = {p.name: p.annotation for p in keywords}
     del wrapped.__wrapped__
@@ -69,44 +79,77 @@ def typer_option(options: type[Options], name: str) -> Any:
     return _typer(declaration, declaration.flags)
 
 
-def read_options(kind: type[Given], said: dict[str, Any]) -> Given:
-    """Return the options of what was said at the command line.
+@dataclass(frozen=True)
+class _OptionGroup:
+    """Options of a class as parameters of a command.
 
-    Args:
-        kind: class of options.
-        said: value of each of its parameters, switches included.
-
-    Raises:
-        ConfigError: a value is not legal, or two options contradict.
+    Attributes:
+        kind: the class.
+        as_dict: whether the command takes the given options as a dict, without an instance.
     """
-    return kind(**{name: _value(option, name, said) for name, option in declared(kind)})
+
+    kind: type[Options]
+    as_dict: bool
+
+    @classmethod
+    def of(cls, annotation: Any) -> _OptionGroup | None:
+        """Return the group that a parameter's annotation asks for; None = none."""
+        if isinstance(annotation, type) and issubclass(annotation, Options):
+            return cls(annotation, as_dict=False)
+        for kind in getattr(annotation, "__metadata__", ()):
+            if isinstance(kind, type) and issubclass(kind, Options):
+                return cls(kind, as_dict=True)
+        return None
+
+    def parameters(self, taken: set[str]) -> Iterator[inspect.Parameter]:
+        """Yield the parameters; flags that the command has itself stay the command's."""
+        types, usual = get_type_hints(self.kind), defaults(self.kind)
+        for name, option in declared(self.kind):
+            if option.switch is not None:
+                flag = typer.Option(option.switch.flag, help=option.switch.help, rich_help_panel=option.panel)
+                yield _keyword(name + _SWITCH, False, Annotated[bool, flag])
+            flags = tuple(flag for flag in option.flags if flag not in taken)
+            default, written = usual[name], types[name]
+            if option.axis is not None or option.read is not None:
+                written = str if default is not None else str | None
+            if self.as_dict and written is not bool:
+                yield _keyword(name, None, Annotated[written | None, _typer(option, flags, default)])
+            else:
+                yield _keyword(name, default, Annotated[written, _typer(option, flags)])
+
+    def read(self, given: Mapping[str, Any]) -> Any:
+        """Return the options, or the given ones of them as a dict.
+
+        Raises:
+            ConfigError: a value is not legal, or two options contradict.
+        """
+        values = {name: self._value(option, name, given) for name, option in declared(self.kind)}
+        if not self.as_dict:
+            return self.kind(**values)
+        usual = defaults(self.kind)
+        return {n: v for n, v in values.items() if v is not None and not (v is False and usual[n] is False)}
+
+    def _value(self, option: Option, name: str, given: Mapping[str, Any]) -> Any:
+        value = given[name]
+        if self.as_dict and option.axis is not None:
+            return None if value is None else option.axis(value, option.flags[0])
+        if option.read is not None:
+            value = option.read(value, option.flags[0]) if value else None
+        if value is None and option.switch is not None and given[name + _SWITCH]:
+            return option.switch.value
+        return value
 
 
-def _value(option: Option, name: str, said: dict[str, Any]) -> Any:
-    value = said[name]
-    if option.read is not None:
-        value = option.read(value, option.flags[0]) if value else None
-    if value is None and option.switch is not None and said[name + _SWITCH]:
-        return option.switch.value
-    return value
-
-
-def _parameters(kind: type[Options], taken: set[str]) -> Iterator[inspect.Parameter]:
-    """Yield the parameters of a class of options; flags that the command has itself stay the command's."""
-    types = get_type_hints(kind)
-    default = kind()
-    for name, option in declared(kind):
-        if option.switch is not None:
-            flag = typer.Option(option.switch.flag, help=option.switch.help, rich_help_panel=option.panel)
-            yield _keyword(name + _SWITCH, False, Annotated[bool, flag])
-        flags = tuple(flag for flag in option.flags if flag not in taken)
-        value = getattr(default, name)
-        written = types[name] if option.read is None else str if value is not None else str | None
-        yield _keyword(name, value, Annotated[written, _typer(option, flags)])
-
-
-def _typer(option: Option, flags: tuple[str, ...]) -> Any:
-    return typer.Option(*flags, metavar=option.metavar, help=option.help, rich_help_panel=option.panel)
+def _typer(option: Option, flags: tuple[str, ...], default: Any = None) -> Any:
+    """Return Typer's declaration; the help shows `default` in place of the parameter's own."""
+    return typer.Option(
+        *flags,
+        metavar=option.metavar,
+        help=option.help,
+        rich_help_panel=option.panel,
+        hidden=option.hidden,
+        show_default=True if default is None else str(default),
+    )
 
 
 def _keyword(name: str, default: Any, annotation: Any) -> inspect.Parameter:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.simulation import Simulation
-from lirs_validation.config import TOUR, Attitude, RunConfig
+from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.driving.driver import Driver
 from lirs_validation.experiment.clouds.guard import (
@@ -40,9 +40,9 @@ from lirs_validation.experiment.results import write_results
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache
 from lirs_validation.experiment.warm_up import warm_up
 from lirs_validation.record.run_record import RunRecord
-from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError, SimulationError
-from lirs_wct.formats.rosbag.library import Storage, require_rosbags
+from lirs_wct.formats.rosbag.library import require_rosbags
+from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.world import World
@@ -81,68 +81,28 @@ class Run:
 def validate(
     source: str | Path,
     *,
-    robot: str = "husky",
-    mapper: str = "hector",
-    lidar: str | None = None,
-    terrain: ContactGeometry = "hfield",
-    rays: str = "builtin",
-    seconds: float = 120.0,
-    seed: int = 1,
-    wall_limit: float | None = None,
-    attitude: Attitude = "imu",
-    driver: str = TOUR,
-    actors: int = 0,
-    bag: Storage | None = None,
-    sensors_only: bool = False,
-    threads: int = 1,
     options: BuildOptions | None = None,
     out: str | Path | None = None,
     progress: Progress = no_progress,
+    **run_options: Any,
 ) -> Run:
-    """Drive a robot through a source with a mapper running, and say how well and how fast that went.
+    """Drive a robot through a world with a mapper running, and evaluate path, map and speed.
+
+    >>> validate("simple", robot="jackal", mapper="gmapping", seconds=30)  # doctest: +SKIP
 
     Args:
-        source: a bundled world's name, a built folder, a picture or a map YAML.
-        robot: name of the robot.
-        mapper: name of the mapper, or `module:name` of your own.
-        lidar: name of an LRF preset; None = the robot's own.
-        terrain: what MuJoCo touches: `hfield`, `mesh`, `prisms` or `convex`.
-        rays: whose rays the lidar takes: `builtin` (also `ours`), or `mujoco` for comparison.
-        seconds: simulated time to drive.
-        seed: of every random number in the run; same seed, same bytes.
-        wall_limit: wall seconds after which the drive is stopped; None = never.
-        attitude: what the mapper is told of roll and pitch: `imu`, or `none`, which takes the IMU from
-            any mapper.
-        driver: who drives: `tour`, `frontier`, `waypoints:FILE` or `replay:RUN` (docs/sweeps.md).
-        actors: number of walkers on seeded paths, whom the lidar sees and the robot touches.
-        bag: storage of a ROS 2 bag, `mcap` or `sqlite3`, that the run's folder then is too; None = no bag.
-        sensors_only: whether the bag leaves out what the mapper makes: map -> odom and /map.
-        threads: 2 = the mapper has a process of its own; results but times are the same.
+        source: a bundled world's name, a built folder, an image, a map YAML or a mesh.
         options: how the source becomes a world.
         out: folder that receives the run's folder; None = nothing is written.
         progress: of the run.
+        **run_options: fields of `RunConfig`: robot, mapper, lidar, terrain, rays, attitude, driver, actors,
+            threads, seed, seconds, wall_limit, bag, sensors_only.
 
     Raises:
         WctError: the source, a name or an option cannot be used, or results cannot be written.
     """
-    config = RunConfig(
-        source=str(source),
-        robot=robot,
-        mapper=mapper,
-        lidar=lidar,
-        terrain=terrain,
-        rays=rays,
-        seconds=seconds,
-        seed=seed,
-        wall_limit=wall_limit,
-        attitude=attitude,
-        driver=driver,
-        actors=actors,
-        bag=bag,
-        sensors_only=sensors_only,
-        threads=threads,
-        build=options or BuildOptions(),
-    )
+    check_names(RunConfig, run_options)
+    config = RunConfig(source=str(source), build=options or BuildOptions(), **run_options)
     return run(config, out=None if out is None else Path(out), progress=progress)
 
 

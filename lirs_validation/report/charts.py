@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.lib.stride_tricks import sliding_window_view
 
-from lirs_validation.analysis.groups import Group, by_group, distinguishing_fields
+from lirs_validation.analysis.groups import RunGroup, by_group, distinguishing_fields
 from lirs_validation.record.formatting import Entry, value_at
 from lirs_validation.record.metric_catalog import Metric, rtf_counts
 from lirs_validation.record.run_record import succeeded
@@ -46,9 +45,9 @@ def rtf_figure(entries: Sequence[Entry]) -> tuple[Drawing, int] | None:
     standard deviation (see `series_band`).
     """
     runs = [e for e in entries if succeeded(e) and rtf_counts(e)]
-    panels: dict[Group, dict[str, list[Entry]]] = {}
+    panels: dict[RunGroup, dict[str, list[Entry]]] = {}
     for group, held in by_group(runs).items():
-        panels.setdefault(replace(group, mapper=""), {})[group.mapper] = held
+        panels.setdefault(group.replaced(mapper=""), {})[group["mapper"]] = held
     panels = _together(panels)
     if not panels:
         return None
@@ -94,7 +93,7 @@ def distribution_chart(entries: Sequence[Entry], metrics: Sequence[Metric]) -> t
     kept = [m for m in metrics if any(_values(m, runs) for runs in shown.values())]
     if not shown or not kept:
         return None
-    mappers = sorted({group.mapper for group in shown})
+    mappers = sorted({group["mapper"] for group in shown})
     fields = distinguishing_fields(shown)
     figure = Figure(figsize=(10.5, 0.9 + 0.2 * len(shown)), layout="constrained")
     columns = figure.subplots(1, len(kept), sharey=True, squeeze=False)[0]
@@ -107,12 +106,14 @@ def distribution_chart(entries: Sequence[Entry], metrics: Sequence[Metric]) -> t
     return as_svg(figure, label, "spread"), len(groups) - len(shown)
 
 
-def _strip(axes: Axes, metric: Metric, groups: Mapping[Group, Sequence[Entry]], mappers: list[str]) -> None:
+def _strip(
+    axes: Axes, metric: Metric, groups: Mapping[RunGroup, Sequence[Entry]], mappers: list[str]
+) -> None:
     for row, (group, runs) in enumerate(groups.items()):
         values = _values(metric, runs)
         if not values:
             continue
-        color = color_of(group.mapper, mappers)
+        color = color_of(group["mapper"], mappers)
         axes.plot(
             values, [row] * len(values), "o", color=color, markersize=3.5, alpha=0.75, markeredgewidth=0
         )
@@ -154,15 +155,15 @@ def _rtf_panel(axes: Axes, held: Mapping[str, Sequence[Entry]], mappers: list[st
     axes.set_xlim(left=0)
 
 
-def _together(panels: dict[Group, Any]) -> dict[Group, Any]:
+def _together(panels: dict[RunGroup, Any]) -> dict[RunGroup, Any]:
     """Return the panels with those of one world and robot side by side, else in their order."""
-    first = list(dict.fromkeys((group.world, group.robot) for group in panels))
-    worlds = list(dict.fromkeys(group.world for group in panels))
-    order = sorted(panels, key=lambda c: (worlds.index(c.world), first.index((c.world, c.robot))))
+    first = list(dict.fromkeys((group["world"], group["robot"]) for group in panels))
+    worlds = list(dict.fromkeys(group["world"] for group in panels))
+    order = sorted(panels, key=lambda c: (worlds.index(c["world"]), first.index((c["world"], c["robot"]))))
     return {group: panels[group] for group in order}
 
 
-def _title(group: Group, groups: Mapping[Group, Any]) -> str:
+def _title(group: RunGroup, groups: Mapping[RunGroup, Any]) -> str:
     """Return what distinguishes a panel from the others, its world first."""
     return group.named({"world", *distinguishing_fields(groups)})
 

@@ -3,37 +3,30 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from lirs_validation.config import LATER, RunConfig
+from lirs_validation.config import RunConfig
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.option import declared
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.option import Options, changed, declared
 
 
 def command_of(config: RunConfig) -> str:
-    """Return the command line that does this run again; what is as by default is left out."""
-    arguments = ["lirs-wct", "validate", config.source, "--robot", config.robot, "--mapper", config.mapper]
-    default = RunConfig(source=config.source)
-    for name in ("lidar", "terrain", "rays", "seconds", "seed", "wall_limit", *LATER):
-        value = getattr(config, name)
-        if value != getattr(default, name) or name == "seed":
-            arguments += [f"--{name.replace('_', '-')}", _formatted(value)]
-    return shlex.join([*arguments, *_build_arguments(config.build)])
+    """Return the command line that repeats a run; defaults are left out."""
+    always = ["--robot", config.robot, "--mapper", config.mapper, "--seed", str(config.seed)]
+    stated = ("robot", "mapper", "seed")
+    given = [*always, *_arguments(config, stated), *_arguments(config.build)]
+    return shlex.join(["lirs-wct", "validate", config.source, *given])
 
 
-def _build_arguments(build: BuildOptions) -> list[str]:
-    arguments = []
-    default = type(build)()
-    for name, option in declared(type(build)):
-        value = getattr(build, name)
-        if value == getattr(default, name):
-            continue
-        arguments.append(option.flags[0])
-        if value is not True:
-            arguments.append(_formatted(value))
-    return arguments
+def _arguments(options: Options, stated: tuple[str, ...] = ()) -> Iterator[str]:
+    flags = {name: option.flags[0] for name, option in declared(type(options))}
+    for name, value in changed(options).items():
+        if name not in stated:
+            yield flags[name]
+            if value is not True:
+                yield _formatted(value)
 
 
 def _formatted(value: Any) -> str:

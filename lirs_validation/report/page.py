@@ -9,9 +9,8 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from lirs_validation.analysis.groups import Group
+from lirs_validation.analysis.groups import RunGroup, unusual_fields
 from lirs_validation.analysis.result_folders import RunFolder
-from lirs_validation.config import TOUR
 from lirs_validation.record.formatting import span
 from lirs_validation.record.metric_catalog import Section, metrics_selected, rtf_counts
 from lirs_validation.record.odometry import WORSE, WORSE_MARK, worse_than_odometry
@@ -139,15 +138,10 @@ def _pictures(runs: Sequence[RunFolder]) -> tuple[list[Picture], str]:
     painter = Painter(len(chosen))
     pictures = []
     for run in chosen:
-        c, picture = run.entry["config"], painter.paint(run)
-        name = (
-            f"{run.entry['world']['name']}, {c['robot']}, {c['mapper']}, {c['terrain']}, {c['rays']} rays, "
-        )
-        name += "without attitude, " if c.get("attitude") == "none" else ""
-        name += f"driver {c['driver']}, " if c.get("driver", TOUR) != TOUR else ""
-        name += f"{c['actors']} walkers, " if c.get("actors") else ""
-        name += f"{c['threads']} threads, " if c.get("threads", 1) > 1 else ""
-        name += f"seed {c['seed']}" + ("" if run.entry["status"] == "ok" else f": {run.entry['status']}")
+        picture, group = painter.paint(run), RunGroup.of(run.entry)
+        shown = {"world", "robot", "mapper", "terrain", "rays", *unusual_fields([group])}
+        name = f"{group.named(shown)}, seed {run.entry['seed']}"
+        name += "" if run.entry["status"] == "ok" else f": {run.entry['status']}"
         name += f": {WORSE}" if worse_than_odometry(run.entry) else ""
         pictures.append(Picture(name, picture.url, f"Paths and maps of {name}", picture.note))
     return pictures, note
@@ -155,10 +149,10 @@ def _pictures(runs: Sequence[RunFolder]) -> tuple[list[Picture], str]:
 
 def first_seeds(runs: Sequence[RunFolder]) -> list[RunFolder]:
     """Return of each group the run with the smallest seed, in the order of the runs."""
-    first: dict[Group, RunFolder] = {}
+    first: dict[RunGroup, RunFolder] = {}
     for run in sorted(runs, key=lambda r: int(r.entry["seed"])):
-        first.setdefault(Group.of(run.entry), run)
-    return [run for run in runs if first[Group.of(run.entry)] is run]
+        first.setdefault(RunGroup.of(run.entry), run)
+    return [run for run in runs if first[RunGroup.of(run.entry)] is run]
 
 
 def _tiles(report: Report) -> list[dict[str, Any]]:

@@ -1,117 +1,59 @@
-"""Suites: experiments that were published, as data. A new one is a new row of SUITES."""
+"""Suites: published experiments. A new one is a function and a row of SUITES."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from lirs_validation.config import RunConfig
-from lirs_validation.sweep.axes import Axes, Representation
+from lirs_validation.sweep.axes import cross
 from lirs_validation.sweep.collision_experiment import CollisionExperiment
 from lirs_validation.sweep.experiment import Experiment
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.errors import unknown_name
 
-HEIGHTMAP_BASED = Representation(terrain="hfield", rays="mujoco")
-SOLID_BASED = Representation(terrain="mesh", rays="mujoco")
-OURS = Representation(terrain="hfield", rays="ours")
+HEIGHTMAP_BASED: dict[str, Any] = {"terrain": "hfield", "rays": "mujoco"}
+SOLID_BASED: dict[str, Any] = {"terrain": "mesh", "rays": "mujoco"}
+OURS: dict[str, Any] = {"terrain": "hfield", "rays": "builtin"}
 """The paper's two representations of a terrain as MuJoCo has them, and ours."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Block:
-    """Experiments that belong together: some axes, and the published tables that their metrics are for."""
-
-    axes: Axes
-    tables: tuple[str, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Suite:
-    """A published experiment.
-
-    Attributes:
-        title: what it is.
-        blocks: its runs; one that two blocks name is run once.
-        collisions: the worlds and robots whose contacts are checked.
-        seconds: simulated time of a run.
-        seeds: of the runs.
-        wall_limit: wall seconds after which a hopelessly slow drive is stopped and extrapolated.
-    """
-
-    title: str
-    blocks: tuple[Block, ...]
-    collisions: Axes | None = None
-    seconds: float = 120.0
-    seeds: tuple[int, ...] = (1,)
-    wall_limit: float = 120.0
-
-    def experiments(
-        self,
-        *,
-        seconds: float | None = None,
-        seeds: tuple[int, ...] | None = None,
-        wall_limit: float | None = None,
-        threads: tuple[int, ...] = (1,),
-    ) -> tuple[Experiment, ...]:
-        """Return the suite's experiments, world by world; what is given replaces the suite's own."""
-        tables: dict[RunConfig, tuple[str, ...]] = {}
-        for block in self.blocks:
-            axes = replace(
-                block.axes,
-                seconds=self.seconds if seconds is None else seconds,
-                seeds=self.seeds if seeds is None else seeds,
-                wall_limit=self.wall_limit if wall_limit is None else wall_limit,
-                threads=threads,
-            )
-            for config in (run.config for run in axes.experiments()):
-                tables[config] = tuple(dict.fromkeys(tables.get(config, ()) + block.tables))
-        runs = [SlamExperiment(config, names) for config, names in tables.items()]
-        checks = [
-            CollisionExperiment(source=config.source, robot=config.robot, seed=config.seed)
-            for config in ([run.config for run in self.collisions.experiments()] if self.collisions else [])
-        ]
-        order = list(dict.fromkeys(run.config.source for run in runs))
-        found: list[SlamExperiment | CollisionExperiment] = [*runs, *checks]
-        return tuple(sorted(found, key=lambda each: order.index(each.world_config.source)))
-
-
 MAPPERS = ("gmapping", "hector", "cartographer")
 ROBOTS = ("husky", "turtlebot2", "jackal")
-WORLDS = ("simple", "medium", "advanced")
+TABLES = {"simple": ("II", "fig13a"), "medium": ("III", "fig13b"), "advanced": ("IV", "fig13c")}
+"""Published tables and figures, by world."""
+WALL_LIMIT = 120.0
+"""Wall seconds after which a hopelessly slow drive of the paper's suite is stopped and extrapolated."""
 
 
-def _terrain_construction(world: str, *tables: str) -> Block:
-    """Return the runs behind one of the paper's Tables II to IV and its part of Fig. 13."""
-    axes = Axes(sources=(world,), mappers=MAPPERS, representations=(OURS, SOLID_BASED, HEIGHTMAP_BASED))
-    return Block(axes=axes, tables=tables)
+def make_paper_suite(**options: Any) -> tuple[Experiment, ...]:
+    """Return the experiments of the paper's Sections V and III-D, world by world.
+
+    Args:
+        **options: of every run, in place of the suite's own (`seconds`, `seed`, `wall_limit`, `threads`).
+    """
+    options = {"wall_limit": WALL_LIMIT} | options
+    tables: dict[RunConfig, tuple[str, ...]] = {}
+    for world, names in TABLES.items():
+        for view in (OURS, SOLID_BASED, HEIGHTMAP_BASED):
+            tables |= dict.fromkeys(cross(world, mapper=MAPPERS, **view, **options), names)
+        for view in (OURS, SOLID_BASED):
+            for config in cross(world, robot=ROBOTS, mapper=MAPPERS, **view, **options):
+                tables[config] = (*tables.get(config, ()), "robots")
+    experiments: list[SlamExperiment | CollisionExperiment] = [
+        *(SlamExperiment(config, names) for config, names in tables.items()),
+        *(CollisionExperiment(source=world, robot=robot) for world in TABLES for robot in ROBOTS),
+    ]
+    return tuple(sorted(experiments, key=lambda each: tuple(TABLES).index(each.world_config.source)))
 
 
-SUITES: Mapping[str, Suite] = {
-    "paper": Suite(
-        title="LIRS-WCT (2021), Section V and III-D: terrain representations x SLAM methods x robots",
-        blocks=(
-            _terrain_construction("simple", "II", "fig13a"),
-            _terrain_construction("medium", "III", "fig13b"),
-            _terrain_construction("advanced", "IV", "fig13c"),
-            Block(
-                axes=Axes(
-                    sources=WORLDS, robots=ROBOTS, mappers=MAPPERS, representations=(OURS, SOLID_BASED)
-                ),
-                tables=("robots",),
-            ),
-        ),
-        collisions=Axes(sources=WORLDS, robots=ROBOTS),
-    ),
-}
+SUITES: Mapping[str, Callable[..., tuple[Experiment, ...]]] = {"paper": make_paper_suite}
 
 
-def suite_named(name: str) -> Suite:
-    """Return a suite.
+def make_suite(name: str, **options: Any) -> tuple[Experiment, ...]:
+    """Return the experiments of a suite (see `make_paper_suite`).
 
     Raises:
-        ConfigError: there is no such suite.
+        ConfigError: there is no such suite, or an option is not legal.
     """
     if name not in SUITES:
         raise unknown_name("suite", name, SUITES)
-    return SUITES[name]
+    return SUITES[name](**options)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
 from typing import Any
 
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.option import Reader
+
+MAX_NUMBERS = 100_000
+"""Length of a list such as 1-100000 at most."""
 
 
 def numbers(form: str, *counts: int) -> Reader:
@@ -80,3 +84,31 @@ def read_factors(text: str, flag: str) -> tuple[float, float, float]:
 def read_pose(text: str, flag: str) -> Pose2:
     """Read x, y and yaw, which may be left out."""
     return Pose2(*numbers("X,Y or X,Y,YAW in metres and radians", 2, 3)(text, flag))
+
+
+def read_names(text: str, flag: str) -> tuple[str, ...]:
+    """Return the names of a comma-separated list, without repetitions.
+
+    Raises:
+        ConfigError: a name is missing.
+    """
+    names = tuple(name.strip() for name in text.split(","))
+    if not all(names):
+        raise ConfigError(f"{flag} must be a list such as a,b,c, got {text!r}")
+    return tuple(dict.fromkeys(names))
+
+
+def read_numbers(text: str, flag: str) -> tuple[int, ...]:
+    """Return the whole numbers of a list such as `1-5` or `1,3,7-9`, without repetitions.
+
+    Raises:
+        ConfigError: the text is no such list, or has too many numbers.
+    """
+    found: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*(\d{1,9})(?:-(\d{1,9}))?\s*", part)
+        first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
+        if last < first or last - first >= MAX_NUMBERS:
+            raise ConfigError(f"{flag} must be a list such as 1-5 or 1,3,7-9, got {text!r}")
+        found += range(first, last + 1)
+    return tuple(dict.fromkeys(found))

@@ -20,18 +20,16 @@ from lirs_wct.world import World
 Rays = Literal["builtin", "mujoco"]
 RAYS: tuple[Rays, ...] = get_args(Rays)
 """Whose rays meet the world: the builtin ones, or MuJoCo's (for comparison; 20 to 10,000 times slower)."""
-ALIASES: dict[str, Rays] = {"ours": "builtin"}
-"""Other names that users and records hold."""
 
 
 def resolve_rays(name: str) -> Rays:
-    """Return the rays of a name.
+    """Return the ray caster of a name.
 
     Raises:
-        ConfigError: no rays have this name; the message lists the names.
+        ConfigError: there is no such ray caster.
     """
     for rays in RAYS:
-        if ALIASES.get(name, name) == rays:
+        if name == rays:
             return rays
     raise unknown_name("rays", name, RAYS)
 

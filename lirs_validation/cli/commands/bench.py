@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lirs_validation.cli import sweep_options as option
 from lirs_validation.cli.console import err, out
-from lirs_validation.cli.sweeping import executor_for, manifest_of_command, run_sweep
+from lirs_validation.cli.sweeping import manifest_of_command, run_sweep
+from lirs_validation.cli.typer_options import with_options
+from lirs_validation.config import EngineOptions
 from lirs_wct.errors import ConfigError, SourceError
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ FEW = 3
 """Episodes in which a policy failed that are named one by one."""
 
 
+@with_options
 def bench(
     policies: Annotated[list[str], typer.Argument(help=POLICY_HELP)],
     set_name: SetName = "lirs",
@@ -51,13 +53,9 @@ def bench(
     data: Data = None,
     arguments: PolicyArguments = None,
     pictures: Pictures = False,
-    engine: option.EngineName = None,
-    jobs: option.Jobs = None,
-    address: option.Address = None,
-    cell_timeout: option.CellTimeout = None,
-    cell_memory: option.CellMemory = None,
-    retry_failed: option.RetryFailed = False,
     output: Output = Path("out"),
+    *,
+    engine: EngineOptions,
 ) -> None:
     """Score policies on fixed tasks, and compare them with all that ran on these into the same folder.
 
@@ -82,9 +80,8 @@ def bench(
         for policy in choices
         for each in chosen
     ]
-    executor = executor_for(engine, jobs, address, cell_timeout, cell_memory)
-    sweep = Sweep(experiments, output, manifest=manifest_of_command(), retry_failed=retry_failed)
-    run_sweep(sweep, executor, lambda: _show(output, tasks, chosen, choices))
+    sweep = Sweep(experiments, output, manifest=manifest_of_command(), retry_failed=engine.retry_failed)
+    run_sweep(sweep, engine, lambda: _show(output, tasks, chosen, choices))
 
 
 def _with_sources(tasks: Sequence[BenchTask], data: Path | None) -> list[BenchTask]:

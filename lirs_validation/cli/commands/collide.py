@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lirs_validation.cli.arguments import Sources, read_names, read_seeds
+from lirs_validation.cli.arguments import Sources
 from lirs_validation.cli.console import RUN_FAILED, err, out
 from lirs_validation.cli.progress import progress_bar
-from lirs_validation.cli.typer_options import mujoco_terrain, with_build_options
+from lirs_validation.cli.typer_options import mujoco_terrain, with_options
 from lirs_validation.config import SourceOptions
 from lirs_wct.errors import WctError
+from lirs_wct.sources.option_text import read_names, read_numbers
 
 if TYPE_CHECKING:
     from lirs_envs.robots.robot import Robot
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from lirs_wct.contact.contact_geometry import ContactGeometry
 
 
-@with_build_options
+@with_options
 def collide(
     sources: Sources,
     robot: Annotated[str, typer.Option(metavar="R,R,...", help="Robots.")] = "husky,jackal,turtlebot2",
@@ -47,7 +48,7 @@ def collide(
     verdicts: list[CollisionVerdict] = []
     refused: list[WctError] = []
     try:
-        for found in _checked(sources, options, robots, terrains, seconds, read_seeds(seeds)):
+        for found in _checked(sources, options, robots, terrains, seconds, read_numbers(seeds, "--seeds")):
             if isinstance(found, WctError):
                 refused.append(found)
             else:

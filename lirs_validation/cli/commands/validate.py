@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lirs_validation.cli import sweep_options as option
 from lirs_validation.cli.arguments import SOURCE_HELP
 from lirs_validation.cli.console import out
-from lirs_validation.cli.sweeping import executor_for, manifest_of_command, run_sweep
-from lirs_validation.cli.typer_options import with_build_options
-from lirs_validation.config import SourceOptions
+from lirs_validation.cli.sweeping import manifest_of_command, run_sweep
+from lirs_validation.cli.typer_options import with_options
+from lirs_validation.config import RUN_AXES, EngineOptions, RunConfig, SourceOptions
+from lirs_wct.errors import ConfigError
 
 if TYPE_CHECKING:
     from lirs_validation.sweep.experiment import Experiment
@@ -24,107 +23,106 @@ if TYPE_CHECKING:
 
 FEW = 10
 """Folders that are listed one by one."""
+OF_A_SUITE = ("seed", "threads")
+"""Axes that a suite leaves open."""
+
+Sources = Annotated[list[str] | None, typer.Argument(help=SOURCE_HELP)]
+SuiteName = Annotated[
+    str | None,
+    typer.Option("--suite", metavar="paper", help="A published experiment, instead of sources and axes."),
+]
 
 
-def _validate(
-    sources: Annotated[list[str] | None, typer.Argument(help=SOURCE_HELP)] = None,
-    suite: option.SuiteName = None,
-    robot: option.Robots = None,
-    mapper: option.Mappers = None,
-    lidar: option.Lidars = None,
-    terrain: option.Terrains = None,
-    rays: option.RayKinds = None,
-    attitude: option.Attitudes = None,
-    driver: option.Drivers = None,
-    actors: option.Actors = None,
-    threads: option.Threads = None,
-    seconds: option.Seconds = None,
-    seed: option.Seed = None,
-    seeds: option.Seeds = None,
-    wall_limit: option.WallLimit = None,
-    bag: option.Bag = False,
-    storage: option.StorageName = None,
-    sensors_only: option.SensorsOnly = False,
-    engine: option.EngineName = None,
-    jobs: option.Jobs = None,
-    address: option.Address = None,
-    cell_timeout: option.CellTimeout = None,
-    cell_memory: option.CellMemory = None,
-    retry_failed: option.RetryFailed = False,
+@with_options
+def validate(
+    sources: Sources = None,
+    suite: SuiteName = None,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the runs' folders.")] = Path(
         "out"
     ),
     *,
+    run: Annotated[dict[str, Any], RunConfig],
+    engine: EngineOptions,
     options: SourceOptions,
 ) -> None:
     """Drive robots through worlds with SLAM running, and evaluate map, trajectory and speed.
 
     The same command resumes an interrupted sweep.
     """
-    given = locals()
-    _run(_experiments(given), given, output)
+    _run(read_experiments(sources, suite, run, options), engine, output, suite)
 
 
-def _record(*, folder: Path, **given: Any) -> None:
-    """Record a drive as a ROS 2 bag: validate with --bag, into the folder that is named.
+@with_options
+def record(
+    sources: Sources = None,
+    suite: SuiteName = None,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Folder of the bag; of several runs, for theirs.")
+    ] = Path("run"),
+    *,
+    run: Annotated[dict[str, Any], RunConfig],
+    engine: EngineOptions,
+    options: SourceOptions,
+) -> None:
+    """Record a drive as a ROS 2 bag: validate with --bag, into the named folder.
 
-    The folder is that of the run, too: score, export and report take it. Of several runs it holds theirs.
+    The folder is also that of the run: score, export and report take it. Several runs get folders in it.
     """
     from lirs_validation.sweep.slam_experiment import SlamExperiment
 
-    experiments = _experiments({**given, "bag": True})
+    experiments = read_experiments(sources, suite, {"bag": "mcap", **run}, options)
     if len(experiments) > 1 or not isinstance(experiments[0], SlamExperiment):
-        _run(experiments, given, folder)
+        _run(experiments, engine, output, suite)
         return
-    folder = folder if folder.name else folder.resolve()
+    folder = output if output.name else output.resolve()
     experiment = replace(experiments[0], folder=folder.name)
     _check_free(folder, experiment)
-    _run((experiment,), given, folder.parent, listed=False)
+    _run((experiment,), engine, folder.parent, suite, listed=False)
 
 
-def _signature() -> inspect.Signature:
-    """Return what `record` takes: all that `validate` takes, but its folder is that of the bag."""
-    into = Annotated[
-        Path, typer.Option("-o", "--output", help="Folder of the bag; of several runs, for theirs.")
-    ]
-    own = inspect.Parameter("folder", inspect.Parameter.KEYWORD_ONLY, default=Path("run"), annotation=into)
-    taken = inspect.signature(_validate, eval_str=True).parameters.values()
-    return inspect.Signature([own if p.name == "output" else p for p in taken if p.name != "bag"])
+def read_experiments(
+    sources: list[str] | None, suite: str | None, run: dict[str, Any], build: SourceOptions
+) -> tuple[Experiment, ...]:
+    """Return the experiments of a suite, or of every combination of the given options.
 
+    Args:
+        sources: worlds; none with a suite.
+        suite: its name; None = sources and axes are given.
+        run: options of `RunConfig` that were given, a tuple of values for each axis.
+        build: how sources become worlds.
 
-_record.__signature__ = _signature()  # type: ignore[attr-defined]
-validate, record = with_build_options(_validate), with_build_options(_record)
+    Raises:
+        ConfigError: neither or both of sources and suite are given, or an option is not legal.
+    """
+    from lirs_validation.sweep.axes import cross
+    from lirs_validation.sweep.slam_experiment import SlamExperiment
+    from lirs_validation.sweep.suites import make_suite
 
-
-def _experiments(given: Mapping[str, Any]) -> tuple[Experiment, ...]:
-    """Return the experiments that the options ask for."""
-    axes = ("robot", "mapper", "lidar", "terrain", "rays", "attitude", "driver", "actors")
-    found = option.read_experiments(
-        given["sources"],
-        given["suite"],
-        {axis: given[axis] for axis in axes},
-        option.read_seed_options(given["seed"], given["seeds"]),
-        given["seconds"],
-        given["wall_limit"],
-        option.read_threads(given["threads"]),
-        given["options"],
-    )
-    bags = {name: given[name] for name in ("bag", "storage", "sensors_only")}
-    return option.recorded(found, **bags)
+    if suite is None:
+        if not sources:
+            raise ConfigError("nothing to validate: name a source (simple, an image, ...) or a --suite")
+        return tuple(SlamExperiment(config) for config in cross(tuple(sources), build=build, **run))
+    clash = [f"--{name}" for name in RUN_AXES if name in run and name not in OF_A_SUITE]
+    clash += ["sources"] * bool(sources) + ["options of build"] * (build != SourceOptions())
+    if clash:
+        raise ConfigError(f"--suite {suite} has its own worlds and axes: leave out {', '.join(clash)}")
+    return make_suite(suite, **run)
 
 
 def _run(
-    experiments: Sequence[Experiment], given: Mapping[str, Any], out: Path, *, listed: bool = True
+    experiments: Sequence[Experiment],
+    engine: EngineOptions,
+    out: Path,
+    suite: str | None,
+    *,
+    listed: bool = True,
 ) -> None:
-    """Run experiments as the options say."""
+    """Run experiments, and print their tables."""
     from lirs_validation.sweep.sweep import Sweep
 
-    executor = executor_for(
-        given["engine"], given["jobs"], given["address"], given["cell_timeout"], given["cell_memory"]
-    )
-    asked, retry = manifest_of_command(given["suite"]), given["retry_failed"]
-    sweep = Sweep(experiments, out, manifest=asked, listed=listed, retry_failed=retry)
-    run_sweep(sweep, executor, lambda: _show(sweep))
+    manifest = manifest_of_command(suite)
+    sweep = Sweep(experiments, out, manifest=manifest, listed=listed, retry_failed=engine.retry_failed)
+    run_sweep(sweep, engine, lambda: _show(sweep))
 
 
 def _check_free(folder: Path, experiment: SlamExperiment) -> None:

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lirs_validation.cli.arguments import Source, read_names
+from lirs_validation.cli.arguments import Source
 from lirs_validation.cli.console import err, out
 from lirs_validation.cli.progress import progress_bar
-from lirs_validation.cli.typer_options import gazebo_terrain, typer_option, with_build_options
+from lirs_validation.cli.typer_options import gazebo_terrain, typer_option, with_options
 from lirs_validation.config import SourceOptions
 from lirs_wct.meshing.export_options import DEFAULT_SHARE, ExportOptions
+from lirs_wct.sources.option_text import read_names
 
 if TYPE_CHECKING:
     from lirs_wct.world import World
@@ -39,7 +40,7 @@ MapHeight = Annotated[
 ]
 
 
-@with_build_options
+@with_options
 def build(
     source: Source,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the world's folder.")] = Path(
@@ -74,7 +75,7 @@ def build(
     _say_what_was_built(world, folder, to)
 
 
-@with_build_options
+@with_options
 def view(
     source: Source,
     output: Annotated[
@@ -92,7 +93,7 @@ def view(
     _draw(world, output or Path(f"{world.name}-view.png"), oblique)
 
 
-@with_build_options
+@with_options
 def info(
     source: Source,
     output: Annotated[

@@ -1,4 +1,4 @@
-"""The options of `build` as controls of a page, made from the declarations that the command line uses."""
+"""Controls of the live page, generated from the declarations of options."""
 
 from __future__ import annotations
 
@@ -8,18 +8,15 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from lirs_validation.config import SourceOptions
+from lirs_validation.config import RunConfig, SourceOptions
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.option import Option, Slider, declared
+from lirs_wct.option import Option, Options, Slider, declared, defaults
 from lirs_wct.sources.source_kind import SourceKind
-from slam_baselines.mapper import MAPPERS
 
 FIRST_PANEL = "Source"
 """Heading of the options that the command line has without one."""
 DEFAULT = "not given"
 """Stands for "not given" among choices."""
-CHOICES = {"log_mapper": tuple(MAPPERS)}
-"""Choices of a page where the command line takes anybody's code."""
 Kind = Literal["switch", "choice", "slider", "text", "file"]
 
 
@@ -30,10 +27,11 @@ class Control:
     Attributes:
         name: of the option's field.
         kind: of control.
-        title: beside it; the paper's name where it has one.
-        panel: heading that it stands under.
+        title: its label; the paper's name if it has one.
+        panel: its heading.
         hint: help, with the flag at the command line.
-        initial: value that stands for the default.
+        initial: value of the control that stands for the default.
+        default: of the option.
         choices: legal values of a choice.
         slider: of a number.
     """
@@ -44,6 +42,7 @@ class Control:
     panel: str
     hint: str
     initial: bool | float | str
+    default: Any
     choices: tuple[str, ...] = ()
     slider: Slider | None = None
     option: Option
@@ -62,9 +61,9 @@ class Control:
             ConfigError: the text is no such value.
         """
         if value == self.initial and not isinstance(value, bool):
-            return getattr(SourceOptions(), self.name)
+            return self.default
         if not isinstance(value, str) or self.kind == "choice":
-            return value
+            return int(value) if self.type is int else value
         if self.kind == "file":
             return Path(value)
         if self.option.read is not None:
@@ -84,13 +83,13 @@ class Control:
         return get_args(self.type) if get_origin(self.type) is UnionType else (self.type,)
 
 
-def controls() -> Iterator[Control]:
-    """Yield a control for every option that a source's world depends on."""
-    types, defaults = get_type_hints(SourceOptions), SourceOptions()
-    for name, option in declared(SourceOptions):
-        kind, choices, initial = _kind(types[name], option, getattr(defaults, name))
-        if name in CHOICES:
-            kind, choices = "choice", CHOICES[name]
+def controls(options: type[Options]) -> Iterator[Control]:
+    """Yield a control for every option of a class that the page offers."""
+    types, usual = get_type_hints(options), defaults(options)
+    for name, option in declared(options):
+        if not option.on_page:
+            continue
+        kind, choices, initial = _kind(types[name], option, usual[name])
         form = f" Form: {option.metavar}." if kind == "text" and option.metavar else ""
         yield Control(
             name=name,
@@ -99,6 +98,7 @@ def controls() -> Iterator[Control]:
             panel=option.panel or FIRST_PANEL,
             hint=f"{option.help}{form} Command line: {option.flags[0]}",
             initial=initial,
+            default=usual[name],
             choices=choices,
             slider=option.slider,
             option=option,
@@ -116,6 +116,8 @@ def _kind(written: Any, option: Option, default: Any) -> tuple[Kind, tuple[str, 
     if Path in parts:
         return "file", (), ""
     names = next((get_args(p) for p in (written, *parts) if get_origin(p) is Literal), ())
+    if option.names:
+        names = tuple(option.names() if callable(option.names) else option.names)
     if names:
         optional = NoneType in parts
         return "choice", (DEFAULT, *names) if optional else names, DEFAULT if optional else default
@@ -137,7 +139,26 @@ def read_controls(values: Mapping[str, bool | float | str], pixels: int) -> Sour
         ConfigError: a value is not legal, or two options contradict.
         SourceError: more pixels are asked for than the server allows.
     """
-    found = SourceOptions(**{c.name: c.read(values[c.name]) for c in controls() if c.name in values})
+    found = SourceOptions(
+        **{c.name: c.read(values[c.name]) for c in controls(SourceOptions) if c.name in values}
+    )
     if found.max_pixels > pixels:
         raise SourceError(f"max pixels: this server reads pictures of up to {pixels} pixels")
     return found
+
+
+def read_run_controls(
+    values: Mapping[str, bool | float | str], source: str, build: SourceOptions
+) -> RunConfig:
+    """Return the run of a page's controls.
+
+    Raises:
+        ConfigError: a value is not legal, or beyond the page's slider.
+    """
+    given = {}
+    for control in controls(RunConfig):
+        value, slider = values[control.name], control.slider
+        if slider is not None and not slider.low <= float(value) <= slider.high:
+            raise ConfigError(f"{control.title} must be {slider.low:g} to {slider.high:g} here, got {value}")
+        given[control.name] = control.read(value)
+    return RunConfig(source=source, build=build, **given)

@@ -7,18 +7,22 @@ from collections.abc import Callable
 
 import viser
 
+from lirs_validation.config import RunConfig
 from lirs_validation.gui.session.construction import Shown, zipped
+from lirs_validation.gui.session.controls import read_run_controls
 from lirs_validation.gui.session.live_drive import LiveDrive
 from lirs_validation.gui.view.page_context import PageContext
 from lirs_validation.gui.view.player import Player
+from lirs_validation.gui.view.widgets.option_controls import OptionControls
 from lirs_validation.gui.view.widgets.pace import SPEEDS, Pace, PlayButton, add_follow
 from lirs_validation.gui.view.widgets.progress import ProgressLine
-from lirs_validation.gui.view.widgets.run_controls import RunControls
 from lirs_validation.gui.view.widgets.stick import Stick
 from lirs_wct.errors import ConfigError
 
 SLICE = 0.05
 """Wall seconds of driving between two looks at what else there is to do."""
+FIRST = ("robot", "mapper", "lidar", "driver")
+"""Options of a run above the folded ones."""
 
 
 class DriveTab:
@@ -39,7 +43,7 @@ class DriveTab:
         self._page, self._world, self._begun = page, world, begun
         self.drive: LiveDrive | None = None
         gui = page.client.gui
-        self._controls = RunControls(gui)
+        self._controls = OptionControls(gui, page.guard, RunConfig, first=FIRST)
         self._add_buttons(gui)
         self._progress = ProgressLine(gui)
         self._player = Player(gui, page.guard, page.drive_scene, self.pause, page.worker.submit)
@@ -92,7 +96,7 @@ class DriveTab:
         shown = self._world()
         if shown is None:
             raise ConfigError("there is no world to drive in: choose one first")
-        config = self._controls.config(shown.source, shown.options)
+        config = read_run_controls(self._controls.values(), shown.source, shown.options)
         self._begun()
         self.drive = None
         with self._progress.shown(config.robot) as progress:

@@ -8,6 +8,7 @@ from typing import Any
 
 import viser
 
+from lirs_validation.config import SourceOptions
 from lirs_validation.gui.session.construction import Construction, Shown, zipped
 from lirs_validation.gui.session.controls import read_controls
 from lirs_validation.gui.session.world_facts import Facts
@@ -42,7 +43,9 @@ class WorldTab:
         gui = page.client.gui
         self._add_source(gui)
         self._add_results(gui)
-        self._options = OptionControls(gui, page.guard, self.preview, self._keep)
+        self._options = OptionControls(
+            gui, page.guard, SourceOptions, changed=self.preview, keep_file=self._keep
+        )
         self._add_files(gui)
 
     def _add_source(self, gui: viser.GuiApi) -> None:

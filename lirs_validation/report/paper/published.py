@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 HEIGHTMAP, SOLID, OURS = "heightmap-based", "solid-based", "ours"
-VIEWS: Final = {HEIGHTMAP: ("hfield", "mujoco"), SOLID: ("mesh", "mujoco"), OURS: ("hfield", "ours")}
+VIEWS: Final = {HEIGHTMAP: ("hfield", "mujoco"), SOLID: ("mesh", "mujoco"), OURS: ("hfield", "builtin")}
 """Ways to represent a terrain: what is touched, and whose rays meet it. The first two are the paper's."""
 MAPPERS: Final = {"gmapping": "GMapping", "hector": "HectorSLAM", "cartographer": "Cartographer"}
 WORLDS: Final = {"simple": "II", "medium": "III", "advanced": "IV"}

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lirs_validation.analysis.compare import LEVEL, Comparison, Difference
-from lirs_validation.analysis.groups import FIELDS, Group, distinguishing_fields
+from lirs_validation.analysis.groups import FIELDS, RunGroup, distinguishing_fields
 from lirs_validation.record.formatting import NOTHING
 from lirs_validation.record.odometry import WORSE
 from lirs_validation.report.tables.screen import FittedTable
@@ -141,7 +141,7 @@ def as_dict(d: Difference) -> dict[str, Any]:
     }
 
 
-def _as_dicts(groups: Sequence[Group]) -> list[dict[str, Any]]:
+def _as_dicts(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
     return [asdict(group) for group in groups]
 
 

@@ -16,7 +16,7 @@ from lirs_validation.analysis.as_published import (
     outcome_of,
     published_pairs,
 )
-from lirs_validation.analysis.groups import Group, distinguishing_fields
+from lirs_validation.analysis.groups import RunGroup, distinguishing_fields
 from lirs_validation.record.formatting import Entry
 from lirs_validation.record.metric_catalog import metrics_named
 from lirs_validation.record.odometry import ATE, ODOMETRY_ATE, WORSE, WORSE_MARK
@@ -60,7 +60,7 @@ def _table(key: str, title: str, pairs: Sequence[MethodPair]) -> ReportTable:
 
 def _unchecked(pairs: Sequence[MethodPair]) -> str:
     """Return which methods as published have no reference, as sentences; nothing where all have one."""
-    names = dict.fromkeys(pair.group.mapper for pair in pairs if pair.how == "as published")
+    names = dict.fromkeys(pair.group["mapper"] for pair in pairs if pair.how == "as published")
     return "".join(
         f" {name}{SUFFIX} was never compared with runs of its original."
         for name in names
@@ -81,7 +81,7 @@ def _row(pair: MethodPair) -> tuple[Content, ...]:
     )
 
 
-def _fields(groups: Sequence[Group]) -> tuple[str, ...]:
+def _fields(groups: Sequence[RunGroup]) -> tuple[str, ...]:
     """Return the fields that distinguish the rows, world and method always; attitudes are columns."""
     different = distinguishing_fields(groups) if groups else ()
     rest = (field for field in different if field not in ("world", "mapper", "attitude"))

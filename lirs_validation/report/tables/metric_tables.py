@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from lirs_validation.analysis.groups import FIELDS, Group, by_group, distinguishing_fields
+from lirs_validation.analysis.groups import FIELDS, RunGroup, by_group, distinguishing_fields, unusual_fields
 from lirs_validation.analysis.repeats import repeats
-from lirs_validation.config import LATER
 from lirs_validation.record.formatting import Entry
 from lirs_validation.record.metric_catalog import Metric, Section, metrics_in, metrics_selected, rtf_counts
 from lirs_validation.record.odometry import ATE, WORSE, WORSE_MARK, worse_than_odometry
@@ -30,11 +29,10 @@ MOST_NAMED = 12
 def failures_table(entries: Sequence[Entry]) -> ReportTable:
     """Return the runs that failed, and why."""
     failed = [entry for entry in entries if not succeeded(entry)]
-    groups = [Group.of(e) for e in entries]
-    unusual = [name for name, usual in LATER.items() if any(getattr(g, name) != usual for g in groups)]
-    fields = ("world", "robot", "mapper", "terrain", "rays", *unusual)
+    groups = [RunGroup.of(e) for e in entries]
+    fields = tuple(dict.fromkeys(("world", "robot", "mapper", *unusual_fields(groups))))
     rows = [
-        (*group_texts(Group.of(e), fields), str(e["seed"]),
+        (*group_texts(RunGroup.of(e), fields), str(e["seed"]),
          str(e["status"]), str(e["reason"] or e["status"]), str(e["name"]))
         for e in failed
     ]  # fmt: skip
@@ -49,7 +47,7 @@ def failure_lines(entries: Sequence[Entry]) -> list[str]:
     fields = distinguishing_fields(by_group(entries))
     fields = tuple(field for field in FIELDS if field in {"world", "robot", "mapper", *fields})
     lines = [
-        f"{Group.of(e).named(fields)}, seed {e['seed']} failed: {e['status']}"
+        f"{RunGroup.of(e).named(fields)}, seed {e['seed']} failed: {e['status']}"
         + (f": {e['reason']}" if e["reason"] else "")
         for e in failed
     ]
@@ -75,7 +73,7 @@ def section_by_run(section: Section, entries: Sequence[Entry]) -> ReportTable:
     headings = (*fields, "seed", "status", *(metric.heading for metric in kept))
     rows = [
         (
-            *group_texts(Group.of(e), fields),
+            *group_texts(RunGroup.of(e), fields),
             str(e["seed"]),
             str(e["status"]),
             *(over_runs(m, [e]) for m in kept),
@@ -148,15 +146,15 @@ def _worse(entries: Sequence[Entry]) -> list[str]:
     return [f"{WORSE_MARK} {WORSE}: {'; '.join(named[:MOST_NAMED])}{more}."] if named else []
 
 
-def _fields(groups: Mapping[Group, Any]) -> tuple[str, ...]:
+def _fields(groups: Mapping[RunGroup, Any]) -> tuple[str, ...]:
     """Return the fields that distinguish the groups, world and mapper always."""
     different = {"world", "mapper", *distinguishing_fields(groups)}
     return tuple(field for field in FIELDS if field in different)
 
 
-def group_texts(group: Group, fields: Sequence[str]) -> tuple[Content, ...]:
+def group_texts(group: RunGroup, fields: Sequence[str]) -> tuple[Content, ...]:
     """Return the values of a group's fields as text."""
-    values = [getattr(group, field) for field in fields]
+    values = [group[field] for field in fields]
     return tuple(f"{v:g} s" if isinstance(v, float) else str(v) for v in values)
 
 

@@ -6,29 +6,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from lirs_validation.config import LATER
-from lirs_validation.record.formatting import Entry, as_entry, text_at, value_at
+from lirs_validation.analysis.groups import RunGroup, unusual_fields
+from lirs_validation.config import RUN_AXES
+from lirs_validation.record.formatting import Entry, as_entry, text_at
 from lirs_validation.record.metric_catalog import Metric, metrics_selected
 from lirs_validation.record.odometry import worse_lines, worse_than_odometry
 from lirs_validation.record.run_record import RunRecord, succeeded
 from lirs_validation.report.tables.screen import FittedTable
 from lirs_validation.report.tables.table import ReportTable
 
-FACTS = {
-    "world": "world.name",
-    "robot": "config.robot",
-    "mapper": "config.mapper",
-    "attitude": "config.attitude",
-    "driver": "config.driver",
-    "actors": "config.actors",
-    "threads": "config.threads",
-    "seed": "config.seed",
-    "status": "status",
-}
-"""Columns before the metrics, and their places in the record."""
+FACTS = {"world": "world.name", **{name: f"config.{name}" for name in RUN_AXES}, "status": "status"}
+"""Columns before the metrics, and their keys in the record."""
+ALWAYS = ("world", "robot", "mapper", "seed", "status")
+"""Columns that are shown even if every run has the default."""
 LEAST = ("driven [m]",)
 """Columns that are left out first where the screen is narrow."""
-COMMON = ("robot", "mapper", *LATER, "seed")
+COMMON = RUN_AXES
 """Columns that move into the title where all runs have the same."""
 
 
@@ -83,10 +76,9 @@ def ordered(records: Sequence[RunRecord | Entry]) -> list[Entry]:
 
 
 def _columns(entries: Sequence[Entry]) -> list[Column]:
+    shown = {*ALWAYS, *unusual_fields(map(RunGroup.of, entries))}
     facts = [
-        Column(name, partial(text_at, key=key), fact=True)
-        for name, key in FACTS.items()
-        if name not in LATER or any(value_at(entry, key) not in (None, LATER[name]) for entry in entries)
+        Column(name, partial(text_at, key=key), fact=True) for name, key in FACTS.items() if name in shown
     ]
     metrics = [
         m

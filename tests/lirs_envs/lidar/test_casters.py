@@ -96,7 +96,3 @@ def test_the_same_noise(hills: World, husky: Robot) -> None:
 def test_unknown_rays(plane: World, husky: Robot) -> None:
     with pytest.raises(ConfigError, match=r"unknown rays 'embree'; legal: builtin, mujoco"):
         Simulation(plane, SimulationConfig(robot=husky, rays="embree"))  # type: ignore[arg-type]
-
-
-def test_ours_is_another_name_of_builtin(husky: Robot) -> None:
-    assert SimulationConfig(robot=husky, rays="ours") == SimulationConfig(robot=husky)  # type: ignore[arg-type]

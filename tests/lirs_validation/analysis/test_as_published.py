@@ -137,7 +137,7 @@ def test_methods_are_paired_with_their_originals_world_by_world() -> None:
         *runs("cartographer_original", [0.3]),
     ]
     pairs = published_pairs(entries)
-    assert [(p.group.world, p.group.mapper, len(p.planar), len(p.aware)) for p in pairs] == [
+    assert [(p.group["world"], p.group["mapper"], len(p.planar), len(p.aware)) for p in pairs] == [
         ("medium", "hector", 5, 5),
         ("simple", "my_slam:Slam", 1, 1),
     ]
@@ -176,10 +176,10 @@ def test_mappers_are_paired_with_themselves_without_attitude() -> None:
         *runs("hector_original", [2.0] * 3, attitude="none"),
         *runs("hector", [0.1] * 3),
     ]
-    assert [(pair.group.mapper, pair.how) for pair in attitude_pairs(entries)] == [
+    assert [(pair.group["mapper"], pair.how) for pair in attitude_pairs(entries)] == [
         ("my_slam:Slam", "without attitude")
     ]
-    assert [(p.group.mapper, len(p.planar)) for p in published_pairs(entries)] == [("hector", 3)]
+    assert [(p.group["mapper"], len(p.planar)) for p in published_pairs(entries)] == [("hector", 3)]
     published, without = method_tables(entries)
     assert [published.key, without.key] == ["as-published", "without-attitude"]
     assert without.texts()[0][-1] == "Without attitude it loses its way here; with attitude it holds."

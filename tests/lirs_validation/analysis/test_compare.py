@@ -162,7 +162,7 @@ def test_runs_are_chosen_by_the_fields_of_their_groups() -> None:
 def test_what_only_one_has_is_named() -> None:
     a = [*results(0, 0.01), entry("medium", 1)]
     comparison = compare(a, results(0, 0.02), ATE)
-    assert [group.world for group in comparison.only_a] == ["medium"]
+    assert [group["world"] for group in comparison.only_a] == ["medium"]
     assert "Only in a: medium" in shown(comparison)
 
 

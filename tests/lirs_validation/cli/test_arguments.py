@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lirs_validation.cli.arguments import read_drivers, read_names, read_seeds
+from lirs_validation.config import read_drivers
 from lirs_wct.errors import ConfigError
+from lirs_wct.sources.option_text import read_names, read_numbers
 
 
 def test_names_are_read_each_once() -> None:
@@ -48,10 +49,10 @@ def test_what_is_no_driver_is_told_with_the_legal_ones(text: str) -> None:
 def test_seeds_are_read_as_written(ranges: list[tuple[int, int]]) -> None:
     text = ",".join(f"{a}-{a + n}" if n else f"{a}" for a, n in ranges)
     expected = [seed for a, n in ranges for seed in range(a, a + n + 1)]
-    assert read_seeds(text) == tuple(dict.fromkeys(expected))
+    assert read_numbers(text, "--seeds") == tuple(dict.fromkeys(expected))
 
 
 @pytest.mark.parametrize("text", ["", "a", "1-", "-3", "5-1", "1,,2", "1.5", "0-99999999999", "1-999999999"])
 def test_what_is_no_list_of_seeds_is_told(text: str) -> None:
     with pytest.raises(ConfigError, match="--seeds must be a list such as"):
-        read_seeds(text)
+        read_numbers(text, "--seeds")

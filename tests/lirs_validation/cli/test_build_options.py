@@ -10,7 +10,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from lirs_validation.cli.typer_options import with_build_options
+from lirs_validation.cli.typer_options import with_options
 from lirs_validation.config import RunConfig, SourceOptions
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.report.command_line import command_of
@@ -42,7 +42,7 @@ def said(*words: str) -> SourceOptions:
     app = typer.Typer()
 
     @app.command()
-    @with_build_options
+    @with_options
     def probe(source: str, mapper: str = "", *, options: Flooded) -> None:
         heard.append(options)
 
@@ -62,7 +62,7 @@ def test_a_new_field_is_in_the_help(monkeypatch: pytest.MonkeyPatch) -> None:
     app = typer.Typer()
 
     @app.command()
-    @with_build_options
+    @with_options
     def probe(source: str, *, options: Flooded) -> None: ...
 
     shown = CliRunner().invoke(app, ["--help"]).output

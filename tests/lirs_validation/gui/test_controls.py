@@ -15,11 +15,11 @@ MANY = 10**9
 
 
 def test_every_option_has_one_control() -> None:
-    assert [c.name for c in controls()] == [f.name for f in fields(SourceOptions)]
+    assert [c.name for c in controls(SourceOptions)] == [f.name for f in fields(SourceOptions)]
 
 
 def test_untouched_controls_are_the_defaults() -> None:
-    assert read_controls({c.name: c.initial for c in controls()}, MANY) == SourceOptions()
+    assert read_controls({c.name: c.initial for c in controls(SourceOptions)}, MANY) == SourceOptions()
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_the_server_limits_pixels() -> None:
 
 
 def test_the_papers_controls_have_the_papers_names() -> None:
-    titles = {c.title for c in controls()}
+    titles = {c.title for c in controls(SourceOptions)}
     assert {
         "color inverse",
         "smoothing",
@@ -84,8 +84,8 @@ def test_the_papers_controls_have_the_papers_names() -> None:
 
 
 def test_controls_follow_the_kind_of_source() -> None:
-    shown = {c.name for c in controls() if c.shown_for(SourceKind.MAP)}
+    shown = {c.name for c in controls(SourceOptions) if c.shown_for(SourceKind.MAP)}
     assert "wall_height" in shown
     assert "smoothing" not in shown
-    log = {c.name for c in controls() if c.shown_for(SourceKind.LOG)}
+    log = {c.name for c in controls(SourceOptions) if c.shown_for(SourceKind.LOG)}
     assert {"log_mapper", "wall_height"} <= log

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
 import typer
 from typer.testing import CliRunner
 
-from lirs_validation.cli.typer_options import with_build_options
+from lirs_validation.cli.typer_options import with_options
 from lirs_validation.config import RunConfig
 from lirs_validation.report.command_line import command_of
+from lirs_validation.sweep.axes import cross
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.sources.options import BuildOptions
 
@@ -37,19 +38,12 @@ def test_the_command_of_a_run_is_that_run(config: RunConfig) -> None:
     app = typer.Typer()
 
     @app.command()
-    @with_build_options
-    def probe(
-        source: str, robot: str = "", mapper: str = "", lidar: str | None = None, terrain: str = "hfield",
-        rays: str = "ours", seconds: float = 120.0, seed: int = 0, wall_limit: float | None = None,
-        *, options: BuildOptions,
-    ) -> None:  # fmt: skip
-        heard.update(
-            source=source, robot=robot, mapper=mapper, lidar=lidar, terrain=terrain, rays=rays,
-            seconds=seconds, seed=seed, wall_limit=wall_limit, build=options,
-        )  # fmt: skip
+    @with_options
+    def probe(source: str, *, run: Annotated[dict[str, Any], RunConfig], options: BuildOptions) -> None:
+        heard.update(source=source, build=options, **run)
 
     words = shlex.split(command_of(config))
     assert words[:2] == ["lirs-wct", "validate"]
     result = CliRunner().invoke(app, words[2:], catch_exceptions=False)
     assert result.exit_code == 0, result.output
-    assert RunConfig(**heard) == config
+    assert cross(heard.pop("source"), **heard) == (config,)

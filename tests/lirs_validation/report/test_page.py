@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from lirs_validation import cli
-from lirs_validation.analysis.groups import Group, by_group
+from lirs_validation.analysis.groups import RunGroup, by_group
 from lirs_validation.analysis.repeats import repeats
 from lirs_validation.analysis.result_folders import RunFolder, read_results
 from lirs_validation.record.formatting import significant
@@ -116,7 +116,7 @@ def test_failures_come_first_and_are_in_no_mean(mixed: Path) -> None:
 def test_means_and_intervals_are_those_of_the_records(mixed: Path) -> None:
     report, _ = reported(mixed)
     (ate,) = metrics_named(["trajectory.ate_rmse"])
-    runs = by_group(report.entries)[Group.of(entry("simple", mapper="gmapping"))]
+    runs = by_group(report.entries)[RunGroup.of(entry("simple", mapper="gmapping"))]
     expected = repeats([run["trajectory"]["ate_rmse"] for run in runs])
     assert expected is not None
     table = group_table("t", "T", [ate], report.entries)

@@ -1,40 +1,51 @@
-"""The options of `build` in a page: a control for each, under the headings of the command line's help."""
+"""Options on a page: a control for each, under headings."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any
 
 import viser
 
 from lirs_validation.gui.session.controls import FIRST_PANEL, Control, controls
 from lirs_validation.gui.view.guard import Guard
+from lirs_wct.option import Options
 from lirs_wct.sources.source_kind import SourceKind
+
+MORE = "More options"
+"""Heading of the options that are not among the first."""
 
 
 class OptionControls:
-    """Controls of all options; their values are read by `values`.
+    """Controls of the options of a class; `values` reads them.
 
     Args:
         gui: of the page.
         guard: of its callbacks.
+        options: the class.
         changed: called after a change.
         keep_file: keeps an uploaded file and returns its path.
+        first: names of options above all headings; None = every option stands under its own heading.
     """
 
     def __init__(
         self,
         gui: viser.GuiApi,
         guard: Guard,
-        changed: Callable[[], None],
-        keep_file: Callable[[str, bytes], str],
+        options: type[Options],
+        *,
+        changed: Callable[[], None] = lambda: None,
+        keep_file: Callable[[str, bytes], str] = lambda name, content: "",
+        first: tuple[str, ...] | None = None,
     ) -> None:
         self._gui, self._guard, self._changed, self._keep_file = gui, guard, changed, keep_file
         self._files: dict[str, str] = {}
         self._shown: list[tuple[Control, Any]] = []
         self._folders: dict[str, Any] = {}
-        for control in controls():
-            with self._folder(control.panel):
+        for control in sorted(controls(options), key=lambda c: first is not None and c.name not in first):
+            panel = control.panel if first is None else MORE
+            with nullcontext() if first and control.name in first else self._folder(panel):
                 self._shown.append((control, self._add(control)))
 
     def values(self) -> dict[str, bool | float | str]:

@@ -10,7 +10,6 @@ import pytest
 from lirs_validation import validate
 from lirs_validation.config import ATTITUDES, Attitude, RunConfig
 from lirs_validation.experiment.mappers.attitude import with_attitude
-from lirs_validation.sweep.axes import Axes
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.imu_csv import read_imu
 from slam_baselines.mapper import make_mapper, requires_odometry
@@ -85,19 +84,6 @@ def test_a_mapper_without_attitude_still_says_what_it_requires() -> None:
         mapper = make_mapper(name)
         assert requires_odometry(with_attitude(mapper, "none")) == requires_odometry(mapper)
         assert with_attitude(mapper, "imu") is mapper
-
-
-def test_attitude_is_an_axis_and_its_default_keeps_the_names_of_folders() -> None:
-    crossed = Axes(sources=("simple",), attitudes=("imu", "none"), seeds=(1, 2)).experiments()
-    assert [(run.config.attitude, run.config.seed) for run in crossed] == [
-        ("imu", 1),
-        ("imu", 2),
-        ("none", 1),
-        ("none", 2),
-    ]
-    assert len({run.name for run in crossed}) == 4
-    # The digest of this run before there was an attitude.
-    assert RunConfig(source="simple").digest == "9ee60b70"
 
 
 def test_an_attitude_that_is_none_is_refused() -> None:

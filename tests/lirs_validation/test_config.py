@@ -1,0 +1,72 @@
+"""One added field of a run's options is an axis, an option, a control and a documented attribute."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from lirs_validation.cli.typer_options import with_options
+from lirs_validation.config import RUN_AXES, RunConfig
+from lirs_validation.gui.session.controls import controls
+from lirs_validation.sweep.axes import cross
+from lirs_wct.errors import ConfigError
+from lirs_wct.option import documented, option, within
+from lirs_wct.sources.option_text import read_numbers
+from tests.lirs_validation.records import entry
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class Foggy(RunConfig):
+    """A run in fog."""
+
+    fog: int = option(0, "Density of the fog.", axis=read_numbers, metavar="N,N", check=within("[0, 9]"))
+
+
+def test_one_field_is_an_axis_of_the_command_line() -> None:
+    heard: dict[str, Any] = {}
+    app = typer.Typer()
+
+    @app.command()
+    @with_options
+    def probe(source: str, *, run: Annotated[dict[str, Any], Foggy]) -> None:
+        heard.update(run)
+
+    result = CliRunner().invoke(app, ["simple", "--fog", "1-3", "--mapper", "hector"])
+    assert result.exit_code == 0, result.output
+    assert heard == {"fog": (1, 2, 3), "mapper": ("hector",)}
+    assert "Density of the fog." in CliRunner().invoke(app, ["--help"]).output
+    configs = cross("simple", kind=Foggy, **heard)
+    assert [config.fog for config in configs if isinstance(config, Foggy)] == [1, 2, 3]
+    assert len({config.digest for config in configs}) == 3
+    with pytest.raises(ConfigError, match=r"fog must be within \[0, 9\], got 12"):
+        cross("simple", kind=Foggy, fog=(1, 12))
+
+
+def test_one_field_is_a_control_and_a_documented_attribute() -> None:
+    assert [c.hint for c in controls(Foggy) if c.name == "fog"] == [
+        "Density of the fog. Form: N,N. Command line: --fog"
+    ]
+    assert "fog: Density of the fog." in str(Foggy.__doc__)
+
+
+def test_every_axis_distinguishes_groups_of_runs() -> None:
+    from lirs_validation.analysis.groups import FIELDS, RunGroup
+
+    assert set(RUN_AXES) - {"seed"} <= set(FIELDS)
+    changed = {
+        "robot": "jackal",
+        "mapper": "gmapping",
+        "terrain": "mesh",
+        "rays": "mujoco",
+        "lidar": "utm30lx",
+    }
+    changed |= {"attitude": "none", "driver": "frontier", "actors": 3, "threads": 2}
+    assert set(changed) == set(RUN_AXES) - {"seed"}
+    for name, value in changed.items():
+        config = entry("simple")["config"] | {name: value}
+        assert RunGroup.of(entry("simple") | {"config": config}) != RunGroup.of(entry("simple")), name
