@@ -4,7 +4,7 @@
 
 Every run has scans, IMU and truth of a simulated Husky, and the trajectories that the C++ originals made of
 the scans: HectorSLAM's core (0.05 m, odometry as the start of the match) and OpenSLAM's GMapping (30
-particles, its defaults, three seeds). The table holds ATEs in metres: of the odometry, of each original, of
+particles, its defaults, three seeds). The table holds ATEs in meters: of the odometry, of each original, of
 the same method as published here (`hector_original`, `gmapping_original`) and terrain-aware (`hector`,
 `gmapping`, with attitude); where a method draws random numbers, the median of the seeds and their range.
 `cartographer_original` stands without an original: there is no reference for it.
@@ -55,7 +55,7 @@ QUICK = 3
 """Runs of --quick."""
 
 Row = dict[str, Sequence[float]]
-"""ATEs in metres by column, one a seed; empty where the run has no such original."""
+"""ATEs in meters by column, one a seed; empty where the run has no such original."""
 
 
 class Agreement(NamedTuple):
@@ -154,7 +154,7 @@ def formatted(method: str, figures: Agreement) -> str:
 
 def table(rows: dict[str, Row]) -> Table:
     """Return the rows for the screen: the median of the seeds, and their range."""
-    shown = Table("run", *COLUMNS, title="ATE in metres", caption="cartographer_original: no reference")
+    shown = Table("run", *COLUMNS, title="ATE in meters", caption="cartographer_original: no reference")
     for run, row in rows.items():
         shown.add_row(run, *(_cell(row[column]) for column in COLUMNS))
     return shown

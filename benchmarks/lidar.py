@@ -77,7 +77,7 @@ def milliseconds(cast: Cast, rays: list[Rays], rounds: int) -> Array:
 
 
 def differences(a: Cast, b: Cast, rays: list[Rays]) -> Array:
-    """Difference of two methods in metres over all beams that both see."""
+    """Difference of two methods in meters over all beams that both see."""
     pairs = [(a(o, d), b(o, d)) for o, d in rays]
     both = [np.isfinite(p) & np.isfinite(q) for p, q in pairs]
     return np.concatenate([np.abs(p[k] - q[k]) for (p, q), k in zip(pairs, both, strict=True)])

@@ -29,7 +29,7 @@ from lirs_wct.world import build_world
 
 
 def wander(sim: Simulation, seconds: float, seed: int = 0) -> float:
-    """Drive at random; return the metres driven."""
+    """Drive at random; return the meters driven."""
     rng = np.random.default_rng(seed)
     sim.reset()
     ahead, driven, last, since = 1.0, 0.0, sim.T_world_base, 0.0
@@ -62,7 +62,7 @@ def measure(source: str, robot: str, seconds: float, repeats: int) -> dict[str, 
         "boxes": int((sim.body.model.geom_group == TERRAIN_GROUP).sum()) - 1,
         "us_per_step": 1e6 * best / steps,
         "rtf": simulated / best,
-        "metres": driven,
+        "meters": driven,
         "simulated": simulated,
         "physics_ms": per_second * float(np.median(sim.timing.physics)),
         "sensors_ms": per_second * float(np.median(sim.timing.sensors)),
@@ -92,7 +92,7 @@ def main() -> None:
             f"{row['rtf']:.0f}",
             f"{1e3 * found['penetration_p999']:.1f}",
             f"{1e3 * found['max_penetration']:.1f}",
-            f"{row['metres']:.0f}",
+            f"{row['meters']:.0f}",
         )
     Console().print(table)
     if options.json:

@@ -113,7 +113,7 @@ def slides(robot: Robot) -> list[Row]:
 
 
 def tip_angle(sim: Simulation) -> float:
-    """Degrees sideways at which the centre of mass is above the edge of its feet, as it stands."""
+    """Degrees sideways at which the center of mass is above the edge of its feet, as it stands."""
     model, data = sim.body.model, sim.body.data
     mujoco.mj_forward(model, data)
     x, y, z = data.subtree_com[model.body("base_link").id]

@@ -10,7 +10,7 @@ alone, at most 4 ms long, with every contact geom on. The machine drops out; .50
 cartographer, .28 of gmapping.
 
 `f1_aligned` and `false_occupied_aligned` are of the map after its trajectory's alignment, which moves the
-start by `start_shift` metres and turns the map by `start_turn_deg`.
+start by `start_shift` meters and turns the map by `start_turn_deg`.
 
 `ate_level` is the ATE of the same mapper fed with the same scans levelled by the true attitude, and
 `ratio_level` the run's ATE over it: what the IMU's errors cost on uneven ground (at most 1.5 is asked).

@@ -4,7 +4,7 @@
 
 Intel Research Lab: relative-relation metric of Kuemmerle et al. 2009, once over all relations and once over
 those of which both stamps are those of scans (to 1 ms); the floor of these relations is about .015 m. MIT
-CSAIL, Orebro and Edmonton (a scan a metre): absolute error against reference poses, after rigid alignment.
+CSAIL, Orebro and Edmonton (a scan a meter): absolute error against reference poses, after rigid alignment.
 One thread, CPU time, compilation apart; every row in a process of its own, MB is what it grows by while
 driving. `--quick` drives a fifth of each log with one seed. The originals' figures were measured on 2 cores
 of an AMD EPYC and are noisy by 30-50 %.
@@ -155,7 +155,7 @@ def drive(mapper: Mapper, log: LaserLog, scans: int) -> tuple[list[float], float
 
 
 def judge(log_name: str, estimate: Trajectory, log: LaserLog, data: Path) -> dict[str, float]:
-    """Return the errors of an estimate, metres and degrees."""
+    """Return the errors of an estimate, meters and degrees."""
     if log_name in REFERENCES:
         errors = reference_errors(estimate, read_reference(data / REFERENCES[log_name]))
         return {"m": float(np.sqrt((errors.position**2).mean()))}

@@ -36,7 +36,7 @@ DRAWS = 200
 PACE = 0.8
 """Speed from which time limits are made, m/s, or 0.8 x the robot's where that is less."""
 BLOCKED = 6.0
-"""Metres within which the way straight ahead of a start to map from is blocked."""
+"""Meters within which the way straight ahead of a start to map from is blocked."""
 NEAR_START = 0.4
 """Radians between heading and goal, at least: straight ahead is no way to a goal."""
 
@@ -177,7 +177,7 @@ def area_at(grid: OccupancyGrid, areas: np.ndarray, x: float, y: float) -> int:
 
 
 def free_ahead(grid: OccupancyGrid, areas: np.ndarray, x: float, y: float, yaw: float) -> float:
-    """Return the metres that lie free straight ahead."""
+    """Return the meters that lie free straight ahead."""
     for distance in np.arange(0.0, 2 * BLOCKED, 0.1).tolist():
         if not area_at(grid, areas, x + distance * math.cos(yaw), y + distance * math.sin(yaw)):
             return distance

@@ -92,7 +92,7 @@ def laser_map(path: Path, out: Path, _: float) -> Figures:
 
 
 def pose_error(path: Path, world: World) -> float:
-    """Metres or radians by which the mesh's outline differs from where the YAML says the picture lies."""
+    """Meters or radians by which the mesh's outline differs from where the YAML says the picture lies."""
     assert world.truth is not None
     said = re.search(r"^origin\s*:\s*\[(.*?)\]", path.read_text(), re.M | re.S)
     resolution = re.search(r"^resolution\s*:\s*(\S+)", path.read_text(), re.M)

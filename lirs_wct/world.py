@@ -37,14 +37,14 @@ from lirs_wct.sources.source_kind import SourceKind
 from lirs_wct.sources.window import Window, cut_nodes, cut_surface, leveled
 
 SPAWN_AREA = 200.0
-"""Side of the square in the middle of a larger terrain where spawn poses are looked for, metres."""
+"""Side of the square in the middle of a larger terrain where spawn poses are looked for, meters."""
 SPAWN_CELLS = 1000
 """Cells along the side of a terrain, at most, of the grid on which they are."""
 
 
 @dataclass(frozen=True)
 class World(ShownAsPicture):
-    """A place for robots, in metres: x east, y north, z up.
+    """A place for robots, in meters: x east, y north, z up.
 
     Attributes:
         name: fit for file names and Gazebo's URIs.
@@ -52,7 +52,7 @@ class World(ShownAsPicture):
         spawn_poses: poses where a robot can be set down, the one asked for or the roomiest first.
         spawn_for: the largest robot on wheels for which there are such; empty = for none.
         start: the pose that was asked for; None = none was.
-        scale: where the metres come from, a text.
+        scale: where the meters come from, a text.
         export_options: how the mesh files are made.
         source: absolute path of what it was made from, or a bundled name; None = made in code.
         place: where it lies on the earth; None = the source does not say.
@@ -149,7 +149,7 @@ class World(ShownAsPicture):
         return mesh
 
     def traversable(self, *, clearance: float, max_slope: float, resolution: float = 0.1) -> OccupancyGrid:
-        """Return a grid whose free cells are where a robot's centre may be (see `traversable`)."""
+        """Return a grid whose free cells are where a robot's center may be (see `traversable`)."""
         return traversable(
             self.surface,
             self.walls,
@@ -166,7 +166,7 @@ class World(ShownAsPicture):
         """Return the cause why a robot cannot stand at a place, and the nearest `x,y` where it can.
 
         Args:
-            place: x and y in the world, metres.
+            place: x and y in the world, meters.
             clearance: as in `traversable`.
             max_slope: likewise.
             resolution: likewise.
@@ -321,7 +321,7 @@ def _loaded_world(source: Source, options: BuildOptions) -> World:
 
 
 def _cut(ground: Terrain | ClosedMesh, window: Window) -> tuple[Terrain, float]:
-    """Return a square of a ground, and by how many metres it was lowered to z = 0."""
+    """Return a square of a ground, and by how many meters it was lowered to z = 0."""
     surface, lift = leveled(cut_surface(ground.surface, window, level=False))
     return Terrain(surface, cut_nodes(ground.no_ground, ground.surface, surface)), lift
 
@@ -329,7 +329,7 @@ def _cut(ground: Terrain | ClosedMesh, window: Window) -> tuple[Terrain, float]:
 def _with_spawn_poses(world: World) -> World:
     """Look for spawn poses for the largest robot that fits; the pose asked for is the first of them.
 
-    On a terrain of kilometres in its middle only, or around that pose: the search is by the decimetre.
+    On a terrain of kilometers in its middle only, or around that pose: the search is by the decimeter.
 
     Raises:
         ConfigError: no robot can stand at the pose that was asked for, or it is outside the world.
@@ -362,7 +362,7 @@ def _refused_start(world: World, place: World, start: Pose2, resolution: float) 
         world: the whole.
         place: its part around the pose.
         start: pose that was asked for.
-        resolution: metres a cell of the search.
+        resolution: meters a cell of the search.
     """
     where = f"{world.name}: no robot can start at {start.x:g},{start.y:g}: "
     smallest, climber = FOOTPRINTS[-1], max(FOOTPRINTS, key=lambda footprint: footprint.max_slope)

@@ -23,7 +23,7 @@ class Method(NamedTuple):
         module: of its mapper.
         config: name of the class of its configuration.
         factory: name of what makes a mapper of a configuration.
-        resolution: field of the configuration that is the edge of the map's cell, metres; empty = none.
+        resolution: field of the configuration that is the edge of the map's cell, meters; empty = none.
         package: that it needs and only an extra installs, as it is imported.
         extra: of this package that installs it.
     """
@@ -240,7 +240,7 @@ def make_mapper(
     Args:
         name: one of MAPPERS.
         seed: of the random numbers, for a method that draws any.
-        resolution: edge of the map's cell, metres, whatever the method calls it.
+        resolution: edge of the map's cell, meters, whatever the method calls it.
         **config: fields of the method's configuration.
 
     Raises:

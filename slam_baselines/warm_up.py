@@ -22,10 +22,10 @@ BEAMS, FOV, RANGE = 541, math.radians(270), 20.0
 CORNERS = np.array(
     ((-6, -4), (6, -4), (6, 4), (1, 4), (1, 2.5), (0, 2.5), (0, 4), (-6, 4), (-6, -4)), dtype=np.float64
 )
-"""The room's outline, with a pillar in its northern wall, metres."""
+"""The room's outline, with a pillar in its northern wall, meters."""
 MOUNT = Pose3(0.2, 0.0, 0.3)
 RADIUS, STEP = 2.2, 0.12
-"""Of the circle that is driven, and between scans, metres."""
+"""Of the circle that is driven, and between scans, meters."""
 
 
 def warm_up(name: str, **config: Any) -> None:

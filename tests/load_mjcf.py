@@ -14,7 +14,7 @@ import mujoco
 RADIUS = 0.1
 SECONDS = 1.5
 SINKS = 0.05
-"""Metres that a ball may lie lower than it touches: slopes push it aside meanwhile."""
+"""Meters that a ball may lie lower than it touches: slopes push it aside meanwhile."""
 
 
 def dropped(path):

@@ -81,7 +81,7 @@ def draw_path(picture: FloatArray, canvas: Canvas, path: list[Pose2], color: str
 
 
 def pixels(canvas: Canvas, points: FloatArray) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
-    """Return (n, 2) column and row of points (n, 2), metres."""
+    """Return (n, 2) column and row of points (n, 2), meters."""
     west, _, _, north = canvas.bounds
     return np.int32(np.column_stack((points[:, 0] - west, north - points[:, 1])) / canvas.pixel)
 

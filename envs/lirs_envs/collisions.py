@@ -29,8 +29,8 @@ class Collisions:
     """Contact statistics of a run.
 
     Attributes:
-        max_penetration: deepest that the robot was in ground or walls, metres; a loaded tyre's 1 mm counts.
-        penetration_p999: what it stayed below in 99.9 % of the samples, metres.
+        max_penetration: deepest that the robot was in ground or walls, meters; a loaded tyre's 1 mm counts.
+        penetration_p999: what it stayed below in 99.9 % of the samples, meters.
         body_contacts: times that the robot came to collide: its body touched something, or a wheel a face
             steeper than it climbs.
         body_contact_seconds: time that it did.
@@ -88,7 +88,7 @@ class ContactMonitor:
 def contact_state(
     distance: FloatArray, pairs: Int32Array, points: FloatArray, centers: FloatArray, drops: FloatArray
 ) -> tuple[float, bool]:
-    """Return the deepest of the robot's contacts, metres, and whether one of them is a collision.
+    """Return the deepest of the robot's contacts, meters, and whether one of them is a collision.
 
     The ground's and walls' geoms come after the robot's or before; a contact has one of each.
     """

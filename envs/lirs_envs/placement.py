@@ -17,9 +17,9 @@ from lirs_wct.world import World
 SLACK = math.radians(2)
 """Margin of a start's slope above the robot's `max_slope`: plans measure slopes over a shorter distance."""
 CLEARANCE = 0.01
-"""Metres between the robot and the highest ground under it when it is let go."""
+"""Meters between the robot and the highest ground under it when it is let go."""
 MAX_SETTLING_DISTANCE = 0.1
-"""A robot that moves farther than this while it settles cannot stand there, metres."""
+"""A robot that moves farther than this while it settles cannot stand there, meters."""
 
 
 def resolve_start(world: World, start: Pose2 | None) -> Pose2:
@@ -110,12 +110,12 @@ def _attitude_on(a: float, b: float, yaw: float) -> tuple[float, float]:
     return math.atan(left * math.cos(pitch)), pitch
 
 
-def _disc(centre: Pose2, radius: float) -> tuple[FloatArray, FloatArray]:
+def _disc(center: Pose2, radius: float) -> tuple[FloatArray, FloatArray]:
     """Return x and y of points about 5 cm apart in a disc."""
     n = max(9, 2 * math.ceil(radius / 0.05) + 1)
     x, y = np.meshgrid(*2 * (np.linspace(-radius, radius, n),))
     within = np.hypot(x, y) <= radius
-    return centre.x + x[within], centre.y + y[within]
+    return center.x + x[within], center.y + y[within]
 
 
 def _touches_wall(walls: WallGrid, start: Pose2, radius: float) -> bool:

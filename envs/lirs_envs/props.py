@@ -25,7 +25,7 @@ SHAPES = {
     "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, 1),
 }
 DROP = 0.005
-"""Metres above the ground at which props are let go."""
+"""Meters above the ground at which props are let go."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,7 @@ class Prop:
 
     Attributes:
         shape: `box`, `cylinder` (upright) or `sphere`.
-        size: half extents of a box, radius and half height of a cylinder, radius of a sphere; metres.
+        size: half extents of a box, radius and half height of a cylinder, radius of a sphere; meters.
         place: where, on the ground.
         mass: kg; 0 = fixed.
 
@@ -59,7 +59,7 @@ class Prop:
 
     @property
     def height(self) -> float:
-        """From the ground to the middle, metres."""
+        """From the ground to the middle, meters."""
         return self.size[-1]
 
 
@@ -75,7 +75,7 @@ class StaticRobot:
 
 
 def footprint(prop: Prop | StaticRobot) -> tuple[float, float, float]:
-    """Return x, y and radius of a disc that holds a prop, metres."""
+    """Return x, y and radius of a disc that holds a prop, meters."""
     if isinstance(prop, StaticRobot):
         return prop.place.x, prop.place.y, prop.robot.radius
     radius = math.hypot(*prop.size[:2]) if prop.shape == "box" else prop.size[0]

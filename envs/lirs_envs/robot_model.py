@@ -55,7 +55,7 @@ class RobotModel:
             `longest_timestep`.
         substeps: steps of each control update of one period.
         wheel_geoms: ids of the geoms that are meant to touch the ground.
-        contact_drops: (ngeom,) least height of a geom's center above a contact that is no collision, metres;
+        contact_drops: (ngeom,) least height of a geom's center above a contact that is no collision, meters;
             inf = every contact is one (the body), -inf = the geom is not the robot's.
         actuators: ids of the actuators of the wheels on the left and on the right, or of each rotor.
         left_angles: where `qpos` holds the angles of the driven wheels on the left.
@@ -71,7 +71,7 @@ class RobotModel:
         contact_geometry: what is touched (see `lirs_wct.contact.contact_geometry.CONTACT_GEOMETRIES`).
         mujoco_rays: whether MuJoCo's own rays are to meet the surface, where something else is touched.
         actors: number of walkers that have a body (see `lirs_envs.actors.walkers`).
-        height_range: lowest and highest height that `replace_surface` may write, metres; the ground that is
+        height_range: lowest and highest height that `replace_surface` may write, meters; the ground that is
             touched is then the surface itself. None = the ground stays.
         contact_sensors: whether to add sensors of the robot's contacts.
         longest_timestep: longest step of the physics, seconds (see `shorten_timestep`); None = the robot's.

@@ -138,7 +138,7 @@ class Simulation:
         simulation of the same ground made anew behaves the same, bit for bit.
 
         Args:
-            heights: (rows, cols) float32 metres, row 0 = north; as many nodes as the world has.
+            heights: (rows, cols) float32 meters, row 0 = north; as many nodes as the world has.
             spawn_poses: start poses on the new ground.
 
         Raises:

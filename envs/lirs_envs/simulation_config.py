@@ -33,7 +33,7 @@ class SimulationConfig:
         actors: number of walkers on seeded paths (see `lirs_envs.actors.walkers`); touched, and seen by the
             lidar.
         start: pose where a reset sets the robot down; None = the world's first start pose.
-        height_range: lowest and highest height that `Simulation.replace_terrain` may write, metres; wheels
+        height_range: lowest and highest height that `Simulation.replace_terrain` may write, meters; wheels
             then touch the surface itself, node by node. None = the ground stays.
         longest_timestep: longest step of the physics, seconds; None = the robot's own, never exceeded.
 
@@ -76,7 +76,7 @@ class SimulationConfig:
         if self.height_range is None:
             return
         if len(self.height_range) != 2 or not all(is_finite(z) for z in self.height_range):
-            raise ConfigError(f"height_range must be two finite heights in metres, got {self.height_range!r}")
+            raise ConfigError(f"height_range must be two finite heights in meters, got {self.height_range!r}")
         if not self.height_range[0] < self.height_range[1]:
             raise ConfigError(f"height_range must be lowest, highest, got {self.height_range!r}")
         if self.contact_geometry != "hfield":

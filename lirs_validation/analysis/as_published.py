@@ -20,7 +20,7 @@ from lirs_validation.record.run_record import Status, succeeded
 SUFFIX = "_original"
 """Ends the name of a method as published: `hector_original` beside `hector`."""
 TIMES, SLACK = 1.1, 0.05
-"""Of the odometry's ATE, and metres: what a run that holds may be worse."""
+"""Of the odometry's ATE, and meters: what a run that holds may be worse."""
 MOST = 0.8
 """Share of the runs that decides what a method does in a world."""
 CLEARLY = 1.5
@@ -41,8 +41,8 @@ class Outcome:
         runs: that are counted.
         held: of these.
         lost: that ended because the mapper said that it was lost.
-        ate: median over those that succeeded, metres; None where none did.
-        odometry: median of their odometry's ATE, metres; None where none did.
+        ate: median over those that succeeded, meters; None where none did.
+        odometry: median of their odometry's ATE, meters; None where none did.
     """
 
     runs: int

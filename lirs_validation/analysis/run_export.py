@@ -67,7 +67,7 @@ def export_run(
 def recorded_drive(run: RunFolder, *, slam: bool = True) -> Drive:
     """Return what a run recorded, in the map frame: the first base pose.
 
-    Ranges are in the millimetres' steps of `scans.clf.gz`; the estimates are the mapper's final ones.
+    Ranges are in the millimeters' steps of `scans.clf.gz`; the estimates are the mapper's final ones.
 
     Raises:
         SourceError: scans, poses or inertial readings are missing, damaged, or not of one drive.

@@ -27,7 +27,7 @@ from lirs_wct.geometry.trajectory import Trajectory
 Frame = Literal["auto", "map", "world"]
 FRAMES: tuple[Frame, ...] = ("auto", "map", "world")
 NEAR, NEAR_SHARE, NEAR_YAW = 0.5, 0.1, math.radians(20)
-"""A trajectory begins where the run was: within so many metres, this share of the way driven until then, and
+"""A trajectory begins where the run was: within so many meters, this share of the way driven until then, and
 this angle; else it is in another frame."""
 TOLD_APART = 0.2
 """Difference of F1 from which on one of two frames is the right one."""

@@ -36,7 +36,7 @@ class EpisodeLog:
     """What happened in an episode; grows by one entry a step.
 
     Attributes:
-        poses: true x, y, yaw, metres and radians, the start's first.
+        poses: true x, y, yaw, meters and radians, the start's first.
         infos: what the environment said last.
         coverage: share of the reachable ground seen, one a pose; empty where nothing is to be mapped.
         reason: why it ended.
@@ -60,7 +60,7 @@ class EpisodeLog:
 
     @property
     def driven(self) -> FloatArray:
-        """(n,) metres of path until each pose."""
+        """(n,) meters of path until each pose."""
         steps = np.diff(np.array(self.poses)[:, :2], axis=0)
         driven: FloatArray = np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))))
         return driven

@@ -59,8 +59,8 @@ def success_by_path_length(success: bool, shortest: float, driven: float) -> flo
 
     Args:
         success: whether the goal was reached.
-        shortest: way from start to goal over drivable ground, metres.
-        driven: length of the path that was driven, metres.
+        shortest: way from start to goal over drivable ground, meters.
+        driven: length of the path that was driven, meters.
     """
     return shortest / max(shortest, driven) if success else 0.0
 
@@ -72,9 +72,9 @@ def coverage_area(driven: Sequence[float], coverage: Sequence[float], budget: fl
     episode's end the coverage stays as it was.
 
     Args:
-        driven: (n,) metres of path at each step, from 0 at the first scan.
+        driven: (n,) meters of path at each step, from 0 at the first scan.
         coverage: (n,) share of the reachable ground that was seen by then.
-        budget: metres of path over which the area is taken.
+        budget: meters of path over which the area is taken.
     """
     first = coverage[0]
     if first >= COVERED:
@@ -88,7 +88,7 @@ def distance_share(gained: float, whole: float) -> float:
     """Return the share of the distance to the goal that was gained by the end, 0 to 1.
 
     Args:
-        gained: metres.
-        whole: distance from start to goal, metres.
+        gained: meters.
+        whole: distance from start to goal, meters.
     """
     return float(np.clip(gained / whole, 0.0, 1.0))

@@ -25,7 +25,7 @@ from lirs_wct.sources.options import BuildOptions
 from lirs_wct.world import World, build_world
 
 CELL = EDGE / (NODES - 1)
-"""Spacing of a natural terrain's nodes, metres."""
+"""Spacing of a natural terrain's nodes, meters."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,9 +37,9 @@ class BenchTask:
         seed: of the episode; of a course to traverse, too.
         time_limit: seconds.
         world: where it takes place; None = on a course.
-        start: x, y, yaw in the world frame, metres and radians; None = the course's.
+        start: x, y, yaw in the world frame, meters and radians; None = the course's.
         goal: x, y; None = the task has none, or the course's.
-        path_budget: metres of way after which mapping ends.
+        path_budget: meters of way after which mapping ends.
         course: kind of the course to traverse.
         difficulty: of the course, 0 to 1.
 

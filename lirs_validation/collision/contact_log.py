@@ -11,12 +11,12 @@ from lirs_envs.robot_model import RobotModel
 from lirs_wct.arrays import FloatArray
 
 DEEP = 0.010
-"""Penetration that a contact may have whatever happens, metres."""
+"""Penetration that a contact may have whatever happens, meters."""
 
 
 @dataclass(frozen=True)
 class DeepContact:
-    """A contact deeper than `DEEP`: its step, depth in metres, (3,) point, (3,) normal out of the ground."""
+    """A contact deeper than `DEEP`: its step, depth in meters, (3,) point, (3,) normal out of the ground."""
 
     step: int
     depth: float
@@ -29,12 +29,12 @@ class ContactLog:
     """A row for each step; all of a row belongs to the step's beginning, where MuJoCo finds contacts.
 
     Attributes:
-        position: (n, 3) of base_link, metres.
+        position: (n, 3) of base_link, meters.
         upright: (n,) cosine of the angle by which the robot leans.
         velocity: (n, 3) of base_link in the world, m/s.
         spin: (n, 3) turn rate in the world, rad/s.
-        bodies: (n, bodies, 3) centers of mass of all moving bodies, metres.
-        depth: (n,) deepest penetration, metres; 0 without contact.
+        bodies: (n, bodies, 3) centers of mass of all moving bodies, meters.
+        depth: (n,) deepest penetration, meters; 0 without contact.
         peak_force: (n,) largest normal force of a contact, newtons.
         force: (n,) sum of all normal forces, newtons.
         energy: (n,) kinetic, potential and of springs, joules.
@@ -118,7 +118,7 @@ class ContactRecorder:
         """Return the deepest penetration, the largest normal force and the sum of all; note a deep one.
 
         Only the deepest contact of a step tells how far the robot is in: ground is many convex pieces, and
-        the way out of one, maybe sideways into its neighbour, is never longer than the way out of them all.
+        the way out of one, maybe sideways into its neighbor, is never longer than the way out of them all.
         """
         data = self.body.data
         contact = data.contact

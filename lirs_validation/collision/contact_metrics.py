@@ -15,7 +15,7 @@ from lirs_validation.collision.contact_solid import ContactSolid
 from lirs_validation.collision.random_drive import Leg
 
 IMPACT = 0.010
-"""Metres of penetration that an impact may reach for each metre a second."""
+"""Meters of penetration that an impact may reach for each meter a second."""
 ONSET = 0.1
 """Seconds before a deep contact in which its impact began."""
 WINDOW = 1.0
@@ -40,7 +40,7 @@ class Bounded:
 
 
 def penetrations(legs: Sequence[Leg]) -> tuple[float, Bounded]:
-    """Return what penetration stays below in 99.9 % of all steps, and the worst peak; metres."""
+    """Return what penetration stays below in 99.9 % of all steps, and the worst peak; meters."""
     depth = np.concatenate([leg.log.depth for leg in legs])
     peaks = [_impact(leg.log, contact) for leg in legs for contact in leg.log.deep]
     return float(np.quantile(depth, 0.999)), worst(peaks or [Bounded(float(depth.max()), DEEP)])
@@ -82,7 +82,7 @@ def _gain(log: ContactLog, weight: float) -> Bounded:
 
 
 def inside_steps(legs: Sequence[Leg], solid: ContactSolid) -> int:
-    """Return the number of steps in which a body's centre was inside ground or wall."""
+    """Return the number of steps in which a body's center was inside ground or wall."""
     return sum(
         int(solid.holds(leg.log.bodies.reshape(-1, 3)).reshape(len(leg.log.depth), -1).any(axis=1).sum())
         for leg in legs
@@ -111,7 +111,7 @@ def forces(legs: Sequence[Leg]) -> tuple[float, float]:
 
 
 def driven(legs: Sequence[Leg]) -> float:
-    """Return the distance that base_link travelled, metres."""
+    """Return the distance that base_link travelled, meters."""
     return sum(float(np.linalg.norm(np.diff(leg.log.position, axis=0), axis=1).sum()) for leg in legs)
 
 

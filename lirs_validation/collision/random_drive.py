@@ -28,7 +28,7 @@ PERIOD = 0.04
 HELD = 1.6
 """Seconds for which a command is held."""
 FLIGHT = 3.0
-"""Metres a second at which a robot that flies follows terrain."""
+"""Meters a second at which a robot that flies follows terrain."""
 LYING = 1.0
 """Seconds for which a robot that has tipped is driven on: its body must not sink either."""
 LONGEST = 10.0
@@ -36,7 +36,7 @@ LONGEST = 10.0
 PLACES, TRIES = 8, 64
 """Places of each kind, and how many are tried."""
 MARGIN = 0.1
-"""Metres beyond the robot's radius that are free where it is set down."""
+"""Meters beyond the robot's radius that are free where it is set down."""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ TRIES = 20
 HELD = 2.0
 """Seconds for which the wheels hold before it climbs."""
 SPEED = 0.3
-"""Metres a second of the climb, or the robot's most."""
+"""Meters a second of the climb, or the robot's most."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Climb:
 
     Attributes:
         slope: of the ground under the robot, degrees.
-        slid: while it was to stand, beyond what its wheels rolled, metres.
+        slid: while it was to stand, beyond what its wheels rolled, meters.
         climbed: share of the commanded distance that it came uphill.
     """
 
@@ -54,7 +54,7 @@ def climb(body: RobotModel, world: World, robot: Robot) -> Climb | None:
 
 
 def _slid(body: RobotModel, robot: Robot) -> float:
-    """Return metres that a robot moves while it is to stand, without those that its wheels roll.
+    """Return meters that a robot moves while it is to stand, without those that its wheels roll.
 
     A wheel's servo has no integral part: it turns at torque / kv, which says nothing of the contact.
     """

@@ -6,7 +6,7 @@ held against it:
 
 - penetration stays below 10 mm in 99.9 % of the steps; beyond that only impacts go deeper, by at most 10 ms
   times the speed at which the robot came;
-- no centre of a body is ever inside ground or wall, by the world's own heights and cells;
+- no center of a body is ever inside ground or wall, by the world's own heights and cells;
 - energy: contacts and brakes only take it. What a robot gains within a second beyond the work of its motors
   can only have been stored in a contact: at most the weight raised by the legal penetration, m g 10 mm, and
   what a critically damped contact gives back of an impact, exp(-4) of the kinetic energy (the spring
@@ -40,7 +40,7 @@ from lirs_wct.world import World
 STREAM = 21
 """Which of the seed's random streams the drive is drawn from."""
 SLIDES = 0.05
-"""Metres that a robot may slide in 2 s on its steepest slope.
+"""Meters that a robot may slide in 2 s on its steepest slope.
 
 MuJoCo's friction is soft: a contact creeps in proportion to its load, a Jackal's 9 mm/s on 29 deg.
 """
@@ -74,20 +74,20 @@ class CollisionVerdict:
         terrain: what was touched.
         seconds: simulated time driven.
         seed: of the random drive.
-        driven: metres, in all legs.
+        driven: meters, in all legs.
         legs: times that the robot was set down.
         tip_overs: legs that ended with the robot lying.
         stuck: seconds that it was commanded to drive, stood upright and came nowhere.
         force_peak: largest normal force of a contact, newtons.
         force_mean: mean of the sum of all normal forces while anything touched, newtons.
-        penetration_p999: what penetration stayed below in 99.9 % of the steps, metres.
-        penetration_peak: the peak that is worst against its limit, metres.
-        penetration_limit: what the speed of that impact allows, metres.
-        inside_steps: steps in which a body's centre was inside ground or wall.
+        penetration_p999: what penetration stayed below in 99.9 % of the steps, meters.
+        penetration_peak: the peak that is worst against its limit, meters.
+        penetration_limit: what the speed of that impact allows, meters.
+        inside_steps: steps in which a body's center was inside ground or wall.
         energy_gain: energy gained within a second beyond the motors' work where it is worst, joules.
         energy_limit: its limit there, joules.
         slope: steepest drivable ground that was found, degrees; None for a robot that flies, or none found.
-        slid: metres that the robot moved there while it was to stand, beyond what its wheels rolled.
+        slid: meters that the robot moved there while it was to stand, beyond what its wheels rolled.
         climbed: share of the commanded distance that it came up there.
         diverged: why the simulation could not go on; empty = it could.
     """
@@ -121,7 +121,7 @@ class CollisionVerdict:
         found = [
             Check(name="penetration, 99.9 %", value=1e3 * self.penetration_p999, limit=1e3 * DEEP, unit="mm"),
             Check(name="penetration, peak", value=peak, limit=limit, unit="mm"),
-            Check(name="centres inside", value=self.inside_steps, limit=0, unit="steps"),
+            Check(name="centers inside", value=self.inside_steps, limit=0, unit="steps"),
             Check(name="energy gained", value=self.energy_gain, limit=self.energy_limit, unit="J"),
             Check(name="diverged", value=float(bool(self.diverged)), limit=0, unit=""),
         ]

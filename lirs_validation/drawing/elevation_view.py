@@ -14,7 +14,7 @@ from lirs_wct.drawing.style import BLUE, VERMILLION, legend, map_axes, rgb, titl
 from lirs_wct.world import World
 
 FULL = 0.20
-"""Metres that a height is off where its color is full."""
+"""Meters that a height is off where its color is full."""
 
 
 def elevation_panels(axes: tuple[Axes, Axes], canvas: Canvas, world: World, built: ElevationMap) -> None:

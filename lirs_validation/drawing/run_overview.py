@@ -97,7 +97,7 @@ def overview_figure(
 def shown_bounds(
     world: World, truth: Trajectory, true_pose: OccupancyGrid
 ) -> tuple[float, float, float, float]:
-    """Return west, south, east, north of what is worth showing: what was seen, within the world, metres."""
+    """Return west, south, east, north of what is worth showing: what was seen, within the world, meters."""
     seen = np.array(bounds_shown(truth, true_pose))
     low = np.maximum(seen[:2], world.surface.bounds[:2])
     high = np.minimum(seen[2:], world.surface.bounds[2:])

@@ -25,7 +25,7 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 
 MARGIN = 0.15
-"""Metres that a plan keeps beyond the robot's radius."""
+"""Meters that a plan keeps beyond the robot's radius."""
 PLAN_STREAM = 2
 """Which of the seed's random streams the tour is drawn from; the simulation has others."""
 

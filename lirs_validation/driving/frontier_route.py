@@ -28,22 +28,22 @@ from lirs_wct.geometry.grid_search import Reach, search
 from lirs_wct.geometry.pose import Pose2
 
 REACH = 0.3
-"""Metres beyond the footprint from which a frontier counts as reached."""
+"""Meters beyond the footprint from which a frontier counts as reached."""
 NEAR, FAR, LOOKS = 8.0, 16.0, 3.0
-"""A frontier that was in sight from so near (metres) in so many plans, and is still one, stays unknown; looks
+"""A frontier that was in sight from so near (meters) in so many plans, and is still one, stays unknown; looks
 from farther away count by the square of the distance, beyond the second one not at all."""
 PLACE = 0.2
-"""Side of the squares whose looks are counted, metres."""
+"""Side of the squares whose looks are counted, meters."""
 TURN = 6.0
-"""Metres that a turn by 180 deg is worth when the next frontier is chosen."""
+"""Meters that a turn by 180 deg is worth when the next frontier is chosen."""
 LOYAL = 1.0
-"""A frontier so near to the one chosen before is the same one, metres: it is kept until it is seen."""
+"""A frontier so near to the one chosen before is the same one, meters: it is kept until it is seen."""
 ARC = 1.2
-"""Radius in which the robot turns round where there is room, metres."""
+"""Radius in which the robot turns round where there is room, meters."""
 STRAIGHT = 1.2
-"""Metres that it drives straight ahead at the very beginning, where they are free."""
+"""Meters that it drives straight ahead at the very beginning, where they are free."""
 NEIGHBORHOOD = 1.5
-"""Distance within which a place counts as visited, metres."""
+"""Distance within which a place counts as visited, meters."""
 
 
 class FrontierRoute:
@@ -51,8 +51,8 @@ class FrontierRoute:
 
     Args:
         mapper_map: returns the mapper's present map, map frame.
-        footprint: radius of the robot, metres.
-        clearance: distance that its centre keeps from occupied cells, metres.
+        footprint: radius of the robot, meters.
+        clearance: distance that its center keeps from occupied cells, meters.
         config: how paths are driven.
     """
 
@@ -60,7 +60,7 @@ class FrontierRoute:
     refresh = 1.0
     ends = ""
     slack = TURN
-    """Metres beyond the way to the nearest frontier up to which others are looked at."""
+    """Meters beyond the way to the nearest frontier up to which others are looked at."""
 
     def __init__(
         self,

@@ -14,7 +14,7 @@ from lirs_wct.geometry.grid_search import Reach, search
 from lirs_wct.geometry.pose import Pose2
 
 ARC = 0.6
-"""Radius in which the robot turns round where there is room, metres."""
+"""Radius in which the robot turns round where there is room, meters."""
 
 
 class GoalRoute(FrontierRoute):
@@ -23,7 +23,7 @@ class GoalRoute(FrontierRoute):
     Beyond a frontier the way is taken for the straight line to the goal.
 
     Attributes:
-        goal: x, y in the map frame, metres.
+        goal: x, y in the map frame, meters.
     """
 
     goal: tuple[float, float] = (0.0, 0.0)

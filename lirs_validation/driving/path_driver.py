@@ -23,11 +23,11 @@ class DriverConfig:
     Attributes:
         pursuit: how a path is followed.
         patience: seconds without progress before it backs off.
-        step: metres along the path that count as progress; a path's end is reached within them.
+        step: meters along the path that count as progress; a path's end is reached within them.
         back_off: seconds that it drives backwards.
         back_speed: m/s while doing so.
         tries: how often in a row it backs off before it gives up.
-        off_path: distance from the path at which it plans anew, metres.
+        off_path: distance from the path at which it plans anew, meters.
         facing: heading error that is left after a turn to a wanted yaw, radians.
 
     Raises:
@@ -53,7 +53,7 @@ class Path:
     """A path to drive.
 
     Attributes:
-        points: (n, 2) metres, about 0.1 m apart, in the driver's frame.
+        points: (n, 2) meters, about 0.1 m apart, in the driver's frame.
         speed: (n,) m/s.
         yaw: where to face at its end; None = as it comes.
     """
@@ -79,12 +79,12 @@ class Route(Protocol):
         Args:
             pose: of the robot.
             time: seconds since the start.
-            undriven: metres of the path before that are left; None = this is the first one.
+            undriven: meters of the path before that are left; None = this is the first one.
         """
         ...
 
     def avoid(self, point: tuple[float, float], radius: float) -> None:
-        """Keep away from a place where the robot did not get on; metres, in the driver's frame."""
+        """Keep away from a place where the robot did not get on; meters, in the driver's frame."""
         ...
 
 
@@ -125,7 +125,7 @@ class PathDriver:
 
     @property
     def path(self) -> FloatArray:
-        """(n, 2) points of the present path, metres."""
+        """(n, 2) points of the present path, meters."""
         return self._path.points
 
     def command(self, pose: Pose2, time: float) -> Twist:

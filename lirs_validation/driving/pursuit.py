@@ -22,10 +22,10 @@ class PursuitConfig:
         speed: on straight level ground, m/s.
         turn_rate: largest, rad/s.
         acceleration: along the path, speeding up and braking, m/s^2.
-        lookahead: distance of the pursued point when slow, metres; it grows with the speed.
+        lookahead: distance of the pursued point when slow, meters; it grows with the speed.
         lookahead_time: seconds of travel added to it.
         turn_in_place: heading error above which the robot stops and turns, radians.
-        careful_room: room to blocked cells below which it drives slower, metres.
+        careful_room: room to blocked cells below which it drives slower, meters.
         careful_speed: share of the speed where there is no room or the ground is steep.
         steep: slope along the path above which the speed falls, radians; lowest at twice the slope.
 
@@ -53,10 +53,10 @@ def speed_profile(
     """Return (n,) m/s for the points of a path: slow in bends, narrow places and on steep ground.
 
     Args:
-        points: (n, 2) metres, evenly spaced.
-        room: (n,) metres to the nearest blocked cell.
+        points: (n, 2) meters, evenly spaced.
+        room: (n,) meters to the nearest blocked cell.
         config: limits.
-        height: (n,) metres of the ground, where slopes matter.
+        height: (n,) meters of the ground, where slopes matter.
     """
     bend = curvature(points)
     speed = np.minimum(config.speed, 0.7 * config.turn_rate / np.maximum(bend, 1e-6))
@@ -86,13 +86,13 @@ class Pursuit:
     """Follows one path; remembers how far it got.
 
     Args:
-        points: (n, 2) metres, 0.1 m apart, in the frame of the poses.
+        points: (n, 2) meters, 0.1 m apart, in the frame of the poses.
         speed: (n,) m/s.
         config: how to drive.
     """
 
     WINDOW = 1.5
-    """Metres ahead in which the nearest point of the path is looked for: it never jumps a loop."""
+    """Meters ahead in which the nearest point of the path is looked for: it never jumps a loop."""
 
     def __init__(self, points: FloatArray, speed: FloatArray, config: PursuitConfig) -> None:
         self.config = config
@@ -102,16 +102,16 @@ class Pursuit:
         self._at = 0
         self._turning = False
         self.distance = 0.0
-        """Metres between the robot and the path, at the last command."""
+        """Meters between the robot and the path, at the last command."""
 
     @property
     def progress(self) -> float:
-        """Metres of path behind the robot."""
+        """Meters of path behind the robot."""
         return self._at * SPACING
 
     @property
     def remaining(self) -> float:
-        """Metres of path ahead of the robot."""
+        """Meters of path ahead of the robot."""
         return (len(self._x) - 1 - self._at) * SPACING
 
     def twist(self, pose: Pose2) -> Twist:

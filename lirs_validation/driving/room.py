@@ -27,7 +27,7 @@ def no_room(source: str, world: World, robot: Robot, margin: float) -> ConfigErr
         source: as the user called it.
         world: that has no place.
         robot: that needs one.
-        margin: metres that it needs beyond its radius.
+        margin: meters that it needs beyond its radius.
     """
     needed = (
         f"{source}: no place for {robot.name}: it needs {2 * (robot.radius + margin):.1f} m of free "
@@ -42,7 +42,7 @@ def no_room(source: str, world: World, robot: Robot, margin: float) -> ConfigErr
 
 
 def enough_size(world: World, robot: Robot, margin: float) -> float | None:
-    """Return a longer side in metres from which a terrain has room for a robot; None: none was found.
+    """Return a longer side in meters from which a terrain has room for a robot; None: none was found.
 
     The heights stay as they are, as they do with `--size`.
     """

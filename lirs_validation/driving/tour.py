@@ -77,7 +77,7 @@ def plan_coverage(
     """Return a driver whose tour covers the free ground, planned beforehand.
 
     Args:
-        free: free cells = where the robot's centre may be, world frame.
+        free: free cells = where the robot's center may be, world frame.
         start: pose where the robot is set down.
         seconds: how long it will drive.
         rng: chooses among goals.
@@ -93,6 +93,6 @@ def plan_coverage(
 
 
 def ground_height(surface: HeightField, points: np.ndarray) -> np.ndarray:
-    """Return (n,) metres of the ground at points (n, 2); 0 where there is none."""
+    """Return (n,) meters of the ground at points (n, 2); 0 where there is none."""
     height: np.ndarray = np.nan_to_num(surface.height_at(points[:, 0], points[:, 1]))
     return height

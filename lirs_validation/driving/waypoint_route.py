@@ -30,7 +30,7 @@ class WaypointRoute:
 
     Args:
         waypoints: still to come, world frame.
-        free: free cells = where the robot's centre may be, world frame.
+        free: free cells = where the robot's center may be, world frame.
         config: how paths are driven.
         surface: the ground, for slower driving where it is steep.
     """
@@ -52,7 +52,7 @@ class WaypointRoute:
         self._room = room_in(self._free, free.resolution)
         self._weight = path_weight(self._free, self._room)
         self._ends_at: list[float] = []
-        """Metres of the present path after which each of its waypoints is reached."""
+        """Meters of the present path after which each of its waypoints is reached."""
         self._length = 0.0
 
     def path(self, pose: Pose2, time: float, undriven: float | None) -> Path | None:
@@ -106,7 +106,7 @@ def check_waypoints(
     Args:
         path: of the file that they come from.
         waypoints: world frame.
-        free: free cells = where the robot's centre may be, world frame.
+        free: free cells = where the robot's center may be, world frame.
         robot: its name.
         cause: returns why the robot cannot stand at a place of the world.
 

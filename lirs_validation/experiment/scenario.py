@@ -18,7 +18,7 @@ from lirs_wct.sources.window import Window
 from lirs_wct.world import World, build_world
 
 LARGE = 200.0
-"""A terrain longer than this (metres) is validated on a window."""
+"""A terrain longer than this (meters) is validated on a window."""
 WINDOW = 50.0
 KEPT = 2
 """Worlds that a cache holds at a time; memory stays flat over a long sweep."""

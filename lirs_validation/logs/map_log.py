@@ -63,9 +63,9 @@ def map_log(
         mapper: name of the mapper, or `module:name` of your own.
         seed: of its random numbers; same seed, same bytes.
         particles: of gmapping; None = its own number.
-        resolution: edge of a cell, metres; None = the mapper's own.
+        resolution: edge of a cell, meters; None = the mapper's own.
         fov: field of view of the laser, degrees; None = as the log says.
-        range_max: ranges from here on are no return, metres; None = as the log says.
+        range_max: ranges from here on are no return, meters; None = as the log says.
         relations: file of relations that are known to be true; the record then holds the accuracy.
         reference: a reference trajectory (TUM, bag, or CARMEN log of corrected poses); the same.
         imu: file of inertial readings at the scans, as a run records them; None = there are none.

@@ -14,9 +14,9 @@ from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.geometry.grid import OccupancyGrid
 
 TOLERANCE = 0.10
-"""Two occupied cells agree where their centers are at most this far apart, metres."""
+"""Two occupied cells agree where their centers are at most this far apart, meters."""
 ROUNDING = 1e-9
-"""Cell centers that are 0.10 m apart but for rounding agree, metres."""
+"""Cell centers that are 0.10 m apart but for rounding agree, meters."""
 
 BAND = 64
 """Rows of a map that are looked up at a time: what is made on the way is ten times the size of the map."""
@@ -49,8 +49,8 @@ class CellDistance:
     """How far the occupied cells of one map lie from the nearest one of another.
 
     Attributes:
-        mean: metres.
-        p95: 95 % of the cells lie at most so far, metres.
+        mean: meters.
+        p95: 95 % of the cells lie at most so far, meters.
     """
 
     mean: float
@@ -58,9 +58,9 @@ class CellDistance:
 
 
 def agreement(built: OccupancyGrid, reference: OccupancyGrid, tolerance: float = TOLERANCE) -> Agreement:
-    """Compare occupied cells by the distance of their centers, in metres, where both maps know.
+    """Compare occupied cells by the distance of their centers, in meters, where both maps know.
 
-    A cell is asked where the other map knows the cell under its centre; it agrees with any occupied
+    A cell is asked where the other map knows the cell under its center; it agrees with any occupied
     cell of the other map within the tolerance. Works for any two resolutions and rotations.
     """
     if not built.occupied.any() and not reference.occupied.any():
@@ -91,7 +91,7 @@ def contradicted(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float = 
 
 
 def nearest_occupied(asked: OccupancyGrid, other: OccupancyGrid) -> tuple[IntArray, FloatArray]:
-    """Return (n, 2) occupied cells where the other map knows, and (n,) metres to its nearest occupied cell.
+    """Return (n, 2) occupied cells where the other map knows, and (n,) meters to its nearest occupied cell.
 
     The distance is infinite where the other map has no occupied cell at all.
     """

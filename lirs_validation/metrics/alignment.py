@@ -12,7 +12,7 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
 
 SHORTEST = 1.0
-"""Metres of path below which a trajectory does not say how it is turned."""
+"""Meters of path below which a trajectory does not say how it is turned."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +21,7 @@ class StartAlignment:
 
     Attributes:
         T_world_aligned: moves what the mapper placed in the world (path, map) to where it fits best.
-        shift: how far it moves the start pose, metres.
+        shift: how far it moves the start pose, meters.
         turn: by how much it turns, radians, not negative.
     """
 
@@ -31,7 +31,7 @@ class StartAlignment:
 
 
 def start_alignment(truth: Trajectory, estimate: Trajectory) -> StartAlignment | None:
-    """Align an estimate with the truth; None where fewer than two poses or no metre of path is common.
+    """Align an estimate with the truth; None where fewer than two poses or no meter of path is common.
 
     Args:
         truth: true poses in the world frame, from the start pose on.

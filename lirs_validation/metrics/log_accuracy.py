@@ -32,7 +32,7 @@ class ReferenceErrors:
 
     Attributes:
         stamps: (n,) seconds.
-        position: (n,) metres.
+        position: (n,) meters.
         yaw: (n,) radians, not negative.
         outside: reference poses without a scan near by.
         T_map_reference: where the reference's frame lies in the map, so that the two can be drawn together.

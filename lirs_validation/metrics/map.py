@@ -1,7 +1,7 @@
 """How well a built map agrees with a reference map, and with the world's geometry.
 
 All grids are given in the world frame: the built map moved by the true start pose and by nothing else. So an
-error of the first metres shifts or turns the whole map; the `_aligned` metrics are of the map moved by the
+error of the first meters shifts or turns the whole map; the `_aligned` metrics are of the map moved by the
 alignment of the trajectory (that of the ATE) as well.
 Cells count where they are known in both maps; occupied is p > 0.65. What is evaluated is what a map file
 says: a cell that is neither occupied nor free (p < 0.25) is unknown.
@@ -38,7 +38,7 @@ class MapScores:
     Attributes:
         f1: agreement with the true-pose map, harmonic mean of precision and recall.
         f1_aligned: the same after the alignment of the trajectory; None without one.
-        start_shift: how far that alignment moves the start pose, metres.
+        start_shift: how far that alignment moves the start pose, meters.
         start_turn: by how much it turns the map, radians, not negative.
         precision: share of the built occupied cells that the true-pose map confirms within 0.10 m.
         recall: share of the true-pose map's occupied cells that the built map holds within 0.10 m.

@@ -10,7 +10,7 @@ from lirs_wct.world import World
 
 
 def mesh_error(world: World, mesh: TriangleMesh | None = None) -> float:
-    """Return the largest vertical distance of a mesh from the world's surface at the nodes, metres.
+    """Return the largest vertical distance of a mesh from the world's surface at the nodes, meters.
 
     Args:
         world: whose surface.

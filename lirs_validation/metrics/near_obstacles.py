@@ -22,10 +22,10 @@ def near_obstacle(
     """Return (n,) whether points (n, 2) lie within a distance of a steep face's footprint or a wall cell.
 
     Args:
-        points: world frame, metres.
+        points: world frame, meters.
         surface: the ground; each of its cells is two triangles.
         walls: wall cells, or None.
-        distance: metres in the plane, 0 inside the footprint.
+        distance: meters in the plane, 0 inside the footprint.
         steep: a face counts above this angle, radians.
     """
     xy = np.ascontiguousarray(points, dtype=np.float64)
@@ -47,7 +47,7 @@ def _near_steep(
     cx, cy = cell
     near = np.zeros(len(points), np.bool_)
     for k in range(len(points)):
-        # In metres from the south-west node.
+        # In meters from the south-west node.
         x, y = points[k, 0] - origin[0], points[k, 1] - origin[1]
         # A cell holds both of its edges: a point on the line between two is on either.
         i0, i1 = max(0, math.ceil((x - distance) / cx) - 1), min(cols - 2, math.floor((x + distance) / cx))

@@ -1,4 +1,4 @@
-"""Poses of the plane by the array: x, y in metres, yaw in radians, one pose a row."""
+"""Poses of the plane by the array: x, y in meters, yaw in radians, one pose a row."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lirs_wct.geometry.trajectory import Trajectory
 
 
 def planar(trajectory: Trajectory) -> FloatArray:
-    """Return (n, 3): x, y in metres, yaw in radians."""
+    """Return (n, 3): x, y in meters, yaw in radians."""
     return np.column_stack((trajectory.xy, trajectory.yaw))
 
 

@@ -28,9 +28,9 @@ from lirs_wct.geometry.trajectory import Trajectory
 PROPAGATED = 0.1
 """A pose farther than this from a constraint's stamp is propagated there by odometry, seconds."""
 CLOSE = 2.0
-"""Constraints tie poses this near each other, metres: what one scan shows, the other shows too."""
+"""Constraints tie poses this near each other, meters: what one scan shows, the other shows too."""
 SPACING = 1.0
-"""Path between two poses that constraints are made of, metres."""
+"""Path between two poses that constraints are made of, meters."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class ConstraintErrors:
     """Errors of the constraints inside the trajectory's time, and how many lay outside.
 
     Attributes:
-        translation: (n,) metres.
+        translation: (n,) meters.
         rotation: (n,) radians, not negative.
         outside: constraints that were left out.
         stamps: (n,) seconds, the earlier stamp of each constraint.
@@ -64,8 +64,8 @@ class ConstraintErrorSummary:
     """Error of the constraints between poses that lie close together, whenever they were passed.
 
     Attributes:
-        translation_mean: mean translational error of a constraint, metres.
-        translation_std: its standard deviation, metres.
+        translation_mean: mean translational error of a constraint, meters.
+        translation_std: its standard deviation, meters.
         rotation_mean: mean absolute rotational error of a constraint, radians.
         rotation_std: its standard deviation, radians.
         relations: number of constraints.
@@ -136,7 +136,7 @@ def constraint_error_summary(true: FloatArray, estimate: FloatArray) -> Constrai
     """Compare the relative poses of close poses of planar trajectories (n, 3); None where there are none.
 
     Kuemmerle et al. 2009, Eqs. 2-3 with absolute instead of squared errors, as in their tables. The
-    constraints: of poses a metre of path apart, every two within 2 m of each other. Neighbours show the local
+    constraints: of poses a meter of path apart, every two within 2 m of each other. Neighbors show the local
     error, places passed again the map's consistency.
     """
     pairs = close_pairs(true)
@@ -154,7 +154,7 @@ def constraint_error_summary(true: FloatArray, estimate: FloatArray) -> Constrai
 
 
 def close_pairs(poses: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return pairs of planar poses (n, 3) that lie close together, of those a metre of path apart."""
+    """Return pairs of planar poses (n, 3) that lie close together, of those a meter of path apart."""
     first, second = pairs_by_path(poses, SPACING)
     marks = np.append(first, second[-1:])
     pairs = cKDTree(poses[marks, :2]).query_pairs(CLOSE, output_type="ndarray") if len(marks) else marks

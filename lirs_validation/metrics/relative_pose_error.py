@@ -19,7 +19,7 @@ class RelativePoseError:
     """Relative pose error over pairs of poses that lie one `delta` apart.
 
     Attributes:
-        translation_rmse: root mean square of the translational error of a pair, metres.
+        translation_rmse: root mean square of the translational error of a pair, meters.
         rotation_rmse: root mean square of the rotational error of a pair, radians.
         pairs: how many pairs were compared.
     """
@@ -43,7 +43,7 @@ def relative_pose_error(
 
 
 def pairs_by_path(poses: FloatArray, delta: float) -> tuple[IntArray, IntArray]:
-    """Return consecutive pairs of planar poses (n, 3), each `delta` metres of path apart or just above."""
+    """Return consecutive pairs of planar poses (n, 3), each `delta` meters of path apart or just above."""
     steps = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1)
     marks, driven = [0], 0.0
     for k, step in enumerate(steps.tolist(), start=1):

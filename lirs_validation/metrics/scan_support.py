@@ -23,7 +23,7 @@ CELLS = 2000
 STREAM = 31
 """Which of the seed's random streams they are drawn from."""
 NEAR = 0.10
-"""Metres from a steep face or wall cell within which a hit is one of a wall, as in `map.false_occupied`."""
+"""Meters from a steep face or wall cell within which a hit is one of a wall, as in `map.false_occupied`."""
 
 
 ENOUGH = 0.05

@@ -29,17 +29,17 @@ class TrajectoryErrors:
     """The errors of one estimated trajectory against the true one.
 
     Attributes:
-        ate_rmse: root mean square position error after rigid alignment without scale, metres.
-        ate_max: largest position error after that alignment, metres.
-        ate_rmse_unaligned: the same without any alignment: both start at the true start pose, metres.
+        ate_rmse: root mean square position error after rigid alignment without scale, meters.
+        ate_max: largest position error after that alignment, meters.
+        ate_rmse_unaligned: the same without any alignment: both start at the true start pose, meters.
         yaw_rmse: root mean square yaw error after alignment, radians.
-        rpe_metre: relative error per metre driven; None where the path is shorter than a metre.
+        rpe_metre: relative error per meter driven; None where the path is shorter than a meter.
         rpe_second: relative error per second; None where it lasts less than a second.
         relations: error of the relative-pose constraints between close poses; None where the path is
-            shorter than a metre.
-        final_drift: distance between the last two poses without alignment, metres.
+            shorter than a meter.
+        final_drift: distance between the last two poses without alignment, meters.
         final_yaw_drift: absolute difference of the last two yaws without alignment, radians.
-        length: length of the true path between the first and the last compared pose, metres.
+        length: length of the true path between the first and the last compared pose, meters.
         poses: how many pairs of poses were compared.
         scan_coverage: share of the true poses, one a scan, with an estimate at their stamp.
     """

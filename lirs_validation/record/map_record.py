@@ -31,7 +31,7 @@ class MapRecord:
         log: scans, beams, laser, seconds, distance by odometry, skipped, left_out (scans), late, repaired,
             inertial_readings, and of the stamps how many went back, were repeated and were moved, and by how
             much at most.
-        map: cells, resolution, metres, occupied cells, square metres known.
+        map: cells, resolution, meters, occupied cells, square meters known.
         trajectory: poses, the share of the scans that has one (scan_coverage), and the share that contradicts
             other passes (contradicted; null where not tested).
         mapper: scans received, used, skipped, lost, milliseconds, bytes of its maps, its own counts.

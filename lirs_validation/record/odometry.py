@@ -12,7 +12,7 @@ WORSE = "worse than its odometry"
 WORSE_MARK = "‡"
 """Marks an ATE that is worse than the odometry's, in tables that have no room for the words."""
 VISIBLE = 0.0005
-"""Metres that a difference needs in order to be seen in a table."""
+"""Meters that a difference needs in order to be seen in a table."""
 
 
 def worse_than_odometry(entry: Entry) -> bool:

@@ -14,7 +14,7 @@ from lirs_wct.drawing.style import BLUE, GREEN, VERMILLION
 INK = "#123456"
 """Drawn in this color, a line or letter takes the page's own."""
 NAMED = {BLUE: "var(--blue)", VERMILLION: "var(--vermillion)", GREEN: "var(--green)"}
-"""Colours that the page makes lighter on a dark ground."""
+"""Colors that the page makes lighter on a dark ground."""
 MAPPER_COLORS = {"hector": BLUE, "cartographer": VERMILLION, "gmapping": GREEN}
 OTHERS = ("#CC79A7", "#B8860B", "#7B6BD6", "#56B4E9")
 """Okabe and Ito's colors, those for other mappers strong enough on light and on dark."""

@@ -23,12 +23,12 @@ class ContactBudget:
     """What a contact grid may differ from the surface by.
 
     Attributes:
-        vertical: metres, at nodes where no adjacent triangle is as steep as `steep`.
+        vertical: meters, at nodes where no adjacent triangle is as steep as `steep`.
         horizontal: contact cells along each axis, at the other nodes: within this distance the contact
             grid must have the node's height.
-        match: metres to which it must have it: at the foot of a wall the ground itself rises by so much.
+        match: meters to which it must have it: at the foot of a wall the ground itself rises by so much.
         steep: radians.
-        max_cell: no contact cell is made larger than this, metres: there is nothing left to gain.
+        max_cell: no contact cell is made larger than this, meters: there is nothing left to gain.
 
     Raises:
         ConfigError: a value is not above 0.
@@ -51,12 +51,12 @@ class ContactGrid:
 
     Attributes:
         stride: cells of the surface in a contact cell, along each axis; 1 = the surface itself.
-        cell: spacing of the contact grid's nodes, metres.
-        vertical_budget: metres (see `ContactBudget`).
-        horizontal_budget: metres, half a contact cell.
-        match_budget: metres, the height's tolerance at the horizontal deviation.
-        vertical: largest vertical deviation where the slope is under 45 deg, metres.
-        horizontal: largest horizontal deviation along an axis on steeper faces, metres.
+        cell: spacing of the contact grid's nodes, meters.
+        vertical_budget: meters (see `ContactBudget`).
+        horizontal_budget: meters, half a contact cell.
+        match_budget: meters, the height's tolerance at the horizontal deviation.
+        vertical: largest vertical deviation where the slope is under 45 deg, meters.
+        horizontal: largest horizontal deviation along an axis on steeper faces, meters.
         nodes: number of nodes compared.
     """
 
@@ -131,7 +131,7 @@ def _figures(
 def _measured(
     z: Float32Array, steep: BoolArray, stride: int, budget: ContactBudget
 ) -> tuple[float, float] | None:
-    """Return the deviation, vertical in metres and horizontal in cells; None where it breaks the budget."""
+    """Return the deviation, vertical in meters and horizontal in cells; None where it breaks the budget."""
     contact = np.empty_like(z)
     vertical = float(_resampled(_coarse(z, stride), stride, z, steep, budget.vertical, contact))
     if vertical > budget.vertical:

@@ -23,9 +23,9 @@ MAX_PRISMS = 20_000
 """A step costs about 1.7 us for each thousand: with these, no robot's takes more than 60 us (measured: 46 to
 48 us at 16,447, 59 to 65 us at 26,981)."""
 PRISM_ERROR = 0.01
-"""Vertical deviation of prisms from the ground where the world has no budget of its own, metres."""
+"""Vertical deviation of prisms from the ground where the world has no budget of its own, meters."""
 DEPTH = 1.0
-"""Metres that a prism reaches below the lowest ground; contacts push out the shorter way: up."""
+"""Meters that a prism reaches below the lowest ground; contacts push out the shorter way: up."""
 FEW_FACES = 200
 """Faces of a body that CoACD cuts into fewer parts than there are faces, within a second or so."""
 MAX_CONVEX = 5000

@@ -1,7 +1,7 @@
 """The surface of a closed body as thin convex parts: one for each triangle, as deep as the body lets it be.
 
 What touches the body touches its very triangles. A part is the hull of its triangle and of the same triangle
-moved inward along the normals of its corners, which neighbours share: there are no gaps between parts.
+moved inward along the normals of its corners, which neighbors share: there are no gaps between parts.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.kernels import njit
 
 DEPTH = 0.1
-"""Metres that a part reaches inward: contacts push out the shorter way, at 3 m/s one goes 1 to 2 cm deep."""
+"""Meters that a part reaches inward: contacts push out the shorter way, at 3 m/s one goes 1 to 2 cm deep."""
 SHARE = 0.45
 """Of the body's thickness at a corner that a part reaches inward, at most: two sides do not meet."""
 LEAST_AREA = 1e-10
-"""Square metres below which a triangle is nothing that is touched."""
+"""Square meters below which a triangle is nothing that is touched."""
 GRAZING = 0.2
 """Cosine of the angle between a corner's normal and a triangle's below which the triangle takes its own."""
 

@@ -1,4 +1,4 @@
-"""The common canvas of all pictures: the same square metres in the same pixels."""
+"""The common canvas of all pictures: the same square meters in the same pixels."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.geometry.walls import WallGrid
 
 MARGIN = 1.0
-"""Metres shown around paths and what maps know."""
+"""Meters shown around paths and what maps know."""
 BAND = 64
 """Rows of pixels that are looked up at a time: what is made on the way is large."""
 FREE_SHADE, UNKNOWN_SHADE = 1.0, 0.80
@@ -27,7 +27,7 @@ class Canvas:
     """A picture's place in the world; row 0 = north, so that it shows as it lies on the map.
 
     Attributes:
-        bounds: west, south, east, north in metres.
+        bounds: west, south, east, north in meters.
         shape: rows, columns of square pixels.
     """
 
@@ -44,7 +44,7 @@ class Canvas:
 
     @property
     def pixel(self) -> float:
-        """Edge of a pixel, metres."""
+        """Edge of a pixel, meters."""
         return (self.bounds[2] - self.bounds[0]) / self.shape[1]
 
     @property
@@ -55,21 +55,21 @@ class Canvas:
 
     @property
     def centers(self) -> FloatArray:
-        """(rows, cols, 2) x and y of the pixels' centers, metres."""
+        """(rows, cols, 2) x and y of the pixels' centers, meters."""
         return self._centers(slice(None))
 
     def _bands(self) -> Iterator[slice]:
         return (slice(first, first + BAND) for first in range(0, self.shape[0], BAND))
 
     def _centers(self, rows: slice) -> FloatArray:
-        """Return (rows, cols, 2) the centers of some rows, metres."""
+        """Return (rows, cols, 2) the centers of some rows, meters."""
         west, _, _, north = self.bounds
         x = west + (np.arange(self.shape[1]) + 0.5) * self.pixel
         y = north - (np.arange(self.shape[0])[rows] + 0.5) * self.pixel
         return np.stack(np.meshgrid(x, y), axis=-1)
 
     def heights(self, surface: HeightField) -> FloatArray:
-        """Return (rows, cols) metres; NaN off the surface."""
+        """Return (rows, cols) meters; NaN off the surface."""
         heights = np.empty(self.shape)
         for band in self._bands():
             xy = self._centers(band)
@@ -116,7 +116,7 @@ class Canvas:
 
 
 def bounds_shown(path: Trajectory, grid: OccupancyGrid) -> tuple[float, float, float, float]:
-    """Return west, south, east, north of a path and of what a map knows, with a margin, metres."""
+    """Return west, south, east, north of a path and of what a map knows, with a margin, meters."""
     boxes = [(*path.xy.min(axis=0).tolist(), *path.xy.max(axis=0).tolist())]
     known = bounds_of(grid)
     if known is not None:
@@ -128,7 +128,7 @@ def bounds_shown(path: Trajectory, grid: OccupancyGrid) -> tuple[float, float, f
 
 
 def bounds_of(grid: OccupancyGrid) -> tuple[float, float, float, float] | None:
-    """Return west, south, east, north of what a map knows, metres; None where it knows nothing."""
+    """Return west, south, east, north of what a map knows, meters; None where it knows nothing."""
     rows, cols = (np.flatnonzero(grid.known.any(axis=axis)) for axis in (1, 0))
     if len(rows) == 0:
         return None

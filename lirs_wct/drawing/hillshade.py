@@ -53,7 +53,7 @@ def shaded_surface(surface: HeightField, canvas: Canvas) -> FloatArray:
 
 
 def shading(z: FloatArray, pixel: float) -> FloatArray:
-    """Return (rows, cols) brightness in [0, 1] of heights in metres, row 0 = north; level: 0.7."""
+    """Return (rows, cols) brightness in [0, 1] of heights in meters, row 0 = north; level: 0.7."""
     height = np.where(np.isnan(z), np.nanmin(z) if np.isfinite(z).any() else 0.0, z)
     if min(height.shape) < 2:
         return np.full(height.shape, math.sin(ALTITUDE))

@@ -14,11 +14,11 @@ from lirs_wct.kernels import njit
 TURN, TILT = math.radians(-28), math.radians(35)
 """The viewer stands to the south and a little to the west, and looks down by so much."""
 CUT = (0.62, 0.60, 0.57)
-"""Colour of the block's cut faces."""
+"""Color of the block's cut faces."""
 
 
 class _Screen(NamedTuple):
-    """Where the picture's rows and columns lie; lengths in metres about the block's middle.
+    """Where the picture's rows and columns lie; lengths in meters about the block's middle.
 
     Attributes:
         left: rightward coordinate of the picture's left edge.
@@ -54,7 +54,7 @@ def oblique_view(
     """Return (rows, width, 4) an orthographic view of a block of ground; transparent around it.
 
     Args:
-        z: (rows, cols) metres, row 0 = north; NaN where there is no ground.
+        z: (rows, cols) meters, row 0 = north; NaN where there is no ground.
         tops: (rows, cols, 3) colors of what lies about level.
         sides: (rows, cols, 3) colors of faces that rise towards the north.
         canvas: where these pixels lie.

@@ -1,4 +1,4 @@
-"""One look for all pictures: fonts, colors that color-blind readers distinguish, axes in metres."""
+"""One look for all pictures: fonts, colors that color-blind readers distinguish, axes in meters."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def title(axes: Axes, text: str, *, above_legend: bool = False) -> None:
     axes.set_title(text, fontsize=TITLE, loc="left", color=BLACK, pad=pad)
 
 
-def length(metres: float) -> str:
+def length(meters: float) -> str:
     """Return a length to three or four figures, as a title has it."""
-    return f"{metres:,.0f} m" if metres >= 1000 else f"{metres:.4g} m" if metres >= 100 else f"{metres:.3g} m"
+    return f"{meters:,.0f} m" if meters >= 1000 else f"{meters:.4g} m" if meters >= 100 else f"{meters:.3g} m"
 
 
 def plain_axes(axes: Axes, x: str, y: str) -> None:
@@ -54,7 +54,7 @@ def plain_axes(axes: Axes, x: str, y: str) -> None:
 
 
 def map_axes(axes: Axes, canvas: Canvas, picture: FloatArray) -> None:
-    """Show a picture (rows, cols, 3) in [0, 1] in metres, both axes alike."""
+    """Show a picture (rows, cols, 3) in [0, 1] in meters, both axes alike."""
     # Of bytes, matplotlib makes float32; where it has to add the alpha itself, float64.
     levels = np.full((*picture.shape[:2], 4), 255, np.uint8)
     for first in range(0, len(picture), BAND):

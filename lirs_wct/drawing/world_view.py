@@ -193,7 +193,7 @@ def _starts(axes: Axes, world: World, size: Size) -> bool:
 
 
 def _standing(world: World, canvas: Canvas) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Return (rows, cols) metres of the ground and of the walls' tops."""
+    """Return (rows, cols) meters of the ground and of the walls' tops."""
     z = canvas.heights(world.surface)
     if world.walls is not None:
         z = np.where(canvas.walls(world.walls), np.fmax(z, world.walls.height), z)

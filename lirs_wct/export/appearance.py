@@ -33,7 +33,7 @@ class Wear:
         name: of the part, `ground` or `walls`.
         given: the user's file; None = drawn.
         draped: whether the picture lies on the world from above, once; else it is repeated.
-        span: metres that a repeated picture spans; None = the longest side of the part.
+        span: meters that a repeated picture spans; None = the longest side of the part.
     """
 
     name: str
@@ -106,7 +106,7 @@ def world_parts(world: World, mesh: TriangleMesh | None = None) -> tuple[Part, .
 
 
 def world_extent(world: World) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest and highest corner of what is seen of a world, metres."""
+    """Return the lowest and highest corner of what is seen of a world, meters."""
     if world.solid is not None:
         low, high = world.solid.bounds
         return low.copy(), high.copy()
@@ -116,7 +116,7 @@ def world_extent(world: World) -> tuple[FloatArray, FloatArray]:
 
 
 def squared(picture: ByteArray, size: tuple[float, float]) -> ByteArray:
-    """Return a square picture as wide as the longer of width and depth, metres.
+    """Return a square picture as wide as the longer of width and depth, meters.
 
     The given one fills its lower-left corner; the rest repeats its border.
     """

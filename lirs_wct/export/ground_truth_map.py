@@ -19,14 +19,14 @@ from lirs_wct.sources.rasterize import rasterize_heights
 from lirs_wct.world import World
 
 ROBOT_HEIGHT = 0.3
-"""Metres above the ground at which the map is made, unless told otherwise."""
+"""Meters above the ground at which the map is made, unless told otherwise."""
 RESOLUTION = 0.05
-"""Metres a cell; coarser where a world is larger than `CELLS` of them."""
+"""Meters a cell; coarser where a world is larger than `CELLS` of them."""
 CELLS = 4000
 STEEP = math.radians(45)
 """Slope of a face from which on it is a wall, as in `map.false_occupied`."""
 TOUCHING = 1e-4
-"""Metres by which what stands on the ground may reach into it."""
+"""Meters by which what stands on the ground may reach into it."""
 
 
 def ground_truth_map(world: World, height: float = ROBOT_HEIGHT) -> OccupancyGrid:
@@ -37,7 +37,7 @@ def ground_truth_map(world: World, height: float = ROBOT_HEIGHT) -> OccupancyGri
 
     Args:
         world: to be mapped.
-        height: of the robot's lidar above the ground, metres.
+        height: of the robot's lidar above the ground, meters.
 
     Raises:
         ConfigError: the height is not above 0.

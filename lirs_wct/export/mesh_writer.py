@@ -63,7 +63,7 @@ def write_collada(
     Args:
         path: file.
         mesh: in the world frame.
-        texture: path of the picture relative to the file, or None for a plain colour.
+        texture: path of the picture relative to the file, or None for a plain color.
         stream_above: triangles above which the file is streamed.
         progress: of the file.
 

@@ -26,11 +26,11 @@ from lirs_wct.world import World
 TERRAIN_GROUP = 3
 """Geom group of ground and walls in a simulation: rays for robots and props leave it out."""
 BASE = 1.0
-"""Metres that the ground reaches below its lowest point; contacts push out the shorter way: up."""
+"""Meters that the ground reaches below its lowest point; contacts push out the shorter way: up."""
 RAY_GROUP = 5
 """Geom group of a true mesh that MuJoCo's rays see, since no height field can hold it; no robot uses it."""
-GROUND_COLOUR = (0.62, 0.57, 0.48, 1.0)
-WALL_COLOUR = (0.45, 0.5, 0.55, 1.0)
+GROUND_COLOR = (0.62, 0.57, 0.48, 1.0)
+WALL_COLOR = (0.45, 0.5, 0.55, 1.0)
 
 
 def world_spec(
@@ -56,7 +56,7 @@ def world_spec(
         ray_surface: whether to add the surface itself for MuJoCo's own rays, where something else is touched.
         seen: whether to add the mesh of a world with overhangs, to be seen.
         heights: whether the height field holds its heights; without, they are to come from a file.
-        height_range: lowest and highest height that the height field has room for, metres; `write_heights`
+        height_range: lowest and highest height that the height field has room for, meters; `write_heights`
             fills it in the compiled model. Default: those of the ground.
 
     Raises:
@@ -71,9 +71,9 @@ def world_spec(
     elif world.walls is None or world.walls.hole is None:
         _add_ground(spec, surface, group, heights=heights, height_range=height_range)
     else:
-        _add_boxes(spec, world.walls, world.walls.floor, (-BASE, 0.0), group, GROUND_COLOUR)
+        _add_boxes(spec, world.walls, world.walls.floor, (-BASE, 0.0), group, GROUND_COLOR)
     if world.walls is not None:
-        _add_boxes(spec, world.walls, world.walls.solid, (0.0, world.walls.height), group, WALL_COLOUR)
+        _add_boxes(spec, world.walls, world.walls.solid, (0.0, world.walls.height), group, WALL_COLOR)
     if contact_geometry == "mesh" or (world.overhangs and seen):
         _add_tiles(spec, world, RAY_GROUP if world.overhangs else group)
     elif ray_surface and (contact_geometry != "hfield" or surface.shape != world.surface.shape):
@@ -116,7 +116,7 @@ def _add_ground(
         "name": name,
         "pos": ((west + east) / 2, (south + north) / 2, low),
         "group": group,
-        "rgba": GROUND_COLOUR,
+        "rgba": GROUND_COLOR,
         **options,
     }
     if relief == 0.0:
@@ -185,7 +185,7 @@ def _add_parts(spec: mujoco.MjSpec, world: World, contact_geometry: ContactGeome
         name = f"ground{k}"
         spec.add_mesh(name=name, uservert=corners.ravel())
         spec.worldbody.add_geom(
-            name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, group=group, rgba=GROUND_COLOUR
+            name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, group=group, rgba=GROUND_COLOR
         )
     spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
@@ -216,5 +216,5 @@ def _add_tiles(spec: mujoco.MjSpec, world: World, group: int) -> None:
             contype=0,
             conaffinity=0,
             group=group,
-            rgba=GROUND_COLOUR,
+            rgba=GROUND_COLOR,
         )

@@ -84,7 +84,7 @@ def _write_heights(world: World, folder: Path) -> str:
 
 
 def write_hfield(path: Path, surface: HeightField) -> None:
-    """Write MuJoCo's height-field file: rows and columns as int32, then heights, row 0 at -y, in metres.
+    """Write MuJoCo's height-field file: rows and columns as int32, then heights, row 0 at -y, in meters.
 
     Raises:
         OutputError: the file cannot be written.

@@ -20,15 +20,15 @@ from lirs_wct.meshing.tiles import MUJOCO_FACES, split_tiles
 from lirs_wct.world import World
 
 SKY = ((0.72, 0.80, 0.90), (0.93, 0.94, 0.95))
-"""Colours of the sky above and at the horizon, RGB."""
+"""Colors of the sky above and at the horizon, RGB."""
 SUN = (0.5, -0.5, -0.7071)
 """Where the light goes: from the north-west, as in the drawn textures."""
 NEAR, FAR, DEPTHS = 0.02, 5.0, 4e5
-"""Nearest that a camera sees, metres, the farthest in extents of the world, and how many times as far that is
+"""Nearest that a camera sees, meters, the farthest in extents of the world, and how many times as far that is
 at most: a sky at 4e6 times the near plane is clipped."""
 FOVY = math.radians(45)
 EYE, DOWN = 1.0, math.radians(10)
-"""Height of the camera at the first start pose above the ground, metres, and how far it looks down."""
+"""Height of the camera at the first start pose above the ground, meters, and how far it looks down."""
 GROUND_PIXELS, DRAPED_PIXELS = 2048, 8192
 """Most pixels of the longer side of a texture repeated over a height field, and of one laid on once."""
 TOUCHED_GROUP = 3
@@ -42,12 +42,12 @@ def add_look(spec: mujoco.MjSpec, world: World, low: FloatArray, high: FloatArra
     Args:
         spec: of the world.
         world: for its start poses.
-        low: (3,) lowest corner of what is seen, metres.
+        low: (3,) lowest corner of what is seen, meters.
         high: (3,) highest corner.
     """
     middle, extent = (low + high) / 2, 0.8 * float(np.linalg.norm(high - low))
     spec.stat.center, spec.stat.extent = middle, extent
-    # A share of the extent, by default 1 %: half a metre in a world of 50 m.
+    # A share of the extent, by default 1 %: half a meter in a world of 50 m.
     spec.visual.map.znear, spec.visual.map.zfar = max(NEAR / extent, FAR / DEPTHS), FAR
     spec.visual.global_.azimuth, spec.visual.global_.elevation = (
         math.degrees(AZIMUTH),
@@ -185,7 +185,7 @@ def _as_png(world: World, wear: Wear, folder: Path) -> Path:
 
 
 def spread(picture: ByteArray, size: tuple[float, float], span: float) -> ByteArray:
-    """Return a picture that covers width x depth metres with tiles of `span` metres from its lower left."""
+    """Return a picture that covers width x depth meters with tiles of `span` meters from its lower left."""
     width, depth = size
     tiles = max(size) / span
     pixels = min(GROUND_PIXELS, math.ceil(max(picture.shape[:2]) * tiles))

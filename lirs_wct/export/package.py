@@ -59,7 +59,7 @@ def write_package(
         parent: folder for the world's folder.
         formats: of `FORMATS`.
         terrain: what Gazebo's model is: the solid mesh, or a heightmap (8 bit, as the paper compares with).
-        map_height: metres above the ground at which the map is made (see `ground_truth_map`).
+        map_height: meters above the ground at which the map is made (see `ground_truth_map`).
         overwrite: whether the world of another source may be replaced.
         progress: called with the name of the file being written.
 

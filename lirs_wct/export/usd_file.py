@@ -31,7 +31,7 @@ def require_usd() -> None:
 
 
 def write_usd(path: Path, world: World, parts: list[MeshPart]) -> None:
-    """Write a stage in metres with z up.
+    """Write a stage in meters with z up.
 
     `/World` is its default prim. Each part of the world is a mesh without subdivision, static and touched
     as it is (`UsdPhysics.MeshCollisionAPI`, approximation none), with the texture as a preview surface and

@@ -15,7 +15,7 @@ from lirs_wct.geometry.pose import Pose2
 HEADER = "time,v,omega"
 """Seconds since the start when the command was given; m/s; rad/s."""
 START = "# start"
-"""Begins the line with the start pose: x, y, yaw in the world frame, metres and radians."""
+"""Begins the line with the start pose: x, y, yaw in the world frame, meters and radians."""
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,7 @@ def _grid(metadata: MapMetadata, max_pixels: int) -> OccupancyGrid:
 def _probability(pixels: NDArray[Any], metadata: MapMetadata) -> FloatArray:
     """Return (rows, cols) probabilities, row 0 = north, NaN = unknown.
 
-    Trinary and raw maps average alpha with the colours; scaled ones take any transparency as unknown.
+    Trinary and raw maps average alpha with the colors; scaled ones take any transparency as unknown.
     """
     full = float(np.iinfo(pixels.dtype).max) if np.issubdtype(pixels.dtype, np.integer) else 1.0
     shade = pixels.astype(np.float64) / full

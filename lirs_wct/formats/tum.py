@@ -17,7 +17,7 @@ HEADER = "# stamp[s] x y z[m] qx qy qz qw"
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """Write a trajectory; every number reads back to the nanometre and the nanosecond.
+    """Write a trajectory; every number reads back to the nanometer and the nanosecond.
 
     Raises:
         OutputError: the file cannot be written.

@@ -1,4 +1,4 @@
-"""Waypoints: x, y and perhaps yaw a line (text or CSV), or a YAML list; metres and radians, world frame."""
+"""Waypoints: x, y and perhaps yaw a line (text or CSV), or a YAML list; meters and radians, world frame."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class WorldFile:
     Attributes:
         name: of the world.
         kind: `terrain`, `map` or `mesh`.
-        scale: where the metres come from, a text.
+        scale: where the meters come from, a text.
         surface: the ground from above.
         spawn_poses: `T_world_base`.
         spawn_for: the largest robot that they are for; empty = none, or it is not known.

@@ -22,7 +22,7 @@ class PointCloud:
     above 0 the sweep is skewed by the robot's motion.
 
     Attributes:
-        xyz: (n, 3) float32 metres in the sensor's frame, x ahead, z up; finite. Ring by ring from below,
+        xyz: (n, 3) float32 meters in the sensor's frame, x ahead, z up; finite. Ring by ring from below,
             counter-clockwise in each.
         ring: (n,) uint16 ring of each point, 0 = the lowest.
         time: (n,) float32 seconds from `stamp` until the point was measured; all 0 = all at once.

@@ -27,7 +27,7 @@ class OccupancyGrid(ShownAsPicture):
 
     Attributes:
         log_odds: (rows, cols) float32, row 0 = south (ROS order), NaN = unknown.
-        resolution: edge of a cell, metres.
+        resolution: edge of a cell, meters.
         origin: `T_frame_grid`: pose of the outer corner of cell (0, 0), as in a ROS map YAML.
 
     Raises:

@@ -17,7 +17,7 @@ class Reach:
     """What a search found.
 
     Attributes:
-        cost: (rows, cols) cost from the sources in metres times weight; inf = not reached.
+        cost: (rows, cols) cost from the sources in meters times weight; inf = not reached.
         parent: (rows, cols) flat index of the cell before; -1 at a source.
     """
 
@@ -45,12 +45,12 @@ def search(
     slack: float = 0.0,
     limit: float = math.inf,
 ) -> Reach:
-    """Search outward from cells, to the eight neighbours, without cutting the corners of blocked cells.
+    """Search outward from cells, to the eight neighbors, without cutting the corners of blocked cells.
 
     Args:
-        weight: (rows, cols) cost of a metre in each cell; inf = blocked.
+        weight: (rows, cols) cost of a meter in each cell; inf = blocked.
         sources: (n, 2) rows and columns where the cost is 0.
-        resolution: metres a cell.
+        resolution: meters a cell.
         goals: stop once no cell within `slack` beyond the nearest of these is left.
         slack: in units of the cost.
         limit: stop at this cost.

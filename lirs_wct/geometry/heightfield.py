@@ -1,4 +1,4 @@
-"""The height field: a picture as a surface in metres."""
+"""The height field: a picture as a surface in meters."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class HeightField(ShownAsPicture):
     A cell splits along the diagonal from its south-west to its north-east node, as MuJoCo's does.
 
     Attributes:
-        z: (rows, cols) float32 metres, row 0 = north edge as in the picture, column 0 = west.
-        cell: spacing of the nodes eastward and northward, metres.
-        origin: x, y of the south-west node in the world frame, metres.
+        z: (rows, cols) float32 meters, row 0 = north edge as in the picture, column 0 = west.
+        cell: spacing of the nodes eastward and northward, meters.
+        origin: x, y of the south-west node in the world frame, meters.
 
     Raises:
         ConfigError: fewer than 2x2 nodes, a height that is not finite, or a spacing not above 0.
@@ -48,7 +48,7 @@ class HeightField(ShownAsPicture):
 
     @staticmethod
     def centered(z: Float32Array, cell: tuple[float, float]) -> HeightField:
-        """Build with the picture's centre at the world's origin."""
+        """Build with the picture's center at the world's origin."""
         rows, cols = z.shape
         return HeightField(z, cell, (-(cols - 1) * cell[0] / 2, -(rows - 1) * cell[1] / 2))
 
@@ -59,19 +59,19 @@ class HeightField(ShownAsPicture):
 
     @property
     def size(self) -> tuple[float, float]:
-        """Extent eastward and northward, metres."""
+        """Extent eastward and northward, meters."""
         rows, cols = self.z.shape
         return (cols - 1) * self.cell[0], (rows - 1) * self.cell[1]
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """West, south, east, north, metres."""
+        """West, south, east, north, meters."""
         (x, y), (w, h) = self.origin, self.size
         return x, y, x + w, y + h
 
     @property
     def relief(self) -> float:
-        """Highest minus lowest height, metres."""
+        """Highest minus lowest height, meters."""
         return float(self.z.max() - self.z.min())
 
     @property
@@ -87,7 +87,7 @@ class HeightField(ShownAsPicture):
         return inside
 
     def height_at(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
-        """Return the surface height at points (broadcast), metres; NaN off the field.
+        """Return the surface height at points (broadcast), meters; NaN off the field.
 
         Linear on each triangle, so equal to the mesh of the full grid.
         """

@@ -17,7 +17,7 @@ class TriangleMesh:
     """Triangles in the world frame, counter-clockwise seen from outside.
 
     Attributes:
-        vertices: (n, 3) float64 metres.
+        vertices: (n, 3) float64 meters.
         faces: (m, 3) int32 vertex indices.
         uv: (n, 2) float64 texture coordinates, or None.
         normals: (n, 3) float64 unit vertex normals, or None.
@@ -42,7 +42,7 @@ class TriangleMesh:
 
     @property
     def bounds(self) -> FloatArray:
-        """(2, 3) lowest and highest corner, metres."""
+        """(2, 3) lowest and highest corner, meters."""
         return np.stack((self.vertices.min(axis=0), self.vertices.max(axis=0)))
 
     @property
@@ -56,7 +56,7 @@ class TriangleMesh:
 
     @property
     def volume(self) -> float:
-        """Enclosed volume, cubic metres (signed sum of tetrahedra; meaningful where closed)."""
+        """Enclosed volume, cubic meters (signed sum of tetrahedra; meaningful where closed)."""
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
 

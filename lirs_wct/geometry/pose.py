@@ -1,6 +1,6 @@
 """Rigid poses in the plane and in space.
 
-`T_ab` maps coordinates in frame b to frame a, so `T_ac = T_ab @ T_bc`. Metres and radians;
+`T_ab` maps coordinates in frame b to frame a, so `T_ac = T_ab @ T_bc`. Meters and radians;
 quaternions are wxyz (MuJoCo's order), files of ROS and TUM hold xyzw.
 """
 
@@ -51,7 +51,7 @@ class Pose2:
         )
 
     def distance(self, other: Pose2) -> float:
-        """Return the Euclidean distance between the two origins, in metres."""
+        """Return the Euclidean distance between the two origins, in meters."""
         return math.hypot(self.x - other.x, self.y - other.y)
 
     def as_array(self) -> FloatArray:
@@ -61,7 +61,7 @@ class Pose2:
 
 @dataclass(frozen=True, slots=True)
 class Pose3:
-    """A rigid pose in space: translation in metres and a unit quaternion (wxyz)."""
+    """A rigid pose in space: translation in meters and a unit quaternion (wxyz)."""
 
     x: float = 0.0
     y: float = 0.0
@@ -89,7 +89,7 @@ class Pose3:
 
     @staticmethod
     def from_arrays(position: ArrayLike, quaternion: ArrayLike) -> Pose3:
-        """Build from position (3,) and quaternion (4,) wxyz, which is normalised."""
+        """Build from position (3,) and quaternion (4,) wxyz, which is normalized."""
         p = np.asarray(position, dtype=np.float64)
         q = np.asarray(quaternion, dtype=np.float64)
         q = q / np.linalg.norm(q)
@@ -127,7 +127,7 @@ class Pose3:
 
     @property
     def position(self) -> FloatArray:
-        """(3,) translation in metres."""
+        """(3,) translation in meters."""
         return np.array((self.x, self.y, self.z))
 
     @property

@@ -17,11 +17,11 @@ class LaserScan(ShownAsPicture):
     """One sweep of a planar laser range finder, after ROS `sensor_msgs/LaserScan` and REP 117.
 
     Attributes:
-        ranges: (n,) float32 metres. +inf = nothing in range, -inf = too near, NaN = invalid.
+        ranges: (n,) float32 meters. +inf = nothing in range, -inf = too near, NaN = invalid.
         angle_min: angle of the first beam about the sensor's z, radians, counter-clockwise from its x.
         angle_increment: angle between beams, radians.
-        range_min: smallest range that the sensor measures, metres.
-        range_max: largest range that the sensor measures, metres.
+        range_min: smallest range that the sensor measures, meters.
+        range_max: largest range that the sensor measures, meters.
         stamp: time of the first beam, seconds.
         T_base_laser: where the sensor sits on the robot.
         time_increment: time between beams, seconds; 0 = all at once.

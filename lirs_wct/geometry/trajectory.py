@@ -23,7 +23,7 @@ class Trajectory(ShownAsPicture):
 
     Attributes:
         stamps: (n,) seconds, strictly increasing.
-        positions: (n, 3) metres.
+        positions: (n, 3) meters.
         quaternions: (n, 4) unit, wxyz.
 
     Raises:
@@ -60,7 +60,7 @@ class Trajectory(ShownAsPicture):
 
     @property
     def xy(self) -> FloatArray:
-        """(n, 2) metres."""
+        """(n, 2) meters."""
         return self.positions[:, :2]
 
     @property
@@ -70,7 +70,7 @@ class Trajectory(ShownAsPicture):
 
     @property
     def length(self) -> float:
-        """Planar path length, metres."""
+        """Planar path length, meters."""
         return float(np.linalg.norm(np.diff(self.xy, axis=0), axis=1).sum())
 
     def pose2(self, i: int) -> Pose2:
@@ -79,9 +79,9 @@ class Trajectory(ShownAsPicture):
         return Pose2(x, y, _yaw(self.quaternions[i][None]).item())
 
     def planar_at(self, stamps: FloatArray) -> FloatArray:
-        """Return (m, 3) x, y, yaw at stamps (m,): linear between neighbours, the end pose beyond the ends.
+        """Return (m, 3) x, y, yaw at stamps (m,): linear between neighbors, the end pose beyond the ends.
 
-        Metres and radians; the yaw turns the short way round and may leave (-pi, pi].
+        Meters and radians; the yaw turns the short way round and may leave (-pi, pi].
         """
         yaw = np.unwrap(self.yaw)
         columns = (self.positions[:, 0], self.positions[:, 1], yaw)

@@ -22,7 +22,7 @@ class Viewpoint:
     """A camera's place and the direction in which it looks.
 
     Attributes:
-        position: x, y, z, metres.
+        position: x, y, z, meters.
         yaw: of the direction from the x axis, radians.
         pitch: downward, radians.
     """
@@ -47,7 +47,7 @@ def overview(low: ArrayLike, high: ArrayLike, fovy: float, aspect: float = 4 / 3
     """Return the place from which a box is seen whole, from outside.
 
     Args:
-        low: (3,) lowest corner, metres.
+        low: (3,) lowest corner, meters.
         high: (3,) highest corner.
         fovy: the picture's angle from its lower to its upper edge, radians.
         aspect: its width over its height.

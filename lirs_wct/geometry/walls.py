@@ -18,9 +18,9 @@ class WallGrid:
 
     Attributes:
         solid: (rows, cols) bool, row 0 = south (ROS order).
-        resolution: edge of a cell, metres.
+        resolution: edge of a cell, meters.
         origin: `T_world_grid`: pose of the outer corner of cell (0, 0), from the map's YAML.
-        height: metres.
+        height: meters.
         hole: (rows, cols) bool, cells without wall and without floor; None = the floor is whole.
 
     Raises:

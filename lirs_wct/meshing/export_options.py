@@ -20,7 +20,7 @@ DEFAULT_SHARE, LEAST_SHARE = 0.001, 1e-6
 
 def _budget(value: float, _: str) -> None:
     if not 0 <= value < math.inf:
-        raise ConfigError(f"max error must be a finite number of metres, 0 or above, got {value}")
+        raise ConfigError(f"max error must be a finite number of meters, 0 or above, got {value}")
 
 
 def _finite_turn(value: float, _: str) -> None:
@@ -41,7 +41,7 @@ class ExportOptions(Options):
         None,
         "Fewest triangles that stay this near the ground, vertically, at every pixel; 0 = all pixels. "
         "Default: 0.1 % of the relief of a terrain, at least a millionth of its longer side.",
-        metavar="METRES",
+        metavar="METERS",
         check=_budget,
         **_PANEL,
     )
@@ -83,7 +83,7 @@ class ExportOptions(Options):
     texture_size: float | None = option(
         None,
         "What the texture spans before it repeats; default: the longest side, once.",
-        metavar="METRES",
+        metavar="METERS",
         check=positive,
         **_PANEL,
     )

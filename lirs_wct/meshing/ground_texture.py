@@ -1,4 +1,4 @@
-"""Textures that are drawn where the user gives none: heights and slopes in earth colours, floor, walls."""
+"""Textures that are drawn where the user gives none: heights and slopes in earth colors, floor, walls."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EARTH = np.array(((92, 110, 70), (146, 138, 96), (178, 158, 122), (222, 214, 200
 """Meadow, dry grass, rock, scree: red, green, blue from the lowest to the highest ground."""
 FLOOR, WALL = np.array((205, 203, 196), np.float64), np.array((120, 116, 112), np.float64)
 FLOOR_SPAN, SLABS, TILE_PIXELS = 2.0, 4, 512
-"""Metres that the floor's texture spans, slabs along it, and pixels of a texture that is repeated."""
+"""Meters that the floor's texture spans, slabs along it, and pixels of a texture that is repeated."""
 SUN = np.array((-0.5, 0.5, 0.7071))
 """Unit vector towards the light: north-west, 45 deg up."""
 
@@ -57,7 +57,7 @@ def ground_texture(surface: HeightField, walls: WallGrid | None = None) -> ByteA
 
 @cache
 def floor_texture() -> ByteArray:
-    """Return (512, 512, 3) BGR, read-only: `FLOOR_SPAN` metres of slabs, without a seam when repeated."""
+    """Return (512, 512, 3) BGR, read-only: `FLOOR_SPAN` meters of slabs, without a seam when repeated."""
     side = TILE_PIXELS // SLABS
     shade = np.random.default_rng(1).normal(0.0, 3.0, (SLABS, SLABS)).repeat(side, 0).repeat(side, 1)
     joint = np.minimum(np.arange(TILE_PIXELS) % side, side - 1 - np.arange(TILE_PIXELS) % side) < 1
@@ -87,7 +87,7 @@ def _shaded(color: FloatArray, shade: FloatArray) -> ByteArray:
 
 
 def _earth(surface: HeightField, x: FloatArray, y: FloatArray, pixel: tuple[float, float]) -> ByteArray:
-    # Strip by strip and colour by colour: the whole would take a hundred megabytes for a moment.
+    # Strip by strip and color by color: the whole would take a hundred megabytes for a moment.
     z = np.concatenate([surface.height_at(x, strip) for strip in np.array_split(y, 16)])
     light = _light(z, pixel)
     z -= z.min()

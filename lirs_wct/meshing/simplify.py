@@ -36,9 +36,9 @@ def simplified_solid(
 
     Args:
         surface: the ground.
-        max_error: metres, above 0.
+        max_error: meters, above 0.
         max_triangles: of the whole solid; the error is then as small as they allow.
-        thickness: metres from the lowest point down to the base (see `solid_mesh`).
+        thickness: meters from the lowest point down to the base (see `solid_mesh`).
 
     Raises:
         ConfigError: neither or both budgets are given, or one is not legal.

@@ -11,7 +11,7 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 
 MIN_THICKNESS = 0.1
-"""Metres of ground below the lowest point, at least: a robot's wheel must not reach through in a step."""
+"""Meters of ground below the lowest point, at least: a robot's wheel must not reach through in a step."""
 
 _BLOCK = 1 << 13
 """Nodes whose triangles are made at a time."""
@@ -25,7 +25,7 @@ def solid_mesh(surface: HeightField, *, thickness: float | None = None) -> Trian
 
     Args:
         surface: the ground.
-        thickness: metres from the lowest point down to the base; default a tenth of the relief and at
+        thickness: meters from the lowest point down to the base; default a tenth of the relief and at
             least 0.1 m.
     """
     rows, cols = surface.shape
@@ -67,14 +67,14 @@ def _rows_and_rim(surface: HeightField, z_base: float) -> Iterator[FloatArray]:
 
 
 def base_height(surface: HeightField, thickness: float | None = None) -> float:
-    """Return z of the base, metres (see `solid_mesh`)."""
+    """Return z of the base, meters (see `solid_mesh`)."""
     if thickness is None:
         thickness = max(MIN_THICKNESS, surface.relief / 10)
     return float(surface.z.min()) - thickness
 
 
 def node_axes(surface: HeightField) -> tuple[FloatArray, FloatArray]:
-    """Return x (cols,) from west to east and y (rows,) from north to south of the nodes, metres."""
+    """Return x (cols,) from west to east and y (rows,) from north to south of the nodes, meters."""
     rows, cols = surface.shape
     west, south, east, north = surface.bounds
     # linspace: the border lies on the bounds to the last bit.
@@ -87,10 +87,10 @@ def close_solid(vertices: FloatArray, faces: Int32Array, border: Int32Array, z_b
     The base is a fan around its center, which the convex outline allows.
 
     Args:
-        vertices: (n, 3) metres.
+        vertices: (n, 3) meters.
         faces: (m, 3), counter-clockwise from above.
         border: (k,) vertices along the outline, counter-clockwise from above.
-        z_base: height of the base, metres, below every vertex.
+        z_base: height of the base, meters, below every vertex.
     """
     n, k = len(vertices), len(border)
     base = vertices[border]

@@ -1,6 +1,6 @@
 """A mesh cut into tiles without cracks: for consumers that cap a mesh.
 
-Neighbours share the vertices on their border, to the last bit.
+Neighbors share the vertices on their border, to the last bit.
 """
 
 from __future__ import annotations

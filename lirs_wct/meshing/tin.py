@@ -6,7 +6,7 @@ from the new point to the hole's rim closes it again.
 
 A triangle is eight numbers side by side, half a cache line, since insertions jump about: three corners,
 three twins, its worst pixel, and one to spare. Half-edge e = 8 t + k runs from corner k of triangle t to
-the next corner, counter-clockwise as the picture is seen; its twin is the same edge of the neighbour, or
+the next corner, counter-clockwise as the picture is seen; its twin is the same edge of the neighbor, or
 -1 on the border.
 """
 

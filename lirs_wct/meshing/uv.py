@@ -25,7 +25,7 @@ LABELS = 12
 VERTICAL = 1e-9
 """Share of a normal that may point up on a vertical face."""
 WALL_VERTICAL = 0.1
-"""The same on a wall, whose corners may stand a millimetre apart."""
+"""The same on a wall, whose corners may stand a millimeter apart."""
 
 
 def cube_uv(mesh: TriangleMesh, size: float | None = None) -> TriangleMesh:
@@ -36,7 +36,7 @@ def cube_uv(mesh: TriangleMesh, size: float | None = None) -> TriangleMesh:
 
     Args:
         mesh: triangles without attributes.
-        size: metres that one texture spans; default the longest edge of the bounding box, so that one
+        size: meters that one texture spans; default the longest edge of the bounding box, so that one
             texture spans each side of the cube.
 
     Raises:
@@ -60,7 +60,7 @@ def draped_uv(
 
     Args:
         mesh: triangles without attributes.
-        bounds: west, south, east, north of the picture, metres.
+        bounds: west, south, east, north of the picture, meters.
         margin: share of the picture along its border that is left out: half a pixel, where a renderer
             would mix in the opposite border.
     """
@@ -75,7 +75,7 @@ def wall_uv(mesh: TriangleMesh, size: float) -> TriangleMesh:
 
     Args:
         mesh: triangles without attributes.
-        size: metres that one texture spans.
+        size: meters that one texture spans.
     """
     split = _split(mesh, vertical=WALL_VERTICAL)
     x, y, z = split.points.T
@@ -89,7 +89,7 @@ class _Split:
     """A mesh whose vertices are split by the side of the cube that sees their triangles.
 
     Attributes:
-        points: (n, 3) metres.
+        points: (n, 3) meters.
         faces: (m, 3).
         normals: (n, 3).
         side: (n,) labels of the vertices.

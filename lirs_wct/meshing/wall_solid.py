@@ -2,7 +2,7 @@
 
 The plan is cut into rectangles of wall, floor and hole. Every corner of any rectangle is made a vertex of
 all rectangles that it touches, so that no edge ends in the middle of another. Where two walls, or two parts
-of the floor, touch only at a corner, the northern one has its own vertices there, a millimetre inside its
+of the floor, touch only at a corner, the northern one has its own vertices there, a millimeter inside its
 cell: an edge never joins more than two triangles, not even in an STL, whose readers merge equal positions.
 """
 
@@ -20,14 +20,14 @@ from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.kernels import njit
 
 SLAB = 0.1
-"""Thickness of the floor, metres."""
+"""Thickness of the floor, meters."""
 VOID, GROUND, WALL = 0, 1, 2
 """What a cell is."""
 CellKinds = NDArray[np.int8]
 BOTTOM, TWIN_BOTTOM, FLOOR, TWIN_FLOOR, TOP, TWIN_TOP, LEVELS = 0, 1, 2, 3, 4, 5, 6
 """Heights that a corner of the plan can have; the twin is the vertex of a second body."""
 GAP = 0.001
-"""Metres along both axes between vertices of two bodies that touch at a corner; of small cells a tenth."""
+"""Meters along both axes between vertices of two bodies that touch at a corner; of small cells a tenth."""
 
 
 def wall_mesh(walls: WallGrid, slab: float = SLAB) -> TriangleMesh:
@@ -35,7 +35,7 @@ def wall_mesh(walls: WallGrid, slab: float = SLAB) -> TriangleMesh:
 
     Args:
         walls: cells that stand from z = 0 to their height, holes go through the slab.
-        slab: thickness of the floor below z = 0, metres.
+        slab: thickness of the floor below z = 0, meters.
     """
     boxes = [merged_rectangles(walls.solid), merged_rectangles(walls.floor)]
     # One layout: the kernel would else be compiled once more for Fortran order.

@@ -11,7 +11,7 @@ from lirs_wct.geometry.grid import OccupancyGrid
 LEAST = 0.05
 """Share of the largest enclosed extent below which an area is a closet or a gap in the scans."""
 NEAR = 1.0
-"""Metres from the origin of a map's frame within which an area lies at it."""
+"""Meters from the origin of a map's frame within which an area lies at it."""
 
 
 def largest_area(mask: BoolArray) -> BoolArray:
@@ -33,7 +33,7 @@ def mapped_area(free: OccupancyGrid, border: float) -> BoolArray:
 
     Args:
         free: where a small robot can be.
-        border: metres from the border that such a robot keeps by itself.
+        border: meters from the border that such a robot keeps by itself.
     """
     mask = free.free
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 MARGIN = 0.22
-"""Metres of free ground beyond a robot's radius that a roomy start has."""
+"""Meters of free ground beyond a robot's radius that a roomy start has."""
 TIGHT_MARGIN = 0.15
 """The same where there is no roomy one: what a plan keeps."""
 GENTLE = math.radians(12)
@@ -19,7 +19,7 @@ class Footprint:
 
     Attributes:
         robot: its name.
-        radius: of the circle that holds it, metres.
+        radius: of the circle that holds it, meters.
         max_slope: steepest ground that it drives, radians.
     """
 
@@ -29,7 +29,7 @@ class Footprint:
 
     @property
     def limits(self) -> tuple[tuple[float, float], ...]:
-        """Clearance (metres) and slope (radians) of a roomy start, then of any."""
+        """Clearance (meters) and slope (radians) of a roomy start, then of any."""
         return (
             (round(self.radius + MARGIN, 6), min(self.max_slope, GENTLE)),
             (round(self.radius + TIGHT_MARGIN, 6), self.max_slope),

@@ -30,8 +30,8 @@ def cause_of_refusal(
         surface: the ground.
         blocked: cells of the grid that are blocked, by cause (see `blocked_ground`).
         grid: geometry of the cells.
-        place: x and y in the world frame, metres.
-        clearance: metres that the robot's center keeps from what is blocked.
+        place: x and y in the world frame, meters.
+        clearance: meters that the robot's center keeps from what is blocked.
         max_slope: steepest ground that the robot drives, radians.
     """
     x, y = place

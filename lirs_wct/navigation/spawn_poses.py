@@ -15,7 +15,7 @@ from lirs_wct.navigation.traversability import distance_to
 EDGE = 0.15
 """Share of the free area's extent, on each side, where no robot starts."""
 VIEW = 1.0
-"""Metres that are to be free ahead of a robot's centre where it starts."""
+"""Meters that are to be free ahead of a robot's center where it starts."""
 FAR, DIRECTIONS = 20.0, 24
 """How far it looks for the longest view, and in how many directions."""
 
@@ -27,7 +27,7 @@ def spawn_poses(free: OccupancyGrid, count: int = 8, *, corridors: bool = False)
     sees little of it. Farthest-point sampling, so the same grid gives the same poses.
 
     Args:
-        free: where a robot's centre may be.
+        free: where a robot's center may be.
         count: most poses.
         corridors: whether one that would face a wall faces where its view is longest instead.
     """
@@ -77,7 +77,7 @@ def _facing(free: OccupancyGrid | None, point: FloatArray, target: FloatArray) -
 
 
 def _view(free: OccupancyGrid, point: FloatArray, yaw: float, reach: float) -> float:
-    """Return how many metres ahead of a point are free, at most `reach`."""
+    """Return how many meters ahead of a point are free, at most `reach`."""
     steps = np.arange(0.0, reach + free.resolution / 2, free.resolution / 2)
     ahead = point + steps[:, None] * np.array((math.cos(yaw), math.sin(yaw)))
     rows, cols = free.cells(ahead).T

@@ -1,4 +1,4 @@
-"""Where a robot's centre may be: the true ground, seen with the robot's limits."""
+"""Where a robot's center may be: the true ground, seen with the robot's limits."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.kernels import njit
 
 BASELINE = 0.3
-"""Metres over which a slope counts: about a wheel. Shorter steps are roughness, not slope."""
+"""Meters over which a slope counts: about a wheel. Shorter steps are roughness, not slope."""
 
 MOST_CELLS = 400_000_000
 """Of a grid: 1.6 GB, the square of 2 km at 0.1 m."""
 COARSE = 1.0
-"""Metres between nodes above which the slope of each triangle counts: there are no short steps to find."""
+"""Meters between nodes above which the slope of each triangle counts: there are no short steps to find."""
 STEEP, WALLS = "steep ground", "a wall or a hole"
 """Causes of blocked cells (see `blocked_ground`)."""
 _STRIP = 512
@@ -38,16 +38,16 @@ def traversable(
     max_slope: float,
     resolution: float = 0.1,
 ) -> OccupancyGrid:
-    """Return a grid whose free cells are where a robot's centre may be; all others are occupied.
+    """Return a grid whose free cells are where a robot's center may be; all others are occupied.
 
     Args:
         surface: the ground.
         walls: what stands on it.
         truth: the input laser map; where given, only its free cells can be driven.
         no_ground: (rows, cols) nodes of the surface under which there is no ground.
-        clearance: distance that the centre keeps from steep ground, walls and the border, metres.
+        clearance: distance that the center keeps from steep ground, walls and the border, meters.
         max_slope: steepest ground that the robot drives, radians, over a baseline of 0.3 m.
-        resolution: metres a cell.
+        resolution: meters a cell.
 
     Raises:
         SourceError: the surface is too large for a grid of this resolution.
@@ -98,7 +98,7 @@ def steepness(surface: HeightField, place: FloatArray, resolution: float) -> flo
     Args:
         surface: the ground.
         place: (2,) center of the cell, world frame.
-        resolution: metres a cell.
+        resolution: meters a cell.
     """
     x, y = place.tolist()
     half = BASELINE + 2 * max(surface.cell) + 2 * resolution
@@ -190,7 +190,7 @@ def _triangles_steeper(
     cols: int,
     limit: float,
 ) -> BoolArray:
-    """Return (rows, cols) whether the squared slope exceeds the limit at cell centers `step` metres apart."""
+    """Return (rows, cols) whether the squared slope exceeds the limit at cell centers `step` meters apart."""
     marked = np.zeros((rows, cols), np.bool_)
     last, right = z.shape[0] - 1, z.shape[1] - 2
     for row in range(rows):
@@ -253,7 +253,7 @@ def _lookup(mask: BoolArray, resolution: float, origin: Pose2, grid: OccupancyGr
 def _values_at(
     mask: BoolArray, resolution: float, T_mask_grid: FloatArray, step: float, rows: int, cols: int
 ) -> BoolArray:
-    """Return (rows, cols) values of a mask at cell centers `step` metres apart; False outside."""
+    """Return (rows, cols) values of a mask at cell centers `step` meters apart; False outside."""
     x0, y0, yaw = T_mask_grid
     c, s = math.cos(yaw), math.sin(yaw)
     found = np.zeros((rows, cols), np.bool_)
@@ -280,9 +280,9 @@ def _clipped_cells(points: FloatArray, grid: OccupancyGrid) -> IntArray:
 
 
 def distance_to(blocked: BoolArray, resolution: float) -> FloatArray:
-    """Return metres from each cell to the nearest blocked one; beyond the border all is blocked."""
+    """Return meters from each cell to the nearest blocked one; beyond the border all is blocked."""
     padded = np.pad(~blocked, 1).view(np.uint8)
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    metres: FloatArray = distance[1:-1, 1:-1].astype(np.float64)
-    metres *= resolution
-    return metres
+    meters: FloatArray = distance[1:-1, 1:-1].astype(np.float64)
+    meters *= resolution
+    return meters

@@ -20,7 +20,7 @@ from lirs_wct.errors import unknown_name
 PIXELS = 1025
 SIZE = 50.0
 MARGIN = 1.0
-"""Obstacles keep this far from the border and twice that from the centre, where robots start, metres."""
+"""Obstacles keep this far from the border and twice that from the center, where robots start, meters."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,10 +29,10 @@ class Recipe:
 
     Attributes:
         seed: of its random generator.
-        relief: of the hills without obstacles, metres.
+        relief: of the hills without obstacles, meters.
         slope: 95th percentile of the hills' slope over 1 m, degrees.
         obstacles: number on the 2,500 m2.
-        gap: free space between obstacles, metres.
+        gap: free space between obstacles, meters.
     """
 
     seed: int
@@ -55,8 +55,8 @@ class BundledPicture:
 
     Attributes:
         pixels: (1025, 1025) uint16, row 0 = north, 65535 = highest.
-        height: metres between 0 and 65535.
-        hills: (1025, 1025) float64 metres before obstacles.
+        height: meters between 0 and 65535.
+        hills: (1025, 1025) float64 meters before obstacles.
     """
 
     pixels: NDArray[np.uint16]
@@ -80,9 +80,9 @@ def bundled_picture(name: str) -> BundledPicture:
     return BundledPicture(np.round(z / z.max() * 65535).astype(np.uint16), float(z.max()), hills)
 
 
-def slope_over(z: FloatArray, metres: float, cell: float) -> FloatArray:
-    """Return slopes in degrees of heights (rows, cols) over a baseline in metres."""
-    step = max(1, round(metres / cell / 2))
+def slope_over(z: FloatArray, meters: float, cell: float) -> FloatArray:
+    """Return slopes in degrees of heights (rows, cols) over a baseline in meters."""
+    step = max(1, round(meters / cell / 2))
     dx = (z[step:-step, 2 * step :] - z[step:-step, : -2 * step]) / (2 * step * cell)
     dy = (z[2 * step :, step:-step] - z[: -2 * step, step:-step]) / (2 * step * cell)
     return np.degrees(np.arctan(np.hypot(dx, dy)))
@@ -143,7 +143,7 @@ def _with_obstacles(hills: FloatArray, recipe: Recipe, rng: np.random.Generator)
 
 
 def _dilated(mask: ByteArray, kernel: ByteArray) -> ByteArray:
-    """Dilate within the mask's neighbourhood only: the picture is large, an obstacle small."""
+    """Dilate within the mask's neighborhood only: the picture is large, an obstacle small."""
     rows, cols = np.nonzero(mask)
     r = kernel.shape[0]
     box = (
@@ -156,7 +156,7 @@ def _dilated(mask: ByteArray, kernel: ByteArray) -> ByteArray:
 
 
 def _outline(rng: np.random.Generator) -> FloatArray:
-    """Return (n, 2) metres: a box, a wall or a pillar about its own centre, turned at random."""
+    """Return (n, 2) meters: a box, a wall or a pillar about its own center, turned at random."""
     kind = rng.choice(("box", "wall", "pillar"), p=(0.45, 0.35, 0.2))
     if kind == "pillar":
         angle = np.linspace(0, math.tau, 24, endpoint=False)

@@ -18,7 +18,7 @@ from lirs_wct.sources.window import cut_map
 
 
 def read_laser_map(source: Source, options: BuildOptions) -> tuple[LaserMap, str]:
-    """Return a ROS map, or a map's picture, as ground, and a text that says where its metres come from.
+    """Return a ROS map, or a map's picture, as ground, and a text that says where its meters come from.
 
     Raises:
         SourceError: a file cannot be used.
@@ -27,7 +27,7 @@ def read_laser_map(source: Source, options: BuildOptions) -> tuple[LaserMap, str
     if source.kind is SourceKind.MAP:
         truth = read_map(source.path, options.max_pixels)
     elif options.resolution is None:
-        raise ConfigError(f"{source.path}: a map picture without YAML needs --resolution (metres a pixel)")
+        raise ConfigError(f"{source.path}: a map picture without YAML needs --resolution (meters a pixel)")
     else:
         truth = read_map_picture(source.path, options.resolution, options.origin, options.max_pixels)
     if options.window is not None:
@@ -42,7 +42,7 @@ def walls_of(grid: OccupancyGrid, height: float, unknown: Unknown = "floor") -> 
 
     Args:
         grid: the map.
-        height: of the walls, metres.
+        height: of the walls, meters.
         unknown: what the cells of which the map knows nothing are: `floor`, `wall`, or `hole` (no floor).
 
     Raises:

@@ -20,13 +20,13 @@ from lirs_wct.sources.window import Window
 NODES = 1025
 """Nodes along the longer side unless a resolution is given."""
 FINEST = 0.02
-"""Metres between the nodes of a small mesh: what a wheel feels."""
+"""Meters between the nodes of a small mesh: what a wheel feels."""
 
 
 def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | ClosedMesh, str]:
-    """Return a mesh as ground, and a text that says where its metres come from.
+    """Return a mesh as ground, and a text that says where its meters come from.
 
-    It keeps its own frame, metres and z up. What is open, or cut by a window, is its heights from above.
+    It keeps its own frame, meters and z up. What is open, or cut by a window, is its heights from above.
 
     Raises:
         SourceError: the file cannot be used, has no extent in the plane, or is open and has overhangs.
@@ -112,7 +112,7 @@ def _extent(mesh: TriangleMesh, window: Window | None) -> tuple[tuple[float, flo
 
 
 def _scaled(path: Path, mesh: TriangleMesh, options: BuildOptions) -> TriangleMesh:
-    """Give the mesh the metres that the options ask for; its own origin stays where it is."""
+    """Give the mesh the meters that the options ask for; its own origin stays where it is."""
     if options.pixel_size is not None:
         raise ConfigError(f"{path}: a mesh has no pixels; give --size or --scale instead of --pixel-size")
     extent = np.ptp(mesh.bounds, axis=0)

@@ -71,7 +71,7 @@ def name_of(legal: Collection[str]) -> Reader:
 
 def read_extent(text: str, flag: str) -> float | tuple[float, ...]:
     """Read a longer side, or width and height."""
-    sides: tuple[float, ...] = numbers("W or W,H in metres", 1, 2)(text, flag)
+    sides: tuple[float, ...] = numbers("W or W,H in meters", 1, 2)(text, flag)
     return sides[0] if len(sides) == 1 else sides
 
 
@@ -83,7 +83,7 @@ def read_factors(text: str, flag: str) -> tuple[float, float, float]:
 
 def read_pose(text: str, flag: str) -> Pose2:
     """Read x, y and yaw, which may be left out."""
-    return Pose2(*numbers("X,Y or X,Y,YAW in metres and radians", 2, 3)(text, flag))
+    return Pose2(*numbers("X,Y or X,Y,YAW in meters and radians", 2, 3)(text, flag))
 
 
 def read_names(text: str, flag: str) -> tuple[str, ...]:

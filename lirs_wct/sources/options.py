@@ -27,9 +27,9 @@ from lirs_wct.sources.option_text import (
 from lirs_wct.sources.source_kind import SourceKind
 
 DEFAULT_SIZE = 50.0
-"""Longer side in metres of a picture that brings no scale."""
+"""Longer side in meters of a picture that brings no scale."""
 DEFAULT_HEIGHT = 6.0
-"""Relief in metres of a picture that brings no scale."""
+"""Relief in meters of a picture that brings no scale."""
 
 Unknown = Literal["floor", "wall", "hole"]
 UNKNOWN: tuple[Unknown, ...] = ("floor", "wall", "hole")
@@ -94,15 +94,15 @@ class CommonOptions(Options):
     )
     window: tuple[float, float, float] | None = option(
         None,
-        "Keep only this square of the world, metres.",
+        "Keep only this square of the world, meters.",
         metavar="X,Y,SIDE",
-        read=numbers("X,Y,SIDE in metres", 3),
+        read=numbers("X,Y,SIDE in meters", 3),
         check=_window,
         kinds={*_MESHES, *_MAPS, SourceKind.CLOUD, SourceKind.FOLDER},
     )
     start: Pose2 | None = option(
         None,
-        "Where the robot starts, metres and radians; default: where the largest robot that fits can drive.",
+        "Where the robot starts, meters and radians; default: where the largest robot that fits can drive.",
         metavar="X,Y[,YAW]",
         read=read_pose,
         check=_start,
@@ -112,20 +112,20 @@ class CommonOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class PictureOptions(Options):
-    """Options of a terrain's picture: its metres, its gray scale and filters."""
+    """Options of a terrain's picture: its meters, its gray scale and filters."""
 
     size: float | tuple[float, float] | None = option(
         None,
-        "Extent in metres: longer side, or width and height. Default 50, or the file's own.",
+        "Extent in meters: longer side, or width and height. Default 50, or the file's own.",
         metavar="W[,H]",
         read=read_extent,
         check=positive,
         **_SCALE,
     )
-    pixel_size: float | None = option(None, "Metres a pixel, instead of --size.", check=positive, **_SCALE)
+    pixel_size: float | None = option(None, "Meters a pixel, instead of --size.", check=positive, **_SCALE)
     height: float | None = option(
         None,
-        "Metres from the darkest to the brightest pixel. Default 6, or the file's own.",
+        "Meters from the darkest to the brightest pixel. Default 6, or the file's own.",
         check=positive,
         **_SCALE,
     )
@@ -147,7 +147,7 @@ class PictureOptions(Options):
     )
     zero: float | None = option(
         None,
-        "Height of the file's own that becomes z = 0, so that neighbouring tiles fit; default: the lowest.",
+        "Height of the file's own that becomes z = 0, so that neighboring tiles fit; default: the lowest.",
         metavar="HEIGHT",
         check=_finite,
         **_SCALE | {"kinds": {SourceKind.PICTURE, SourceKind.CLOUD}},
@@ -166,7 +166,7 @@ class PictureOptions(Options):
         check=one_of(ENCODINGS),
         **_SCALE | {"kinds": {SourceKind.PICTURE}},
     )
-    grayscale: bool = option(False, "Turn a colour picture into gray.", **_GRAY)
+    grayscale: bool = option(False, "Turn a color picture into gray.", **_GRAY)
     invert: bool = option(False, "Black is high, white is low.", title="color inverse", **_GRAY)
     crop: tuple[int, int, int, int] | None = option(
         None,
@@ -178,7 +178,7 @@ class PictureOptions(Options):
     )
     resize: tuple[int, int] | None = option(
         None,
-        "Resample to so many pixels; the metres stay.",
+        "Resample to so many pixels; the meters stay.",
         metavar="W,H",
         read=whole_numbers("W,H in whole pixels", 2),
         check=_resize,
@@ -229,7 +229,7 @@ class MapOptions(Options):
 
     resolution: float | None = option(
         None,
-        "Metres a cell: of a map picture without YAML, of a log's map, or of the heights of a mesh or cloud.",
+        "Meters a cell: of a map picture without YAML, of a log's map, or of the heights of a mesh or cloud.",
         check=positive,
         **_MAP | {"kinds": {SourceKind.MAP_PICTURE, SourceKind.MESH, SourceKind.CLOUD}},
     )
@@ -240,7 +240,7 @@ class MapOptions(Options):
         read=read_pose,
         **_MAP | {"kinds": {SourceKind.MAP_PICTURE}},
     )
-    wall_height: float = option(2.5, "Height of walls, metres.", check=positive, **_MAP)
+    wall_height: float = option(2.5, "Height of walls, meters.", check=positive, **_MAP)
     unknown: Unknown = option(
         "floor",
         "What unknown cells are; a hole goes through the floor.",
@@ -280,7 +280,7 @@ class CloudOptions(Options):
 class BuildOptions(ExportOptions, CloudOptions, MapOptions, PictureOptions, CommonOptions):
     """How a source becomes a world; None means "as the source says, else the default".
 
-    Lengths are metres in the world's frame, angles of poses radians, a crop is column, row, width and height.
+    Lengths are meters in the world's frame, angles of poses radians, a crop is column, row, width and height.
 
     Raises:
         ConfigError: a value is not legal, or two options contradict.

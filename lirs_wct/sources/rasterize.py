@@ -9,7 +9,7 @@ from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.kernels import njit
 
 Grid = tuple[float, float, float, float]
-"""x and y of the south-west node, spacing eastward and northward, metres."""
+"""x and y of the south-west node, spacing eastward and northward, meters."""
 _SLACK = 1e-9
 """Share of a triangle by which it reaches over its edges, so that no node falls between two."""
 

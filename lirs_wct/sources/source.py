@@ -105,7 +105,7 @@ def warn_of_shape(source: Source, options: BuildOptions, size: tuple[float, floa
     Args:
         source: of the world.
         options: that were given.
-        size: of the world, metres.
+        size: of the world, meters.
         exact: whether it is a laser map, or a mesh with overhangs.
     """
     if options.max_error and exact:

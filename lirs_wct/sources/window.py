@@ -14,7 +14,7 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 
 Window = tuple[float, float, float]
-"""Centre x, y and side, metres."""
+"""Center x, y and side, meters."""
 
 
 FEW_CELLS = 16
@@ -26,7 +26,7 @@ SAMPLES = 65
 def cut_surface(surface: HeightField, window: Window, *, level: bool = True) -> HeightField:
     """Keep the nodes of a square (rounded outward), coordinates unchanged.
 
-    A square of few nodes is sampled anew: rounded outward it could be kilometres larger.
+    A square of few nodes is sampled anew: rounded outward it could be kilometers larger.
 
     Args:
         surface: whole.
@@ -48,7 +48,7 @@ def cut_surface(surface: HeightField, window: Window, *, level: bool = True) -> 
 
 
 def leveled(surface: HeightField) -> tuple[HeightField, float]:
-    """Return a surface with its lowest point at z = 0, and by how many metres it was lowered."""
+    """Return a surface with its lowest point at z = 0, and by how many meters it was lowered."""
     lowest = surface.z.min()
     return replace(surface, z=surface.z - lowest), float(lowest)
 

@@ -44,8 +44,8 @@ class SubmapConfig:
 
     Attributes:
         num_range_data: scans after which the next submap begins; each gets twice as many.
-        max_distance: distance traveled after which the next submap begins, however few the scans, metres.
-        resolution: edge of a cell of the finest level, metres.
+        max_distance: distance traveled after which the next submap begins, however few the scans, meters.
+        resolution: edge of a cell of the finest level, meters.
         levels: number of levels, each twice as coarse as the one before.
         search_level: level on which loops are searched for.
         max_search_cells: cells along an edge of a submap from which on loops are searched for on a coarser
@@ -83,7 +83,7 @@ class LocalConfig:
         submaps: their size and resolution.
         motion_filter: motion after which a scan enters them.
         sparse_distance: distance traveled between two such scans from which on the hits of the later one are
-            interpolated, metres.
+            interpolated, meters.
         interpolation: of hits along surfaces.
         motion: errors of the odometry.
         registration: of a scan in the matching submap.
@@ -151,9 +151,9 @@ class TrimmingConfig:
 
     Attributes:
         fresh_submaps_count: number of the newest finished submaps that are kept of each place.
-        min_covered_area: smallest area that a submap is kept for, square metres.
+        min_covered_area: smallest area that a submap is kept for, square meters.
         min_added_submaps_count: number of newly finished submaps after which trimming is due.
-        cell: edge of what counts as one place, metres.
+        cell: edge of what counts as one place, meters.
 
     Raises:
         ConfigError: a value that is not above 0.
@@ -180,10 +180,10 @@ class GlobalConfig:
         trimming: of redundant submaps.
         optimize_every_n_nodes: number of new nodes after which new loops make an optimization due.
         searches_per_update: most loop searches in one update.
-        matcher_translation_error: standard deviation of a node's position in its submap, metres.
+        matcher_translation_error: standard deviation of a node's position in its submap, meters.
         matcher_rotation_error: standard deviation of a node's yaw in its submap, radians.
         drift_translation: standard deviation of the error that local SLAM makes from one node to the next a
-            metre on, metres. It grows with that distance to the power of 3/2: the farther apart, the less do
+            meter on, meters. It grows with that distance to the power of 3/2: the farther apart, the less do
             two scans see of the same.
         drift_rotation: the same of yaw, radians.
 
@@ -214,14 +214,14 @@ class LocalizationConfig:
     Attributes:
         min_score: mean occupancy at the ends of the beams that a pose found in the whole map needs.
         ambiguity_ratio: share of the best score from which on a second pose makes the best one ambiguous.
-        min_separation: distance from the best pose at which a second one counts, metres.
-        search_distance: distance traveled after which the search is repeated, metres.
+        min_separation: distance from the best pose at which a second one counts, meters.
+        search_distance: distance traveled after which the search is repeated, meters.
         search_interval: time after which the search is repeated, seconds.
         max_points: most points for the search, evenly spread in space.
         min_points: fewest points for the search.
         max_search_nodes: nodes of the tree after which a search is given up.
         tracking: mean occupancy at the ends of the beams below which a scan does not fit.
-        start_deviation: standard deviation of a pose that is given or found, metres and radians.
+        start_deviation: standard deviation of a pose that is given or found, meters and radians.
 
     Raises:
         ConfigError: a value that is not above 0, or a score or ratio above 1.
@@ -251,11 +251,11 @@ class CartographerConfig:
     Attributes:
         local: submaps, matching, motion filter.
         graph: loops and optimization.
-        map_resolution: edge of a cell of the final map, metres.
+        map_resolution: edge of a cell of the final map, meters.
         update: of the final map by a scan.
         bootstrap: when submaps are drawn again on uneven ground, until the first one is finished.
-        max_range: range from which on hits are not used, metres.
-        clear_range: range up to which a beam without return is free, metres.
+        max_range: range from which on hits are not used, meters.
+        clear_range: range up to which a beam without return is free, meters.
         map: known map, a grid or the path of its YAML, in which the robot is only localized.
         start: `T_map_base` at the first scan in the known map; None: it is searched for in all of it.
         localization: search in the known map.

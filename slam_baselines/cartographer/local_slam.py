@@ -48,7 +48,7 @@ class LocalSlam:
     """
 
     def __init__(self, config: LocalConfig, clear_range: float, max_range: float) -> None:
-        """Use what ScanLeveler takes of ranges, metres."""
+        """Use what ScanLeveler takes of ranges, meters."""
         self.config = config
         self.submaps = Submaps(config.submaps)
         self.ground_filter = GroundFilter(config.ground_filter)
@@ -92,7 +92,7 @@ class LocalSlam:
         Args:
             scan: leveled.
             pose: `T_local_base`.
-            height: of the base in the local frame, metres.
+            height: of the base in the local frame, meters.
             known: (n,) minimum slopes known before; None: as the matching submap knows them.
         """
         drawn = self.submaps.matching_submap.coarsest if known is None else None

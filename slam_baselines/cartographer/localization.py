@@ -38,7 +38,7 @@ from slam_baselines.scan.voxel_filter import voxel_filter
 DEPTH = 6
 """Number of times that four cells become one in the search."""
 COARSE = 0.1
-"""The search is made on the first level of at least this resolution, metres."""
+"""The search is made on the first level of at least this resolution, meters."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class KnownMap:
         grid: as it was given; never changed.
         pyramid: the same on three levels, for matching.
         bounds: for branch and bound.
-        center: (2,) middle of the map, metres.
-        reach: half its longer side, metres.
+        center: (2,) middle of the map, meters.
+        reach: half its longer side, meters.
     """
 
     grid: OccupancyGrid
@@ -147,8 +147,8 @@ class CartographerLocalizer:
         self._registration, self._refiner = Registration(registration), ScanMatcher(registration.match)
         self._reckoning = DeadReckoning(config.local.motion)
         self._leveler = ScanLeveler(config.clear_range, config.max_range)
-        metres, radians = c.start_deviation
-        self._start_covariance = np.diag((metres**2, metres**2, radians**2))
+        meters, radians = c.start_deviation
+        self._start_covariance = np.diag((meters**2, meters**2, radians**2))
         self._located = self._anchored = config.start is not None
         self._estimate = PoseEstimate(config.start or Pose2(), self._start_covariance)
         self._tracking = TrackingMonitor(c.tracking, map_given=True)
@@ -158,7 +158,7 @@ class CartographerLocalizer:
 
     @property
     def resolution(self) -> float:
-        """Edge of a cell of the known map, metres."""
+        """Edge of a cell of the known map, meters."""
         return self._known.grid.resolution
 
     @property

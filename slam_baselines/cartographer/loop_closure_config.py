@@ -15,8 +15,8 @@ class CandidateConfig:
 
     Attributes:
         sampling_ratio: share of the nodes that are searched for in the submaps around them.
-        sampling_distance: distance traveled in which at least one node is searched for, metres.
-        max_constraint_distance: largest distance of a node from a submap's nodes, metres.
+        sampling_distance: distance traveled in which at least one node is searched for, meters.
+        max_constraint_distance: largest distance of a node from a submap's nodes, meters.
         found_per_pair: loops after which no more are searched for between two submaps.
         tries_per_pair: searches after which no more are made between two submaps.
         max_num_candidates: length of the queue; the oldest candidates beyond it are dropped, and counted.
@@ -47,22 +47,22 @@ class ConstraintConfig:
         global_min_score: the same in the widest search: the more poses there are, the more fit by chance.
         min_refined_score: mean occupancy on known cells that a loop needs after refinement.
         min_known_ratio: share of beams on known cells that a loop needs after refinement.
-        linear_search_window: largest shift in x and in y, metres.
+        linear_search_window: largest shift in x and in y, meters.
         angular_search_window: largest turn, radians.
-        linear_start: shift at distance 0 from the last constraint, metres.
-        linear_drift: growth of the shift per metre traveled since the last constraint.
+        linear_start: shift at distance 0 from the last constraint, meters.
+        linear_drift: growth of the shift per meter traveled since the last constraint.
         angular_start: turn at distance 0 from the last constraint, radians.
-        angular_drift: growth of the turn per metre traveled since the last constraint, radians.
-        max_refined_window: window up to which refinement alone finds the pose, metres.
+        angular_drift: growth of the turn per meter traveled since the last constraint, radians.
+        max_refined_window: window up to which refinement alone finds the pose, meters.
         ambiguity_ratio: share of the best score from which on a second pose makes the best one ambiguous.
-        min_separation: distance from the best pose at which a second one counts, metres.
+        min_separation: distance from the best pose at which a second one counts, meters.
         max_points: most points for the search, evenly spread in space.
         min_points: fewest points for the search.
-        voxel_size: edge of the squares of which each keeps one point, metres.
+        voxel_size: edge of the squares of which each keeps one point, meters.
         max_search_nodes: nodes of the tree after which a search is given up.
         match: refinement.
-        search_deviation: standard deviation of the search's result for the refinement, metres and radians.
-        min_deviation: smallest standard deviation of a loop, metres and radians: submaps are not perfect.
+        search_deviation: standard deviation of the search's result for the refinement, meters and radians.
+        min_deviation: smallest standard deviation of a loop, meters and radians: submaps are not perfect.
 
     Raises:
         ConfigError: a value that is not above 0, or scores not in order.
@@ -99,12 +99,12 @@ class LoopVerificationConfig:
     """Loops that need a second one, and what agreement is.
 
     Attributes:
-        max_translation: correction of a node above which a loop needs a second one, metres.
+        max_translation: correction of a node above which a loop needs a second one, meters.
         max_rotation: correction of a node's yaw above which a loop needs a second one, radians.
-        max_separation: largest distance traveled between the two nodes, metres.
+        max_separation: largest distance traveled between the two nodes, meters.
         min_separation: smallest distance traveled between the two nodes, so that the second sees something
-            else, metres.
-        linear_tolerance: largest difference between the two corrections, metres.
+            else, meters.
+        linear_tolerance: largest difference between the two corrections, meters.
         angular_tolerance: largest difference between the two corrections, radians.
         max_pending: number of loops that may wait.
 

@@ -59,7 +59,7 @@ class CartographerMapper:
 
     @property
     def resolution(self) -> float:
-        """Edge of a cell of the map, metres."""
+        """Edge of a cell of the map, meters."""
         return self.config.map_resolution
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:

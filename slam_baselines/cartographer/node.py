@@ -24,10 +24,10 @@ class Node(Keyframe[PoseEstimate]):
         covariance: (3, 3) of x, y, yaw in the local frame, given the matching submap.
         localizable: whether its match was to be believed: loops are searched for with such nodes only.
         submaps: indices of the submaps that it entered.
-        leveled_distance: traveled with known attitude until then, as the ground filter counts it, metres.
-        drift: largest that the robot's height may have drifted until then, metres.
+        leveled_distance: traveled with known attitude until then, as the ground filter counts it, meters.
+        drift: largest that the robot's height may have drifted until then, meters.
         tilt: largest of the robot until then, radians.
-        distance_traveled: until then, metres.
+        distance_traveled: until then, meters.
     """
 
     covariance: FloatArray

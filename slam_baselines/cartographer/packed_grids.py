@@ -32,7 +32,7 @@ class PackedLevel:
         value: zlib, (n,) what the matcher sees of these where every hit is a wall.
         min_slope: zlib, (n,) their minimum slopes.
         shape: rows, columns.
-        frame: lattice row and column of cell (0, 0), resolution in metres.
+        frame: lattice row and column of cell (0, 0), resolution in meters.
     """
 
     known: bytes

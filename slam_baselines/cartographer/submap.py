@@ -25,7 +25,7 @@ from slam_baselines.scan.leveling import ScanPoints
 
 
 class TracedScan(NamedTuple):
-    """Traces of a scan on all levels, and (4,) west, south, east, north of it, metres."""
+    """Traces of a scan on all levels, and (4,) west, south, east, north of it, meters."""
 
     traces: Sequence[Trace]
     box: FloatArray
@@ -134,7 +134,7 @@ class Submap:
         return self.pyramid.maps[-1]
 
     def reserve(self, box: FloatArray) -> None:
-        """Make room for scans in a box (4,) west, south, east, north, metres, instead of growing to it."""
+        """Make room for scans in a box (4,) west, south, east, north, meters, instead of growing to it."""
         for level in self.pyramid.maps:
             level.reserve(box)
         self.pyramid.refresh()
@@ -221,7 +221,7 @@ class Submaps:
         return entered
 
     def reserve(self, pose: Pose2, box: FloatArray) -> None:
-        """Begin the first submap at `pose` with room for scans in a box (4,), metres."""
+        """Begin the first submap at `pose` with room for scans in a box (4,), meters."""
         self._begin(pose)
         self.all[0].reserve(box)
 

@@ -16,7 +16,7 @@ from slam_baselines.common.stopwatch import Stopwatch
 from slam_baselines.mapper import MapperStats
 
 Register = Callable[[FloatArray, FloatArray], FloatArray]
-"""Takes points (n, 3) in the sensor's frame, metres, and their times (n,) in the sweep, seconds, or none (0,)
+"""Takes points (n, 3) in the sensor's frame, meters, and their times (n,) in the sweep, seconds, or none (0,)
 of a sweep at one instant; returns the (4, 4) pose of the sensor at the sweep's stamp in its first frame."""
 
 
@@ -76,5 +76,5 @@ def sweep_times(cloud: PointCloud) -> FloatArray:
 
 
 def pose_of(matrix: FloatArray) -> Pose3:
-    """Return the pose of a homogeneous matrix (4, 4), metres."""
+    """Return the pose of a homogeneous matrix (4, 4), meters."""
     return Pose3.from_arrays(matrix[:3, 3], Rotation.from_matrix(matrix[:3, :3]).as_quat(scalar_first=True))

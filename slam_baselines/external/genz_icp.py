@@ -17,12 +17,12 @@ from slam_baselines.external.cloud_odometry import CloudOdometry
 class GenzIcpConfig:
     """What of GenZ-ICP's configuration can be set; the defaults are the authors'.
 
-    Its native code sums in another order each time: two runs of the same clouds differ by millimetres.
+    Its native code sums in another order each time: two runs of the same clouds differ by millimeters.
 
     Attributes:
-        max_range: points beyond are left out, metres.
-        min_range: points nearer are left out, metres.
-        voxel_size: edge of the map's voxels at the start, metres; the method adapts it.
+        max_range: points beyond are left out, meters.
+        min_range: points nearer are left out, meters.
+        voxel_size: edge of the map's voxels at the start, meters; the method adapts it.
 
     Raises:
         ConfigError: a value is not legal.

@@ -17,9 +17,9 @@ class KissIcpConfig:
     """What of KISS-ICP's configuration can be set; the defaults are the authors'.
 
     Attributes:
-        max_range: points beyond are left out, metres.
-        min_range: points nearer are left out, metres.
-        voxel_size: edge of the map's voxels, metres; None = `max_range` / 100, as the authors do.
+        max_range: points beyond are left out, meters.
+        min_range: points nearer are left out, meters.
+        voxel_size: edge of the map's voxels, meters; None = `max_range` / 100, as the authors do.
         threads: of the registration; 1 = as every other mapper here, 0 = all.
 
     Raises:

@@ -29,7 +29,7 @@ class KissSlamConfig(KissIcpConfig):
     """What of KISS-SLAM's configuration can be set; the defaults are the authors'.
 
     Attributes:
-        splitting_distance: metres from the start of a local map at which the next one begins. Loops are
+        splitting_distance: meters from the start of a local map at which the next one begins. Loops are
             closed between local maps: in a world smaller than this there is only one.
 
     Raises:

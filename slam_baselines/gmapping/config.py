@@ -23,26 +23,26 @@ class GmappingConfig(ProposalConfig):
     Attributes:
         particles: number of paths.
         seed: of the random numbers.
-        linearUpdate: metres to drive before the next scan is processed.
+        linearUpdate: meters to drive before the next scan is processed.
         angularUpdate: radians to turn before the next scan is processed.
         resampleThreshold: particles are drawn anew when N_eff falls below this share of them.
-        srr: error of the odometry in translation after one metre, metres.
-        srt: error of the odometry in translation after one radian, metres.
-        str: error of the odometry in rotation after one metre, radians.
+        srr: error of the odometry in translation after one meter, meters.
+        srt: error of the odometry in translation after one radian, meters.
+        str: error of the odometry in rotation after one meter, radians.
         stt: error of the odometry in rotation after one radian, radians.
         ogain: likelihoods are taken to the power 1 / (ogain * particles), so that single scans with
             their correlated beams do not decide alone.
-        delta: edge of a map's cell, metres.
-        maxUrange: range from which on hits count as free up to here, metres; infinite: beams without return
+        delta: edge of a map's cell, meters.
+        maxUrange: range from which on hits count as free up to here, meters; infinite: beams without return
             are left out.
-        sparse_distance: mean distance between scans, a radian of turn counted as a metre, from which on they
-            are matched by the wider search, and their hits are interpolated, metres.
+        sparse_distance: mean distance between scans, a radian of turn counted as a meter, from which on they
+            are matched by the wider search, and their hits are interpolated, meters.
         sparse_memory: scans over which this mean is taken.
         interpolation: of hits along surfaces.
         tracking: share of the beams on known cells that end at a wall, below which a processed scan does not
             enter the maps.
         localizability: when processed scans on uneven ground are believed; its scores are hit ratios.
-        bootstrap: when the first metres on uneven ground are refined.
+        bootstrap: when the first meters on uneven ground are refined.
         ground_filter: separates hits on ground from hits on walls.
         mahalanobis_gate: a scan that is matched farther from dead reckoning than so many standard deviations
             does not correct it. On slopes wheels slide by up to four.

@@ -35,7 +35,7 @@ class PatchMaps:
     """The occupancy maps of a set of particles, over one lattice of cells that grows where needed.
 
     Attributes:
-        resolution: edge of a cell, metres.
+        resolution: edge of a cell, meters.
         tables: (particles, rows, cols) int32, the patch at each place of each map.
         corner: (2,) int64, row and column of the tables' first patch in the lattice of patches.
         patches: what the tables point at.
@@ -121,7 +121,7 @@ class PatchMaps:
         return OccupancyGrid(grid[r[0] : r[-1] + 1, c[0] : c[-1] + 1].copy(), self.resolution, corner)
 
     def _cover(self, low: FloatArray, high: FloatArray) -> Window:
-        """Make the box (x, y in metres) part of the tables; return its places."""
+        """Make the box (x, y in meters) part of the tables; return its places."""
         edge = PATCH * self.resolution
         south, west = (math.floor(v / edge) for v in low[::-1])
         north, east = (math.floor(v / edge) + 1 for v in high[::-1])
@@ -144,7 +144,7 @@ class MapView(NamedTuple):
         table: (rows, cols) int32, the patch at each place.
         corner: (2,) row and column of the table's first patch.
         patches: all patches.
-        resolution: edge of a cell, metres.
+        resolution: edge of a cell, meters.
         wall_slope: minimum slope from which on a hit is a wall, SLOPE_STEP.
     """
 

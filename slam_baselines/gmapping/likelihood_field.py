@@ -27,7 +27,7 @@ class Beams(NamedTuple):
     """A scan for the kernels.
 
     Attributes:
-        points: (n, 2 or more) ends of beams in the leveled base frame, metres.
+        points: (n, 2 or more) ends of beams in the leveled base frame, meters.
         weights: (n,) how much each counts.
     """
 
@@ -44,7 +44,7 @@ class NearWalls(NamedTuple):
     Attributes:
         reach: cells looked at to each side of a beam's end.
         side: of the square, cells: 1 or 2.
-        points: (n, 2) ends of beams in the leveled base frame, metres.
+        points: (n, 2) ends of beams in the leveled base frame, meters.
         weights: (n,) how much each counts.
         ends: (n, 2) the same from the pose tried last, cells east and north in the lattice.
         slot: (n,) of each beam, in which the walls around that end are.
@@ -205,7 +205,7 @@ def _attract(near: Any, narrow: float) -> None:
 def log_likelihood(view: Any, near: Any, pose: Any, lsigma: float, width: float) -> Any:
     """Return the log-likelihood of a scan, and the weights of beams that end at a wall and on known cells.
 
-    Each beam gives -d^2 / lsigma, d metres from its end to the wall within `reach` cells, and -NOTHING
+    Each beam gives -d^2 / lsigma, d meters from its end to the wall within `reach` cells, and -NOTHING
     without one. The distance is taken across the wall: taken to the nearest cell's mean, a likelihood this
     sharp would prefer poses that fall in step with the lattice.
 
@@ -213,7 +213,7 @@ def log_likelihood(view: Any, near: Any, pose: Any, lsigma: float, width: float)
         view: the map.
         near: the beams and the walls around their ends.
         pose: (3,) x, y, yaw.
-        lsigma: square metres.
+        lsigma: square meters.
         width: standard deviation of the attraction, cells.
     """
     res, points, weights, ends, pull = view.resolution, near.points, near.weights, near.ends, near.pull
@@ -273,7 +273,7 @@ def linearize(view: Any, near: Any, pose: Any, width: float, H: Any, g: Any) -> 
         pu, pv = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
         gain = weights[i] * min(1.0, w)
         auu, auv, avv = gain * auu, gain * auv, gain * avv
-        # du/dyaw = -pv, dv/dyaw = pu; lengths in metres from here on.
+        # du/dyaw = -pv, dv/dyaw = pu; lengths in meters from here on.
         pu, pv, du, dv = pu * res, pv * res, du * res, dv * res
         fu, fv = auu * du + auv * dv, auv * du + avv * dv
         yu, yv = auv * pu - auu * pv, avv * pu - auv * pv

@@ -61,7 +61,7 @@ class GmappingMapper:
 
     @property
     def resolution(self) -> float:
-        """Edge of a cell of the map, metres."""
+        """Edge of a cell of the map, meters."""
         return self.config.delta
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:

@@ -44,14 +44,14 @@ class ProposalConfig:
     """How a scan is matched and the Gaussian fitted; names as in gmapping where they exist.
 
     Attributes:
-        sigma: standard deviation of a beam's end while matching, metres.
+        sigma: standard deviation of a beam's end while matching, meters.
         kernelSize: cells looked at to each side of a beam's end.
         iterations: most Gauss-Newton steps, of the coarse and of the fine stage.
-        lsigma: of the likelihood exp(-d^2 / lsigma) of one beam, square metres. Far above a laser's
-            variance, since neighbouring beams err together.
-        lstep: step of the wider search in x and y, and edge of the cells of its map, metres.
+        lsigma: of the likelihood exp(-d^2 / lsigma) of one beam, square meters. Far above a laser's
+            variance, since neighboring beams err together.
+        lstep: step of the wider search in x and y, and edge of the cells of its map, meters.
         astep: step of the wider search in yaw, radians.
-        llsamplerange: half the wider search's window, metres.
+        llsamplerange: half the wider search's window, meters.
         lasamplerange: half the wider search's window, radians.
         samples: points evaluated around the maximum.
         spread: they lie within so many standard deviations of the maximum.
@@ -210,7 +210,7 @@ def propagated(poses: FloatArray, step: Pose2, covariance: FloatArray) -> PoseDi
 
 
 def _points(n: int) -> FloatArray:
-    """Return (n, 3) points that fill the cube [-1, 1]^3 evenly, the first in its centre."""
+    """Return (n, 3) points that fill the cube [-1, 1]^3 evenly, the first in its center."""
     # Additive recurrence with the plastic number's relatives: no two points come close.
     g = 1.2207440846057596
     steps = np.array((1 / g, 1 / g**2, 1 / g**3))

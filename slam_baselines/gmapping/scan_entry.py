@@ -77,7 +77,7 @@ class Site(NamedTuple):
         table: (rows, cols) its part of the table.
         patches: all patches.
         corner: row and column of its first patch in the lattice of patches.
-        base: x and y of the base in cells, cosine and sine of its yaw in cells a metre.
+        base: x and y of the base in cells, cosine and sine of its yaw in cells a meter.
     """
 
     table: Any

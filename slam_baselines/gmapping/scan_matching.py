@@ -19,7 +19,7 @@ from slam_baselines.gmapping.likelihood_field import (
 from slam_baselines.gmapping.patches import ABSENT, BITS, MASK
 
 SAME_PEAK = 0.05
-"""Metres, and radians: peaks closer together are one.
+"""Meters, and radians: peaks closer together are one.
 
 Only the first particle is searched for in any case. A better fit of the same peak, found because it had two
 attempts, would raise its weight above that of the others scan by scan.

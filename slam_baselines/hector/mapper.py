@@ -52,8 +52,8 @@ class HectorConfig(BuilderConfig):
         localizability: when matches on uneven ground are believed.
         learning_steps: steps after which the calibration is believed where there are no walls.
         bootstrap: when the map is built again.
-        laser_max_dist: hits farther away are not used, metres.
-        laser_clear_dist: a beam without return is believed to be free up to here, metres.
+        laser_max_dist: hits farther away are not used, meters.
+        laser_clear_dist: a beam without return is believed to be free up to here, meters.
         tracking: mean occupancy at the ends of the beams below which a scan does not enter the map.
 
     Raises:
@@ -112,7 +112,7 @@ class HectorMapper:
 
     @property
     def resolution(self) -> float:
-        """Edge of a cell of the map, metres."""
+        """Edge of a cell of the map, meters."""
         return self.config.map_resolution
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:

@@ -32,17 +32,17 @@ class HectorOriginalConfig:
     """Parameters of hector_mapping by their names.
 
     Attributes:
-        map_resolution: edge of a cell of the finest level, metres.
+        map_resolution: edge of a cell of the finest level, meters.
         map_size: cells along an edge of the finest level, with the start in its middle. Beams that leave the
             map are not drawn and not matched; outside, the estimate follows the odometry. The launch file of
             the original has 2048: at 0.05 m it ends 51 m from the start, too near for a log of a campus.
         map_multi_res_levels: number of levels, each twice as coarse as the one before.
-        map_update_distance_thresh: distance to the last map update after which the next is due, metres.
+        map_update_distance_thresh: distance to the last map update after which the next is due, meters.
         map_update_angle_thresh: the same for the heading, radians.
         update_factor_free: probability that a cell is occupied, given that a beam passed it.
         update_factor_occupied: probability that a cell is occupied, given that a beam ended there.
-        laser_min_dist: nearer hits are not used, metres.
-        laser_max_dist: farther hits are not used, metres.
+        laser_min_dist: nearer hits are not used, meters.
+        laser_max_dist: farther hits are not used, meters.
 
     Raises:
         ConfigError: a length that is not above 0, a map size that cannot be halved for each level, or a
@@ -99,7 +99,7 @@ class HectorOriginalMapper:
 
     @property
     def resolution(self) -> float:
-        """Edge of a cell of the map, metres."""
+        """Edge of a cell of the map, meters."""
         return self.config.map_resolution
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:

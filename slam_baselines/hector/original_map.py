@@ -31,7 +31,7 @@ class OriginalMap:
         """Start empty.
 
         Args:
-            resolution: edge of a cell, metres.
+            resolution: edge of a cell, meters.
             size: cells along an edge of the map, even.
             miss: log-odds that a beam adds where it passes.
             hit: log-odds that a beam adds where it ends.
@@ -52,7 +52,7 @@ class OriginalMap:
         """Return the (3,) pose after Gauss-Newton steps (Eqs. 7-13); `pose` where no end is inside.
 
         Args:
-            ends: (n, 2) ends of beams in the base frame, metres.
+            ends: (n, 2) ends of beams in the base frame, meters.
             pose: (3,) x, y, yaw to start from.
             steps: of Gauss-Newton.
         """
@@ -64,8 +64,8 @@ class OriginalMap:
 
         Args:
             pose: `T_map_base`.
-            laser: (2,) in the base frame, metres.
-            ends: (n, 2) of beams in the base frame, metres.
+            laser: (2,) in the base frame, meters.
+            ends: (n, 2) of beams in the base frame, meters.
         """
         self._scans += 2
         points = np.vstack((pose.apply(laser[None]), pose.apply(ends)))

@@ -2,7 +2,7 @@
 
 On uneven ground nothing is known to be a wall at first, so the robot begins on odometry alone and the
 first scans enter the map at poses that are a little wrong; the map would keep that error for ever. After
-some metres most of the walls that the first scans saw are known: a new map is built from them.
+some meters most of the walls that the first scans saw are known: a new map is built from them.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class BootstrapConfig:
     """When the start is refined.
 
     Attributes:
-        first: distance traveled at the first refinement, metres; the next are due at 2, 4, 8 ... times that.
-        last: distance after which there is none, metres.
+        first: distance traveled at the first refinement, meters; the next are due at 2, 4, 8 ... times that.
+        last: distance after which there is none, meters.
 
     Raises:
         ConfigError: a distance that is not above 0.

@@ -43,7 +43,7 @@ from slam_baselines.mapping.occupancy_map import SLOPE_STEP, OccupancyMap, bound
 from slam_baselines.scan.leveling import LeveledScan, ScanPoints
 
 STANDSTILL = 1e-4
-"""A shorter step is none, metres."""
+"""A shorter step is none, meters."""
 _Place = tuple[float, float, float, float]
 """x, y, yaw, z of a frame in that of the map."""
 IN_MAP: _Place = (0.0, 0.0, 0.0, 0.0)
@@ -54,24 +54,24 @@ class GroundFilterConfig:
     """Errors of attitude and height, and slopes of the ground.
 
     Attributes:
-        resolution: edge of a cell of the upper bound, metres.
+        resolution: edge of a cell of the upper bound, meters.
         attitude_error: of roll and pitch, radians.
-        height_error: of a beam's height close to the robot, metres.
+        height_error: of a beam's height close to the robot, meters.
         confidence: how many of these errors a proof must exceed.
-        drift: of the robot's height, per metre driven.
-        tilt_lever: drift of the robot's height per radian by which its tilt changes, metres: base_link does
+        drift: of the robot's height, per meter driven.
+        tilt_lever: drift of the robot's height per radian by which its tilt changes, meters: base_link does
             not rise as steeply as the robot is tilted while an axle climbs or drops.
         slip_slope: slope that wheels slip down on, radians; on less steep ones the share of a step that they
             slip falls with the square of the grade.
-        base_height: of base_link above the ground, metres.
-        footprint: radius of the ground that the robot stands on, metres.
+        base_height: of base_link above the ground, meters.
+        footprint: radius of the ground that the robot stands on, meters.
         flat_tilt: ground on which the robot never tilted more is a floor: every hit is a wall. Radians.
         wall_slope: faces steeper than this are walls, on uneven ground, radians.
         match_margin: what is steeper than the robot's largest tilt by this is a wall for matching, radians.
         full_weight_slope: rise over run from which on a hit has full weight in matching; where it is less
             steep, an error of height shifts it more, and its weight falls with the square of the slope.
         first_margin: added to it at the start, when little ground is known, radians.
-        first_meters: distance over which the first margin falls to 1/e, metres.
+        first_meters: distance over which the first margin falls to 1/e, meters.
         slope_limit: of the steepest ground for matching, radians.
 
     Raises:
@@ -104,10 +104,10 @@ class GroundFilter:
     """Upper bound of the ground, the robot's height, and the slope from which on a hit is a wall.
 
     Attributes:
-        height: of base_link in the map frame, 0 at the start, metres.
-        distance_traveled: metres.
+        height: of base_link in the map frame, 0 at the start, meters.
+        distance_traveled: meters.
         tilt: largest of the robot so far, radians.
-        drift: largest that the robot's height may have drifted since the start, metres.
+        drift: largest that the robot's height may have drifted since the start, meters.
     """
 
     def __init__(self, config: GroundFilterConfig | None = None) -> None:
@@ -201,7 +201,7 @@ class GroundFilter:
         Args:
             scan: leveled.
             pose: `T_map_base`.
-            height: of the base in the map frame, metres; None: the present one.
+            height: of the base in the map frame, meters; None: the present one.
             known: (n,) what was known of the hits before.
             drawn: the map whose cells' minimum slopes count as well.
             limits: slopes below the first and from the second on need not be told apart, which is faster.

@@ -17,7 +17,7 @@ class GrowingGrid:
     """Layers of equal shape over one square lattice, cell (0, 0) at the frame's origin.
 
     Attributes:
-        resolution: edge of a cell, metres.
+        resolution: edge of a cell, meters.
         row0: lattice row (northward) of the arrays' row 0.
         col0: lattice column (eastward) of the arrays' column 0.
         layers: name -> (rows, cols) array; replaced by larger ones when the grid grows.
@@ -44,7 +44,7 @@ class GrowingGrid:
         return sum(layer.nbytes for layer in self.layers.values())
 
     def ensure(self, west: float, south: float, east: float, north: float) -> bool:
-        """Make the box (metres) part of the grid; return whether the arrays were replaced."""
+        """Make the box (meters) part of the grid; return whether the arrays were replaced."""
         held = self._held
         if west >= held[0] and south >= held[1] and east <= held[2] and north <= held[3]:
             return False

@@ -19,7 +19,7 @@ class Keyframe(Generic[Motion]):
     Attributes:
         scan: leveled.
         pose: `T_map_base`.
-        height: of the base in the map frame, metres.
+        height: of the base in the map frame, meters.
         min_slopes: (n,) minimum slopes of its hits, SLOPE_STEP.
         motion: from the keyframe before, as the method measures it.
     """

@@ -13,7 +13,7 @@ from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.common.se2 import composed, relative_poses, wrap
 
 LEVER = 0.5
-"""Metres that a radian of turn counts as where an error is spread between keyframes."""
+"""Meters that a radian of turn counts as where an error is spread between keyframes."""
 
 
 class KeyframeTrajectory:

@@ -21,13 +21,13 @@ class BuilderConfig:
     """When the map is updated and how fine it is; names as in hector_mapping.
 
     Attributes:
-        map_resolution: edge of a cell of the finest level, metres.
+        map_resolution: edge of a cell of the finest level, meters.
         map_multi_res_levels: number of levels, each twice as coarse as the one before.
-        map_update_distance_thresh: metres to drive before the next update.
+        map_update_distance_thresh: meters to drive before the next update.
         map_update_angle_thresh: radians to turn before the next update.
         map_update_tilt_thresh: radians to tilt, since tilting shows other heights of the same things.
-        sparse_distance: distance from the scan before, a radian of turn counted as a metre, from which on a
-            scan's hits are interpolated, metres.
+        sparse_distance: distance from the scan before, a radian of turn counted as a meter, from which on a
+            scan's hits are interpolated, meters.
         interpolation: of hits along surfaces.
         update: how a scan changes the map.
         ground_filter: separates hits on ground from hits on walls.

@@ -30,7 +30,7 @@ class Neighbors(NamedTuple):
 
     Attributes:
         cell: (k, 2) row and column offsets: those close by, then those farther off, both by distance.
-        distance: (k,) of their middles, and a cell's edge, metres.
+        distance: (k,) of their middles, and a cell's edge, meters.
         close: number of those close by.
         close_reach: largest offset among them.
         reach: largest offset of all.
@@ -44,12 +44,12 @@ class Neighbors(NamedTuple):
 
 
 class UpperBound(NamedTuple):
-    """Upper bound of the ground's height for the kernels, metres; inf where nothing was seen.
+    """Upper bound of the ground's height for the kernels, meters; inf where nothing was seen.
 
     Attributes:
         cells: (rows, cols) of each cell.
         blocks: (rows / 8, cols / 8) smallest of each block of cells.
-        frame: (3,) lattice row and column of cell (0, 0), resolution in metres.
+        frame: (3,) lattice row and column of cell (0, 0), resolution in meters.
         neighbors: of a hit.
     """
 
@@ -64,7 +64,7 @@ class DrawnSlopes(NamedTuple):
 
     Attributes:
         layer: (rows, cols) SLOPE_STEP.
-        frame: (3,) lattice row and column of cell (0, 0), resolution in metres.
+        frame: (3,) lattice row and column of cell (0, 0), resolution in meters.
     """
 
     layer: ByteArray
@@ -79,9 +79,9 @@ class Margins(NamedTuple):
     """How far heights may be wrong.
 
     Attributes:
-        old: what the robot's height may have drifted since the start, metres.
-        near: of a hit close to the laser, metres.
-        far: what a hit's height may be wrong by more per metre of range.
+        old: what the robot's height may have drifted since the start, meters.
+        near: of a hit close to the laser, meters.
+        far: what a hit's height may be wrong by more per meter of range.
     """
 
     old: float
@@ -138,7 +138,7 @@ def raise_min_slopes(
 
     Args:
         upper_bound: of the ground.
-        origin: (3,) the laser, metres.
+        origin: (3,) the laser, meters.
         hits: (n, 3) ends of beams in the same frame.
         pose: x, y, yaw, z of this frame in that of the map.
         ground: x, y, z of the highest that the ground under the robot may be.

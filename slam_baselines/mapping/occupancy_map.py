@@ -69,7 +69,7 @@ class OccupancyMap:
 
     Attributes:
         grid: the layers.
-        frame: (3,) lattice row and column of the arrays' cell (0, 0), resolution in metres.
+        frame: (3,) lattice row and column of the arrays' cell (0, 0), resolution in meters.
         layers: the grid's arrays.
     """
 
@@ -90,7 +90,7 @@ class OccupancyMap:
 
     @property
     def resolution(self) -> float:
-        """Edge of a cell, metres."""
+        """Edge of a cell, meters."""
         return self.grid.resolution
 
     def update(self, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int, box: FloatArray) -> bool:
@@ -100,7 +100,7 @@ class OccupancyMap:
             scan: in the map frame.
             min_slopes: (n,) of each hit, SLOPE_STEP.
             wall_slope: minimum slope from which on a cell is a wall, SLOPE_STEP.
-            box: (4,) west, south, east, north of the scan, metres.
+            box: (4,) west, south, east, north of the scan, meters.
         """
         return self.enter(self._tracer.trace(scan, box), scan, min_slopes, wall_slope, box)
 
@@ -161,7 +161,7 @@ UNKNOWN = -128
 STEP = 0.1
 """Log-odds of one step of the layer `log_odds`."""
 TOP_STEP = 0.01
-"""Metres of one step of the layer `top`."""
+"""Meters of one step of the layer `top`."""
 ABOVE = 10
 """A beam so many steps of `top` above a wall's highest hit passes over the wall."""
 FULL = 255
@@ -254,7 +254,7 @@ def _added(before: int, step: int, limit: int) -> int:
 
 @njit(cache=True, nogil=True)
 def bounding_box(scan: Any) -> Any:
-    """Return (4,) west, south, east, north of the laser and all ends of a scan's beams, metres."""
+    """Return (4,) west, south, east, north of the laser and all ends of a scan's beams, meters."""
     west = east = scan.origin[0]
     south = north = scan.origin[1]
     for ends in (scan.hits, scan.free):

@@ -15,7 +15,7 @@ class Levels(NamedTuple):
 
     Attributes:
         values: (rows, cols) uint8 layer `value` of each level.
-        frames: (levels, 3) lattice row and column of cell (0, 0), resolution in metres.
+        frames: (levels, 3) lattice row and column of cell (0, 0), resolution in meters.
     """
 
     values: tuple[Any, ...]

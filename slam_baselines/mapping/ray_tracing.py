@@ -32,7 +32,7 @@ class Trace(NamedTuple):
         cells: (k,) passed, none of them hit, each once, beam by beam.
         steps: (k,) step of the beam at which it passed the cell.
         ends: (beams,) where a beam's cells end.
-        rise: (beams,) of a beam from step to step, metres.
+        rise: (beams,) of a beam from step to step, meters.
     """
 
     corner: tuple[int, int]
@@ -48,7 +48,7 @@ class RayTracer:
     """Traces scans, one after the other, over a lattice.
 
     Attributes:
-        resolution: edge of a cell, metres.
+        resolution: edge of a cell, meters.
     """
 
     def __init__(self, resolution: float) -> None:
@@ -63,7 +63,7 @@ class RayTracer:
 
         Args:
             scan: in the lattice's frame.
-            box: (4,) west, south, east, north of the scan, metres.
+            box: (4,) west, south, east, north of the scan, meters.
         """
         west, south, east, north = (math.floor(v / self.resolution) for v in box.tolist())
         touched = self._blank(north - south + 3, east - west + 3)
@@ -98,7 +98,7 @@ def trace_scan(scan: Any, resolution: float, touched: Any, mark: int, line: Any,
 
     Args:
         scan: in the lattice's frame.
-        resolution: edge of a cell, metres.
+        resolution: edge of a cell, meters.
         touched: (rows, cols) of the window, nowhere `mark`; holds all beams.
         mark: of the cells that this scan has touched.
         line: (n,) room for the cells of one beam.

@@ -28,7 +28,7 @@ class BoundGrids:
             r ... r + 2^h - 1 and columns c ... c + 2^h - 1 (eq. 12).
         row0: lattice row of the arrays' row 0.
         col0: lattice column of the arrays' column 0.
-        resolution: edge of a cell, metres.
+        resolution: edge of a cell, meters.
     """
 
     levels: ByteArray
@@ -74,7 +74,7 @@ class Window(NamedTuple):
     """Poses around a start.
 
     Attributes:
-        linear: largest shift in x and in y, metres.
+        linear: largest shift in x and in y, meters.
         angular: largest turn, radians.
     """
 
@@ -86,8 +86,8 @@ class Exclusion(NamedTuple):
     """Disc of positions that a search leaves out.
 
     Attributes:
-        center: (2 or more,) x, y, metres.
-        radius: metres.
+        center: (2 or more,) x, y, meters.
+        radius: meters.
     """
 
     center: FloatArray
@@ -151,7 +151,7 @@ def branch_and_bound(
 
     Args:
         grids: the map and its bounds.
-        points: (n, 2 or more) ends of beams in the leveled base frame, metres; n > 0.
+        points: (n, 2 or more) ends of beams in the leveled base frame, meters; n > 0.
         start: (3,) x, y, yaw in the middle of the window.
         window: of the search.
         min_score: poses of a lower score are not found.

@@ -23,11 +23,11 @@ class SearchConfig:
     """Window of the search, and the weights of its candidates.
 
     Attributes:
-        linear_search_window: largest shift in x and in y, metres.
+        linear_search_window: largest shift in x and in y, meters.
         angular_search_window: largest turn, radians.
         angular_step: radians.
         beams: most beams that are used, evenly chosen.
-        translation_weight: loss of score per metre from the start.
+        translation_weight: loss of score per meter from the start.
         rotation_weight: loss of score per radian from the start.
 
     Raises:
@@ -47,7 +47,7 @@ class SearchConfig:
 
 
 class _Cells(NamedTuple):
-    """A level of the map: (rows, cols) values, lattice row and column of cell (0, 0), cell size in metres."""
+    """A level of the map: (rows, cols) values, lattice row and column of cell (0, 0), cell size in meters."""
 
     value: ByteArray
     row0: int
@@ -56,12 +56,12 @@ class _Cells(NamedTuple):
 
 
 class _Window(NamedTuple):
-    """Shifts of up to `reach` cells, turns of up to `turns` steps (radians), loss per metre and radian."""
+    """Shifts of up to `reach` cells, turns of up to `turns` steps (radians), loss per meter and radian."""
 
     reach: int
     turns: int
     step: float
-    per_metre: float
+    per_meter: float
     per_radian: float
 
 
@@ -72,7 +72,7 @@ def correlative_search(
 
     Args:
         grid: level of the map, with the layer `value`.
-        points: (n, 2 or more) ends of beams in the leveled base frame, metres.
+        points: (n, 2 or more) ends of beams in the leveled base frame, meters.
         weights: (n,) of the beams.
         start: (3,) x, y, yaw.
         config: the window.
@@ -113,7 +113,7 @@ def _search(cells: _Cells, points: Any, weights: Any, start: Any, window: _Windo
                     r, q = at_row[i] + dr, at_col[i] + dc
                     if 0 <= r < rows and 0 <= q < cols:
                         score += weights[i] * cells.value[r, q]
-                loss = window.per_metre * np.hypot(dr, dc) * res + window.per_radian * abs(k * window.step)
+                loss = window.per_meter * np.hypot(dr, dc) * res + window.per_radian * abs(k * window.step)
                 score = score / total - loss
                 if score > best_score:
                     best_score = score

@@ -32,7 +32,7 @@ class MatchConfig:
         iterations: most Gauss-Newton steps on each level, finest first.
         sigma: standard deviation of one beam's 1 - M, with the correlation between beams in it.
         converged: length of a step below which a level ends, cells (and tenths of a radian).
-        lever: distance at which an error of yaw is felt, metres.
+        lever: distance at which an error of yaw is felt, meters.
         exact: whether score and information are those of the final pose; else of a pose one last, tiny step
             away, which saves a pass over the scan.
 
@@ -117,7 +117,7 @@ class ScanMatcher:
 
         Args:
             pyramid: the map.
-            points: (n, 2 or more) ends of beams in the leveled base frame, metres.
+            points: (n, 2 or more) ends of beams in the leveled base frame, meters.
             weights: (n,) of the beams; None: all the same.
             prior: pose to expect.
             start: (3,) first pose; None: the prior's.
@@ -223,7 +223,7 @@ def linearize(
 
     Args:
         value: (rows, cols) layer of the map.
-        frame: (3,) lattice row and column of its cell (0, 0), resolution in metres.
+        frame: (3,) lattice row and column of its cell (0, 0), resolution in meters.
         points: (n, 2 or more) ends of beams in the leveled base frame.
         weights: (n,) of the beams.
         stride: only every so many beams count.

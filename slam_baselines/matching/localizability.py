@@ -29,7 +29,7 @@ class LocalizabilityConfig:
         seconds: ... within this time.
         drawn_share: share of all scans that must have fitted for walls to be drawn, half of it ...
         recent_share: ... where this share of the latest scans fitted ...
-        first_meters: ... after this distance, metres, or where `memory` scans were matched, of the latest of
+        first_meters: ... after this distance, meters, or where `memory` scans were matched, of the latest of
             which fewer than `drawn_share` fitted: until then dead reckoning is good enough.
 
     Raises:
@@ -116,7 +116,7 @@ class LocalizabilityMonitor:
         return self._matched >= c.memory and not fit
 
     def draws(self, distance: float) -> bool:
-        """Return whether walls may be drawn after a distance driven, metres.
+        """Return whether walls may be drawn after a distance driven, meters.
 
         Where they seldom localize the robot, they stand where dead reckoning put them, and what is taken
         for walls may be ground.

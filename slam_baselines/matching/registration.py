@@ -41,7 +41,7 @@ class RegistrationConfig:
         mahalanobis_gate: largest Mahalanobis distance from dead reckoning at which the wider search is
             accepted on uneven ground.
         decorrelation_distance: distance between scans below which they see the same cells with the same
-            errors, so that each adds only its share of information, metres.
+            errors, so that each adds only its share of information, meters.
         min_information_share: smallest share of information that a scan adds.
         translation_weight: weight of the distance from the expected pose, 1/m, beside the mean error of the
             beams, as in ceres_scan_matcher; 0: the covariance of dead reckoning says how far it may err.
@@ -101,7 +101,7 @@ class Registration:
 
         Args:
             pyramid: the map.
-            hits: (n, 2 or more) ends of beams in the leveled base frame, metres.
+            hits: (n, 2 or more) ends of beams in the leveled base frame, meters.
             weights: (n,) 1 for walls, less for slopes, 0 for possible ground; None on flat ground, where
                 every hit is a wall.
             expected: the estimate by dead reckoning.

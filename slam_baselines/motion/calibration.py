@@ -21,7 +21,7 @@ from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 
 Slope = tuple[float, float]
-"""How far the ground falls per metre ahead and per metre to the left."""
+"""How far the ground falls per meter ahead and per meter to the left."""
 LEVEL: Slope = (0.0, 0.0)
 UNTOLD = 1e-100
 """A step of which less is known replaces nothing: its square is no number any more."""
@@ -32,12 +32,12 @@ class CalibrationConfig:
     """How fast the correction is estimated.
 
     Attributes:
-        per_metre: standard deviation of the correction per metre before anything is known (m/m, rad/m).
+        per_meter: standard deviation of the correction per meter before anything is known (m/m, rad/m).
         per_radian: the same per radian turned (m/rad, rad/rad).
-        noise: of the correction seen in one step, metres and radians.
+        noise: of the correction seen in one step, meters and radians.
         memory: steps of one kind after which an observation of that kind counts 1/e.
-        slide: standard deviation of the slide before anything is known, metres per radian and unit of slope.
-        slide_noise: of the slide seen in one step, metres.
+        slide: standard deviation of the slide before anything is known, meters per radian and unit of slope.
+        slide_noise: of the slide seen in one step, meters.
 
     Raises:
         ConfigError: a value is not above 0.
@@ -58,8 +58,8 @@ class Calibration:
     """Corrects odometry's steps, and learns from where they truly led.
 
     Attributes:
-        gain: correction of x, y, yaw per metre ahead and per radian: xx, xt, yx, yt, tx, tt.
-        slide: metres downhill per radian turned, either way, and unit of slope.
+        gain: correction of x, y, yaw per meter ahead and per radian: xx, xt, yx, yt, tx, tt.
+        slide: meters downhill per radian turned, either way, and unit of slope.
     """
 
     def __init__(self, config: CalibrationConfig) -> None:
@@ -74,7 +74,7 @@ class Calibration:
 
     @property
     def covariance(self) -> tuple[float, float, float]:
-        """Variances and covariance of each row of the gain: per metre and metre, metre and radian, radian."""
+        """Variances and covariance of each row of the gain: per meter and meter, meter and radian, radian."""
         p, q, r = self._information
         p, r = p + self._prior[0], r + self._prior[1]
         determinant = p * r - q * q

@@ -19,7 +19,7 @@ from slam_baselines.common.linalg import moved_covariance
 from slam_baselines.motion.calibration import LEVEL, Calibration, CalibrationConfig, Slope
 
 STANDSTILL = 1e-3
-"""An increment shorter than this (metres and radians together) is none."""
+"""An increment shorter than this (meters and radians together) is none."""
 
 
 def yaw_rate(imu: Imu) -> float:
@@ -46,7 +46,7 @@ class MotionStep(NamedTuple):
 
     Attributes:
         delta: `T_before_now`.
-        shift: variance of the translation along each axis, square metres.
+        shift: variance of the translation along each axis, square meters.
         turn: variance of the yaw, square radians.
     """
 
@@ -68,15 +68,15 @@ class MotionConfig:
     So a step in ten parts is as uncertain as the step in one, whatever the rate of the scans.
 
     Attributes:
-        translation_per_metre: standard deviation after one metre, metres.
-        translation_per_radian: after turning one radian, metres.
-        slide_per_radian: after turning one radian on a slope, metres per radian of tilt.
-        translation_per_second: after one second, metres.
-        rotation_per_metre: after one metre, radians.
+        translation_per_meter: standard deviation after one meter, meters.
+        translation_per_radian: after turning one radian, meters.
+        slide_per_radian: after turning one radian on a slope, meters per radian of tilt.
+        translation_per_second: after one second, meters.
+        rotation_per_meter: after one meter, radians.
         rotation_per_radian: after turning one radian, radians.
         rotation_per_second: after one second, radians.
         gyro_per_second: of a gyro's yaw after one second, radians.
-        blind_translation: after one second without odometry, metres.
+        blind_translation: after one second without odometry, meters.
         blind_rotation: after one second without odometry, radians.
 
     Raises:
@@ -152,18 +152,18 @@ class MotionConfig:
 
     def _variances(self, delta: Pose2, seconds: float, tilt: float) -> tuple[float, float]:
         """Return the variances of the translation along each axis and of the yaw of a step by odometry."""
-        metres, radians = math.hypot(delta.x, delta.y), abs(delta.yaw)
+        meters, radians = math.hypot(delta.x, delta.y), abs(delta.yaw)
         per_meter, per_radian, per_second, turn_per_meter, turn_per_radian, turn_per_second = self._squares
         shift = (
-            per_meter * metres
+            per_meter * meters
             + (per_radian + (self.slide_per_radian * tilt) ** 2) * radians
             + per_second * seconds
         )
-        return shift, turn_per_meter * metres + turn_per_radian * radians + turn_per_second * seconds
+        return shift, turn_per_meter * meters + turn_per_radian * radians + turn_per_second * seconds
 
     @cached_property
     def _squares(self) -> tuple[float, ...]:
-        """Variances of translation and rotation per metre, radian and second."""
+        """Variances of translation and rotation per meter, radian and second."""
         return (
             self.translation_per_meter**2,
             self.translation_per_radian**2,
@@ -202,7 +202,7 @@ class OdometryIncrement(NamedTuple):
 
     Attributes:
         step: `T_before_now` as the odometry says.
-        down: how far the ground falls per metre ahead and to the left.
+        down: how far the ground falls per meter ahead and to the left.
         tilt: of the robot, radians.
     """
 

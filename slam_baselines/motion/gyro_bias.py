@@ -2,7 +2,7 @@
 
 A Kalman filter of two states: the bias, and the disagreement between the heading of the map and that of the
 gyro that comes from all else. The second is a random walk (of the gyro, and of the map that grows with the
-robot), so that a trend over a few metres, which such a walk shows as well, does not pass for a bias.
+robot), so that a trend over a few meters, which such a walk shows as well, does not pass for a bias.
 """
 
 from __future__ import annotations

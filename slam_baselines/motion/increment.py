@@ -16,11 +16,11 @@ GYRO = 5e-4
 """Random walk of a gyro's yaw once its bias is taken out: standard deviation after one second, radians."""
 
 POSITION, HEADING = 0.05, math.radians(0.5)
-"""Standard deviations of a registered scan's pose, metres and radians."""
+"""Standard deviations of a registered scan's pose, meters and radians."""
 REGISTERED = np.diag((POSITION**2, POSITION**2, HEADING**2))
 """Covariance of a registered scan's pose."""
 STILL = 1e-9
-"""Metres and radians up to which a step is none."""
+"""Meters and radians up to which a step is none."""
 
 
 class MotionIncrement:
@@ -32,7 +32,7 @@ class MotionIncrement:
         reckoned: motion since `begin` by odometry and gyro as they are, with the sum of the covariances.
         bias: of the gyro, rad/s; taken out of `pose`.
         seconds: time spent moving.
-        distance: traveled, metres.
+        distance: traveled, meters.
         turn: radians turned, either way.
     """
 

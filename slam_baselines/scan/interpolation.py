@@ -1,7 +1,7 @@
 """Hits interpolated along surfaces: where beams are farther apart than cells, a wall is still a wall.
 
 A single scan draws a far wall as dots. Where scans are dense, the next ones fill the gaps; where the robot
-travels a metre between two scans, the dots would be all there is to match to, and they pull the next scan's
+travels a meter between two scans, the dots would be all there is to match to, and they pull the next scan's
 dots onto themselves.
 """
 
@@ -24,7 +24,7 @@ class InterpolationConfig:
     """Which neighboring hits belong to one surface.
 
     Attributes:
-        max_gap: largest distance between them, metres.
+        max_gap: largest distance between them, meters.
         max_obliqueness: largest ratio of that distance to what the two beams are apart there.
         max_bend: largest angle between their line and that through the hit before or after, radians.
 
@@ -49,7 +49,7 @@ def interpolate_hits(
     Args:
         scan: in any frame; its hits in the order of the beams.
         min_slopes: (n,) of each hit; a hit between two others has the smaller of theirs.
-        spacing: metres.
+        spacing: meters.
         config: which hits belong to one surface.
     """
     c, count = config, np.zeros(len(scan.hits), np.int64)

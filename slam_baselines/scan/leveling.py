@@ -19,7 +19,7 @@ from lirs_wct.kernels import njit
 
 
 class ScanPoints(NamedTuple):
-    """The points of a leveled scan in one frame, metres.
+    """The points of a leveled scan in one frame, meters.
 
     Attributes:
         origin: (3,) the laser.
@@ -34,13 +34,13 @@ class ScanPoints(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class LeveledScan:
-    """A scan in the leveled base frame, metres.
+    """A scan in the leveled base frame, meters.
 
     Attributes:
         origin: (3,) the laser.
         hits: (n, 3) where beams ended.
         free: (m, 3) where beams that met nothing were still free: the farthest that is believed of them.
-        ground_slope: (2,) rise of the ground under the robot per metre forward and to the left.
+        ground_slope: (2,) rise of the ground under the robot per meter forward and to the left.
         tilt: angle between the robot's z and gravity, radians; NaN where no attitude was given.
         stamp: seconds.
     """
@@ -68,7 +68,7 @@ class ScanLeveler:
     """Levels the scans of one sensor; keeps the directions of its beams and its mount."""
 
     def __init__(self, clear_range: float = 0.0, max_range: float = math.inf) -> None:
-        """Believe beams without return up to `clear_range`, and no hit from `max_range` on, metres."""
+        """Believe beams without return up to `clear_range`, and no hit from `max_range` on, meters."""
         self._clear_range = clear_range
         self._max_range = max_range
         self._geometry: tuple[float, ...] = ()
@@ -106,7 +106,7 @@ class ScanLeveler:
 
 
 class RangeLimits(NamedTuple):
-    """Range of the nearest and farthest hit, and up to where a beam without return is free, metres."""
+    """Range of the nearest and farthest hit, and up to where a beam without return is free, meters."""
 
     nearest: float
     farthest: float

@@ -22,7 +22,7 @@ HeightFunction = Callable[[Array, Array], Array]
 
 
 def terrain_world(z: HeightFunction, nodes: int = 201, cell: float = 0.1) -> World:
-    """A square terrain of heights z(x, y) with its centre at the origin."""
+    """A square terrain of heights z(x, y) with its center at the origin."""
     axis = (np.arange(nodes) - (nodes - 1) / 2) * cell
     x, y = np.meshgrid(axis, -axis)
     heights = np.broadcast_to(z(x, y), x.shape).astype(np.float32)

@@ -236,7 +236,7 @@ def test_an_episode_that_diverges_ends_with_a_valid_observation(plane: World) ->
         ({"randomize": {"start": [1, 2]}}, "takes no factors"),
         ({"randomize": ["terrain"]}, "is for the task to cross generated terrain"),
         ({"time_limit": 0}, "time_limit of the environment must be a finite number above 0 s"),
-        ({"colour": 1}, "unknown option of the environment: .*colour"),
+        ({"color": 1}, "unknown option of the environment: .*color"),
         ({"render_mode": "ascii"}, "unknown render mode 'ascii'"),
         ({"task": "swim"}, "unknown task 'swim'; legal: mapping, navigation, traverse"),
     ],

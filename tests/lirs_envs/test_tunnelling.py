@@ -21,7 +21,7 @@ from lirs_wct.world import World, build_world
 
 GROUND = [name for name, robot in ROBOTS.items() if not robot.flies]
 IMPACT = 0.010
-"""Metres of penetration a metre a second of impact."""
+"""Meters of penetration a meter a second of impact."""
 
 
 @lru_cache(maxsize=4)
@@ -30,7 +30,7 @@ def world_of(name: str) -> World:
 
 
 def drive_at_random(sim: Simulation, seconds: float, seed: int = 4) -> float:
-    """Drive at full speed, turn at random, back off from obstacles; return the metres driven."""
+    """Drive at full speed, turn at random, back off from obstacles; return the meters driven."""
     rng, robot = np.random.default_rng(seed), sim.robot
     driven, last = 0.0, sim.T_world_base
     for k in range(math.ceil(seconds / sim.period)):
@@ -42,7 +42,7 @@ def drive_at_random(sim: Simulation, seconds: float, seed: int = 4) -> float:
         if sim.off_world:
             break
         ground = float(sim.world.surface.height_at(here.x, here.y))
-        # The centre of the body lies above base_link where a robot stands; a lying one may dip it by a rim.
+        # The center of the body lies above base_link where a robot stands; a lying one may dip it by a rim.
         assert here.z + 0.05 > ground
         assert np.abs(sim.body.data.qvel[:3]).max() < robot.max_speed + 7, "it was thrown"
         if sim.tipped:

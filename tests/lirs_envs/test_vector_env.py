@@ -130,7 +130,7 @@ def test_call_get_attr_set_attr() -> None:
     assert len({repr(r.imu) for r in readings}) == N
     assert all(isinstance(T, Pose3) for T in env.get_attr("T_world_base"))
     with pytest.raises(AttributeError):
-        env.set_attr("colour", 1)
+        env.set_attr("color", 1)
     with pytest.raises(ConfigError, match="set_attr needs 3 values"):
         env.set_attr("difficulty", [0.1])
 

@@ -21,7 +21,7 @@ from lirs_wct.sources.rasterize import rasterize_heights
 POINTS = 1000
 BUDGET = 0.02
 ROUNDING = 1e-4
-"""Metres: COLLADA writes float32 and decimals."""
+"""Meters: COLLADA writes float32 and decimals."""
 
 
 @pytest.fixture(scope="module")

@@ -69,7 +69,7 @@ def test_it_equals_the_exhaustive_search(seed, share, beams, depth, linear, angu
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-def test_a_neighbourhood_is_left_out(seed):
+def test_a_neighborhood_is_left_out(seed):
     rng = np.random.default_rng(seed)
     grid = random_grid(rng, 0.05)
     points, start = rng.uniform(-3, 3, (15, 2)), rng.uniform(-1, 1, 3)

@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from lirs_wct.geometry.pose import Pose2, Pose3, wrap_angle
 
-metres = st.floats(-100, 100)
+meters = st.floats(-100, 100)
 angles = st.floats(-10, 10) | st.floats(-1e-9, 1e-9)
-poses2 = st.builds(Pose2, metres, metres, angles)
-poses3 = st.builds(Pose3.from_rpy, metres, metres, metres, angles, angles, angles)
-points3 = st.tuples(metres, metres, metres)
+poses2 = st.builds(Pose2, meters, meters, angles)
+poses3 = st.builds(Pose3.from_rpy, meters, meters, meters, angles, angles, angles)
+points3 = st.tuples(meters, meters, meters)
 
 
 @given(angles)
@@ -27,7 +27,7 @@ def test_wrapped_angles_are_the_same_direction(angle: float) -> None:
     assert math.isclose(math.sin(wrapped), math.sin(angle), abs_tol=1e-9)
 
 
-@given(poses2, poses2, st.tuples(metres, metres))
+@given(poses2, poses2, st.tuples(meters, meters))
 def test_planar_composition_applies_right_to_left(
     T_ab: Pose2, T_bc: Pose2, point: tuple[float, float]
 ) -> None:
@@ -60,7 +60,7 @@ def test_roll_pitch_yaw_are_scipys_fixed_axes(roll: float, pitch: float, yaw: fl
     np.testing.assert_allclose(T.rotation, expected.as_matrix(), atol=1e-12)
 
 
-@given(metres, metres, st.floats(-3, 3), st.floats(-1.4, 1.4), st.floats(-3, 3))
+@given(meters, meters, st.floats(-3, 3), st.floats(-1.4, 1.4), st.floats(-3, 3))
 def test_angles_read_back(x: float, y: float, roll: float, pitch: float, yaw: float) -> None:
     T = Pose3.from_rpy(x, y, 0, roll, pitch, yaw)
     np.testing.assert_allclose((T.roll, T.pitch, T.yaw), (roll, pitch, yaw), atol=1e-9)
@@ -121,7 +121,7 @@ def test_straight_up_and_down_have_a_pitch(sign: float) -> None:
     assert Pose3(0, 0, 0, half, 0, sign * half, 0).pitch == pytest.approx(sign * math.pi / 2)
 
 
-@given(poses2, metres)
+@given(poses2, meters)
 def test_a_planar_pose_lifted_stands_upright(T: Pose2, z: float) -> None:
     lifted = Pose3.from_pose2(T, z)
     assert (lifted.x, lifted.y, lifted.z) == (T.x, T.y, z)

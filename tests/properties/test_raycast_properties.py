@@ -30,12 +30,12 @@ POINTS = st.tuples(COORDINATES, COORDINATES, COORDINATES)
 SLOPES = st.one_of(st.sampled_from((0.0, 1.0, -1.0, 0.5, 1e-13, -1e-16)), st.floats(-1.0, 1.0))
 
 
-def normalised(d: tuple[float, float, float]) -> np.ndarray | None:
+def normalized(d: tuple[float, float, float]) -> np.ndarray | None:
     length = float(np.linalg.norm(d))
     return np.array(d) / length if length > 1e-3 else None
 
 
-DIRECTIONS = st.tuples(SLOPES, SLOPES, SLOPES).map(normalised).filter(lambda d: d is not None)
+DIRECTIONS = st.tuples(SLOPES, SLOPES, SLOPES).map(normalized).filter(lambda d: d is not None)
 
 
 @settings(max_examples=400, deadline=None)

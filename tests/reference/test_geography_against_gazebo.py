@@ -73,11 +73,11 @@ def test_corners_of_a_turned_raster_lie_where_their_pixels_lie(name: str, tmp_pa
     x, y, _ = np.transpose(corners)
     pixels = [np.argwhere(heights == round(float(z)))[0] for z in world.surface.height_at(x, y)]
     truth = transform(f"EPSG:{code}", "EPSG:4326", *xy(affine, *np.transpose(pixels)))[:2][::-1]
-    metres = 111_320 * np.array((1.0, math.cos(math.radians(truth[0][0]))))
+    meters = 111_320 * np.array((1.0, math.cos(math.radians(truth[0][0]))))
     # Gazebo classic's frame is LOCAL; the manual tells which heading it needs.
     for frame, turned in (("LOCAL2", heading), ("LOCAL", 180 - heading)):
         question = json.dumps([*origin, turned, frame, corners])
         command = (PYTHON, "-c", TRANSFORM)
         done = subprocess.run(command, input=question, capture_output=True, text=True, check=True)
-        apart = np.linalg.norm((json.loads(done.stdout) - np.transpose(truth)) * metres, axis=1)
+        apart = np.linalg.norm((json.loads(done.stdout) - np.transpose(truth)) * meters, axis=1)
         assert apart.max() < 1, (frame, apart)

@@ -87,7 +87,7 @@ def test_absolute_errors(case) -> None:  # type: ignore[no-untyped-def]
 
 
 @pytest.mark.parametrize("delta", [1.0, 2.5])
-def test_relative_errors_per_metre(case, delta: float) -> None:  # type: ignore[no-untyped-def]
+def test_relative_errors_per_meter(case, delta: float) -> None:  # type: ignore[no-untyped-def]
     truth, estimate, start, pair = case
     true, est = (np.column_stack((t.positions_xyz[:, :2], yaws(t))) for t in pair)
     ours = relative_pose_error(true, est, pairs_by_path(true, delta))

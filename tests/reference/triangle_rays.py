@@ -38,7 +38,7 @@ def triangle_ranges(
 
     `grow` widens each triangle in barycentric coordinates (below 0: shrinks it), so that what lies between
     the answers of a little more and a little less is a matter of rounding. A triangle is left out where the
-    ray lies in its plane: starts within `grazing` metres of it, and rises out of it by no more a metre.
+    ray lies in its plane: starts within `grazing` meters of it, and rises out of it by no more a meter.
     """
     a = triangles[:, 0]
     e1, e2 = triangles[:, 1] - a, triangles[:, 2] - a
@@ -63,7 +63,7 @@ def triangle_ranges(
 
 
 def wall_ranges(walls: WallGrid, origins: Array, directions: Array, *, grow: float = 0.0) -> Array:
-    """(n,) range to the nearest wall cell as a closed box (slab method), inf = none; `grow` in metres."""
+    """(n,) range to the nearest wall cell as a closed box (slab method), inf = none; `grow` in meters."""
     rows, cols = np.nonzero(walls.solid)
     low = np.stack((cols, rows, 0 * rows), axis=1) * walls.resolution - grow
     high = np.stack((cols + 1, rows + 1, 0 * rows), axis=1) * walls.resolution + grow

@@ -1,4 +1,4 @@
-"""A large site: streets between buildings, seen from afar and driven through with a scan almost a metre."""
+"""A large site: streets between buildings, seen from afar and driven through with a scan almost a meter."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from tests.slam_baselines.synthetic import ranges_to
 
 Array = NDArray[np.float64]
 BLOCK, SETBACK = (100.0, 80.0), (12.0, 28.0)
-"""Edges of the blocks between the streets' middles; least and most from there to a building, metres."""
+"""Edges of the blocks between the streets' middles; least and most from there to a building, meters."""
 BLOCKS = range(-1, 5), range(-1, 4)
 """Columns and rows of blocks; the streets that are driven run between them."""
 CORNERS = ((0, 0), (4, 0), (4, 3), (0, 3), (0, 0), (2, 0), (2, 2), (1, 2), (1, 0))
 """Crossings that are passed, columns and rows of streets: once around, then through the middle."""
 RADIUS = 6.0
-"""Of the turn at a crossing, metres."""
+"""Of the turn at a crossing, meters."""
 BEAMS, RANGE = 181, 80.0
-"""Beams over 180 deg, and their range, metres."""
+"""Beams over 180 deg, and their range, meters."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class SiteDrive:
 
 
 def drive_site(seed: int = 1, scans: int = 2000, step: float = 0.875) -> SiteDrive:
-    """Drive with a scan every `step` metres, at 1 m/s; at the defaults 2,000 scans over 1,750 m."""
+    """Drive with a scan every `step` meters, at 1 m/s; at the defaults 2,000 scans over 1,750 m."""
     rng = np.random.default_rng(seed)
     walls, truth = site(rng), street_path(step)[:scans]
     angles = np.linspace(-math.pi / 2, math.pi / 2, BEAMS)
@@ -79,7 +79,7 @@ def site(rng: np.random.Generator) -> Array:
 
 
 def street_path(step: float) -> list[Pose2]:
-    """Return poses every `step` metres along the streets, with rounded corners."""
+    """Return poses every `step` meters along the streets, with rounded corners."""
     points = np.array(CORNERS) * BLOCK
     poses: list[Pose2] = []
     at = 0.0

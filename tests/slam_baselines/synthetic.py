@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 ROOM = np.array(((-4.0, -3.0, 5.0, -3.0), (5.0, -3.0, 5.0, 4.0), (5.0, 4.0, -4.0, 4.0),
                  (-4.0, 4.0, -4.0, -3.0), (1.0, 1.5, 2.5, 1.5), (2.5, 1.5, 2.5, 2.2),
                  (-2.0, -1.5, -1.0, -2.0)))  # fmt: skip
-"""A room of 9 x 7 m with two things in it: (n, 4) segments x0, y0, x1, y1, metres."""
+"""A room of 9 x 7 m with two things in it: (n, 4) segments x0, y0, x1, y1, meters."""
 MOUNT = Pose3.from_rpy(0.22, 0.0, 0.32, 0.0, 0.0, 0.0)
 BASE_HEIGHT = 0.13
 BLOCKS = (
@@ -29,7 +29,7 @@ BLOCKS = (
     (0.5, 11.0, 3.0, 0.5),
     (8.0, -3.0, 0.5, 3.0),
 )
-"""Centre and size of what stands on the hills, away from the drive, metres."""
+"""Center and size of what stands on the hills, away from the drive, meters."""
 
 
 def ranges_to(segments: Array, pose: Pose2, angles: Array, most: float = 30.0) -> Array:
@@ -98,7 +98,7 @@ def on_ground(surface: HeightField, pose: Pose2) -> Pose3:
 class Drive:
     """Scans, odometry, attitude and truth of a drive over hilly ground at 25 Hz.
 
-    In a turn the robot slides downhill, by `slide` metres per radian and unit of slope; no wheel sees it.
+    In a turn the robot slides downhill, by `slide` meters per radian and unit of slope; no wheel sees it.
     """
 
     def __init__(

@@ -15,20 +15,20 @@ from lirs_wct.navigation.areas import largest_area
 from lirs_wct.world import World
 
 CLEARANCE = 0.45
-"""Metres that a walker's middle keeps from walls, steep ground and the border."""
+"""Meters that a walker's middle keeps from walls, steep ground and the border."""
 MAX_SLOPE = math.radians(25)
 """Steepest ground that walkers walk on."""
 RESOLUTION = 0.2
-"""Cells of the free ground, metres."""
+"""Cells of the free ground, meters."""
 WAY_POINTS = 6
 """Way points of a path."""
 LEG = (3.0, 10.0)
-"""Shortest and longest leg, metres; where none is free in any of the directions tried, a path ends."""
+"""Shortest and longest leg, meters; where none is free in any of the directions tried, a path ends."""
 TRIES = 24
 """Legs tried from a way point."""
 
 Disc = tuple[float, float, float]
-"""x, y, radius; metres."""
+"""x, y, radius; meters."""
 
 
 def walkable_ground(world: World) -> OccupancyGrid:
@@ -81,7 +81,7 @@ def draw_paths(
 def _extend_paths(
     free: BoolArray, resolution: float, first: IntArray, uniform: FloatArray, paths: FloatArray
 ) -> None:
-    """Fill paths (n, m, 2), metres from the grid's corner, from first cells (n, 2)."""
+    """Fill paths (n, m, 2), meters from the grid's corner, from first cells (n, 2)."""
     for k in range(len(paths)):
         paths[k, 0, 0] = (first[k, 1] + 0.5) * resolution
         paths[k, 0, 1] = (first[k, 0] + 0.5) * resolution

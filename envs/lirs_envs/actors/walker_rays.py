@@ -11,9 +11,9 @@ from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.kernels import njit
 
 BLOCK = 16
-"""Rays that are looked at together: neighbours, which mostly miss a walker together."""
+"""Rays that are looked at together: neighbors, which mostly miss a walker together."""
 SAME = 1e-5
-"""Ranges that differ by less are of the same walker, metres: MuJoCo's rays and the builtin ones round."""
+"""Ranges that differ by less are of the same walker, meters: MuJoCo's rays and the builtin ones round."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -32,7 +32,7 @@ def meet_walkers(
         centers: (m, 3) middles of the walkers.
         origins: (1, 3) of all rays, or (n, 3) of each.
         directions: (n, 3) unit vectors.
-        max_range: metres.
+        max_range: meters.
         ranges: (n,) to all else, perhaps to the walkers as well; inf where nothing is within `max_range`.
         nearest: (n,).
         met: (n,).

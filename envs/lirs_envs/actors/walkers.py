@@ -19,17 +19,17 @@ from lirs_wct.kernels import njit
 from lirs_wct.world import World
 
 RADIUS, HEIGHT = 0.25, 1.75
-"""Of a walker, metres."""
+"""Of a walker, meters."""
 HALF_LENGTH = HEIGHT / 2 - RADIUS
-"""Half the straight part of its capsule, metres."""
+"""Half the straight part of its capsule, meters."""
 SPEED = (0.5, 1.5)
 """Slowest and fastest, m/s."""
 GAP = 0.3
-"""Distance between walker and robot at which a walker waits, metres."""
+"""Distance between walker and robot at which a walker waits, meters."""
 PATIENCE = 1.0
 """Seconds after which a waiting walker turns back."""
 START_GAP = 1.0
-"""Distance that paths keep from the robot's start, metres."""
+"""Distance that paths keep from the robot's start, meters."""
 TOUCHABLE = 8
 """Walkers that have a body in MuJoCo, the nearest: each of 50 would cost every step 0.4 % of its time."""
 WALKER_STREAM = 14
@@ -48,13 +48,13 @@ class Walkers:
     """The walkers of a world.
 
     Attributes:
-        centers: (n, 3) their middles now, metres.
+        centers: (n, 3) their middles now, meters.
         touchable: (m, 3) middles of those that are nearest to the robot.
 
     Args:
         world: whose free ground they walk on.
         count: number of walkers.
-        robot_radius: of the robot that they do not walk into, metres.
+        robot_radius: of the robot that they do not walk into, meters.
         props: x, y and radius of what else stands there.
         bodies: number of walkers that MuJoCo has a body of, m.
 

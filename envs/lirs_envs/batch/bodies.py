@@ -102,7 +102,7 @@ class Bodies:
         Args:
             i: row of the robot.
             T_world_base: its pose.
-            walkers: (m, 3) middles of those that it could touch, metres.
+            walkers: (m, 3) middles of those that it could touch, meters.
         """
         row = np.array((i,), np.int32)
         self._batch.reset(row, stage=mujoco.mjtStage.mjSTAGE_NONE.value)

@@ -12,7 +12,7 @@ from lirs_wct.kernels import njit
 
 
 class WheelJoints(NamedTuple):
-    """Where `qpos` holds the angles of the driven wheels, and their radius, metres."""
+    """Where `qpos` holds the angles of the driven wheels, and their radius, meters."""
 
     left: IntArray
     right: IntArray
@@ -23,7 +23,7 @@ class WheelOdometries:
     """`T_odom_base` of N robots, distance from the wheels and heading from the gyro.
 
     Attributes:
-        pose: (N, 3) x, y, yaw, metres and radians.
+        pose: (N, 3) x, y, yaw, meters and radians.
     """
 
     def __init__(self, joints: WheelJoints, config: OdometryConfig, count: int) -> None:

@@ -41,7 +41,7 @@ class Odometries:
     """`T_odom_base` of N robots, each by an odometry of its own.
 
     Attributes:
-        pose: (N, 3) x, y, yaw, metres and radians.
+        pose: (N, 3) x, y, yaw, meters and radians.
     """
 
     def __init__(self, bodies: Bodies, noise: SensorNoise) -> None:

@@ -59,7 +59,7 @@ class RobotGroup:
 
     @property
     def odometry(self) -> FloatArray:
-        """(n, 3) `T_odom_base`: x, y, yaw, metres and radians."""
+        """(n, 3) `T_odom_base`: x, y, yaw, meters and radians."""
         return self._odometry.pose
 
     def begin(self, k: int, odometry: np.random.Generator, imu: np.random.Generator, dt: float) -> None:

@@ -49,7 +49,7 @@ class BatchSimulation:
         groups: of robots, each of which one thread at a time advances.
         casters: what each robot's lidar sees.
         ranges: (N, beams) float32 of the last scans (see `LaserScan`).
-        odometry: (N, 3) `T_odom_base`: x, y, yaw, metres and radians.
+        odometry: (N, 3) `T_odom_base`: x, y, yaw, meters and radians.
         attitude: (N, 2) measured roll and pitch, radians.
         touched: (N,) whether the robot collided in the last `advance` (see `RobotModel.contact_drops`).
         T_world_base: (N, 7) x, y, z, qw, qx, qy, qz of the last valid pose of each robot.
@@ -62,7 +62,7 @@ class BatchSimulation:
         period: seconds.
         threads: number of threads.
         own_models: whether each robot has a MuJoCo model of its own (see `Bodies`).
-        height_range: of the terrains that may replace the world's, metres; None = the world stays.
+        height_range: of the terrains that may replace the world's, meters; None = the world stays.
     """
 
     def __init__(
@@ -175,7 +175,7 @@ class BatchSimulation:
 
     @property
     def odometry(self) -> FloatArray:
-        """(N, 3) `T_odom_base`: x, y, yaw, metres and radians."""
+        """(N, 3) `T_odom_base`: x, y, yaw, meters and radians."""
         return np.concatenate([group.odometry for group in self.groups])
 
     @property
@@ -312,7 +312,7 @@ class BatchSimulation:
         return float(self._ticks[i] * self.period)
 
     def walkers(self, i: int) -> FloatArray:
-        """Return (n, 3) middles of the walkers around robot `i`, metres."""
+        """Return (n, 3) middles of the walkers around robot `i`, meters."""
         group, k = self._places[i]
         return group.walkers[k].centers.copy() if group.walkers else np.zeros((0, 3))
 

@@ -39,7 +39,7 @@ TASKS: dict[str, type[Task]] = {
 CLIMB_RATE = 1.0
 """Climb of a robot that flies at full action, m/s."""
 GROUND_REACH, FLYING_REACH = 1.0, 3.0
-"""Height above the ground up to which a beam sees it, metres."""
+"""Height above the ground up to which a beam sees it, meters."""
 
 
 class Episodes:
@@ -338,7 +338,7 @@ class EpisodeView:
 
     @property
     def goal(self) -> tuple[float, float] | None:
-        """x, y of the goal, metres; None = the task has none."""
+        """x, y of the goal, meters; None = the task has none."""
         return self._episodes.task.goal(self._i)
 
     def reading(self) -> Observation:

@@ -19,11 +19,11 @@ from lirs_wct.kernels import njit
 MAP_CELLS = 64
 """Cells along a side of the seen map, of 0.25 m each."""
 HEIGHT_CELLS, HEIGHT_CELL = 32, 0.2
-"""Cells along a side of the height map, and their edge in metres."""
+"""Cells along a side of the height map, and their edge in meters."""
 SECTORS = 36
 """Sectors of equal width around the robot, the first from straight behind it to the right."""
 GOAL_SCALE = 30.0
-"""Distance of a goal that is scaled to 1, metres; farther ones too."""
+"""Distance of a goal that is scaled to 1, meters; farther ones too."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def scan_sectors(ranges: Float32Array, lidar: LidarPreset) -> Float32Array:
 
 @njit(cache=True, nogil=True)
 def _find_proximity(ranges: Float32Array, sector_of: IntArray, range_max: float, out: Float32Array) -> None:
-    """Fill (n, sectors) with 1 / (1 + r), r metres the least range above 0 in a sector.
+    """Fill (n, sectors) with 1 / (1 + r), r meters the least range above 0 in a sector.
 
     1 = none of its beams is above 0, 0 = no beam goes there.
     """
@@ -119,7 +119,7 @@ def _body(stage: Stage, task: Task, ids: IntArray) -> Float32Array:
 
 
 def _goal(stage: Stage, task: Task, ids: IntArray) -> FloatArray:
-    """Return distance, metres, and bearing from the robot's heading, radians."""
+    """Return distance, meters, and bearing from the robot's heading, radians."""
     polar = np.empty((len(ids), 2))
     for k, i in enumerate(ids.tolist()):
         goal, T = task.goal(i), stage.pose(i)
@@ -161,7 +161,7 @@ def _local_heights(
     pose: tuple[float, float, float, float],
     out: Float32Array,
 ) -> None:
-    """Fill (n, n) heights above base_link, metres: row 0 = ahead, column 0 = left; 0 beyond the border."""
+    """Fill (n, n) heights above base_link, meters: row 0 = ahead, column 0 = left; 0 beyond the border."""
     rows, cols = z.shape
     n = len(out)
     cos, sin = math.cos(pose[3]), math.sin(pose[3])
@@ -212,16 +212,16 @@ GROUPS: dict[str, Group] = {
 }
 """Groups by name.
 
-scan: (beams,) metres; nothing in range is `range_max`, too near or lost is 0.
-sectors: (36,) proximity 1 / (1 + r), r metres the least range in each of 36 sectors of 10 degrees around
+scan: (beams,) meters; nothing in range is `range_max`, too near or lost is 0.
+sectors: (36,) proximity 1 / (1 + r), r meters the least range in each of 36 sectors of 10 degrees around
     the robot, from straight behind over right, ahead and left; 1 = all its beams are too near or lost, 0 = no
     beam goes there. A scan for small networks, the same for every planar lidar.
-body: (3,) radius of the robot, top speed and turn rate; metres, m/s, rad/s. For a policy of several robots.
-odometry: (3,) x, y, yaw of `T_odom_base`; metres, radians.
+body: (3,) radius of the robot, top speed and turn rate; meters, m/s, rad/s. For a policy of several robots.
+odometry: (3,) x, y, yaw of `T_odom_base`; meters, radians.
 attitude: (2,) measured roll and pitch, radians.
-goal: (2,) straight distance, metres, and bearing, radians, from the true pose.
+goal: (2,) straight distance, meters, and bearing, radians, from the true pose.
 goal_direction: (3,) cosine and sine of the goal's bearing, and its distance over 30 m, at most 1. A goal for
     networks: without a jump where it is behind.
 seen_map: (1, 64, 64) 255 = seen ground; cells of 0.25 m around the true pose, row 0 = ahead, column 0 = left.
-height_map: (32, 32) heights of the ground above base_link, metres, cells of 0.2 m laid out in the same way.
+height_map: (32, 32) heights of the ground above base_link, meters, cells of 0.2 m laid out in the same way.
 """

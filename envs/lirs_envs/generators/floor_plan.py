@@ -11,25 +11,25 @@ from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import LaserMap
 
 CELL = 0.05
-"""Edge of a cell, metres."""
+"""Edge of a cell, meters."""
 SIZE = (24.0, 16.0)
-"""Extent of the building, metres."""
+"""Extent of the building, meters."""
 LEAST_ROOM = 3.6
-"""Shortest side of a room, metres."""
+"""Shortest side of a room, meters."""
 WALL = 0.15
-"""Thickness of a wall, metres."""
+"""Thickness of a wall, meters."""
 DOOR = 1.4
-"""Width of a door, metres."""
+"""Width of a door, meters."""
 SECOND_DOORS = 0.3
 """Share of the walls between two rooms that have a door although the rooms are joined without it."""
 FURNITURE = 3
 """Most pieces of furniture in a room."""
 FURNITURE_SIZE = (0.4, 1.6)
-"""Shortest and longest side of a piece of furniture, metres."""
+"""Shortest and longest side of a piece of furniture, meters."""
 BESIDE_DOOR = 1.0
-"""Metres around a door without furniture."""
+"""Meters around a door without furniture."""
 Room = tuple[float, float, float, float]
-"""West, south, east, north, metres from the building's corner."""
+"""West, south, east, north, meters from the building's corner."""
 Door = tuple[int, int, float, float]
 """Two rooms, and x and y of the middle of the door between them."""
 

@@ -9,19 +9,19 @@ from lirs_envs.generators.route import HALF
 from lirs_wct.arrays import BoolArray, FloatArray
 
 WALL_HEIGHT = 1.0
-"""Metres; above the lidar of every ground robot."""
+"""Meters; above the lidar of every ground robot."""
 WALL_NODES = 3
 """Nodes across a wall."""
 POINTS = 10
 """Points of the way from one room to the next."""
 STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0))
-"""Row and column from a room to its neighbours."""
+"""Row and column from a room to its neighbors."""
 Room = tuple[int, int]
 """Row (0 = north) and column of a room."""
 
 
 def maze(rooms: int, open_share: float, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Return (n, n) heights of a maze in metres, and (n, 2) x, y of the way through it.
+    """Return (n, n) heights of a maze in meters, and (n, 2) x, y of the way through it.
 
     Args:
         rooms: along each side.
@@ -48,7 +48,7 @@ def maze(rooms: int, open_share: float, rng: np.random.Generator) -> tuple[Float
 
 
 def _spanning_tree(rooms: int, root: Room, rng: np.random.Generator) -> dict[Room, Room]:
-    """Return each room's neighbour on the way to the root: depth first, so that ways are long."""
+    """Return each room's neighbor on the way to the root: depth first, so that ways are long."""
     parent: dict[Room, Room] = {}
     visited, stack = {root}, [root]
     while stack:

@@ -14,7 +14,7 @@ from lirs_wct.kernels import njit
 NODES = 257
 """Nodes along each side of a generated terrain."""
 EDGE = 50.0
-"""Side of a natural terrain, metres."""
+"""Side of a natural terrain, meters."""
 
 
 def fractal(rng: np.random.Generator, hurst: float = 1.0, nodes: int = NODES) -> FloatArray:
@@ -55,12 +55,12 @@ def with_rocks(
 
     Args:
         rng: of places and sizes.
-        z: (n, n) heights, metres.
+        z: (n, n) heights, meters.
         count: of rocks.
-        edge: side of the square, metres.
-        border: width along its sides where no rock has its middle; at least the largest radius, metres.
-        radius: least and largest, metres.
-        height: least and largest, metres.
+        edge: side of the square, meters.
+        border: width along its sides where no rock has its middle; at least the largest radius, meters.
+        radius: least and largest, meters.
+        height: least and largest, meters.
     """
     low, high = zip((border, edge - border), (border, edge - border), radius, height, strict=True)
     rocks = rng.uniform(low, high, (count, 4))
@@ -72,10 +72,10 @@ def with_rocks(
 @njit(cache=True)
 def _add_rocks(z: FloatArray, x: FloatArray, rocks: FloatArray) -> None:
     """Add rocks (n, 4), east, north, radius, height, to heights whose nodes are at `x` along both axes."""
-    per_metre = (len(z) - 1) / x[-1]
+    per_meter = (len(z) - 1) / x[-1]
     for east, north, wide, high in rocks:
-        for i in range(int((north - wide) * per_metre), int((north + wide) * per_metre) + 2):
-            for j in range(int((east - wide) * per_metre), int((east + wide) * per_metre) + 2):
+        for i in range(int((north - wide) * per_meter), int((north + wide) * per_meter) + 2):
+            for j in range(int((east - wide) * per_meter), int((east + wide) * per_meter) + 2):
                 distance = math.hypot(x[j] - east, x[i] - north) / wide
                 if distance < 1.0:
                     z[i, j] += high * math.sqrt(1.0 - distance**4)
@@ -90,4 +90,4 @@ NATURAL_TERRAINS: Mapping[str, Callable[[np.random.Generator], FloatArray]] = {
     "hills with rocks": lambda rng: with_rocks(rng, 5 * fractal(rng)),
     "plain with rocks": lambda rng: with_rocks(rng, 1.2 * fractal(rng)),
 }
-"""Makers of (257, 257) heights in metres, 50 m square, by name."""
+"""Makers of (257, 257) heights in meters, 50 m square, by name."""

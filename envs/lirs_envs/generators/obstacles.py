@@ -20,7 +20,7 @@ from lirs_wct.kernels import njit
 GENTLE = math.tan(math.radians(12))
 """Steepest slope of gentle ground, as a tangent."""
 Obstacles = tuple[FloatArray, FloatArray]
-"""(n, n) heights with obstacles, and gentle heights in the same place; metres, row 0 = north."""
+"""(n, n) heights with obstacles, and gentle heights in the same place; meters, row 0 = north."""
 
 X = np.linspace(-HALF, HALF, NODES)[None, :]
 Y = np.linspace(HALF, -HALF, NODES)[:, None]

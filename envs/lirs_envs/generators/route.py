@@ -9,23 +9,23 @@ from lirs_envs.generators.natural import NODES
 from lirs_wct.arrays import Float32Array, FloatArray
 
 CELL = 0.1
-"""Spacing of a course's nodes, metres."""
+"""Spacing of a course's nodes, meters."""
 HALF = CELL * (NODES - 1) / 2
-"""Half the side of a course, metres."""
+"""Half the side of a course, meters."""
 ENDS = 10.8
-"""Start and goal lie this far west and east of the middle, metres."""
+"""Start and goal lie this far west and east of the middle, meters."""
 LEG = 4.32
-"""Distance along x between two bends of a way, metres."""
+"""Distance along x between two bends of a way, meters."""
 STEEPEST = 1.4
-"""Most that a way moves north or south for each metre east, between two bends."""
+"""Most that a way moves north or south for each meter east, between two bends."""
 
 
 def winding_route(rng: np.random.Generator, sway: float) -> FloatArray:
-    """Return (n, 2) x, y of a smooth way from west to east, metres.
+    """Return (n, 2) x, y of a smooth way from west to east, meters.
 
     Args:
         rng: of its bends.
-        sway: most that it is north or south of the middle line, metres.
+        sway: most that it is north or south of the middle line, meters.
     """
     x = np.linspace(-ENDS, ENDS, round(2 * ENDS / LEG) + 1)
     y = rng.uniform(-sway, sway, len(x))
@@ -38,7 +38,7 @@ def winding_route(rng: np.random.Generator, sway: float) -> FloatArray:
 
 
 def distance_to_route(route: FloatArray) -> Float32Array:
-    """Return (n, n) metres from each node of a course (row 0 = north) to a line of (n, 2) points."""
+    """Return (n, n) meters from each node of a course (row 0 = north) to a line of (n, 2) points."""
     pixels = np.round(np.column_stack((route[:, 0] + HALF, HALF - route[:, 1])) / CELL).astype(np.int32)
     off_route = np.ones((NODES, NODES), np.uint8)
     cv2.polylines(off_route, [pixels], isClosed=False, color=(0,))

@@ -23,15 +23,15 @@ from lirs_wct.world import World
 KINDS = (*OBSTACLES, "mazes")
 """Kinds of courses."""
 PAD = 0.9
-"""Radius of the level ground around start and goal, metres."""
+"""Radius of the level ground around start and goal, meters."""
 SHOULDER, PAD_SHOULDER = 0.8, 2.4
-"""Width over which gentle and level ground go over into the rest, metres."""
+"""Width over which gentle and level ground go over into the rest, meters."""
 COARSE = 64
 """Nodes along a side from which the rolling ground is interpolated."""
 HEIGHT_RANGE = (-2.8, 3.4)
-"""No course reaches below or above, metres at scale 1: room for every course in one model."""
+"""No course reaches below or above, meters at scale 1: room for every course in one model."""
 MIN_WALL = 0.5
-"""Least height of a maze's walls at any scale, metres: above the lidar of every ground robot."""
+"""Least height of a maze's walls at any scale, meters: above the lidar of every ground robot."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,11 +41,11 @@ class GeneratedTerrain:
     Attributes:
         kind: of its obstacles.
         difficulty: 0 to 1.
-        heights: (257, 257) float32 metres, row 0 = north.
-        cell: spacing of the nodes, metres; the middle is the world's origin.
+        heights: (257, 257) float32 meters, row 0 = north.
+        cell: spacing of the nodes, meters; the middle is the world's origin.
         start: pose in the west, facing along the way.
         goal: pose in the east.
-        route: (n, 2) x, y of the gentle way from start to goal, metres.
+        route: (n, 2) x, y of the gentle way from start to goal, meters.
     """
 
     kind: str
@@ -67,7 +67,7 @@ class GeneratedTerrain:
 
 
 def scaled_height_range(scale: float, steepness: float) -> tuple[float, float]:
-    """Return what no course of a scale and a steepness reaches below or above, metres."""
+    """Return what no course of a scale and a steepness reaches below or above, meters."""
     factor = scale * max(steepness, 1.0)
     return factor * HEIGHT_RANGE[0], max(factor * HEIGHT_RANGE[1], 2 * MIN_WALL)
 
@@ -131,7 +131,7 @@ def _crossing(kind: str, difficulty: float, rng: np.random.Generator) -> tuple[F
 
 
 def _undulation(relief: float, rng: np.random.Generator) -> FloatArray:
-    """Return (n, n) heights of gently rolling ground around 0, metres."""
+    """Return (n, n) heights of gently rolling ground around 0, meters."""
     coarse = relief * (fractal(rng, nodes=COARSE) - 0.5)
     return np.asarray(cv2.resize(coarse, (NODES, NODES), interpolation=cv2.INTER_CUBIC), dtype=np.float64)
 

@@ -18,7 +18,7 @@ from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.kernels import njit
 
 SLACK = 1e-4
-"""Metres by which Embree's largest range exceeds the one asked for: single precision at a kilometre."""
+"""Meters by which Embree's largest range exceeds the one asked for: single precision at a kilometer."""
 
 
 class MeshCaster:

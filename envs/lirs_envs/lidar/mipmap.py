@@ -24,20 +24,20 @@ LEAF = 3
 EDGE = 2**LEAF
 """Cells along a block's side."""
 ROW = EDGE + 1
-"""Nodes along a block's side; neighbours hold the nodes between them both."""
+"""Nodes along a block's side; neighbors hold the nodes between them both."""
 
 
 class TerrainMipmap(NamedTuple):
     """A height field as the kernels read it; row 0 = south.
 
     Attributes:
-        block: (blocks, ROW * ROW) float32 heights of each block's nodes, row by row, metres; beyond the
+        block: (blocks, ROW * ROW) float32 heights of each block's nodes, row by row, meters; beyond the
             field's edge its last node again.
         bound: flat float32: for levels LEAF, LEAF + 1, ... one after the other the highest z over each
             square; then once more the highest of -z, so that one comparison serves both sides.
         start: (levels + 1,) index of each level's first square; entries below LEAF are unused.
         width: (levels + 1,) squares a row of each level; entries below LEAF are unused.
-        frame: (7,) x and y of the south-west node, cell x and y, lowest and highest z, margin; metres.
+        frame: (7,) x and y of the south-west node, cell x and y, lowest and highest z, margin; meters.
         cells: columns and rows.
     """
 

@@ -33,12 +33,12 @@ class LidarNoise:
     """Errors of a range measurement.
 
     Attributes:
-        sigma: standard deviation of the range noise, metres.
-        sigma_relative: deviation proportional to the range, metres a metre; both add.
-        quantization: step of the measured ranges, metres; 0 = continuous.
+        sigma: standard deviation of the range noise, meters.
+        sigma_relative: deviation proportional to the range, meters a meter; both add.
+        quantization: step of the measured ranges, meters; 0 = continuous.
         dropout: share of invalid beams (NaN, REP 117).
         mixed_pixels: share of the beams at an edge that fall on both sides of it and measure a range between.
-        edge_threshold: difference between the ranges of two neighbours that makes an edge, metres.
+        edge_threshold: difference between the ranges of two neighbors that makes an edge, meters.
 
     Raises:
         ConfigError: a value is not legal.
@@ -121,7 +121,7 @@ def measure(
     parameters: NoiseParameters,
     ranges: Float32Array,
 ) -> None:
-    """Fill `ranges` (n,): +inf = nothing in range, -inf = too near, NaN = lost (REP 117), else metres."""
+    """Fill `ranges` (n,): +inf = nothing in range, -inf = too near, NaN = lost (REP 117), else meters."""
     range_min, range_max = limits
     sigma, sigma_relative, quantization, dropout, mixed_pixels, edge_threshold = parameters
     for k in range(len(exact)):

@@ -43,9 +43,9 @@ class BeamPattern:
 
     Attributes:
         directions: (n, 3) unit vectors in the sensor's frame.
-        range_min: smallest range, metres.
-        range_max: largest range, metres.
-        noise: of the ranges; beams that follow each other count as neighbours.
+        range_min: smallest range, meters.
+        range_max: largest range, meters.
+        noise: of the ranges; beams that follow each other count as neighbors.
 
     Raises:
         ConfigError: the directions are no unit vectors, or the ranges no interval.
@@ -90,7 +90,7 @@ class PatternLidar:
         self._rng = rng
 
     def ranges(self, T_world_base: Pose3) -> Float32Array:
-        """Return (n,) metres: +inf = nothing in range, -inf = too near, NaN = lost (REP 117)."""
+        """Return (n,) meters: +inf = nothing in range, -inf = too near, NaN = lost (REP 117)."""
         pattern, T = self.pattern, T_world_base @ self.T_base_laser
         exact = self.caster.ranges(T.position, pattern.directions @ T.rotation.T, pattern.range_max)
         normal, uniform = draw_noise(pattern.noise, len(exact), self._rng)
@@ -100,7 +100,7 @@ class PatternLidar:
         return ranges
 
     def points(self, ranges: ArrayLike) -> FloatArray:
-        """Return (m, 3) ends of the beams that met something, in the base frame, metres."""
+        """Return (m, 3) ends of the beams that met something, in the base frame, meters."""
         r = np.asarray(ranges, dtype=np.float64)
         met = np.isfinite(r)
         return self.T_base_laser.apply(r[met, None] * self.pattern.directions[met])

@@ -25,10 +25,10 @@ class LidarPreset:
         fov: angle from the first beam to the last, radians; for a full circle the last beam is one
             increment short of the first.
         rate: scans a second, Hz.
-        range_min: smallest range, metres.
-        range_max: largest range, metres.
-        sigma: standard deviation of the range noise, metres.
-        sigma_relative: the part of it that grows with the range, metres a metre; both add.
+        range_min: smallest range, meters.
+        range_max: largest range, meters.
+        sigma: standard deviation of the range noise, meters.
+        sigma_relative: the part of it that grows with the range, meters a meter; both add.
         elevations: of the rings above the sensor's x-y plane, radians, from the lowest up.
 
     Raises:

@@ -1,4 +1,4 @@
-"""How far a bundle of neighbouring beams goes before any of them can meet the ground.
+"""How far a bundle of neighboring beams goes before any of them can meet the ground.
 
 The beams of a bundle start at one point. Interval arithmetic on their directions gives the box of cells that
 they are over along a stretch, and the lowest height that one of them has there: above the maximum of the
@@ -18,20 +18,20 @@ BUNDLE = 16
 SMALLEST_FIELD = 400
 """Cells along the shorter side from which bundles gain; a ray crosses a smaller field in a few steps."""
 CLEARANCE = 1e-6
-"""Metres by which beams stay above a bound, far more than rounding."""
+"""Meters by which beams stay above a bound, far more than rounding."""
 
 
 @njit(cache=True, error_model="numpy")
 def safe_distance(
     terrain: TerrainMipmap, start: tuple[float, float, float], directions: FloatArray, max_range: float
 ) -> float:
-    """Return a distance within which no beam of a bundle meets the ground, metres, at most `max_range`.
+    """Return a distance within which no beam of a bundle meets the ground, meters, at most `max_range`.
 
     Args:
         terrain: that the bundle is above.
-        start: u, v, w: in cells from the south-west node, over the field, and metres up.
+        start: u, v, w: in cells from the south-west node, over the field, and meters up.
         directions: (n, 3) unit vectors.
-        max_range: metres.
+        max_range: meters.
     """
     (u, v, w), (nx, ny) = start, terrain.cells
     per_x, per_y = 1.0 / terrain.frame[2], 1.0 / terrain.frame[3]

@@ -8,7 +8,7 @@ What a ray can meet:
   has range 0.
 * not the floor of a laser map where it has a hole: the ray goes on to a wall behind, or meets nothing.
 
-On a node, an edge or the border either neighbour's answer is given; a ray that only touches the surface,
+On a node, an edge or the border either neighbor's answer is given; a ray that only touches the surface,
 or lies in it, may meet it or not. No ray slips between two triangles: the kernel does not ask each triangle
 whether it was hit, it follows the sign of (ray - surface), which is continuous, from cell to cell.
 """
@@ -37,12 +37,12 @@ class Caster(Protocol):
     """Geometry that beams can meet."""
 
     def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
-        """Return (n,) metres along unit directions; inf where nothing is within `max_range`.
+        """Return (n,) meters along unit directions; inf where nothing is within `max_range`.
 
         Args:
-            origins: (3,) start of all rays, or (n, 3) of each; world frame, metres, finite.
+            origins: (3,) start of all rays, or (n, 3) of each; world frame, meters, finite.
             directions: (n, 3) unit vectors, world frame, contiguous.
-            max_range: metres.
+            max_range: meters.
         """
 
 
@@ -58,12 +58,12 @@ class RayCaster:
         return self
 
     def cast(self, origin: ArrayLike, directions: ArrayLike, max_range: float = math.inf) -> FloatArray:
-        """Return (n,) ranges in metres along unit directions; inf where nothing is within `max_range`.
+        """Return (n,) ranges in meters along unit directions; inf where nothing is within `max_range`.
 
         Args:
-            origin: (3,) start of all rays, or (n, 3) of each; world frame, metres.
+            origin: (3,) start of all rays, or (n, 3) of each; world frame, meters.
             directions: (n, 3) unit vectors, world frame.
-            max_range: metres.
+            max_range: meters.
 
         Raises:
             ConfigError: an array has the wrong shape or a value that is not finite.
@@ -111,14 +111,14 @@ def mujoco_ranges(
     exclude_body: int = -1,
     groups: Collection[int] = (0, 1, 2),
 ) -> FloatArray:
-    """Return (n,) ranges in metres to MuJoCo's geoms: robots and props, which the height field does not hold.
+    """Return (n,) ranges in meters to MuJoCo's geoms: robots and props, which the height field does not hold.
 
     Args:
         model: the compiled model.
         data: its state, after `mj_forward` or a step.
-        origin: (3,) start of all rays, or (n, 3) of each; world frame, metres.
+        origin: (3,) start of all rays, or (n, 3) of each; world frame, meters.
         directions: (n, 3) unit vectors, world frame.
-        max_range: metres; inf where nothing is nearer.
+        max_range: meters; inf where nothing is nearer.
         exclude_body: id of one body whose geoms are looked through.
         groups: geom groups (0 to 5) that rays meet.
 

@@ -16,9 +16,9 @@ from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.kernels import njit
 
 Ray = tuple[float, float, float, float, float, float]
-"""u, v, w: start, in cells from the south-west node and metres up; du, dv, dw: its change per metre."""
+"""u, v, w: start, in cells from the south-west node and meters up; du, dv, dw: its change per meter."""
 GridStep = tuple[float, float, float, float, int, int]
-"""per_u, per_v: metres along the ray a cell of each axis, 0 = it crosses none; far_u, far_v: FAR where it
+"""per_u, per_v: meters along the ray a cell of each axis, 0 = it crosses none; far_u, far_v: FAR where it
 does not, else 0; east, north: 1 = the ray runs up that axis (Amanatides and Woo, "A fast voxel traversal
 algorithm for ray tracing", 1987)."""
 START_LEVEL = 6

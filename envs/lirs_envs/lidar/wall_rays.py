@@ -58,14 +58,14 @@ def wall_ranges(
     if distance.size == 0:
         return
     ny, nx = distance.shape
-    c, s, per_metre, height = frame[2], frame[3], 1.0 / frame[4], frame[5]
+    c, s, per_meter, height = frame[2], frame[3], 1.0 / frame[4], frame[5]
     u, v, z = 0.0, 0.0, 0.0
     for k in range(len(directions)):
         if k < len(origins):
             x, y, z = origins[k, 0] - frame[0], origins[k, 1] - frame[1], origins[k, 2]
-            u, v = (c * x + s * y) * per_metre, (c * y - s * x) * per_metre
-        du = (c * directions[k, 0] + s * directions[k, 1]) * per_metre
-        dv = (c * directions[k, 1] - s * directions[k, 0]) * per_metre
+            u, v = (c * x + s * y) * per_meter, (c * y - s * x) * per_meter
+        du = (c * directions[k, 0] + s * directions[k, 1]) * per_meter
+        dv = (c * directions[k, 1] - s * directions[k, 0]) * per_meter
         per_u, per_v = inverse(du), inverse(dv)
         t, t_end = clip(u, per_u, 0.0, float(nx), 0.0, max_range)
         t, t_end = clip(v, per_v, 0.0, float(ny), t, t_end)
@@ -98,7 +98,7 @@ def _first_wall(
     """Return where a ray enters the first wall cell in [t, t_end], else inf.
 
     Around a cell at distance d every cell nearer than d is free: the ray leaves that square in one step.
-    At a corner it steps through one of the two neighbours, so that it never slips between two cells that
+    At a corner it steps through one of the two neighbors, so that it never slips between two cells that
     touch at a corner only.
     """
     u, v, du, dv, per_u, per_v = ray

@@ -17,9 +17,9 @@ from lirs_envs.policies.policy import PolicyContext
 from lirs_wct.arrays import Float32Array, FloatArray
 
 MARGIN = 0.15
-"""Metres that are kept beside the robot."""
+"""Meters that are kept beside the robot."""
 HORIZON = 4.0
-"""Farther obstacles count for nothing, metres."""
+"""Farther obstacles count for nothing, meters."""
 HEADINGS = np.radians(np.arange(-132, 133, 4))
 """Headings that are looked at, from the robot's own."""
 DETOUR, CHANGE = 1.6, 0.35
@@ -29,7 +29,7 @@ CAUTION = 1.0
 PATIENCE, BACK_OFF = 6.0, 1.5
 """Seconds without progress after which the robot backs off, and for how long."""
 PROGRESS = 0.3
-"""Metres nearer to the goal that count as progress."""
+"""Meters nearer to the goal that count as progress."""
 
 
 class GoToGoal:
@@ -76,7 +76,7 @@ class GoToGoal:
         return self._action(speed, 1.5 * heading)
 
     def _free_ways(self, scan: FloatArray, distance: float) -> FloatArray:
-        """Return metres that the robot's disc can go along each heading, at most the horizon."""
+        """Return meters that the robot's disc can go along each heading, at most the horizon."""
         hit = (scan > 0.0) & (scan < min(self._range_max, HORIZON + self._radius, distance + self._radius))
         points = scan[hit, None] * self._beams[hit] + self._mount
         ahead = points @ np.array((np.cos(HEADINGS), np.sin(HEADINGS)))

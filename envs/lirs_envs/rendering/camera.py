@@ -44,7 +44,7 @@ class Camera:
         return picture
 
     def depth(self, snapshot: Snapshot) -> Float32Array:
-        """Return (height, width) float32 distances from the camera's plane, metres; the sky is far away.
+        """Return (height, width) float32 distances from the camera's plane, meters; the sky is far away.
 
         Raises:
             SimulationError: there is no OpenGL.

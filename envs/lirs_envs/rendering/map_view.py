@@ -52,7 +52,7 @@ class MapView:
             points = self._pixel(np.array([(pose.x, pose.y) for pose in path]))
             cv2.polylines(picture, [points], False, PATH, 2, cv2.LINE_AA, FRACTION)
         for x, y in self._pixel(snapshot.walkers[:, :2]).tolist():
-            radius = round(2**FRACTION * max(RADIUS * self._per_metre, 2.5))
+            radius = round(2**FRACTION * max(RADIUS * self._per_meter, 2.5))
             cv2.circle(picture, (x, y), radius, WALKER, cv2.FILLED, cv2.LINE_AA, FRACTION)
         if scan is not None:
             self._draw_scan(picture, snapshot, scan)
@@ -64,16 +64,16 @@ class MapView:
     def _draw_ground(self, world: World) -> ByteArray:
         """Return the ground's picture, and note its scale."""
         width, depth = world.surface.size
-        self._per_metre = self._pixels / max(width, depth)
+        self._per_meter = self._pixels / max(width, depth)
         west, _, _, north = world.surface.bounds
         self._corner = np.array((west, north))
         above = ground_texture(world.surface, world.walls)[..., ::-1]
-        rows, cols = (max(1, round(side * self._per_metre)) for side in (depth, width))
+        rows, cols = (max(1, round(side * self._per_meter)) for side in (depth, width))
         return np.ascontiguousarray(cv2.resize(above, (cols, rows), interpolation=cv2.INTER_AREA), np.uint8)
 
     def _pixel(self, points: FloatArray) -> Int32Array:
         """Return (n, 2) column and row of points (n, 2) in the world, in fractions of a pixel."""
-        pixels = (points - self._corner) * (self._per_metre, -self._per_metre)
+        pixels = (points - self._corner) * (self._per_meter, -self._per_meter)
         fractions: Int32Array = np.round(np.clip(pixels, -1e4, 1e4) * 2**FRACTION).astype(np.int32)
         return fractions
 
@@ -94,7 +94,7 @@ class MapView:
     def _draw_robot(self, picture: ByteArray, snapshot: Snapshot) -> None:
         """Draw an arrowhead as long as the robot."""
         here = snapshot.T_world_base.to_pose2()
-        radius = max(snapshot.config.robot.radius, LEAST_RADIUS / self._per_metre)
+        radius = max(snapshot.config.robot.radius, LEAST_RADIUS / self._per_meter)
         turns = np.array((0.0, 2.5, math.pi, -2.5)) + here.yaw
         reach = radius * np.array((1.3, 1.1, 0.4, 1.1))
         corners = np.column_stack((here.x + reach * np.cos(turns), here.y + reach * np.sin(turns)))

@@ -26,11 +26,11 @@ from lirs_wct.meshing.tiles import MUJOCO_FACES, split_tiles
 from lirs_wct.world import World
 
 MAX_ERROR = 0.02
-"""Vertical deviation of the drawn ground from the true one, metres."""
+"""Vertical deviation of the drawn ground from the true one, meters."""
 SKY = (0.62, 0.74, 0.86), (0.93, 0.95, 0.97)
 """Color above and at the horizon."""
 NEAR = 0.05
-"""Nearest that a camera sees, metres."""
+"""Nearest that a camera sees, meters."""
 CREASE = math.radians(35)
 """Angle between two triangles from which on their edge looks sharp."""
 PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)

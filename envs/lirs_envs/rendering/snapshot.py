@@ -21,7 +21,7 @@ class Snapshot:
         world: around the robot.
         config: robot, props and number of walkers.
         qpos: (nq,) MuJoCo's positions of robot and props.
-        walkers: (n, 3) middles of the walkers, metres.
+        walkers: (n, 3) middles of the walkers, meters.
         goal: that is marked; None = none.
     """
 

@@ -26,7 +26,7 @@ class Twist:
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """Pose in the world to fly to and hold; only for robots that fly. Metres and radians."""
+    """Pose in the world to fly to and hold; only for robots that fly. Meters and radians."""
 
     x: float
     y: float

@@ -30,16 +30,16 @@ class FlightConfig:
     """Gains and limits of the flight control.
 
     Attributes:
-        position_gain: wanted speed a metre of error, 1/s.
+        position_gain: wanted speed a meter of error, 1/s.
         velocity_gain: wanted acceleration a m/s of error, 1/s.
         attitude_gain: angular acceleration a radian of error, 1/s^2.
         rate_gain: angular acceleration a rad/s of error, 1/s.
         heading_gain: wanted yaw rate a radian of error, 1/s.
         max_tilt: largest tilt, radians.
         max_climb_rate: largest vertical speed, m/s.
-        altitude: height above the ground in terrain following, metres; a climb changes it.
-        min_altitude: lowest that a climb makes it, metres.
-        max_altitude: highest that a climb makes it, metres.
+        altitude: height above the ground in terrain following, meters; a climb changes it.
+        min_altitude: lowest that a climb makes it, meters.
+        max_altitude: highest that a climb makes it, meters.
         lookahead: time ahead over which the ground counts in terrain following, seconds.
 
     Raises:

@@ -34,13 +34,13 @@ class Robot(ShownAsTable):
         name: how users call it; its MJCF file is `assets/NAME.xml`.
         left_wheels: joints (and actuators) of the driven wheels on the left.
         right_wheels: the same on the right.
-        wheel_radius: loaded, metres.
-        wheelbase: between front and rear driven axle, metres; 0 = one driven axle (differential drive).
-        track: between left and right wheels, metres.
+        wheel_radius: loaded, meters.
+        wheelbase: between front and rear driven axle, meters; 0 = one driven axle (differential drive).
+        track: between left and right wheels, meters.
         rotors: actuators (thrust, newtons) of a flying robot instead of wheels.
-        base_height: base_link above level ground, metres; of a flying robot, when it starts.
-        radius: of the circle around base_link that holds the robot, metres.
-        max_speed: metres a second.
+        base_height: base_link above level ground, meters; of a flying robot, when it starts.
+        radius: of the circle around base_link that holds the robot, meters.
+        max_speed: meters a second.
         max_turn_rate: rad/s.
         max_acceleration: m/s^2.
         max_turn_acceleration: rad/s^2.

@@ -52,7 +52,7 @@ def _link(root: Element, model: mujoco.MjModel, body: int) -> None:
         _shape(SubElement(element, "geometry"), int(model.geom_type[geom]), model.geom_size[geom])
         if kind == "visual":
             color = " ".join(f"{v:.3g}" for v in model.geom_rgba[geom])
-            material = SubElement(element, "material", name=f"colour_{geom}")
+            material = SubElement(element, "material", name=f"color_{geom}")
             SubElement(material, "color", rgba=color)
 
 

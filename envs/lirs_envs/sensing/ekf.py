@@ -33,13 +33,13 @@ class EkfConfig:
     """What the filter expects beyond the sensors' own noise; standard deviations.
 
     Attributes:
-        slip_forward: along the path after one metre of it, metres; grows with the root of the distance.
-        slip_lateral: across the path after one metre of it, metres.
-        slip_turning: across and along after one radian of turn, metres: the point that a robot turns about
+        slip_forward: along the path after one meter of it, meters; grows with the root of the distance.
+        slip_lateral: across the path after one meter of it, meters.
+        slip_turning: across and along after one radian of turn, meters: the point that a robot turns about
             is never quite base_link.
         slide: gain of the slide down a slope, by the formula above. On the spot it is up to twice as large,
             in wide bends nearly nothing.
-        drift: of the slide down a slope while skidding, after one metre of it, metres.
+        drift: of the slide down a slope while skidding, after one meter of it, meters.
         tilt: error of the turn after one radian of it, from an attitude that is not quite right, radians.
         wheel_rate: of the wheels' turn rate on one driven axle, rad/s.
         wheel_rate_relative: the part that grows with the rate, rad/s each rad/s.

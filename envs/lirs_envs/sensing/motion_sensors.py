@@ -166,7 +166,7 @@ def _reckon(
         joints: where the positions hold the angles of left and right wheels.
         noise: errors of the gyro (1, n, 3) and how many are left (1,) (see `next_rates`); of the distance
             its scale error (1,), normal numbers (1, n) and how many are used (1,) (see `measured_distance`).
-        parameters: radius of the wheels, metres; of the distance's noise.
+        parameters: radius of the wheels, meters; of the distance's noise.
         dt: seconds since the last update.
         motion: (8,) x, y, yaw, mean angles of left and right wheels, rates; goes on.
     """

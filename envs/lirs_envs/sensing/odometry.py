@@ -27,7 +27,7 @@ class OdometryConfig:
 
     Attributes:
         scale_sigma: standard deviation of the distance's scale error, which varies while the robot drives.
-        scale_length: correlation length of the scale error, metres (first-order Gauss-Markov process).
+        scale_length: correlation length of the scale error, meters (first-order Gauss-Markov process).
         method: `gyro` = distance from the wheels, heading from the gyro; `ekf` = a Kalman filter over both,
             which estimates the gyro's bias where the wheels measure the turn (at rest, or with one axle).
 
@@ -50,7 +50,7 @@ class OdometryIncrement(NamedTuple):
     """Motion between two control updates as wheels and IMU measure it.
 
     Attributes:
-        distance: driven, by the wheels, metres.
+        distance: driven, by the wheels, meters.
         wheel_turn: turn by the difference between the wheels, radians.
         rates: of the gyro about x, y, z of the base, rad/s.
         roll: attitude, radians.
@@ -67,7 +67,7 @@ class OdometryIncrement(NamedTuple):
 
     @property
     def forward(self) -> float:
-        """Distance projected into the plane, metres."""
+        """Distance projected into the plane, meters."""
         return self.distance * math.cos(self.pitch)
 
     @property
@@ -84,7 +84,7 @@ class DistanceNoises:
         scale: (N,) present scale error.
         normals: (N, BLOCK) coming normal numbers.
         used: (N,) how many of them are used up.
-        parameters: standard deviation and correlation length, metres.
+        parameters: standard deviation and correlation length, meters.
     """
 
     def __init__(self, config: OdometryConfig, count: int) -> None:
@@ -122,9 +122,9 @@ class DistanceNoise(DistanceNoises):
         return self.scale, self.normals[0], self.used
 
     def measured(self, distance: float) -> float:
-        """Return the measured distance, metres."""
-        metres: float = measured_distance(*self.coming, distance, self.parameters)
-        return metres
+        """Return the measured distance, meters."""
+        meters: float = measured_distance(*self.coming, distance, self.parameters)
+        return meters
 
 
 @njit(cache=True, nogil=True)
@@ -135,13 +135,13 @@ def measured_distance(
     distance: float,
     parameters: tuple[float, float],
 ) -> float:
-    """Return a measured distance, metres, with the next normal number; `scale` and `used` are (1,)."""
+    """Return a measured distance, meters, with the next normal number; `scale` and `used` are (1,)."""
     sigma, length = parameters
     keep = math.exp(-abs(distance) / length)
     scale[0] = keep * scale[0] + sigma * math.sqrt(1 - keep * keep) * normals[used[0]]
     used[0] += 1
-    metres: float = distance * (1 + scale[0])
-    return metres
+    meters: float = distance * (1 + scale[0])
+    return meters
 
 
 @njit(cache=True, nogil=True)
@@ -162,7 +162,7 @@ def yaw_rate(rates: Vector3, roll: float, pitch: float) -> float:
 
 @njit(cache=True, nogil=True)
 def integrated_pose(pose: Vector3, forward: float, turn: float) -> Vector3:
-    """Return x, y, yaw after a short motion: metres forward while turning by radians, less than a full turn.
+    """Return x, y, yaw after a short motion: meters forward while turning by radians, less than a full turn.
 
     An angle less 2 pi is exact in the range of one full turn, as the remainder is.
     """
@@ -191,13 +191,13 @@ def reckoned_pose(
         pose: x, y, yaw before.
         noise: scale error, normal numbers and how many are used (see `measured_distance`).
         parameters: of the noise.
-        distance: by which the wheels have turned, metres.
+        distance: by which the wheels have turned, meters.
         readings: measured rates about x, y, z of the base, rad/s, roll and pitch, radians.
         dt: seconds.
     """
     rates, roll, pitch = readings
-    metres = measured_distance(noise[0], noise[1], noise[2], distance, parameters)
-    reckoned: Vector3 = integrated_pose(pose, metres * math.cos(pitch), yaw_rate(rates, roll, pitch) * dt)
+    meters = measured_distance(noise[0], noise[1], noise[2], distance, parameters)
+    reckoned: Vector3 = integrated_pose(pose, meters * math.cos(pitch), yaw_rate(rates, roll, pitch) * dt)
     return reckoned
 
 
@@ -284,5 +284,5 @@ class FlowOdometry(Odometry):
 
 
 def integrated(pose: Pose2, forward: float, turn: float) -> Pose2:
-    """Return a pose after a short motion: metres forward while turning by radians."""
+    """Return a pose after a short motion: meters forward while turning by radians."""
     return Pose2(*integrated_pose((pose.x, pose.y, pose.yaw), forward, turn))

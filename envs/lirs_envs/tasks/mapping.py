@@ -18,7 +18,7 @@ COVERED = 0.95
 
 
 class MappingTask(Task):
-    """Newly seen ground is worth its square metres; the episode ends at 95 % of the reachable ground."""
+    """Newly seen ground is worth its square meters; the episode ends at 95 % of the reachable ground."""
 
     observe: ClassVar = ("scan", "odometry", "attitude")
     time_limit: ClassVar = 120.0
@@ -55,7 +55,7 @@ class MappingTask(Task):
         self._before[i] = self._seen.cells[i]
 
     def step(self, ids: IntArray) -> FloatArray:
-        """Return the square metres newly seen."""
+        """Return the square meters newly seen."""
         cells = self._seen.cells[ids]
         new = np.asarray((cells - self._before[ids]) * SEEN_CELL**2, np.float64)
         self._before[ids] = cells
@@ -66,7 +66,7 @@ class MappingTask(Task):
         return "covered" if self._seen.wanted_cells[i] / self._reachable[i] >= COVERED else ""
 
     def infos(self) -> dict[str, Any]:
-        """Return the coverage of the reachable ground, 0 to 1, and the seen area, square metres."""
+        """Return the coverage of the reachable ground, 0 to 1, and the seen area, square meters."""
         return {"coverage": self._coverage(), "seen_area": self._seen.cells * SEEN_CELL**2}
 
     def _coverage(self) -> FloatArray:

@@ -19,13 +19,13 @@ SUCCESS = 10.0
 COLLISION = -5.0
 """Reward at a collision."""
 NEAR, FAR = 3.0, 30.0
-"""Longest way to a goal at difficulty 0 and 1, metres."""
+"""Longest way to a goal at difficulty 0 and 1, meters."""
 CANDIDATES = 8
 """Goals among which the difficulty picks one by the roughness of the straight line to it."""
 
 
 class NavigationTask(Task):
-    """Metres of way gained on the goal are worth as much; reaching it 10, a collision -5 and the end.
+    """Meters of way gained on the goal are worth as much; reaching it 10, a collision -5 and the end.
 
     The way is the shortest over ground that the robot can drive. The goal is reached where way and straight
     distance are at most 0.5 m, or the robot's radius if that is more, and no obstacle is between. Difficulty
@@ -76,7 +76,7 @@ class NavigationTask(Task):
         self._success[i] = self._collision[i] = False
 
     def step(self, ids: IntArray) -> FloatArray:
-        """Return the metres gained, and what success or collision are worth."""
+        """Return the meters gained, and what success or collision are worth."""
         stage, rewards = self.stage, np.zeros(len(ids))
         for k, i in enumerate(ids.tolist()):
             T = stage.pose(i)
@@ -97,12 +97,12 @@ class NavigationTask(Task):
         return "success" if self._success[i] else "collision" if self._collision[i] else ""
 
     def goal(self, i: int) -> tuple[float, float]:
-        """Return x, y of the goal, metres."""
+        """Return x, y of the goal, meters."""
         x, y = self._goals[i].tolist()
         return x, y
 
     def infos(self) -> dict[str, Any]:
-        """Return outcome, goal, straight distance to it and the shortest way from the start, metres."""
+        """Return outcome, goal, straight distance to it and the shortest way from the start, meters."""
         return {
             "success": self._success.copy(),
             "collision": self._collision.copy(),

@@ -19,7 +19,7 @@ LEVEL = 1
 BLOCK = 2**LEVEL
 """Cells along the side of a block: the fastest of 2, 4 and 8."""
 Grids = tuple[Float32Array, Float32Array, BoolArray]
-"""Flat (rows * cols) heights up to which a beam sees a cell's ground, metres; the highest of each block;
+"""Flat (rows * cols) heights up to which a beam sees a cell's ground, meters; the highest of each block;
 and which cells are counted apart."""
 Layout = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
 """Along and across a beam: indices between two cells, indices between two blocks, number of cells."""
@@ -36,8 +36,8 @@ class SeenGround:
         count: number of robots, N.
         shape: rows and columns of the grid.
         beams: (n, 3) directions of the beams in the base's frame, unit vectors.
-        mount: (3,) the lidar in the base's frame, metres.
-        reach: metres.
+        mount: (3,) the lidar in the base's frame, meters.
+        reach: meters.
     """
 
     def __init__(
@@ -66,8 +66,8 @@ class SeenGround:
 
         Args:
             rows: of the robots.
-            ranges: (N, n) metres (see `LaserScan`).
-            range_max: metres.
+            ranges: (N, n) meters (see `LaserScan`).
+            range_max: meters.
             T_world_base: (N, 7) x, y, z, qw, qx, qy, qz of their poses.
         """
         _mark_rows(
@@ -134,13 +134,13 @@ def mark_seen(
     Cells are those that a beam crosses in the plane; its height is that in the middle of the crossing.
 
     Args:
-        ceiling: (rows, cols) height up to which a beam sees the cell's ground, metres.
+        ceiling: (rows, cols) height up to which a beam sees the cell's ground, meters.
         highest: (rows / BLOCK, cols / BLOCK) highest ceiling in each block of cells.
         wanted: (rows, cols) cells that are counted apart.
-        start: of all beams: u and v in cells from the grid's corner, z in metres.
+        start: of all beams: u and v in cells from the grid's corner, z in meters.
         directions: (n, 3) of the beams in the world, unit vectors.
-        ranges: (n,) metres (see `LaserScan`).
-        range_max: metres.
+        ranges: (n,) meters (see `LaserScan`).
+        range_max: meters.
     """
     (rows, cols), width = ceiling.shape, highest.shape[1]
     u, v, z = start

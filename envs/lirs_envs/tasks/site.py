@@ -20,7 +20,7 @@ from lirs_wct.kernels import njit
 from lirs_wct.world import World
 
 SEEN_CELL = 0.25
-"""Edge of a cell of the ground that is to be seen, metres."""
+"""Edge of a cell of the ground that is to be seen, meters."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class SeenFrame:
     """The grid of the ground that is to be seen.
 
     Attributes:
-        corner: x and y of the outer corner of cell (0, 0), row 0 = south; metres.
-        height: (rows, cols) float32 of the ground in each cell's middle, metres; -inf = no ground there.
+        corner: x and y of the outer corner of cell (0, 0), row 0 = south; meters.
+        height: (rows, cols) float32 of the ground in each cell's middle, meters; -inf = no ground there.
     """
 
     corner: tuple[float, float]
@@ -109,7 +109,7 @@ class Site:
         return Pose2(x, y, math.pi * (2 * turn - 1))
 
     def distances(self, x: float, y: float, limit: float = math.inf) -> FloatArray:
-        """Return (rows, cols) metres of the shortest way from each cell of `grid` to a point.
+        """Return (rows, cols) meters of the shortest way from each cell of `grid` to a point.
 
         inf = there is none, or none up to the limit.
         """
@@ -159,7 +159,7 @@ def _largest(areas: IntArray, driven: BoolArray) -> int:
 def distance_at(
     cost: FloatArray, corner: tuple[float, float], resolution: float, x: float, y: float
 ) -> float:
-    """Return metres of the way from a point, by the nearest of the cells around it; inf = there is none."""
+    """Return meters of the way from a point, by the nearest of the cells around it; inf = there is none."""
     rows, cols = cost.shape
     c, r = math.floor((x - corner[0]) / resolution), math.floor((y - corner[1]) / resolution)
     best = np.inf

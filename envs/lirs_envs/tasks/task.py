@@ -112,7 +112,7 @@ class Task(ABC):
         """Return (N, ...) arrays of what `info` says of the task."""
 
     def goal(self, i: int) -> tuple[float, float] | None:
-        """Return x, y of the goal of robot `i`, metres; None = it has none."""
+        """Return x, y of the goal of robot `i`, meters; None = it has none."""
         return None
 
 

@@ -19,7 +19,7 @@ from lirs_wct.geometry.pose import Pose2
 SUCCESS = 10.0
 """Reward at the goal."""
 HUSKY_RADIUS, HUSKY_FRICTION = 0.58, 0.7
-"""What courses are made for: a robot's radius, metres, and the tangent of the slope on which it slides."""
+"""What courses are made for: a robot's radius, meters, and the tangent of the slope on which it slides."""
 MIXED = "mixed"
 """Kind of course that is any of the kinds, drawn anew for each episode."""
 
@@ -39,7 +39,7 @@ def course_scale(robot: Robot) -> CourseScale:
 
 
 class TraverseTask(Task):
-    """Metres gained on the goal, as the crow flies, are worth as much; reaching it 10."""
+    """Meters gained on the goal, as the crow flies, are worth as much; reaching it 10."""
 
     observe: ClassVar = ("scan", "goal", "attitude", "height_map")
     time_limit: ClassVar = 90.0
@@ -82,7 +82,7 @@ class TraverseTask(Task):
         self._distances[i], self._success[i] = self._distance(i), False
 
     def step(self, ids: IntArray) -> FloatArray:
-        """Return the metres gained, and what success is worth."""
+        """Return the meters gained, and what success is worth."""
         rewards = np.zeros(len(ids))
         for k, i in enumerate(ids.tolist()):
             distance = self._distance(i)
@@ -96,7 +96,7 @@ class TraverseTask(Task):
         return "success" if self._success[i] else ""
 
     def goal(self, i: int) -> tuple[float, float]:
-        """Return x, y of the goal, metres."""
+        """Return x, y of the goal, meters."""
         goal = self.course(i).goal
         return goal.x, goal.y
 
@@ -107,7 +107,7 @@ class TraverseTask(Task):
         return course
 
     def infos(self) -> dict[str, Any]:
-        """Return success, kind and difficulty of the course, distance to the goal and metres gained on it."""
+        """Return success, kind and difficulty of the course, distance to the goal and meters gained on it."""
         return {
             "success": self._success.copy(),
             "kind": np.array(self._kinds, dtype=object),

@@ -41,7 +41,7 @@ class MapObservation(gym.Wrapper[Any, Any, Any, Any]):
         env: whose `view.reading()` gives scan, odometry and attitude, and whose observations are a dict.
         make_mapper: returns a new mapper for each episode, such as `lambda: make_mapper("hector")`.
         cells: along a side of the local map.
-        cell: edge of its cells, metres.
+        cell: edge of its cells, meters.
 
     Raises:
         ConfigError: the observations are no dict, or a size is not above 0.

@@ -36,13 +36,13 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 
 MARGINS = (MARGIN, 0.1, 0.05, 0.0)
-"""Metres beyond the robot's radius that a plan keeps: the largest at which a way leads to the goal."""
+"""Meters beyond the robot's radius that a plan keeps: the largest at which a way leads to the goal."""
 VIEW = 4.0
-"""Unseen ground so far east, west, north and south counts for a place, metres."""
+"""Unseen ground so far east, west, north and south counts for a place, meters."""
 DECAY = 0.15
-"""Share by which a place loses worth with each metre of way (lambda of the paper), 1/m."""
+"""Share by which a place loses worth with each meter of way (lambda of the paper), 1/m."""
 ARC = 1.0
-"""Radius in which the robot turns round where there is room, metres."""
+"""Radius in which the robot turns round where there is room, meters."""
 
 
 class OnTrueMap(DrivenPolicy):
@@ -98,9 +98,9 @@ class UnseenRoute:
     """Leads to where the most unseen ground is for the way, again and again.
 
     Args:
-        free: free cells = where the robot's centre may be, world frame.
+        free: free cells = where the robot's center may be, world frame.
         start: pose where the robot is set down.
-        unseen: returns (n, 2) middles of unseen cells, metres.
+        unseen: returns (n, 2) middles of unseen cells, meters.
         config: how paths are driven.
         surface: the ground, for slower driving where it is steep.
     """

@@ -29,17 +29,17 @@ class WorldFacts:
     """Figures of a world.
 
     Attributes:
-        size: eastward and northward, metres.
+        size: eastward and northward, meters.
         nodes: rows and columns of the surface.
-        heights: lowest and highest ground, metres.
+        heights: lowest and highest ground, meters.
         slopes: median and 95th percentile at the nodes, degrees.
-        drivable: percent of the ground where a robot's centre may be, by robot.
-        walls: wall cells, cells, resolution in metres, height in metres; None without a laser map.
+        drivable: percent of the ground where a robot's center may be, by robot.
+        walls: wall cells, cells, resolution in meters, height in meters; None without a laser map.
         triangles: of the mesh that is written.
         watertight: whether a reader of its STL finds it closed.
-        volume: enclosed, cubic metres.
+        volume: enclosed, cubic meters.
         support: what a planar scanner of a robot has to hold on to.
-        error: largest vertical distance of the mesh from the surface at its nodes, metres; None for the
+        error: largest vertical distance of the mesh from the surface at its nodes, meters; None for the
             walls of a laser map, which are exact.
     """
 

@@ -36,7 +36,7 @@ GazeboModel = Annotated[
 ]
 MapHeight = Annotated[
     float | None,
-    typer.Option(metavar="METRES", show_default="0.3", help="Height of the lidar that --to map is made for."),
+    typer.Option(metavar="METERS", show_default="0.3", help="Height of the lidar that --to map is made for."),
 ]
 
 

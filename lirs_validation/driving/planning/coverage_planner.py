@@ -27,14 +27,14 @@ class TourConfig:
     """How the planner chooses.
 
     Attributes:
-        radius: a cell is covered once the tour passes within this distance, on free ground, metres;
+        radius: a cell is covered once the tour passes within this distance, on free ground, meters;
             at most a fifth of the free ground's side.
-        room: distance to blocked cells that a path likes to keep, metres.
-        narrow: how many times longer a metre feels where there is no room at all.
-        turn: metres that a turn by 180 deg is worth when the next goal is chosen.
-        loop: metres of tour between two returns to an old place.
-        arc: radius in which it turns round where there is room, metres.
-        straight: metres that the first tour leads straight ahead, where they are free.
+        room: distance to blocked cells that a path likes to keep, meters.
+        narrow: how many times longer a meter feels where there is no room at all.
+        turn: meters that a turn by 180 deg is worth when the next goal is chosen.
+        loop: meters of tour between two returns to an old place.
+        arc: radius in which it turns round where there is room, meters.
+        straight: meters that the first tour leads straight ahead, where they are free.
 
     Raises:
         ConfigError: a value is not above 0.
@@ -56,7 +56,7 @@ class CoveragePlanner:
     """Plans tours over free cells and remembers what they covered.
 
     Args:
-        free: free cells = where the robot's centre may be.
+        free: free cells = where the robot's center may be.
         start: any pose; only what can be reached from there counts.
         rng: chooses among goals.
         config: how to choose.
@@ -92,14 +92,14 @@ class CoveragePlanner:
         return float((self._covered_at[self._free] > -np.inf).mean())
 
     def tour(self, start: Pose2, length: float, *, straight: float = 0.0) -> FloatArray:
-        """Return (n, 2) points 0.1 m apart: a free path from a pose, about `length` metres long.
+        """Return (n, 2) points 0.1 m apart: a free path from a pose, about `length` meters long.
 
         The first point is the middle of the free cell nearest to the pose.
 
         Args:
             start: where the robot is.
-            length: metres, before smoothing.
-            straight: begin with so many metres straight ahead, or as many as are free.
+            length: meters, before smoothing.
+            straight: begin with so many meters straight ahead, or as many as are free.
         """
         ahead = cells_ahead(self._grid, self._free, start, straight)
         cell, heading = ahead[-1], start.yaw
@@ -123,11 +123,11 @@ class CoveragePlanner:
         return smoothed(points, self._grid, self.room, keep=self.config.room / 2, hold=len(ahead) - 1)
 
     def room_at(self, points: FloatArray) -> FloatArray:
-        """Return (n,) metres from points (n, 2) to the nearest blocked cell; 0 in one."""
+        """Return (n,) meters from points (n, 2) to the nearest blocked cell; 0 in one."""
         return room_at(self._grid, self.room, points)
 
     def forget(self, undriven: float) -> None:
-        """Take back the last metres of the tour: they were planned and will not be driven."""
+        """Take back the last meters of the tour: they were planned and will not be driven."""
         arc = arc_length(self._driven)
         self._length = max(0.0, self._length - undriven)
         self._driven = self._driven[arc <= max(arc[-1] - undriven, 0.0)]
@@ -202,7 +202,7 @@ class CoveragePlanner:
         return int(reached[best, 0]), int(reached[best, 1])
 
     def _gain(self, cells: IntArray) -> FloatArray:
-        """Return (n,) metres that going there is worth: 0 to 2 radii by the share of new ground around."""
+        """Return (n,) meters that going there is worth: 0 to 2 radii by the share of new ground around."""
         reach = max(1, round(self.radius / self._grid.resolution))
         new = (self._free & (self._covered_at == -np.inf)).astype(np.float32)
         share = cv2.boxFilter(new, -1, (2 * reach + 1, 2 * reach + 1), borderType=cv2.BORDER_CONSTANT)

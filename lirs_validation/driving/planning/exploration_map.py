@@ -16,9 +16,9 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.kernels import njit
 
 RESOLUTION = 0.1
-"""Metres a cell, at least: finer maps are thinned out."""
+"""Meters a cell, at least: finer maps are thinned out."""
 UNSURE = 20.0
-"""How many times longer a metre feels where part of the robot would be over unknown ground."""
+"""How many times longer a meter feels where part of the robot would be over unknown ground."""
 MOST_CELLS = 1_000_000
 """Cells, at most: the time for a plan is bounded, however large the map grows."""
 
@@ -28,11 +28,11 @@ class ExplorationMap:
     """A mapper's map as an explorer plans on it, map frame.
 
     Attributes:
-        grid: resolution and origin; free = where the robot's centre may be with all of it on known ground.
+        grid: resolution and origin; free = where the robot's center may be with all of it on known ground.
         known: (rows, cols) seen and not occupied.
         frontier: (rows, cols) known cells beside unknown ones, in groups that the robot fits through.
-        room: (rows, cols) metres from free cells to the nearest other; 0 in these.
-        weight: (rows, cols) cost of a metre; inf where the centre may not be at all.
+        room: (rows, cols) meters from free cells to the nearest other; 0 in these.
+        weight: (rows, cols) cost of a meter; inf where the center may not be at all.
     """
 
     grid: OccupancyGrid
@@ -43,17 +43,17 @@ class ExplorationMap:
 
     @property
     def passable(self) -> BoolArray:
-        """(rows, cols) where the robot's centre may be, if need be partly over unknown ground."""
+        """(rows, cols) where the robot's center may be, if need be partly over unknown ground."""
         return np.isfinite(self.weight)
 
     def goals(self, frontier: BoolArray, reach: float) -> BoolArray:
-        """Mark the free cells within a distance of some frontier cells, metres."""
+        """Mark the free cells within a distance of some frontier cells, meters."""
         near = _distance_to(frontier, self.grid.resolution) <= reach
         mask: BoolArray = near & (self.room > 0)
         return mask
 
     def distance_to(self, cell: IntArray) -> FloatArray:
-        """Return (rows, cols) metres from each cell to one cell (2,), as the crow flies."""
+        """Return (rows, cols) meters from each cell to one cell (2,), as the crow flies."""
         rows, cols = np.ogrid[: self.known.shape[0], : self.known.shape[1]]
         distance: FloatArray = np.hypot(rows - cell[0], cols - cell[1]) * self.grid.resolution
         return distance
@@ -75,8 +75,8 @@ def exploration_map(
         mapped: the mapper's map.
         stood: (n, 2) places where the robot was: its footprint there is free, whatever its lidar missed.
         blocked: (m, 3) x, y and radius of places where it did not get on.
-        footprint: radius of the robot, which never leaves the known ground, metres.
-        clearance: distance that its centre keeps from occupied cells, metres.
+        footprint: radius of the robot, which never leaves the known ground, meters.
+        clearance: distance that its center keeps from occupied cells, meters.
     """
     occupied, known, origin, resolution = _thinned(mapped, margin=clearance + RESOLUTION)
     frame = OccupancyGrid(np.zeros(known.shape, np.float32), resolution, origin)
@@ -96,7 +96,7 @@ def exploration_map(
 
 
 def distance_in_sight(chart: ExplorationMap, pose: Pose2, cells: IntArray) -> FloatArray:
-    """Return (n,) metres to cells (n, 2) ahead of a pose with nothing but known between; inf to others."""
+    """Return (n,) meters to cells (n, 2) ahead of a pose with nothing but known between; inf to others."""
     offset = chart.grid.centers(cells) - (pose.x, pose.y)
     ahead = offset @ np.array((math.cos(pose.yaw), math.sin(pose.yaw))) >= 0
     ahead[ahead] = _in_sight(chart.known, chart.grid.cells((pose.x, pose.y)), cells[ahead])
@@ -125,7 +125,7 @@ def _thinned(mapped: OccupancyGrid, margin: float) -> tuple[BoolArray, BoolArray
 
 
 def _distance_to(mask: BoolArray, resolution: float) -> FloatArray:
-    """Return (rows, cols) metres to the nearest marked cell; inf where none is."""
+    """Return (rows, cols) meters to the nearest marked cell; inf where none is."""
     if not mask.any():
         return np.full(mask.shape, np.inf)
     cells = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
@@ -134,7 +134,7 @@ def _distance_to(mask: BoolArray, resolution: float) -> FloatArray:
 
 
 def _discs(grid: OccupancyGrid, discs: FloatArray) -> BoolArray:
-    """Mark the cells inside discs (n, 3): x, y, radius in metres."""
+    """Mark the cells inside discs (n, 3): x, y, radius in meters."""
     mask = np.zeros(grid.shape, np.uint8)
     for (row, col), radius in zip(grid.cells(discs[:, :2]).tolist(), discs[:, 2].tolist(), strict=True):
         cv2.circle(mask, (col, row), round(radius / grid.resolution), 1, -1)

@@ -41,7 +41,7 @@ def cells_ahead(grid: OccupancyGrid, free: BoolArray, start: Pose2, distance: fl
         grid: the frame of the cells.
         free: (rows, cols); the line ends before the first cell that is not free.
         start: pose in the grid's frame; its yaw gives the direction.
-        distance: metres.
+        distance: meters.
     """
     first = nearest(free, grid.cells((start.x, start.y)))
     x, y = grid.centers(first).tolist()
@@ -58,7 +58,7 @@ def penalize_behind(weight: FloatArray, cell: IntArray, heading: float, radius: 
     """Return weights with a penalty on the ground just behind a robot: a path then turns round in an arc.
 
     Args:
-        weight: (rows, cols) cost of a metre in each cell.
+        weight: (rows, cols) cost of a meter in each cell.
         cell: (2,) row and column of the robot.
         heading: in the grid's own frame (columns along x), radians.
         radius: of the half disc behind it, cells.

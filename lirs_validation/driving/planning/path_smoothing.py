@@ -11,7 +11,7 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.kernels import njit
 
 SPACING = 0.1
-"""Metres between the points of a path."""
+"""Meters between the points of a path."""
 
 
 def smoothed(
@@ -25,14 +25,14 @@ def smoothed(
 ) -> FloatArray:
     """Pull a path tight like a rubber band that keeps its distance from what is blocked.
 
-    Each iteration moves each point towards the middle of its neighbours (Laplacian smoothing) unless the
+    Each iteration moves each point towards the middle of its neighbors (Laplacian smoothing) unless the
     new place has less room than before and less than `keep`.
 
     Args:
-        points: (n, 2) metres in the grid's frame, in free cells.
+        points: (n, 2) meters in the grid's frame, in free cells.
         grid: the cells.
-        room: (rows, cols) metres to the nearest blocked cell, 0 where blocked.
-        keep: room in metres beyond which a point may move freely.
+        room: (rows, cols) meters to the nearest blocked cell, 0 where blocked.
+        keep: room in meters beyond which a point may move freely.
         hold: points at the beginning that stay where they are.
         iterations: how long to pull.
     """
@@ -57,7 +57,7 @@ def resampled(points: FloatArray, spacing: float) -> FloatArray:
 
 
 def arc_length(points: FloatArray) -> FloatArray:
-    """Return (n,) metres along a polyline (n, 2)."""
+    """Return (n,) meters along a polyline (n, 2)."""
     return np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
 
 

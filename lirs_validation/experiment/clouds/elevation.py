@@ -77,7 +77,7 @@ def _placed(sample: CloudSample, truth: Trajectory, poses: Trajectory) -> Iterat
 
 
 def _bounds(world: World, sample: CloudSample, truth: Trajectory) -> tuple[float, float, float, float]:
-    """Return west, south, east, north of what of the world the clouds can reach, metres."""
+    """Return west, south, east, north of what of the world the clouds can reach, meters."""
     reach = max((float(np.linalg.norm(c.xyz, axis=1).max()) for c in sample.clouds if len(c)), default=0.0)
     west, south, east, north = world.surface.bounds
     low, high = truth.xy.min(axis=0) - reach, truth.xy.max(axis=0) + reach

@@ -23,7 +23,7 @@ class ScanBatch:
 
     Attributes:
         lidar: a scan without ranges: what all of them share.
-        ranges: (n, beams) float32 metres.
+        ranges: (n, beams) float32 meters.
         numbers: (n, 13) float64: stamp; odometry x, y, yaw; the inertial reading's row.
     """
 

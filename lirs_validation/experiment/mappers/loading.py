@@ -20,7 +20,7 @@ from slam_baselines.mapper import (
 from slam_baselines.warm_up import warm_up
 
 RESOLUTION = 0.05
-"""Edge of a map's cell for a mapper of your own that takes it, metres; ours use the same."""
+"""Edge of a map's cell for a mapper of your own that takes it, meters; ours use the same."""
 METHODS, PROPERTIES = ("update", "map", "trajectory"), ("stats", "lost")
 CLOUD_METHODS = ("update", "trajectory")
 

@@ -126,7 +126,7 @@ class Construction:
 
     def _coarse_terrain(self, found: Source, options: SourceOptions) -> Terrain:
         picture = self._picture(found, options)
-        own = picture.with_own_metres(options)
+        own = picture.with_own_meters(options)
         small, fitting = decimated(found.path, picture.raster, own, self._nodes)
         surface = height_field(found.path, small, fitting)
         return Terrain(surface if options.window is None else cut_surface(surface, options.window))

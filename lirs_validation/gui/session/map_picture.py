@@ -15,7 +15,7 @@ from lirs_wct.geometry.pose import Pose2
 SIDE = 480
 """Pixels of the longer side."""
 MARGIN = 1.0
-"""Metres around the map."""
+"""Meters around the map."""
 
 
 def map_picture(moment: Moment) -> ByteArray:

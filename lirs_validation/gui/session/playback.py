@@ -27,7 +27,7 @@ class MapSnapshot:
     Attributes:
         time: seconds since the start.
         shape: rows and columns.
-        resolution: edge of a cell, metres.
+        resolution: edge of a cell, meters.
         origin: of the cells in the world frame.
         packed: (rows, cols) pixels of the part that is known, row 0 = south.
     """
@@ -62,7 +62,7 @@ class MapSnapshot:
 
     @property
     def walls(self) -> FloatArray:
-        """(n, 2) centers of the occupied cells, world frame, metres."""
+        """(n, 2) centers of the occupied cells, world frame, meters."""
         cells = np.argwhere(self.pixels == BLACK)
         return self.origin.apply((cells[:, ::-1] + 0.5) * self.resolution)
 
@@ -79,8 +79,8 @@ class Moment:
     Attributes:
         time: seconds since the start.
         T_world_base: true pose.
-        scan: (n, 3) points that the scan hit, world frame, metres.
-        truth: (k, 3) true positions until then, world frame, metres.
+        scan: (n, 3) points that the scan hit, world frame, meters.
+        truth: (k, 3) true positions until then, world frame, meters.
         estimate: (k, 2) estimated positions until then, world frame.
         map: the latest one; None before the first.
         facts: figures until then.
@@ -119,7 +119,7 @@ class Playback(Protocol):
 
 
 def scan_points(scan: LaserScan, T_world_base: Pose3) -> Float32Array:
-    """Return (n, 3) where the beams of a scan hit something, world frame, metres."""
+    """Return (n, 3) where the beams of a scan hit something, world frame, meters."""
     hits = scan.hits
     r, angle = scan.ranges[hits].astype(np.float64), scan.angles[hits]
     points = np.stack((r * np.cos(angle), r * np.sin(angle), np.zeros_like(r)), axis=-1)
@@ -132,6 +132,6 @@ def latest(maps: list[MapSnapshot], time: float) -> MapSnapshot | None:
 
 
 def ate(true: FloatArray, estimated: FloatArray) -> float:
-    """Return the root mean square error of positions (n, 2) after rigid alignment, metres."""
+    """Return the root mean square error of positions (n, 2) after rigid alignment, meters."""
     aligned = rigid_alignment(estimated, true).apply(estimated)
     return rms(np.linalg.norm(aligned - true, axis=1))

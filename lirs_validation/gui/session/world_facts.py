@@ -26,7 +26,7 @@ def preview_facts(world: World) -> Facts:
 
 
 def built_facts(world: World) -> Facts:
-    """Return what is known of a built world: also its mesh, its error and where the metres come from."""
+    """Return what is known of a built world: also its mesh, its error and where the meters come from."""
     surface, mesh = world.surface, world.file_mesh
     error = "exact" if world.walls is not None else f"{mesh_error(world, mesh):.4f} m at the nodes"
     grid = () if world.walls is not None else (("grid", f"{surface.shape[1]} x {surface.shape[0]} nodes"),)
@@ -35,7 +35,7 @@ def built_facts(world: World) -> Facts:
         *preview_facts(world),
         *place,
         *grid,
-        ("metres", world.scale),
+        ("meters", world.scale),
         ("triangles", f"{len(mesh.faces):,}"),
         ("mesh error", error),
         ("watertight", "yes" if mesh.is_watertight_as_written else "no"),

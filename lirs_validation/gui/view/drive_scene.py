@@ -19,14 +19,14 @@ from lirs_wct.world import World
 POINTS = 1500
 """Points of a path that are drawn, at most."""
 ABOVE = 0.15
-"""Metres of the estimated path and the map above the ground."""
+"""Meters of the estimated path and the map above the ground."""
 FOOT = 0.5
-"""Metres around a cell of the map where the ground is looked for: the cell may be up on an obstacle."""
+"""Meters around a cell of the map where the ground is looked for: the cell may be up on an obstacle."""
 WALLS = 20_000
 """Cells of the map that are drawn in the scene, at most."""
 SCAN = (220, 30, 60)
 BEHIND = np.array((0.0, -9.0, 7.0))
-"""From the robot to the camera at first, metres."""
+"""From the robot to the camera at first, meters."""
 TURNING = 2.0
 """Seconds for which the browser may still say where its camera was before it was turned."""
 

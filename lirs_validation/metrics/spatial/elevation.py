@@ -20,9 +20,9 @@ from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.kernels import njit
 
 CELL = 0.10
-"""Edge of a cell, metres."""
+"""Edge of a cell, meters."""
 MARGIN = 0.20
-"""Cells so near a wall or a face steeper than 45 deg are not judged, metres: what lies in them is one side of
+"""Cells so near a wall or a face steeper than 45 deg are not judged, meters: what lies in them is one side of
 it, and no height of the ground."""
 
 
@@ -31,9 +31,9 @@ class ElevationMap:
     """Mean heights on a grid in the world frame.
 
     Attributes:
-        mean: (rows, cols) metres, row 0 = south; NaN = no point there.
-        cell: edge of a cell, metres.
-        origin: x, y of the south-west corner, metres.
+        mean: (rows, cols) meters, row 0 = south; NaN = no point there.
+        cell: edge of a cell, meters.
+        origin: x, y of the south-west corner, meters.
     """
 
     mean: FloatArray
@@ -47,14 +47,14 @@ class ElevationMap:
 
     @property
     def centers(self) -> FloatArray:
-        """(rows * cols, 2) x, y of the cells' centers, row by row, metres."""
+        """(rows * cols, 2) x, y of the cells' centers, row by row, meters."""
         rows, cols = self.mean.shape
         x = self.origin[0] + (np.arange(cols) + 0.5) * self.cell
         y = self.origin[1] + (np.arange(rows) + 0.5) * self.cell
         return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
     def error(self, surface: HeightField, walls: WallGrid | None) -> FloatArray:
-        """Return (rows, cols) mean height less the surface's at the cell's center, metres.
+        """Return (rows, cols) mean height less the surface's at the cell's center, meters.
 
         NaN where no point lies, off the surface, and within MARGIN of a wall or a face steeper than 45 deg.
         """
@@ -72,7 +72,7 @@ class ElevationScores:
     """The metrics of one elevation map; None where no cell is left to judge.
 
     Attributes:
-        elevation_rmse: root mean square difference between the built map and the true surface, metres.
+        elevation_rmse: root mean square difference between the built map and the true surface, meters.
         elevation_rmse_aligned: the same after the alignment of the trajectory in space; None without one.
         elevation_seen: share of the cells that could be seen (in the map of the true poses) that the built
             map holds.
@@ -90,8 +90,8 @@ def elevation_map(points: Iterable[FloatArray], bounds: tuple[float, float, floa
     """Return the elevation map of points.
 
     Args:
-        points: arrays (n, 3) in the world frame, metres.
-        bounds: west, south, east, north of the map, metres; points beyond are left out.
+        points: arrays (n, 3) in the world frame, meters.
+        bounds: west, south, east, north of the map, meters; points beyond are left out.
     """
     west, south, east, north = bounds
     shape = max(1, math.ceil((north - south) / CELL - 1e-9)), max(1, math.ceil((east - west) / CELL - 1e-9))

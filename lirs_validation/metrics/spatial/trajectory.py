@@ -23,9 +23,9 @@ class SpatialErrors:
     """The errors of one estimated trajectory against the true one, in space.
 
     Attributes:
-        ate_rmse_3d: root mean square position error after rigid alignment without scale, metres.
-        ate_max_3d: largest position error after that alignment, metres.
-        ate_rmse_3d_unaligned: the same without alignment: both start at the true start pose, metres.
+        ate_rmse_3d: root mean square position error after rigid alignment without scale, meters.
+        ate_max_3d: largest position error after that alignment, meters.
+        ate_rmse_3d_unaligned: the same without alignment: both start at the true start pose, meters.
         rotation_rmse_3d: root mean square angle between true and estimated attitude, radians; without
             alignment, which leaves the turn about a straight path open.
     """

@@ -16,11 +16,11 @@ from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import LaserScan
 
 SICK_INVALID = (81.87, 81.88, 81.89, 81.90, 81.91)
-"""Codes of the SICK LMS for "no valid measurement" (dazzled, too noisy): NaN, they say nothing, metres."""
+"""Codes of the SICK LMS for "no valid measurement" (dazzled, too noisy): NaN, they say nothing, meters."""
 NO_RETURN = 50.0
-"""Ranges from here on mean that nothing came back (50, 51.2, 81.83): +inf, metres."""
+"""Ranges from here on mean that nothing came back (50, 51.2, 81.83): +inf, meters."""
 RANGE_MIN = 0.02
-"""A SICK LMS measures from its front pane on; shorter ranges are errors, metres."""
+"""A SICK LMS measures from its front pane on; shorter ranges are errors, meters."""
 FIELDS = {
     **dict.fromkeys((180, 181, 360, 361), 180.0),
     **dict.fromkeys((101, 201, 401), 100.0),
@@ -32,11 +32,11 @@ REAR = ("RLASER", "ROBOTLASER2", "RAWLASER2")
 
 CODE_SHARE, CODE_BEAMS, CODE_CONTRAST, CODE_MOST = 0.001, 0.05, 20, 100
 """A range is a code where it is the largest, makes up this share of all, comes on this share of the beams,
-is so many times as frequent as each of the three metres below it, and at most so many times as all others."""
+is so many times as frequent as each of the three meters below it, and at most so many times as all others."""
 MOUNT_SPREAD = 0.05
-"""Metres and radians within which the laser's pose must follow the base's to give the mount."""
+"""Meters and radians within which the laser's pose must follow the base's to give the mount."""
 MOUNT_REACH = 3.0
-"""A laser farther from its base than this is not mounted on it, metres."""
+"""A laser farther from its base than this is not mounted on it, meters."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class LaserFacts:
 
     Attributes:
         fov: field of view, radians, centered on the laser's x axis; None = as the log says.
-        range_max: ranges from here on are no return, metres; None = as the log says.
+        range_max: ranges from here on are no return, meters; None = as the log says.
 
     Raises:
         ConfigError: a value that no laser has.
@@ -93,7 +93,7 @@ def scans_of(
     for message, meant in zip(messages, decoded, strict=True):
         config = field or message.config or _usual_config(name, n, parameters)
         logged = NO_RETURN if message.config is None else message.config.most
-        # A code that is the largest range to the centimetre is that range, and hits up to it are hits.
+        # A code that is the largest range to the centimeter is that range, and hits up to it are hits.
         most = logged if logged - limit <= 0.01 else limit
         r = np.where(meant >= most, np.float32(np.inf), meant)
         farthest = most if code is None else code
@@ -102,13 +102,13 @@ def scans_of(
 
 
 def no_return(ranges: Float32Array) -> float:
-    """Return the smallest code for "nothing came back", metres; 50 where there is none below.
+    """Return the smallest code for "nothing came back", meters; 50 where there is none below.
 
     Beside the codes beyond 50 m, known ones, many sensors give their largest range: it comes again and
     again, in all directions, and nothing else near it.
 
     Args:
-        ranges: (scans, beams) metres, as logged.
+        ranges: (scans, beams) meters, as logged.
     """
     real = (ranges >= RANGE_MIN) & (ranges < NO_RETURN)
     cm = np.where(real, np.round(np.where(real, ranges, 0) * 100), 0).astype(np.int64)
@@ -130,7 +130,7 @@ def no_return(ranges: Float32Array) -> float:
 
 
 def _usual_reading(ranges: Float32Array) -> float | None:
-    """Return the commonest of some readings to the millimetre, metres; None where there is no finite one."""
+    """Return the commonest of some readings to the millimeter, meters; None where there is no finite one."""
     readings, counts = np.unique(
         np.round(ranges[np.isfinite(ranges)].astype(np.float64), 3), return_counts=True
     )

@@ -24,7 +24,7 @@ AFTER_STAMP = 2
 
 @dataclass(frozen=True, slots=True)
 class LaserConfig:
-    """Beams as a laser message states them: first angle and increment, radians; largest range, metres."""
+    """Beams as a laser message states them: first angle and increment, radians; largest range, meters."""
 
     start: float
     step: float
@@ -40,7 +40,7 @@ class Message:
         stamp: `ipc_stamp`, seconds.
         base: `T_odom_base`; None where the message holds none.
         laser: `T_odom_laser`; None where the message holds none.
-        ranges: (n,) metres, as logged; empty where the message holds none.
+        ranges: (n,) meters, as logged; empty where the message holds none.
         config: None where the message has none.
     """
 

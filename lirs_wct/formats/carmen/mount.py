@@ -11,7 +11,7 @@ from pathlib import Path
 from lirs_wct.geometry.pose import Pose3
 
 LABEL = "# laser on base_link, x y z roll pitch yaw:"
-"""Metres and radians follow."""
+"""Meters and radians follow."""
 
 
 def mount_comment(T_base_laser: Pose3) -> str:

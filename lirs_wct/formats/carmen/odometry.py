@@ -13,11 +13,11 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
 
 JUMP, JUMP_SPEED = 5.0, 30.0
-"""A step of more metres, and more metres a second, is no motion of a robot."""
+"""A step of more meters, and more meters a second, is no motion of a robot."""
 LOOK = 5
 """Poses after a leap among which the track may have come back."""
 AGREEMENT = 1.0
-"""Metres within which two sources share one frame."""
+"""Meters within which two sources share one frame."""
 
 
 def odometry_of(
@@ -77,8 +77,8 @@ def _leaps(track: Trajectory) -> tuple[list[int], set[int]]:
     anew: set[int] = set()
 
     def reached(a: int, b: int) -> bool:
-        metres = math.hypot(*(xy[b] - xy[a]))
-        return metres <= max(JUMP, JUMP_SPEED * float(stamps[b] - stamps[a]))
+        meters = math.hypot(*(xy[b] - xy[a]))
+        return meters <= max(JUMP, JUMP_SPEED * float(stamps[b] - stamps[a]))
 
     steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
     if not (steps > JUMP).any():

@@ -78,7 +78,7 @@ def _steps(lines: Sequence[Message]) -> FloatArray:
 
 
 def _motion(lines: Sequence[Message]) -> FloatArray:
-    """Return (n - 1, 2) metres and radians from line to line.
+    """Return (n - 1, 2) meters and radians from line to line.
 
     A line without a pose has that of the line before or after it, whichever is nearer in time. Poses of scans
     that never change are none: the odometry is in the other lines.
@@ -133,7 +133,7 @@ def _least_steps(stamps: FloatArray, distances: FloatArray) -> FloatArray:
 
 
 def _one_clock(stamps: FloatArray) -> FloatArray:
-    """Return stamps without leaps: a damaged one comes between its neighbours, a clock set back runs on."""
+    """Return stamps without leaps: a damaged one comes between its neighbors, a clock set back runs on."""
     if not (np.diff(stamps) < -LEAP).any():
         return stamps
     damaged, set_anew = _leaps(stamps)

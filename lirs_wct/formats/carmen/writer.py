@@ -1,7 +1,7 @@
 """Laser scans with odometry as a CARMEN log of `ROBOTLASER1` messages, gzipped, for any SLAM program.
 
 The message says its own start angle, field of view, resolution and largest range, so that no reader has
-to assume 180 degrees. Ranges are in millimetres' steps; nothing in range is the largest range or more,
+to assume 180 degrees. Ranges are in millimeters' steps; nothing in range is the largest range or more,
 too near is 0, and invalid is 81.91, a SICK's code for it.
 """
 
@@ -22,14 +22,14 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import LaserScan
 
 INVALID = 81.91
-"""Written for a beam whose measurement is invalid, metres."""
+"""Written for a beam whose measurement is invalid, meters."""
 HOST = "lirs-wct"
 HEADER = (
     "# CARMEN log: ROBOTLASER1 laser_type start_angle field_of_view angular_resolution maximum_range\n"
     "#   accuracy remission_mode num_readings [ranges] num_remissions laser_x laser_y laser_theta\n"
     "#   robot_x robot_y robot_theta laser_tv laser_rv forward_safety_dist side_safety_dist turn_axis\n"
     "#   timestamp host logger_timestamp\n"
-    "# metres, radians, seconds since the start; the robot's pose is its odometry\n"
+    "# meters, radians, seconds since the start; the robot's pose is its odometry\n"
 )
 LEVEL = 1
 """Of gzip: noise of the sensor hardly shrinks further, at many times the work."""
@@ -71,12 +71,12 @@ def _pose(pose: Pose2) -> str:
 
 def _ranges(scan: LaserScan) -> str:
     texts = _formatted_ranges(math.ceil(scan.range_max * 1000) + 1)
-    mm = _millimetres(scan.ranges, len(texts) - 2)
+    mm = _millimeters(scan.ranges, len(texts) - 2)
     return " ".join([texts[k] for k in mm.tolist()])
 
 
-def _millimetres(ranges: Float32Array, most: int) -> IntArray:
-    """Return (n,) millimetres; `most` where nothing came back, -1 where the measurement is invalid.
+def _millimeters(ranges: Float32Array, most: int) -> IntArray:
+    """Return (n,) millimeters; `most` where nothing came back, -1 where the measurement is invalid.
 
     A hit stays below `most`, since that means no return.
     """
@@ -88,6 +88,6 @@ def _millimetres(ranges: Float32Array, most: int) -> IntArray:
 
 
 @cache
-def _formatted_ranges(millimetres: int) -> list[str]:
-    """Return each number of millimetres as metres, last the code for "invalid": formatted once for all."""
-    return [*(f"{mm / 1000:.3f}" for mm in range(millimetres)), f"{INVALID:.2f}"]
+def _formatted_ranges(millimeters: int) -> list[str]:
+    """Return each number of millimeters as meters, last the code for "invalid": formatted once for all."""
+    return [*(f"{mm / 1000:.3f}" for mm in range(millimeters)), f"{INVALID:.2f}"]

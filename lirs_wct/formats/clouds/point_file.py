@@ -14,7 +14,7 @@ from lirs_wct.errors import SourceError
 from lirs_wct.formats.clouds.headers import check_las, check_pcd
 from lirs_wct.formats.elevation.wkt import system_of_text, units_of_text
 from lirs_wct.formats.images.geotiff import system_of_keys
-from lirs_wct.formats.images.tiff import METRES
+from lirs_wct.formats.images.tiff import METERS
 from lirs_wct.formats.limited import run_limited
 from lirs_wct.formats.meshes.ply_header import ply_elements, require_positions, require_xyz
 from lirs_wct.geometry.geodesy.earth import CoordinateSystem
@@ -34,7 +34,7 @@ class PointFile:
         xyz: (n, 3) float64 in units of the file's coordinates; finite.
         ground: (n,) whether the file says that a point is on the ground; None where it says nothing.
         system: coordinate system of x and y.
-        height_unit: metres a unit of z.
+        height_unit: meters a unit of z.
     """
 
     xyz: FloatArray
@@ -114,7 +114,7 @@ def _las_points(path: Path) -> PointFile:
 
 
 def _las_system(header: Any) -> tuple[CoordinateSystem, float]:
-    """Return the coordinate system of a LAS file and metres a unit of z: by WKT, else by GeoKeys."""
+    """Return the coordinate system of a LAS file and meters a unit of z: by WKT, else by GeoKeys."""
     for record in (*header.vlrs, *(header.evlrs or ())):
         text = getattr(record, "string", None)
         if record.record_id == 2112 and text:
@@ -123,7 +123,7 @@ def _las_system(header: Any) -> tuple[CoordinateSystem, float]:
         if record.record_id == 34735:
             keys = {key.id: float(key.value_offset) for key in record.geo_keys if not key.tiff_tag_location}
             system = system_of_keys(keys)
-            return system, METRES.get(int(keys.get(VERTICAL_UNITS, 0)), system.unit)
+            return system, METERS.get(int(keys.get(VERTICAL_UNITS, 0)), system.unit)
     return CoordinateSystem(), 1.0
 
 

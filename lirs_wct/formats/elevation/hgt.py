@@ -21,7 +21,7 @@ _NAME = re.compile(r"([NS])(\d{2})([EW])(\d{3})", re.IGNORECASE)
 
 
 def read_hgt(path: Path, max_pixels: int) -> tuple[NDArray[np.int16], RasterInfo]:
-    """Return (rows, cols) heights in metres, row 0 = north, and where they lie, which the file's name says.
+    """Return (rows, cols) heights in meters, row 0 = north, and where they lie, which the file's name says.
 
     Raises:
         SourceError: the file is missing, of another length, or its name says no place.

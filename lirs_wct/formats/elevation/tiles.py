@@ -17,14 +17,14 @@ from lirs_wct.geometry.geodesy.georeference import Georeference
 Encoding = Literal["gray", "terrain-rgb", "terrarium"]
 ENCODINGS: tuple[Encoding, ...] = ("gray", "terrain-rgb", "terrarium")
 LOWEST, HIGHEST = -11_500.0, 9_000.0
-"""Heights of the earth, metres: colors that mean others are those of a picture."""
+"""Heights of the earth, meters: colors that mean others are those of a picture."""
 _TILE = re.compile(r"(\d{1,2})/(\d+)/(\d+)(@2x)?")
 _WORLD = 2 * math.pi * WGS84[0]
-"""Metres of web Mercator around the world."""
+"""Meters of web Mercator around the world."""
 
 
 def decode(pixels: NDArray[Any], encoding: Encoding) -> FloatArray:
-    """Return (rows, cols) metres of (rows, cols, 3 or more) 8-bit BGR pixels.
+    """Return (rows, cols) meters of (rows, cols, 3 or more) 8-bit BGR pixels.
 
     Terrain-RGB: -10000 + 0.1 (65536 R + 256 G + B), Mapbox's documentation of Terrain-RGB. Terrarium:
     256 R + G + B / 256 - 32768, documentation of Mapzen's (Tilezen's) terrain tiles.
@@ -48,8 +48,8 @@ def guess(pixels: NDArray[Any]) -> Encoding | None:
     if np.median(blue) < 3 or (red > 0).mean() > 0.2 or (jumps.size and np.median(jumps) < 128):
         return None
     for encoding in ENCODINGS[1:]:
-        metres = decode(pixels, encoding)
-        if LOWEST <= metres.min() < metres.max() <= HIGHEST:
+        meters = decode(pixels, encoding)
+        if LOWEST <= meters.min() < meters.max() <= HIGHEST:
             return encoding
     return None
 

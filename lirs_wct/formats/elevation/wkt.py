@@ -15,7 +15,7 @@ _VERTICAL = re.compile(r"VERT_?CR?S\[")
 
 
 def units_of_text(text: str) -> tuple[float, float]:
-    """Return metres a unit of x and y, and of z, by a projected system's WKT.
+    """Return meters a unit of x and y, and of z, by a projected system's WKT.
 
     Where it says nothing of z, that is in the unit of x and y.
     """

@@ -60,7 +60,7 @@ class Layer:
     Attributes:
         diffuse: path of the texture inside the package.
         normal: path of its normal map inside the package; `flat_normals` where it has none.
-        span: metres that the texture spans before it repeats.
+        span: meters that the texture spans before it repeats.
     """
 
     diffuse: str
@@ -78,13 +78,13 @@ def heightmap_sdf(name: str, surface: HeightField, picture: str, layer: Layer | 
 
     Args:
         name: of the model and of its folder.
-        surface: gives the metres.
+        surface: gives the meters.
         picture: path of the heightmap inside the package.
         layer: what it wears; None = Gazebo's gray.
     """
     width, depth = surface.size
     west, south, east, north = surface.bounds
-    # Gazebo divides by the height: level ground gets a millimetre.
+    # Gazebo divides by the height: level ground gets a millimeter.
     size = f"<size>{width:.9g} {depth:.9g} {max(surface.relief, 1e-3):.9g}</size>"
     place = f"<pos>{(west + east) / 2:.9g} {(south + north) / 2:.9g} {float(surface.z.min()):.9g}</pos>"
     uri = f"<uri>{escape(model_uri(name, picture))}</uri>"

@@ -24,7 +24,7 @@ class Physics:
     Attributes:
         timestep: seconds.
         real_time_factor: simulated seconds a wall second aimed at; 0 = as fast as possible.
-        gravity: metres a second squared along x, y, z.
+        gravity: meters a second squared along x, y, z.
 
     Raises:
         ConfigError: the timestep is not above 0, or the factor is negative.

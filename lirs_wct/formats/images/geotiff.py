@@ -18,15 +18,15 @@ from lirs_wct.geometry.geodesy.georeference import TURNED, Affine, Georeference,
 
 DEGREES = "names no coordinate system, its coordinates are taken for degrees"
 UNITS = {
-    1.0: ("m", "metre", "metres", "meter", "meters"),
+    1.0: ("m", "meter", "meters"),
     0.3048: ("ft", "foot", "feet", "international foot"),
     1200 / 3937: ("us survey foot", "us-ft", "ftus", "us_survey_foot", "us survey feet"),
-    0.01: ("cm", "centimetre", "centimeter"),
-    0.001: ("mm", "millimetre", "millimeter"),
-    0.1: ("dm", "decimetre", "decimeter"),
-    1000.0: ("km", "kilometre", "kilometer"),
+    0.01: ("cm", "centimeter"),
+    0.001: ("mm", "millimeter"),
+    0.1: ("dm", "decimeter"),
+    1000.0: ("km", "kilometer"),
 }
-"""Metres in a unit -> its names in lower case."""
+"""Meters in a unit -> its names in lower case and American spelling."""
 USER_DEFINED = 32767
 VERTICAL_FEET = {6360: 1200 / 3937, 8228: 0.3048, 6358: 1200 / 3937}
 """EPSG codes of vertical systems in feet: NAVD88 height (ftUS), NAVD88 height (ft), NAVD88 depth (ftUS)."""
@@ -43,7 +43,7 @@ class RasterInfo:
         nodata: value of pixels without height; NaN where that is what it is; None = not declared.
         scale: height = scale value + offset, in units of height.
         offset: see scale.
-        unit: metres in a unit of height; None where the values are no heights.
+        unit: meters in a unit of height; None where the values are no heights.
     """
 
     georeference: Georeference | None = None
@@ -77,21 +77,22 @@ def raster_info(path: Path, tags: tiff.Tags) -> RasterInfo:
 
 
 def height_unit(path: Path, name: str, tags: tiff.Tags | None = None) -> float:
-    """Return metres in a unit of height: by its name, else as the GeoKeys say, else a metre."""
-    for metres, names in UNITS.items():
-        if name.strip().lower() in names:
-            return metres
+    """Return meters in a unit of height: by its name, else as the GeoKeys say, else a meter."""
+    american = re.sub("tre(s?)$", r"ter\1", name.strip().lower())
+    for meters, names in UNITS.items():
+        if american in names:
+            return meters
     if name.strip():
-        warnings.warn(f"{path}: its values are in {name.strip()!r}, which is taken for metres", stacklevel=2)
+        warnings.warn(f"{path}: its values are in {name.strip()!r}, which is taken for meters", stacklevel=2)
         return 1.0
     keys = tiff.geo_keys(tags or {})
     if tiff.VERTICAL_UNITS in keys:
-        return tiff.METRES.get(int(keys[tiff.VERTICAL_UNITS]), 1.0)
+        return tiff.METERS.get(int(keys[tiff.VERTICAL_UNITS]), 1.0)
     return VERTICAL_FEET.get(int(keys.get(tiff.VERTICAL, 0)), 1.0)
 
 
 def located(path: Path, system: CoordinateSystem, affine: Affine, shape: tuple[int, int]) -> Georeference:
-    """Return where pixels lie; where PROJ is needed and not there, their units are ground metres, and told.
+    """Return where pixels lie; where PROJ is needed and not there, their units are ground meters, and told.
 
     Raises:
         ConfigError: the raster's middle is no place on the earth.
@@ -103,7 +104,7 @@ def located(path: Path, system: CoordinateSystem, affine: Affine, shape: tuple[i
     except ConfigError as error:
         if system.form != "other":
             raise
-        warnings.warn(f"{path}: its units are taken for ground metres: {error}", stacklevel=2)
+        warnings.warn(f"{path}: its units are taken for ground meters: {error}", stacklevel=2)
         return Georeference.on_grid(system, affine)
 
 
@@ -169,7 +170,7 @@ def looks_geographic(affine: Affine) -> bool:
 def system_of_keys(keys: dict[int, float]) -> CoordinateSystem:
     """Return the coordinate system that the GeoKeys name."""
     geographic, projected = (int(keys.get(key, 0)) for key in (tiff.GEODETIC, tiff.PROJECTED))
-    unit = tiff.METRES.get(int(keys.get(tiff.LINEAR_UNITS, 9001)), 1.0)
+    unit = tiff.METERS.get(int(keys.get(tiff.LINEAR_UNITS, 9001)), 1.0)
     if keys.get(tiff.MODEL_TYPE) == tiff.GEOGRAPHIC:
         axis = keys.get(tiff.SEMI_MAJOR_AXIS, WGS84[0]), keys.get(tiff.INVERSE_FLATTENING, WGS84[1])
         name = f"EPSG:{geographic}" if 0 < geographic < USER_DEFINED else ""

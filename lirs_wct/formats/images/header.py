@@ -114,7 +114,7 @@ def _gif(data: mmap.mmap) -> PictureHeader:
 
 
 def _gif_table(flags: int) -> int:
-    """Return the bytes of a colour table."""
+    """Return the bytes of a color table."""
     return 3 << (flags % 8 + 1) if flags & 0x80 else 0
 
 

@@ -29,8 +29,8 @@ GEOGRAPHIC = 2
 """Model type of coordinates in degrees."""
 POINT = 2
 """Raster type of pixels whose tie points are their middles."""
-METRES = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
-"""Metres in a unit of length (EPSG): metre, foot, US survey foot."""
+METERS = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
+"""Meters in a unit of length (EPSG): meter, foot, US survey foot."""
 _TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 6: "b", 8: "h", 9: "i", 11: "f", 12: "d", 16: "Q", 17: "q", 18: "Q"}
 
 

@@ -1,6 +1,6 @@
 """COLLADA: meshes with normals, texture coordinates and materials, upright in every consumer.
 
-Z_UP data with a Z_UP tag and metres is upright in Gazebo (which ignores the tag) and elsewhere. The
+Z_UP data with a Z_UP tag and meters is upright in Gazebo (which ignores the tag) and elsewhere. The
 inputs have distinct offsets: Gazebo's loader miscounts shared ones (see `collada_stream`).
 """
 

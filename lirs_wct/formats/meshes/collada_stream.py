@@ -25,7 +25,7 @@ from lirs_wct.geometry.mesh import TriangleMesh
 CREATED = "2020-01-01T00:00:00"
 """Stands in every file: the same world gives the same bytes."""
 GROUND = (0.62, 0.57, 0.5, 1.0)
-"""Colour of a world without texture, RGBA."""
+"""Color of a world without texture, RGBA."""
 _UV_DECIMALS = 5
 
 _ROWS = 1 << 14
@@ -80,7 +80,7 @@ class MeshPart:
     Attributes:
         name: of the material.
         mesh: in the world frame, with texture coordinates and normals.
-        texture: path of the picture relative to the file, or None for a plain colour.
+        texture: path of the picture relative to the file, or None for a plain color.
 
     Raises:
         ConfigError: the mesh lacks texture coordinates or normals.

@@ -1,4 +1,4 @@
-"""Mesh files of any common format, read upright: z up, metres."""
+"""Mesh files of any common format, read upright: z up, meters."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ is right and z to the viewer, of Z_UP x is right and -y to the viewer (COLLADA 1
 
 
 def read_upright(path: Path) -> TriangleMesh:
-    """Read a mesh, equal vertices merged, turned so that z is up, in metres.
+    """Read a mesh, equal vertices merged, turned so that z is up, in meters.
 
     A GLB has y up by its standard, a COLLADA file says what it has and its unit; the others do not say,
-    and are taken to be z up in metres.
+    and are taken to be z up in meters.
 
     Raises:
         SourceError: the file is missing, damaged, of a format that is not read, or without triangles.
@@ -39,10 +39,10 @@ def read_upright(path: Path) -> TriangleMesh:
 
 
 def upright(path: Path, mesh: TriangleMesh) -> TriangleMesh:
-    """Return the mesh of a file turned so that z is up, in metres; its normals turn with it.
+    """Return the mesh of a file turned so that z is up, in meters; its normals turn with it.
 
     Raises:
-        SourceError: the file's unit is not a number of metres.
+        SourceError: the file's unit is not a number of meters.
     """
     if path.suffix.lower() == ".glb":
         return mesh.rotated_x(90.0)
@@ -61,15 +61,15 @@ def _merged(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def _collada_frame(path: Path) -> tuple[str, float]:
-    """Return the axis that is up, and metres a unit; the standard's defaults are Y and 1."""
+    """Return the axis that is up, and meters a unit; the standard's defaults are Y and 1."""
     with path.open("rb") as file:
         head = file.read(_HEAD).decode("utf-8", errors="replace")
     up = re.search(r"<up_axis>\s*([XYZ])_UP", head)
     unit = re.search(r"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']+)", head)
     try:
-        metres = float(unit[1]) if unit else 1.0
+        meters = float(unit[1]) if unit else 1.0
     except ValueError:
-        raise SourceError(f"{path}: its unit is not a number of metres") from None
-    if not 0 < metres < float("inf"):
-        raise SourceError(f"{path}: its unit must be above 0 m, got {metres:g}")
-    return (up[1] if up else "Y"), metres
+        raise SourceError(f"{path}: its unit is not a number of meters") from None
+    if not 0 < meters < float("inf"):
+        raise SourceError(f"{path}: its unit must be above 0 m, got {meters:g}")
+    return (up[1] if up else "Y"), meters

@@ -14,7 +14,7 @@ from lirs_wct.formats.meshes.text import fixed_text
 from lirs_wct.geometry.mesh import TriangleMesh
 
 _ROWS = 1 << 16
-_METRE_DECIMALS, _UNIT_DECIMALS = 6, 5
+_METER_DECIMALS, _UNIT_DECIMALS = 6, 5
 
 
 def write_obj(path: Path, mesh: TriangleMesh, texture: str | None = None) -> None:
@@ -22,7 +22,7 @@ def write_obj(path: Path, mesh: TriangleMesh, texture: str | None = None) -> Non
 
     Args:
         path: file; the material goes beside it as STEM.mtl.
-        mesh: in the world frame, z up, metres.
+        mesh: in the world frame, z up, meters.
         texture: path of a picture relative to the file; needs texture coordinates.
 
     Raises:
@@ -39,7 +39,7 @@ def write_obj_parts(path: Path, parts: Sequence[tuple[str, TriangleMesh, str | N
             entries = (f"newmtl {name}\nKa 1 1 1\nKd 1 1 1\nmap_Kd {file}\n" for name, _, file in textured)
             temporary.write_text("".join(entries), encoding="utf-8")
     with atomic_write(path) as temporary, temporary.open("wb") as file:
-        file.write(b"# LIRS-WCT, metres, z up\n")
+        file.write(b"# LIRS-WCT, meters, z up\n")
         if textured:
             file.write(f"mtllib {path.stem}.mtl\n".encode())
         written = 0
@@ -53,7 +53,7 @@ def write_obj_parts(path: Path, parts: Sequence[tuple[str, TriangleMesh, str | N
 def _write_part(file: BinaryIO, mesh: TriangleMesh, written: int) -> None:
     """Write vertices and faces after so many vertices."""
     for word, values, decimals in (
-        (b"v", mesh.vertices, _METRE_DECIMALS),
+        (b"v", mesh.vertices, _METER_DECIMALS),
         (b"vt", mesh.uv, _UNIT_DECIMALS),
         (b"vn", mesh.normals, _UNIT_DECIMALS),
     ):

@@ -48,7 +48,7 @@ def write_triangles(
     Args:
         path: file.
         count: triangles in all, below 2**32.
-        chunks: (n, 3, 3) corners in metres each.
+        chunks: (n, 3, 3) corners in meters each.
         progress: of the file.
 
     Raises:
@@ -56,7 +56,7 @@ def write_triangles(
     """
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         # The header must not begin with "solid", which marks ASCII.
-        file.write(struct.pack("<80sI", b"LIRS-WCT, metres, z up", count))
+        file.write(struct.pack("<80sI", b"LIRS-WCT, meters, z up", count))
         for corners in tracked(chunks, count, len, path.name, progress):
             record = np.zeros(len(corners), dtype=_RECORD)
             record["floats"] = _facets(np.ascontiguousarray(corners))

@@ -11,7 +11,7 @@ from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.trajectory import Trajectory
 
 SAME = 1e-6
-"""Metres, and parts of a quaternion, within which a transform on /tf never changes."""
+"""Meters, and parts of a quaternion, within which a transform on /tf never changes."""
 
 
 def pose_of(position: Any, rotation: Any) -> Pose3:

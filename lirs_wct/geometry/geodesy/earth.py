@@ -1,4 +1,4 @@
-"""Coordinate reference systems of elevation data: latitude, longitude and ground metres of coordinates.
+"""Coordinate reference systems of elevation data: latitude, longitude and ground meters of coordinates.
 
 Known here are geographic coordinates, web Mercator (EPSG:3857) and UTM; of any other system PROJ knows more,
 through rasterio (the extra `geo`).
@@ -18,10 +18,10 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 
 WGS84 = (6378137.0, 298.257223563)
-"""Semi-major axis, metres, and inverse flattening."""
+"""Semi-major axis, meters, and inverse flattening."""
 MERCATOR = (3857, 900913, 3785, 102113, 102100)
 GEOGRAPHIC = (4326, 4269, 4258, 4979, 4283, 7844, 6318, 4937, 9754)
-"""Latitude and longitude on datums that agree with WGS 84 to about a metre."""
+"""Latitude and longitude on datums that agree with WGS 84 to about a meter."""
 _UTM = {32600: 1, 32700: -1, 26900: 1, 25800: 1, 28300: -1, 7800: -1, 6329: 1}
 """EPSG code of zone 0 -> hemisphere: WGS 84 N and S, NAD 83, ETRS 89, GDA 94, GDA 2020, NAD 83 (2011)."""
 _SCALE, _EAST, _SOUTH = 0.9996, 500e3, 10_000e3
@@ -37,8 +37,8 @@ class CoordinateSystem:
     Attributes:
         name: `EPSG:code`, WKT of one without a code, or empty where none is known.
         form: how it is computed; `other` by PROJ, `unknown` not at all.
-        unit: metres in a unit of projected coordinates.
-        ellipsoid: semi-major axis in metres and inverse flattening (0 = sphere) of geographic coordinates.
+        unit: meters in a unit of projected coordinates.
+        ellipsoid: semi-major axis in meters and inverse flattening (0 = sphere) of geographic coordinates.
     """
 
     name: str = ""
@@ -89,8 +89,8 @@ class CoordinateSystem:
             return _by_proj(self.name, self.label, px, py)
         raise ConfigError("no coordinate reference system is known")
 
-    def ground_metres(self, x: float, y: float) -> FloatArray:
-        """Return (2, 2) metres eastward and northward on the ground per unit of x and of y, at a place.
+    def ground_meters(self, x: float, y: float) -> FloatArray:
+        """Return (2, 2) meters eastward and northward on the ground per unit of x and of y, at a place.
 
         Raises:
             ConfigError: as `to_geographic`, or the place is a pole or beyond.
@@ -99,22 +99,22 @@ class CoordinateSystem:
         at = np.array(((x + step, y), (x - step, y), (x, y + step), (x, y - step), (x, y)))
         latitude, longitude = self.to_geographic(at[:, 0], at[:, 1])
         if not (np.isfinite(latitude).all() and abs(latitude[4]) < 90):
-            raise ConfigError(f"centre lies at latitude {latitude[4]:g}, degrees have no width there")
-        per_degree = metres_per_degree(float(latitude[4]), self.ellipsoid)
+            raise ConfigError(f"center lies at latitude {latitude[4]:g}, degrees have no width there")
+        per_degree = meters_per_degree(float(latitude[4]), self.ellipsoid)
         degrees_east = (longitude[[0, 2]] - longitude[[1, 3]] + 180) % 360 - 180
         degrees_north = latitude[[0, 2]] - latitude[[1, 3]]
-        metres: FloatArray = np.stack((degrees_east * per_degree[0], degrees_north * per_degree[1]))
-        return metres / (2 * step)
+        meters: FloatArray = np.stack((degrees_east * per_degree[0], degrees_north * per_degree[1]))
+        return meters / (2 * step)
 
 
-def metres_per_degree(latitude: float, ellipsoid: tuple[float, float] = WGS84) -> tuple[float, float]:
-    """Return metres in a degree eastward and northward on an ellipsoid.
+def meters_per_degree(latitude: float, ellipsoid: tuple[float, float] = WGS84) -> tuple[float, float]:
+    """Return meters in a degree eastward and northward on an ellipsoid.
 
     Radii of curvature in the prime vertical and the meridian: Snyder 1987, eqs. 4-20 and 4-19.
 
     Args:
         latitude: degrees.
-        ellipsoid: semi-major axis, metres, and inverse flattening; 0 = sphere.
+        ellipsoid: semi-major axis, meters, and inverse flattening; 0 = sphere.
     """
     a, inverse = ellipsoid
     f = 1 / inverse if inverse else 0.0
@@ -124,7 +124,7 @@ def metres_per_degree(latitude: float, ellipsoid: tuple[float, float] = WGS84) -
 
 
 def _mercator_inverse(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return latitudes and longitudes of web Mercator's metres: Snyder 1987, eqs. 7-4 and 7-5."""
+    """Return latitudes and longitudes of web Mercator's meters: Snyder 1987, eqs. 7-4 and 7-5."""
     a = WGS84[0]
     return np.degrees(np.pi / 2 - 2 * np.arctan(np.exp(-y / a))), np.degrees(x / a)
 
@@ -138,7 +138,7 @@ def _utm_zone(code: int) -> tuple[int, int] | None:
 
 
 def _utm_inverse(x: FloatArray, y: FloatArray, zone: int, hemisphere: int) -> tuple[FloatArray, FloatArray]:
-    """Return latitudes and longitudes of UTM's metres: Karney 2011, eqs. 11, 15, 25 and 36, to n^4."""
+    """Return latitudes and longitudes of UTM's meters: Karney 2011, eqs. 11, 15, 25 and 36, to n^4."""
     a, f = WGS84[0], 1 / WGS84[1]
     n, e = f / (2 - f), math.sqrt(f * (2 - f))
     radius = a / (1 + n) * (1 + n**2 / 4 + n**4 / 64) * _SCALE

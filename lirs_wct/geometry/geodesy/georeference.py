@@ -20,12 +20,12 @@ TURNED = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Georeference:
-    """Coordinates and ground metres of a raster's pixels.
+    """Coordinates and ground meters of a raster's pixels.
 
     Attributes:
         system: of the coordinates.
         affine: column and row of a pixel's middle (whole numbers) to coordinates.
-        steps: metres eastward and northward on the ground, at the raster's middle, from one column to the
+        steps: meters eastward and northward on the ground, at the raster's middle, from one column to the
             next, and from one row to the next: ((east, north), (east, north)).
         located: whether the coordinates are known, and not only their spacing.
     """
@@ -44,19 +44,19 @@ class Georeference:
         """
         a, b, c, d, e, f = affine
         u, v = (shape[1] - 1) / 2, (shape[0] - 1) / 2
-        ground = system.ground_metres(a * u + b * v + c, d * u + e * v + f)
+        ground = system.ground_meters(a * u + b * v + c, d * u + e * v + f)
         column, row = (ground @ np.array(((a, b), (d, e)))).T.tolist()
         return Georeference(system, affine, (tuple(column), tuple(row)))
 
     @staticmethod
     def on_grid(system: CoordinateSystem, affine: Affine, *, located: bool = True) -> Georeference:
-        """Return the georeference of a raster whose units are taken for ground metres."""
+        """Return the georeference of a raster whose units are taken for ground meters."""
         a, b, _, d, e, _ = (value * system.unit for value in affine)
         return Georeference(system, affine, ((a, d), (b, e)), located)
 
     @property
     def pixel(self) -> tuple[float, float]:
-        """Ground metres from one column, and one row, to the next."""
+        """Ground meters from one column, and one row, to the next."""
         return math.hypot(*self.steps[0]), math.hypot(*self.steps[1])
 
     @property

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.geodesy.earth import CoordinateSystem, metres_per_degree
+from lirs_wct.geometry.geodesy.earth import CoordinateSystem, meters_per_degree
 from lirs_wct.geometry.geodesy.georeference import Affine
 
 
@@ -19,8 +19,8 @@ class Place:
 
     Attributes:
         system: of the coordinates.
-        affine: x and y of the world, metres, to coordinates.
-        height: of z = 0 above the data's own datum, metres; None where heights are not the file's.
+        affine: x and y of the world, meters, to coordinates.
+        height: of z = 0 above the data's own datum, meters; None where heights are not the file's.
     """
 
     system: CoordinateSystem
@@ -48,7 +48,7 @@ class Place:
             ConfigError: as `to_geographic`.
         """
         latitude, longitude = self.to_geographic(np.array((0.0, 10.0)), np.zeros(2))
-        east, north = metres_per_degree(float(latitude[0]))
+        east, north = meters_per_degree(float(latitude[0]))
         along = (float(np.diff(longitude)[0]) + 180) % 360 - 180
         return float(np.degrees(np.arctan2(float(np.diff(latitude)[0]) * north, along * east)))
 
@@ -65,6 +65,6 @@ class Place:
         height = "" if self.height is None else f", z = 0 at {self.height:.2f} m"
         return ", ".join(part for part in (self.system.label, origin) if part) + height
 
-    def raised(self, metres: float) -> Place:
+    def raised(self, meters: float) -> Place:
         """Return the place of a world whose z = 0 lies so much higher."""
-        return self if self.height is None else replace(self, height=self.height + metres)
+        return self if self.height is None else replace(self, height=self.height + meters)

@@ -19,9 +19,9 @@ class NodeGrid:
     """Nodes over an extent in the plane; row 0 = south.
 
     Attributes:
-        west: x of the first column, metres.
-        south: y of the first row, metres.
-        spacing: of the nodes, metres.
+        west: x of the first column, meters.
+        south: y of the first row, meters.
+        spacing: of the nodes, meters.
         shape: rows and columns.
     """
 
@@ -115,6 +115,6 @@ def filled(values: FloatArray) -> FloatArray:
 
 
 def gap_distance(missing: BoolArray, spacing: float) -> FloatArray:
-    """Return (rows, cols) metres from each node to the nearest one that is not missing."""
+    """Return (rows, cols) meters from each node to the nearest one that is not missing."""
     distance: FloatArray = ndimage.distance_transform_edt(missing) * spacing
     return distance

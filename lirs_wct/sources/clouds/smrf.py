@@ -33,10 +33,10 @@ class Smrf:
     Attributes:
         slope: steepest ground, rise over run ...
         mountain: ... but where the mean slope around is above this one, it is that mean; inf = nowhere.
-        window: radius of the largest object, metres.
-        threshold: height of a point over the provisional ground at which it is still ground, metres ...
-        scaling: ... and what the ground's slope adds to it, metres.
-        cell: of the grid on which objects are found, metres, at least.
+        window: radius of the largest object, meters.
+        threshold: height of a point over the provisional ground at which it is still ground, meters ...
+        scaling: ... and what the ground's slope adds to it, meters.
+        cell: of the grid on which objects are found, meters, at least.
 
     Raises:
         ConfigError: a value is not above 0.

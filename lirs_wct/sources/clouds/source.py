@@ -21,7 +21,7 @@ from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.window import leveled
 
 FAR = 10_000.0
-"""Metres from the origin beyond which coordinates are a country's: the cloud's middle becomes the origin."""
+"""Meters from the origin beyond which coordinates are a country's: the cloud's middle becomes the origin."""
 NODES = 1025
 """Nodes along the longer side, at most, unless a resolution is given."""
 PER_NODE = 4.0
@@ -36,7 +36,7 @@ EMPTY = 0.9
 
 
 def read_point_cloud(path: Path, options: BuildOptions) -> tuple[Terrain, str, Place | None]:
-    """Return a point cloud as ground, where its metres come from, and where it lies.
+    """Return a point cloud as ground, where its meters come from, and where it lies.
 
     A cloud near its own origin keeps its frame. Of one farther off, in coordinates of a country, the middle
     is the origin and the lowest ground z = 0, or the height that the options say.
@@ -46,7 +46,7 @@ def read_point_cloud(path: Path, options: BuildOptions) -> tuple[Terrain, str, P
         ConfigError: an option does not fit the cloud.
     """
     found = read_points(path)
-    xyz, middle, steps = _in_metres(path, found)
+    xyz, middle, steps = _in_meters(path, found)
     kept = _within(path, xyz, options)
     xyz, known = xyz[kept], None if found.ground is None else found.ground[kept]
     if not (np.ptp(xyz[:, :2], axis=0) > 0).all():
@@ -68,12 +68,12 @@ def read_point_cloud(path: Path, options: BuildOptions) -> tuple[Terrain, str, P
     return Terrain(surface, no_ground), f"the file's own, {grid.spacing:.3g} m a node, {method}", place
 
 
-def _in_metres(path: Path, found: PointFile) -> tuple[FloatArray, tuple[float, float], tuple[float, float]]:
-    """Return points in metres of the world's frame, its origin in coordinates, and metres a unit of them."""
+def _in_meters(path: Path, found: PointFile) -> tuple[FloatArray, tuple[float, float], tuple[float, float]]:
+    """Return points in meters of the world's frame, its origin in coordinates, and meters a unit of them."""
     system, xyz = found.system, found.xyz
     if system.form == "geographic":
         raise SourceError(
-            f"{path}: is in degrees, metres are needed; PDAL's filters.reprojection projects it"
+            f"{path}: is in degrees, meters are needed; PDAL's filters.reprojection projects it"
         )
     low, high = xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
     middle = (

@@ -1,1 +1,1 @@
-"""A picture as a source: its gray or its metres as the heights of a terrain."""
+"""A picture as a source: its gray or its meters as the heights of a terrain."""

@@ -24,7 +24,7 @@ def dequantize(levels: Float32Array, step: float = 1.0) -> Float32Array:
 
     Args:
         levels: (rows, cols) gray levels.
-        step: between neighbouring levels.
+        step: between neighboring levels.
     """
     half = np.float32(step / 2)
     pyramid = [levels]

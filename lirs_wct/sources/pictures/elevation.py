@@ -1,4 +1,4 @@
-"""What elevation data bring beside a picture's pixels: heights in colors, metres, a place."""
+"""What elevation data bring beside a picture's pixels: heights in colors, meters, a place."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def decoded(path: Path, raster: Raster, options: BuildOptions) -> Raster:
     georeference = raster.info.georeference or tile_georeference(path, (shape[0], shape[1]))
     if georeference is None and options.size is None and options.pixel_size is None:
         raise ConfigError(
-            f"{path}: its heights are in metres, its extent is not known: give --pixel-size or --size"
+            f"{path}: its heights are in meters, its extent is not known: give --pixel-size or --size"
         )
     return Raster(decode(raster.pixels, options.encoding), RasterInfo(georeference, unit=1.0))
 
@@ -46,15 +46,15 @@ def way_out(pixels: NDArray[Any]) -> str:
     encoding = guess(pixels)
     if encoding is None:
         return "--grayscale makes it gray"
-    metres = decode(pixels, encoding)
+    meters = decode(pixels, encoding)
     return (
-        f"its colors look like heights of {metres.min():.0f} to {metres.max():.0f} m: give "
+        f"its colors look like heights of {meters.min():.0f} to {meters.max():.0f} m: give "
         f"--encoding {encoding} (--grayscale would make it gray)"
     )
 
 
 def pixel_of(info: RasterInfo) -> tuple[float, float] | None:
-    """Return the ground metres of a pixel eastward and northward; None where the raster says none."""
+    """Return the ground meters of a pixel eastward and northward; None where the raster says none."""
     return None if info.georeference is None else info.georeference.pixel
 
 

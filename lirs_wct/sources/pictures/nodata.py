@@ -15,8 +15,8 @@ from lirs_wct.errors import SourceError
 UNTAGGED_NODATA = (-9999.0, -32768.0)
 """What elevation rasters hold where nothing was measured, even without a tag; beyond 1e30 likewise."""
 BORDER, CLIFF, STEPS = 0.02, 50.0, 10.0
-"""Lowest value on the border as undeclared "no data": share of the border, metres of the cliff beside it, and
-that over the usual step between neighbours."""
+"""Lowest value on the border as undeclared "no data": share of the border, meters of the cliff beside it, and
+that over the usual step between neighbors."""
 
 
 def fill_nodata(
@@ -38,7 +38,7 @@ def fill_nodata(
     share = f"{count} of {values.size} pixels have no height (NaN or nodata)"
     if count > values.size / 2:
         raise SourceError(f"{path}: {share}, at most half may lack one")
-    warnings.warn(f"{path}: {share}, filled from their nearest neighbours", stacklevel=3)
+    warnings.warn(f"{path}: {share}, filled from their nearest neighbors", stacklevel=3)
     nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
     filled: NDArray[np.floating[Any]] = values[tuple(nearest)]
     return filled
@@ -50,7 +50,7 @@ def tell_border(path: Path, values: NDArray[np.floating[Any]], unit: float) -> N
     Args:
         path: of the raster.
         values: (rows, cols), holes filled.
-        unit: metres in a unit of height.
+        unit: meters in a unit of height.
     """
     lowest = values.min()
     border = np.concatenate((values[0], values[-1], values[1:-1, 0], values[1:-1, -1]))

@@ -1,4 +1,4 @@
-"""A raster of heights, or a picture that becomes one, becomes a height field in metres."""
+"""A raster of heights, or a picture that becomes one, becomes a height field in meters."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from lirs_wct.sources.source_kind import SourceKind
 from lirs_wct.sources.window import cut_surface, leveled
 
 GRAY_TOLERANCE = 2
-"""Levels of 255 by which the channels of a gray picture may differ (rounding of colour conversions)."""
+"""Levels of 255 by which the channels of a gray picture may differ (rounding of color conversions)."""
 LUMA = (0.114, 0.587, 0.299)
 """Weights of blue, green, red (ITU-R BT.601)."""
 
 
 def read_terrain(source: Source, options: BuildOptions) -> tuple[Terrain, str, Place | None]:
-    """Return a picture or a bundled world as ground, where its metres come from, and where it lies.
+    """Return a picture or a bundled world as ground, where its meters come from, and where it lies.
 
     Raises:
         SourceError: the picture cannot be used.
@@ -52,20 +52,20 @@ def read_terrain(source: Source, options: BuildOptions) -> tuple[Terrain, str, P
 
 @dataclass(frozen=True)
 class TerrainPicture:
-    """A picture of a terrain, and the metres that it brings.
+    """A picture of a terrain, and the meters that it brings.
 
     Attributes:
         raster: decoded.
-        size: longer side in metres; None = as the picture's tags say, else the default.
-        height: metres between its darkest and its brightest pixel; None = the same.
+        size: longer side in meters; None = as the picture's tags say, else the default.
+        height: meters between its darkest and its brightest pixel; None = the same.
     """
 
     raster: Raster
     size: float | None = None
     height: float | None = None
 
-    def with_own_metres(self, options: BuildOptions) -> BuildOptions:
-        """Return the options with the picture's own metres where they give none."""
+    def with_own_meters(self, options: BuildOptions) -> BuildOptions:
+        """Return the options with the picture's own meters where they give none."""
         size = options.size if options.size or options.pixel_size else self.size
         return replace(options, size=size, height=options.height or self.height)
 
@@ -90,16 +90,16 @@ def read_height_field(path: Path, options: BuildOptions) -> HeightField:
 
 
 def read_scaled(path: Path, options: BuildOptions) -> tuple[HeightField, str]:
-    """Read a picture as a terrain, and a text that says where its metres come from.
+    """Read a picture as a terrain, and a text that says where its meters come from.
 
-    Bright is high, the lowest point is z = 0 unless `zero` is given, the centre is the origin.
+    Bright is high, the lowest point is z = 0 unless `zero` is given, the center is the origin.
 
     A GeoTIFF keeps its own pixel size and heights unless the options say otherwise; any other picture
     is scaled to the options or their defaults. The pixels are the nodes. Options act in this order: crop,
-    nodata, invert, dequantize, denoise, smoothing, sharpness, resize, metres, scale.
+    nodata, invert, dequantize, denoise, smoothing, sharpness, resize, meters, scale.
 
     Raises:
-        SourceError: the file cannot be used, is in colour without `grayscale`, or is more than half
+        SourceError: the file cannot be used, is in color without `grayscale`, or is more than half
             nodata.
     """
     return _scaled(path, TerrainPicture(read_raster(path, options.max_pixels)), options)[:2]
@@ -109,7 +109,7 @@ def _scaled(
     path: Path, found: TerrainPicture, options: BuildOptions
 ) -> tuple[HeightField, str, Place | None]:
     raster = decoded(path, found.raster, options)
-    surface, height = _heights(path, raster, found.with_own_metres(options))
+    surface, height = _heights(path, raster, found.with_own_meters(options))
     if found.size is not None:
         resized = options.size or options.pixel_size or options.height
         return surface, "as given" if resized else "as bundled", None
@@ -172,7 +172,7 @@ def _heights(path: Path, raster: Raster, options: BuildOptions) -> tuple[HeightF
     if options.zero is None:
         lowest = float(above.min())
         above -= np.float32(lowest)
-        above, base = _metres(above, info.unit, options.height, factor), base + lowest
+        above, base = _meters(above, info.unit, options.height, factor), base + lowest
     else:
         above *= np.float32(unit)
     width, depth = _extent(pixels.shape, pixel_of(info), options)
@@ -183,7 +183,7 @@ def _heights(path: Path, raster: Raster, options: BuildOptions) -> tuple[HeightF
 
 
 def _scale_text(info: RasterInfo, options: BuildOptions) -> str:
-    """Say where the metres come from."""
+    """Say where the meters come from."""
     size = height = "the file's own"
     if info.georeference is None:
         size = f"{DEFAULT_SIZE:g} m on the longer side by default"
@@ -208,7 +208,7 @@ def _cropped(path: Path, pixels: NDArray[Any], crop: tuple[int, int, int, int] |
 
 
 def _level_step(path: Path, pixels: NDArray[Any]) -> float:
-    """Return the distance of neighbouring gray levels: 257 for 8 bits stored as 16."""
+    """Return the distance of neighboring gray levels: 257 for 8 bits stored as 16."""
     if pixels.dtype.kind not in "iu":
         raise SourceError(f"{path}: holds floating-point heights, --deterrace needs gray levels")
     steps = np.diff(np.unique(pixels))
@@ -253,7 +253,7 @@ def _gray(path: Path, pixels: NDArray[Any], grayscale: bool) -> NDArray[np.float
                 f"{path}: has {pixels.shape[2]} different bands of {pixels.dtype}, a terrain needs one band "
                 "of heights: cut that out (gdal_translate -b 1 IN OUT), or mix them with --grayscale"
             )
-        raise SourceError(f"{path}: is in colour, a terrain needs a gray picture; {way_out(pixels)}")
+        raise SourceError(f"{path}: is in color, a terrain needs a gray picture; {way_out(pixels)}")
     if not span.any():
         gray = pixels[..., 0].astype(kind)
         return gray
@@ -263,8 +263,8 @@ def _gray(path: Path, pixels: NDArray[Any], grayscale: bool) -> NDArray[np.float
     return gray
 
 
-def _metres(above: Float32Array, unit: float | None, height: float | None, factor: float) -> Float32Array:
-    """Turn values above the lowest point into metres, in place; a flat picture stays flat."""
+def _meters(above: Float32Array, unit: float | None, height: float | None, factor: float) -> Float32Array:
+    """Turn values above the lowest point into meters, in place; a flat picture stays flat."""
     relief = above.max()
     if relief > 0 and (unit is None or height is not None):
         # The division first: the top comes out as exactly `height`.
@@ -279,7 +279,7 @@ def _metres(above: Float32Array, unit: float | None, height: float | None, facto
 def _extent(
     shape: tuple[int, ...], pixel: tuple[float, float] | None, options: BuildOptions
 ) -> tuple[float, float]:
-    """Return width and depth of the ground, metres: the pixels are nodes, so one less than pixels."""
+    """Return width and depth of the ground, meters: the pixels are nodes, so one less than pixels."""
     rows, cols = shape[:2]
     sx, sy = pixel or (1.0, 1.0)
     if isinstance(options.size, tuple):

@@ -84,8 +84,8 @@ class ConstraintBuilder:
         self.config = config
         self.counts = SearchCounts()
         self._matcher = ScanMatcher(config.match)
-        metres, radians = config.min_deviation
-        self._min_covariance = np.diag((metres**2, metres**2, radians**2))
+        meters, radians = config.min_deviation
+        self._min_covariance = np.diag((meters**2, meters**2, radians**2))
 
     def compute_constraint(
         self, submap: Submap, points: FloatArray, start: Pose2, distance_traveled: float
@@ -94,9 +94,9 @@ class ConstraintBuilder:
 
         Args:
             submap: finished.
-            points: (n, 2 or more) hits on walls in the leveled base frame, metres.
+            points: (n, 2 or more) hits on walls in the leveled base frame, meters.
             start: expected pose of the base in the submap's local frame.
-            distance_traveled: distance from the nearest node with a constraint to the submap, metres.
+            distance_traveled: distance from the nearest node with a constraint to the submap, meters.
 
         Returns:
             The match; None where the scan fits nowhere well.

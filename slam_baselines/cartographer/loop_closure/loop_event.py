@@ -27,5 +27,5 @@ class LoopEvent:
 
     @property
     def distance(self) -> float:
-        """Distance by which the loop moves the scan, metres."""
+        """Distance by which the loop moves the scan, meters."""
         return self.before.distance(self.after)

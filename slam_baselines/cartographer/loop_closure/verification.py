@@ -31,7 +31,7 @@ class LoopVerification:
 
         Args:
             loop: new.
-            distance_traveled: distance traveled until its node, metres.
+            distance_traveled: distance traveled until its node, meters.
             submaps: `T_map_submap` of all submaps at present.
             nodes: `T_map_base` of all nodes at present.
         """

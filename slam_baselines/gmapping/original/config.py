@@ -15,24 +15,24 @@ class GmappingOriginalConfig:
     Attributes:
         particles: number of paths.
         seed: of the random numbers, as for the C library's `srand48`.
-        linearUpdate: metres to drive before the next scan is processed.
+        linearUpdate: meters to drive before the next scan is processed.
         angularUpdate: radians to turn before the next scan is processed.
         resampleThreshold: particles are drawn anew when N_eff falls below this share of them.
-        srr: error of the odometry in translation after one metre, metres.
-        srt: error of the odometry in rotation after one metre, radians.
-        str: error of the odometry in translation after one radian, metres.
+        srr: error of the odometry in translation after one meter, meters.
+        srt: error of the odometry in rotation after one meter, radians.
+        str: error of the odometry in translation after one radian, meters.
         stt: error of the odometry in rotation after one radian, radians.
-        sigma: of the matcher's score, square metres.
+        sigma: of the matcher's score, square meters.
         kernelSize: cells around the end of a beam in which the matcher looks for hits.
-        lstep: first step of the matcher in x and y, metres.
+        lstep: first step of the matcher in x and y, meters.
         astep: first step of the matcher in yaw, radians.
         iterations: how often the steps are halved.
-        lsigma: of the likelihood, square metres.
+        lsigma: of the likelihood, square meters.
         ogain: likelihoods are taken to the power 1 / (ogain * particles).
-        delta: edge of a map's cell, metres.
-        maxrange: farther readings are not used, metres. A beam without return reads the lidar's largest
+        delta: edge of a map's cell, meters.
+        maxrange: farther readings are not used, meters. A beam without return reads the lidar's largest
             range, as in a CARMEN log.
-        maxUrange: farther readings are no hits, metres: free up to there.
+        maxUrange: farther readings are no hits, meters: free up to there.
         occ_thresh: share of hits among the beams through a cell above which it is occupied.
 
     Raises:

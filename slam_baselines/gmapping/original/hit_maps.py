@@ -27,7 +27,7 @@ class Patches(NamedTuple):
 
     Attributes:
         counts: (p, 256) int32, how many beams ended in a cell.
-        sums: (p, 256, 2) float32, sum of the places where they ended, x and y in metres.
+        sums: (p, 256, 2) float32, sum of the places where they ended, x and y in meters.
         owners: (p,) int32, how many maps point at the patch; 0 = free.
         free: (1 + p,) int32, how many patches are free, and then which.
     """
@@ -45,7 +45,7 @@ class HitMap(NamedTuple):
         table: (rows, cols) int32, the patch at each place.
         corner: (2,) int64, row and column of the table's first patch in the lattice of patches.
         patches: what the table points at.
-        delta: edge of a cell, metres.
+        delta: edge of a cell, meters.
     """
 
     table: Int32Array
@@ -58,7 +58,7 @@ class HitMaps:
     """The maps of a set of particles, over one lattice of cells that grows where needed."""
 
     def __init__(self, particles: int, delta: float) -> None:
-        """Start empty; `delta` is the edge of a cell, metres."""
+        """Start empty; `delta` is the edge of a cell, meters."""
         self._delta = delta
         self._tables: Int32Array = np.empty((particles, 0, 0), np.int32)
         self._corner: IntArray = np.zeros(2, np.int64)
@@ -90,7 +90,7 @@ class HitMaps:
 
         Args:
             poses: (particles, 3) x, y, yaw of `T_map_base`.
-            ends: (n, 2) of beams in the base frame, metres.
+            ends: (n, 2) of beams in the base frame, meters.
         """
         reach = float(np.hypot(ends[:, 0], ends[:, 1]).max(initial=0.0)) + 2 * self._delta
         self._cover(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
@@ -102,7 +102,7 @@ class HitMaps:
             done = _register(self._tables, self._corner, self._patches, self._delta, poses, ends, done)
 
     def _cover(self, low: FloatArray, high: FloatArray) -> None:
-        """Make the box (x, y in metres) part of the tables."""
+        """Make the box (x, y in meters) part of the tables."""
         edge = PATCH * self._delta
         first = np.array([math.floor(v / edge) for v in low[::-1]])
         end = np.array([math.floor(v / edge) + 1 for v in high[::-1]])

@@ -25,7 +25,7 @@ from slam_baselines.mapping.keyframe_trajectory import KeyframeTrajectory
 
 __all__ = ["GmappingOriginalConfig", "GmappingOriginalMapper"]
 
-MILLIMETRE, MICROMETRE = 3, 6
+MILLIMETER, MICROMETER = 3, 6
 """Decimals of a range and of a position in a CARMEN log."""
 HEADING = 8
 """Decimals of a heading in a CARMEN log, radians."""
@@ -59,7 +59,7 @@ class GmappingOriginalMapper:
 
     @property
     def resolution(self) -> float:
-        """Edge of a cell of the map, metres."""
+        """Edge of a cell of the map, meters."""
         return self.config.delta
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
@@ -125,13 +125,13 @@ class GmappingOriginalMapper:
 
 
 def _logged_pose(pose: Pose2) -> Pose2:
-    return Pose2(round(pose.x, MICROMETRE), round(pose.y, MICROMETRE), round(pose.yaw, HEADING))
+    return Pose2(round(pose.x, MICROMETER), round(pose.y, MICROMETER), round(pose.yaw, HEADING))
 
 
 def _usable(scan: LaserScan, maxrange: float, max_urange: float) -> ProcessedScan:
     """Return the beams that say something, as a CARMEN log would hold them."""
-    most = round(scan.range_max, MILLIMETRE)
-    ranges = np.round(scan.ranges.astype(np.float64), MILLIMETRE)
+    most = round(scan.range_max, MILLIMETER)
+    ranges = np.round(scan.ranges.astype(np.float64), MILLIMETER)
     ranges[scan.ranges == np.inf] = most
     known = np.isfinite(ranges) & (ranges > 0) & (ranges <= maxrange)
     r = ranges[known]

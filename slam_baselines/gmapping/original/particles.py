@@ -70,7 +70,7 @@ class OriginalParticles:
         """Match and weigh, resample where due, and register the scan.
 
         Args:
-            ends: (n, 2) of beams in the base frame, metres.
+            ends: (n, 2) of beams in the base frame, meters.
             increment: `T_processed_now` by odometry since the scan processed before.
         """
         parents = np.arange(len(self._poses))

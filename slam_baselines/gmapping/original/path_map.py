@@ -19,8 +19,8 @@ class ProcessedScan(NamedTuple):
     """What is kept of a scan for the map.
 
     Attributes:
-        laser: (2,) in the base frame, metres.
-        ends: (n, 2) of beams in the base frame, metres.
+        laser: (2,) in the base frame, meters.
+        ends: (n, 2) of beams in the base frame, meters.
         hits: (n,) which of the ends are hits; the others are where a long beam leaves the usable range.
     """
 
@@ -37,7 +37,7 @@ def path_map(
     Args:
         path: (n, 3) x, y, yaw of `T_map_base`, of each scan.
         scans: n of them.
-        delta: edge of a cell, metres.
+        delta: edge of a cell, meters.
         occ_thresh: share of hits among the beams through a cell above which it is occupied.
     """
     grid = GrowingGrid(delta, {"hits": (np.int32, 0), "visits": (np.int32, 0)})

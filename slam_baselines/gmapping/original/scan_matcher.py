@@ -12,7 +12,7 @@ from lirs_wct.kernels import njit
 from slam_baselines.gmapping.original.hit_maps import BITS, MASK, HitMap, cell_of
 
 NULL_LIKELIHOOD = -0.5
-"""Squared metres (negative) that a beam without a hit in its neighborhood counts as."""
+"""Squared meters (negative) that a beam without a hit in its neighborhood counts as."""
 
 
 class MatchingParameters(NamedTuple):
@@ -44,7 +44,7 @@ def match_scan(hits: HitMap, expected: FloatArray, ends: FloatArray, parameters:
     Args:
         hits: the map.
         expected: (3,) x, y, yaw of `T_map_base`, where the climb starts.
-        ends: (n, 2) of beams in the base frame, metres.
+        ends: (n, 2) of beams in the base frame, meters.
         parameters: of the matcher.
     """
     found, score = _climb(hits, expected, ends, parameters)

@@ -78,7 +78,7 @@ def test_gaps_are_trenches_and_steps_are_terraces() -> None:
     away = gaps.heights[:20]
     assert np.mean(away < -1.0) > 0.15
     assert np.mean(np.abs(away) < 0.2) > 0.3
-    # Between two neighbours a tread is level or there is a whole riser.
+    # Between two neighbors a tread is level or there is a whole riser.
     rise = np.abs(np.diff(steps.heights[:20], axis=1))
     assert np.mean((rise < 0.03) | (np.abs(rise - 0.34) < 0.03)) > 0.99
     assert (rise > 0.3).any()

@@ -79,7 +79,7 @@ def test_ranges_in_a_room() -> None:
 def test_the_mount_and_the_pose_move_the_rays() -> None:
     mount = Pose3.from_rpy(0.5, 0.0, 0.3, 0.0, 0.0, math.pi / 2)
     scan = scanner(exact(), mount).scan(Pose3.from_rpy(1.0, 0.0, 0.2, 0.0, 0.0, math.pi), 0.0)
-    # The base looks west from x = 1, the laser sits half a metre west of it and looks south.
+    # The base looks west from x = 1, the laser sits half a meter west of it and looks south.
     assert scan.ranges[180] == pytest.approx(3.0, abs=1e-5)
     assert scan.ranges[0] == pytest.approx(4.5, abs=1e-5)
     assert scan.T_base_laser == mount

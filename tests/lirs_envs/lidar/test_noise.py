@@ -64,7 +64,7 @@ def test_quantisation() -> None:
 def test_dropouts_are_nan_and_as_many_as_stated() -> None:
     lost = np.isnan(measured(np.full(BEAMS, 3.0), LidarNoise(dropout=0.01)))
     assert stats.binomtest(int(lost.sum()), BEAMS, 0.01).pvalue > ALMOST_SURE
-    # They come one by one: neighbours are lost together by chance only.
+    # They come one by one: neighbors are lost together by chance only.
     pairs = int((lost[1:] & lost[:-1]).sum())
     assert stats.poisson.sf(pairs - 1, BEAMS * 1e-4) > ALMOST_SURE
 

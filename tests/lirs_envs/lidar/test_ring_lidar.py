@@ -41,7 +41,7 @@ def sweep(
 
 
 def off_the_room(points: np.ndarray) -> np.ndarray:
-    """How far points in the world lie from floor and inner walls, whatever is nearer, metres."""
+    """How far points in the world lie from floor and inner walls, whatever is nearer, meters."""
     x, y, z = points.T
     wall = np.minimum(np.abs(np.abs(x) - 4.0), np.abs(np.abs(y) - 3.0))
     return np.minimum(wall, np.abs(z))

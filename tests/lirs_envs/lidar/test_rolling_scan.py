@@ -62,7 +62,7 @@ def test_motion_distorts_and_de_skewing_undoes_it() -> None:
 def test_the_de_skewed_scan_is_the_one_at_rest() -> None:
     straight, scan = rolling_scan(None), deskewed_scan(rolling_scan(MOTION), MOTION.linear, MOTION.angular)
     assert scan.time_increment == 0.0
-    assert np.isnan(scan.ranges).mean() < 0.15, "few beams are left without a neighbour"
+    assert np.isnan(scan.ranges).mean() < 0.15, "few beams are left without a neighbor"
     both = np.isfinite(scan.ranges)
     assert np.quantile(np.abs(scan.ranges - straight.ranges)[both], 0.95) < 0.05
 

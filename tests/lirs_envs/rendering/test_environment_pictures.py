@@ -58,9 +58,9 @@ def test_walkers_are_shown_where_they_are(plane: World) -> None:
     snapshot = snapshot_of(env.episodes, 0)
     assert snapshot.walkers.shape == (6, 3)
     picture = env.render().astype(int)
-    per_metre = len(picture) / 20
+    per_meter = len(picture) / 20
     for x, y, _ in snapshot.walkers.tolist():
-        shown = picture[int((10 - y) * per_metre), int((x + 10) * per_metre)]
+        shown = picture[int((10 - y) * per_meter), int((x + 10) * per_meter)]
         assert (np.abs(shown - WALKER) < 30).all() or (np.abs(shown - GOAL) < 60).all()
 
 

@@ -150,7 +150,7 @@ def test_another_terrain_is_drawn_anew(in_ci: bool) -> None:
 
 
 def test_a_map_shows_all_where_it_is(plane: World, husky: Robot) -> None:
-    """The plane is 20 m square with its middle at the origin; 400 pixels are 20 a metre."""
+    """The plane is 20 m square with its middle at the origin; 400 pixels are 20 a meter."""
     sim = simulation(plane, husky)
     view = MapView(400)
     walkers, goal = np.array(((-5.0, 6.0, 0.9),)), Pose2(7.0, -4.0)

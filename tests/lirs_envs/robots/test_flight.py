@@ -41,7 +41,7 @@ def test_the_published_figures(robot: Robot) -> None:
     assert model.actuator_gear[:, 5].sum() == 0, "the rotors' drags are in balance"
 
 
-def test_hovers_within_five_centimetres(plane: World, robot: Robot) -> None:
+def test_hovers_within_five_centimeters(plane: World, robot: Robot) -> None:
     sim = simulation(plane, robot)
     sim.reset(Pose2(1.0, 2.0, 0.5))
     for k in range(375):
@@ -57,7 +57,7 @@ def test_hovers_within_five_centimetres(plane: World, robot: Robot) -> None:
 @pytest.mark.parametrize(
     "goal", [Waypoint(2, 0, 1), Waypoint(0, -2, 1), Waypoint(0, 0, 3), Waypoint(1.2, 1.2, 2.06, 1.5)]
 )
-def test_a_step_of_two_metres_in_three_seconds(goal: Waypoint, plane: World, robot: Robot) -> None:
+def test_a_step_of_two_meters_in_three_seconds(goal: Waypoint, plane: World, robot: Robot) -> None:
     sim = simulation(plane, robot)
     sim.reset()
     start, end, along = np.array((0, 0, 1.0)), np.array((goal.x, goal.y, goal.z)), []
@@ -91,7 +91,7 @@ def test_commanded_is_flown(plane: World, robot: Robot) -> None:
 
 
 @pytest.mark.parametrize("where", ["hills", "medium"])
-def test_follows_terrain_at_three_metres_a_second(
+def test_follows_terrain_at_three_meters_a_second(
     where: str, make_world: Callable[..., World], robot: Robot
 ) -> None:
     hills = make_world(lambda x, y: 1.5 * np.sin(x / 1.5) * np.cos(y / 2), nodes=401)

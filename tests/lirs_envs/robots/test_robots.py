@@ -153,7 +153,7 @@ def test_slides_at_the_angle_of_its_friction(offset: float, stays: bool, plane: 
     for _ in range(50):
         sim.advance(Twist())
     speed = math.hypot(*sim.body.data.qvel[:2])
-    # A held slope lets soft tyres creep by millimetres a second, a lost one gains 0.5 m/s each second.
+    # A held slope lets soft tyres creep by millimeters a second, a lost one gains 0.5 m/s each second.
     assert speed < 0.1 if stays else speed > 0.5
 
 
@@ -163,7 +163,7 @@ def tilt_gravity(sim: Simulation, angle: float) -> None:
 
 
 def tip_angle(sim: Simulation) -> float:
-    """Sideways angle at which the centre of mass is above the edge of what the robot stands on."""
+    """Sideways angle at which the center of mass is above the edge of what the robot stands on."""
     model, data = sim.body.model, sim.body.data
     mujoco.mj_forward(model, data)
     x, y, z = data.subtree_com[model.body("base_link").id]
@@ -257,8 +257,8 @@ def test_the_robot_is_within_its_radius(robot: Robot) -> None:
         if not model.geom_contype[g]:
             continue
         # Corners of the geom's own box.
-        centre, half = model.geom_aabb[g, :3], model.geom_aabb[g, 3:]
-        corners = centre + half * np.array(np.meshgrid(*3 * ((-1, 1),))).reshape(3, -1).T
+        center, half = model.geom_aabb[g, :3], model.geom_aabb[g, 3:]
+        corners = center + half * np.array(np.meshgrid(*3 * ((-1, 1),))).reshape(3, -1).T
         xy = (corners @ data.geom_xmat[g].reshape(3, 3).T + data.geom_xpos[g])[:, :2]
         assert np.hypot(*xy.T).max() <= robot.radius + 0.02, model.geom(g).name
 

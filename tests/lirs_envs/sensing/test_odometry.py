@@ -38,10 +38,10 @@ def test_the_scale_error_wanders_over_its_length() -> None:
     # Chi-square of one value each run: they are independent.
     z = errors[:, 100] / config.scale_sigma
     assert 1e-4 < stats.chi2.cdf(z @ z, 400) < 1 - 1e-4
-    for metres in (2.5, 5.0):
-        lag = round(metres / 0.05)
+    for meters in (2.5, 5.0):
+        lag = round(meters / 0.05)
         kept = np.mean(errors[:, :-lag] * errors[:, lag:]) / errors.var()
-        assert kept == pytest.approx(math.exp(-metres / config.scale_length), abs=0.12)
+        assert kept == pytest.approx(math.exp(-meters / config.scale_length), abs=0.12)
 
 
 def test_the_attitude_s_bias_wanders_over_its_time() -> None:
@@ -95,7 +95,7 @@ def error_of(odometry: Odometry, truth: Pose2) -> np.ndarray:
 
 @pytest.mark.parametrize(("name", "stops"), [("husky", False), ("husky", True), ("turtlebot2", True)])
 def test_the_filter_is_consistent(name: str, stops: bool) -> None:
-    """Normalised estimation error squared (Bar-Shalom, Li and Kirubarajan 2001, sec. 5.4.2)."""
+    """Normalized estimation error squared (Bar-Shalom, Li and Kirubarajan 2001, sec. 5.4.2)."""
     robot, config, nees, n = make_robot(name), ImuConfig(), [], 60
     for seed in range(n):
         rng = np.random.default_rng(seed)

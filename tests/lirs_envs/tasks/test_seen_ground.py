@@ -1,4 +1,4 @@
-"""Seen ground: against beams that are followed centimetre by centimetre."""
+"""Seen ground: against beams that are followed centimeter by centimeter."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from lirs_validation.report.tables.table import Spread
 from tests.lirs_validation.records import entry
 
 ODOMETRY = 0.2
-"""ATE of the odometry in the records, metres."""
+"""ATE of the odometry in the records, meters."""
 LIMIT = TIMES * ODOMETRY + SLACK
 
 

@@ -66,7 +66,7 @@ def test_its_own_files_score_its_own_figures(run: RunFolder) -> None:
     own = score(run, trajectory=run.folder / "estimate.tum", map_yaml=run.folder / "map.yaml")
     assert own.frame == "world"
     for name, value in own.map.items():
-        # Poses are written to the nanometre: a cell at the tolerance may fall on either side of it.
+        # Poses are written to the nanometer: a cell at the tolerance may fall on either side of it.
         near = pytest.approx(run.entry["map"][name], abs=2e-3)
         assert value == (
             near if name.endswith("_aligned") or name.startswith("start_") else run.entry["map"][name]
@@ -122,7 +122,7 @@ def test_a_map_of_other_cells_meets_a_true_pose_map_of_its_own(run: RunFolder, t
     overlap = iou(fine, recorded)
     assert found is not None
     assert overlap is not None
-    # Scans to the millimetre.
+    # Scans to the millimeter.
     assert found > 0.995
     assert overlap > 0.95
     coarse = true_pose_map(run.folder, config, 0.1)

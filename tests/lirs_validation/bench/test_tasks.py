@@ -89,7 +89,7 @@ def test_what_a_set_lacks_is_said() -> None:
         (changed(robot="huksy"), "unknown robot 'huksy'"),
         (changed(world="attic"), "unknown world of a task 'attic'; legal: plan"),
         (changed(time_limit=0), "time_limit of a must be"),
-        (changed(colour="red"), "colour"),
+        (changed(color="red"), "color"),
         (changed(name="../a"), "the name of a task must be letters, digits and _.- alone, got '../a'"),
         (GOOD | {"name": ""}, "the name of a task set must be"),
         (GOOD | {"schema": 9}, "schema of a task set must be 1, got 9"),

@@ -18,7 +18,7 @@ OFFICE = Path(__file__).parents[3] / "examples/data/office.yaml"
 def test_a_run_mapped_again_from_its_scans_scores_as_the_run(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A log's ranges are in millimetres: all is the same where the method rounds to them itself."""
+    """A log's ranges are in millimeters: all is the same where the method rounds to them itself."""
 
     def wct(*arguments: str) -> int:
         monkeypatch.setattr("sys.argv", ["lirs-wct", *arguments])

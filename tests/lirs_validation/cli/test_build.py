@@ -64,7 +64,7 @@ def roughness(surface: HeightField) -> float:
     return float(np.abs(np.diff(surface.z, 2)).mean())
 
 
-def test_metres_multiply_whatever_the_size_gave(folder: Path) -> None:
+def test_meters_multiply_whatever_the_size_gave(folder: Path) -> None:
     plain = built("hill.png", "--size", "20", "--height", "3").surface
     assert built(
         "hill.png", "--size", "20", "--height", "3", "--z-scale", "2"

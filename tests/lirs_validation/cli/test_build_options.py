@@ -26,13 +26,13 @@ class Flooded(SourceOptions):
     """The options with two more."""
 
     water_level: float | None = option(
-        None, "Metres of water.", panel="Water", check=positive, kinds={SourceKind.PICTURE}
+        None, "Meters of water.", panel="Water", check=positive, kinds={SourceKind.PICTURE}
     )
     current: tuple[float, float] | None = option(
         None,
         "Flow of the water.",
         metavar="U,V",
-        read=numbers("U,V in metres a second", 2),
+        read=numbers("U,V in meters a second", 2),
         switch=Switch(flag="--flowing", value=(1.0, 0.0), help="Eastward."),
     )
 
@@ -66,14 +66,14 @@ def test_a_new_field_is_in_the_help(monkeypatch: pytest.MonkeyPatch) -> None:
     def probe(source: str, *, options: Flooded) -> None: ...
 
     shown = CliRunner().invoke(app, ["--help"]).output
-    for part in ("Water", "--water-level", "Metres of water.", "U,V", "--flowing", "--mapper"):
+    for part in ("Water", "--water-level", "Meters of water.", "U,V", "--flowing", "--mapper"):
         assert part in shown
 
 
 def test_a_new_field_is_checked_and_knows_its_sources() -> None:
     with pytest.raises(ConfigError, match=r"^water level must be a finite number above 0, got -1.0$"):
         said("--water-level", "-1")
-    with pytest.raises(ConfigError, match=r"^--current must be U,V in metres a second, got '1'$"):
+    with pytest.raises(ConfigError, match=r"^--current must be U,V in meters a second, got '1'$"):
         said("--current", "1")
     deep = Flooded(water_level=2.0)
     assert without_effect(deep, SourceKind.PICTURE) == []

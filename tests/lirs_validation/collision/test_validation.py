@@ -300,7 +300,7 @@ def test_files_and_table(blocks: World, tmp_path: Path) -> None:
     entries = json.loads(folder.read_text())["collisions"]
     assert [entry["passed"] for entry in entries] == [True, False]
     over = [check["name"] for check in entries[1]["checks"] if not check["passed"]]
-    assert over == ["penetration, 99.9 %", "centres inside"]
+    assert over == ["penetration, 99.9 %", "centers inside"]
     assert CollisionVerdict(**{key: entries[0][key] for key in vars(good)}) == good
     lines = sheet.read_text().splitlines()
     assert len(lines) == 3

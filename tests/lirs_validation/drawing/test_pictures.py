@@ -1,4 +1,4 @@
-"""Pictures: north is up, light comes from the north-west, all panels show the same square metres."""
+"""Pictures: north is up, light comes from the north-west, all panels show the same square meters."""
 
 from __future__ import annotations
 
@@ -211,7 +211,7 @@ def drive() -> tuple[World, Trajectory, OccupancyGrid]:
 
 
 @pytest.mark.parametrize("status", ["ok", "tipped"])
-def test_an_overview_shows_the_same_metres_in_all_panels(status: str, tmp_path: Path) -> None:
+def test_an_overview_shows_the_same_meters_in_all_panels(status: str, tmp_path: Path) -> None:
     world, truth, grid = drive()
     figure = overview_figure(world, record(status), truth, truth, grid, grid, grid)
     panels = {axes.get_title(loc="left"): axes for axes in figure.axes}

@@ -19,13 +19,13 @@ DT = 0.04
 
 @dataclass(frozen=True)
 class Ride:
-    """What a ride left behind: (n, 3) poses and the metres driven."""
+    """What a ride left behind: (n, 3) poses and the meters driven."""
 
     poses: np.ndarray
     length: float
 
     def on_free(self, grid: OccupancyGrid) -> np.ndarray:
-        """(n,) whether the robot's centre was in a free cell."""
+        """(n,) whether the robot's center was in a free cell."""
         cells = np.clip(grid.cells(self.poses[:, :2]), 0, np.array(grid.shape) - 1)
         return grid.free[cells[:, 0], cells[:, 1]]
 
@@ -61,7 +61,7 @@ def ride(
 
 
 def field(seed: int, obstacles: int = 100, side: float = 50.0) -> tuple[OccupancyGrid, OccupancyGrid]:
-    """Random obstacles: where the centre may be with margin, and where the robot touches nothing."""
+    """Random obstacles: where the center may be with margin, and where the robot touches nothing."""
     rng = np.random.default_rng(seed)
     n = int(side / 0.1)
     solid = np.zeros((n, n), np.uint8)

@@ -42,7 +42,7 @@ def two_maps(seed: int) -> tuple[OccupancyGrid, OccupancyGrid]:
 
 
 def center(grid: OccupancyGrid, row: int, col: int) -> tuple[float, float]:
-    """Return the centre of a cell, by the definition of the origin."""
+    """Return the center of a cell, by the definition of the origin."""
     x, y, yaw = grid.origin.as_array().tolist()
     u, v = (col + 0.5) * grid.resolution, (row + 0.5) * grid.resolution
     return x + math.cos(yaw) * u - math.sin(yaw) * v, y + math.sin(yaw) * u + math.cos(yaw) * v
@@ -148,7 +148,7 @@ def test_what_is_neither_occupied_nor_free_is_undecided() -> None:
 
 
 @pytest.mark.parametrize(("cells", "agrees"), [(4, True), (5, False), (-4, True), (-5, False)])
-def test_cells_ten_centimetres_apart_agree(cells: int, agrees: bool) -> None:
+def test_cells_ten_centimeters_apart_agree(cells: int, agrees: bool) -> None:
     """Centers 4 x 0.025 m apart: 0.10 m but for rounding, which the tolerance forgives."""
     p = np.full((1, 40), 0.1)
     p[0, 20] = 0.9

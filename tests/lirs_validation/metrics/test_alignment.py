@@ -44,7 +44,7 @@ def test_a_shift_and_a_turn_of_the_start_are_measured_at_the_start() -> None:
     assert (shifted.shift, shifted.turn) == (pytest.approx(0.13), pytest.approx(0.0, abs=1e-9))
 
 
-def test_a_path_without_a_metre_says_nothing_of_the_start() -> None:
+def test_a_path_without_a_meter_says_nothing_of_the_start() -> None:
     still = Trajectory.from_poses([0.0, 0.04, 0.08], [START] * 3)
     assert start_alignment(still, still) is None
     late = Trajectory(path().stamps + 99.0, path().positions, path().quaternions)
@@ -101,11 +101,11 @@ def test_a_pose_covers_its_own_scan_alone() -> None:
     assert scan_coverage(slow[:1], slow[:1]) == 1.0
 
 
-@pytest.mark.parametrize(("metres", "some"), [(0.999, False), (1.001, True)])
-def test_a_metre_of_common_path_is_enough(metres: float, some: bool) -> None:
+@pytest.mark.parametrize(("meters", "some"), [(0.999, False), (1.001, True)])
+def test_a_meter_of_common_path_is_enough(meters: float, some: bool) -> None:
     """The path is that of the poses compared, not of the whole truth."""
     truth = Trajectory.from_poses(
-        [0.0, 1.0, 2.0, 9.0], [Pose2(5.0), Pose2(5.5), Pose2(5.0 + metres), Pose2(99.0)]
+        [0.0, 1.0, 2.0, 9.0], [Pose2(5.0), Pose2(5.5), Pose2(5.0 + meters), Pose2(99.0)]
     )
     estimate = Trajectory.from_poses([0.0, 1.0, 2.0], [truth.pose2(k) for k in range(3)])
     assert (start_alignment(truth, estimate) is not None) == some

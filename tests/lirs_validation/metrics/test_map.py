@@ -72,7 +72,7 @@ def test_moving_both_maps_changes_nothing(p: np.ndarray, q: np.ndarray, T: Pose2
 
 
 @pytest.mark.parametrize(("shift", "f1"), [(0, 1.0), (1, 1.0), (2, 1.0), (3, 0.0), (-2, 1.0), (-3, 0.0)])
-def test_ten_centimetres_are_two_cells(shift: int, f1: float) -> None:
+def test_ten_centimeters_are_two_cells(shift: int, f1: float) -> None:
     a, b = line(8), line(8 + shift)
     assert agreement(a, b).f1 == f1
     assert iou(a, b) == (1.0 if shift == 0 else 0.0)
@@ -103,7 +103,7 @@ def test_only_cells_known_in_both_are_asked() -> None:
     assert unknown_share(built, reference) == pytest.approx(1 - 50 / 600)
 
 
-def test_a_neighbour_counts_even_where_the_other_map_knows_nothing() -> None:
+def test_a_neighbor_counts_even_where_the_other_map_knows_nothing() -> None:
     # A wall's far side is unknown to a laser: a wall one cell off must still be found.
     p, q = np.full((9, 9), 0.1), np.full((9, 9), 0.1)
     p[4], q[5] = 0.9, 0.9
@@ -256,7 +256,7 @@ def test_wall_cells_turned_with_their_map() -> None:
 def test_false_occupied_is_the_share_in_the_open() -> None:
     p = np.full((40, 40), 0.1)
     p[10, 20] = 0.9  # on the step
-    p[10, 30], p[12, 30], p[14, 30] = 0.9, 0.9, 0.9  # half a metre off
+    p[10, 30], p[12, 30], p[14, 30] = 0.9, 0.9, 0.9  # half a meter off
     built = grid(p, origin=Pose2(-1.0, -1.0))
     assert false_occupied(built, step(), None) == pytest.approx(0.75)
 
@@ -301,9 +301,9 @@ def test_every_score_is_of_its_own_two_maps() -> None:
 
 
 @pytest.mark.parametrize(("cells", "false"), [(4, 0.0), (5, 1.0)])
-def test_an_occupied_cell_ten_centimetres_from_a_wall_is_not_false(cells: int, false: float) -> None:
+def test_an_occupied_cell_ten_centimeters_from_a_wall_is_not_false(cells: int, false: float) -> None:
     walls = WallGrid(np.array([[True]]), 0.025, Pose2(-17.3, 0.7))
     p = np.full((1, 40), 0.1)
-    p[0, cells] = 0.9  # its centre 0.0125 m and so many cells less one east of the wall's face
+    p[0, cells] = 0.9  # its center 0.0125 m and so many cells less one east of the wall's face
     built = OccupancyGrid.from_probability(p, 0.025, Pose2(-17.3 + 0.0125, 0.7))
     assert false_occupied(built, FLAT, walls) == false

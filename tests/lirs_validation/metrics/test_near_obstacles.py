@@ -16,7 +16,7 @@ from lirs_wct.geometry.walls import WallGrid
 
 FLAT = HeightField(np.zeros((2, 2), np.float32), (10.0, 10.0), (-5.0, -5.0))
 CLOSE = 1e-7
-"""Where the distance is as good as the limit, rounding decides, metres."""
+"""Where the distance is as good as the limit, rounding decides, meters."""
 seeds = st.integers(0, 2**32 - 1)
 
 

@@ -99,7 +99,7 @@ def carried(estimate: Trajectory, odometry: Trajectory, stamp: float) -> Pose2:
 
 
 def at(track: Trajectory, stamp: float) -> Pose2:
-    """Linear between the neighbours, the end beyond the ends."""
+    """Linear between the neighbors, the end beyond the ends."""
     stamp = float(np.clip(stamp, track.stamps[0], track.stamps[-1]))
     j = int(np.clip(np.searchsorted(track.stamps, stamp), 1, len(track) - 1))
     a, b = track.pose2(j - 1), track.pose2(j)
@@ -157,7 +157,7 @@ def test_relations_are_read_number_by_number(tmp_path: Path) -> None:
 
 
 def test_close_pairs_by_hand() -> None:
-    # Marks a metre of path apart at 0, 1, 2, 3 m east, then back on a line 1.5 m north.
+    # Marks a meter of path apart at 0, 1, 2, 3 m east, then back on a line 1.5 m north.
     x = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.0, 3.0, 2.0, 1.0]
     y = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 1.5, 1.5, 1.5]
     poses = np.column_stack((np.add(x, 100.0), np.subtract(y, 50.0), np.zeros(11)))

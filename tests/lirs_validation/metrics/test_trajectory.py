@@ -125,7 +125,7 @@ def test_relations_are_kuemmerles() -> None:
 
 
 def test_places_passed_again_are_related() -> None:
-    # Out and back along a line: each metre's mark meets its neighbours of both ways.
+    # Out and back along a line: each meter's mark meets its neighbors of both ways.
     x = np.concatenate((np.linspace(0, 9.7, 101), np.linspace(9.7, 0, 101)[1:])).tolist()
     there_and_back = Trajectory.from_poses(
         (np.arange(201) * 0.1).tolist(), [Pose2(a, 0.0, 0.0 if k < 101 else math.pi) for k, a in enumerate(x)]
@@ -160,16 +160,16 @@ def test_two_poses_by_hand() -> None:
         assert relative.pairs == 1
 
 
-def test_relative_errors_are_per_metre_and_per_second() -> None:
-    """At 2 m/s: eight poses a second, four a metre."""
+def test_relative_errors_are_per_meter_and_per_second() -> None:
+    """At 2 m/s: eight poses a second, four a meter."""
     stamps = (np.arange(33) / 8).tolist()
     truth = Trajectory.from_poses(stamps, [Pose2(2 * t) for t in stamps])
     errors = trajectory_errors(truth, Trajectory.from_poses(stamps, [Pose2(2.5 * t) for t in stamps]))
-    metre, second = errors.rpe_metre, errors.rpe_second
-    assert metre is not None
+    meter, second = errors.rpe_metre, errors.rpe_second
+    assert meter is not None
     assert second is not None
-    assert (metre.pairs, second.pairs) == (8, 25)
-    assert (metre.translation_rmse, second.translation_rmse) == pytest.approx((0.25, 0.5))
+    assert (meter.pairs, second.pairs) == (8, 25)
+    assert (meter.translation_rmse, second.translation_rmse) == pytest.approx((0.25, 0.5))
 
 
 def test_one_common_pose_is_refused() -> None:

@@ -38,7 +38,7 @@ def test_the_share_counts_where_no_loss_is_long() -> None:
 
 
 def test_a_few_scans_far_apart_are_no_loss() -> None:
-    """A scan a metre: three of them last as long as 150 of a lidar at 25 Hz."""
+    """A scan a meter: three of them last as long as 150 of a lidar at 25 Hz."""
     assert judged([False] * 300 + [True] * 3 + [False] * 37, period=3.0) is None
     assert judged([False] * 300 + [True] * 10 + [False] * 37, period=3.0) is not None
 

@@ -50,7 +50,7 @@ WORLDS: dict[str, Callable[[], World]] = {
     "tall map": lambda: laser_map(800, 20),
     "as wide as panels stand side by side": lambda: laser_map(100, 249),
     "as wide as they stand one above the other": lambda: laser_map(100, 251),
-    "terrain of kilometres": lambda: terrain(60, 70, 2000.0),
+    "terrain of kilometers": lambda: terrain(60, 70, 2000.0),
     "tall terrain": lambda: terrain(300, 20, 1.0),
     "wide terrain": lambda: terrain(20, 300, 1.0),
     "tower": tower,

@@ -119,7 +119,7 @@ def dropped(
 
 
 def gaps(mesh: TriangleMesh, centers: np.ndarray) -> np.ndarray:
-    """Return (n,) distance between sphere and mesh, metres, negative inside the ground."""
+    """Return (n,) distance between sphere and mesh, meters, negative inside the ground."""
     true = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     _, distance, face = trimesh.proximity.closest_point(true, centers)
     towards = np.einsum("ij,ij->i", centers - true.triangles_center[face], true.face_normals[face])

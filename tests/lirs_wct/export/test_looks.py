@@ -18,7 +18,7 @@ from lirs_wct.export.package import write_package
 
 RED, GREEN, BLUE, YELLOW = (220, 40, 30), (40, 190, 60), (40, 90, 220), (230, 200, 30)
 CORNERS = {(-1, 1): RED, (1, 1): GREEN, (-1, -1): BLUE, (1, -1): YELLOW}
-"""Colour of each quadrant of the orthophoto, by the signs of x and y."""
+"""Color of each quadrant of the orthophoto, by the signs of x and y."""
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def room(tmp_path: Path) -> Path:
 
 
 def like(pixel: np.ndarray, color: tuple[int, int, int]) -> bool:
-    """Whether a pixel has a colour, however bright."""
+    """Whether a pixel has a color, however bright."""
     a, b = pixel.astype(float), np.array(color, float)
     return float(a @ b / (np.linalg.norm(a) * np.linalg.norm(b) + 1e-9)) > 0.98
 
@@ -66,7 +66,7 @@ def textured(folder: Path, kind: str) -> tuple[trimesh.Trimesh, np.ndarray]:
 
 
 def seen_colors(folder: Path, kind: str) -> dict[tuple[int, int], np.ndarray]:
-    """Return the colour in the texture at the middle of each quadrant of a mesh file, from above."""
+    """Return the color in the texture at the middle of each quadrant of a mesh file, from above."""
     shape, pixels = textured(folder, kind)
     low, high = shape.bounds
     found = {}
@@ -92,7 +92,7 @@ def test_an_orthophoto_fits_what_is_not_square(kind: str, peak: Path, ortho: Pat
 
 
 def test_the_summit_is_white_and_the_foot_green(peak: Path, tmp_path: Path) -> None:
-    """Of a steep hill in the mesh file, where cube projection took the colours of other heights."""
+    """Of a steep hill in the mesh file, where cube projection took the colors of other heights."""
     world = build_world(peak, BuildOptions(size=20, height=15))
     shape, picture = textured(write_package(world, tmp_path / "out", formats=("dae",)), "dae")
     picture = picture.astype(int)
@@ -143,7 +143,7 @@ def test_mujoco_shows_the_orthophoto_upright(as_mesh: bool, peak: Path, ortho: P
 
 
 @pytest.mark.render
-def test_the_overview_shows_all_and_the_near_plane_is_centimetres(peak: Path, tmp_path: Path) -> None:
+def test_the_overview_shows_all_and_the_near_plane_is_centimeters(peak: Path, tmp_path: Path) -> None:
     for size in (3.0, 50.0, 900.0):
         world = build_world(peak, BuildOptions(size=size, height=size / 8, name=f"w{size:g}"))
         model = written(world, tmp_path / "out")
@@ -168,7 +168,7 @@ def test_the_far_plane_leaves_the_sky(size: float, peak: Path, tmp_path: Path) -
 
 @pytest.mark.render
 @pytest.mark.parametrize("size", [5_000.0, 100_000.0])
-def test_the_sky_over_kilometres_is_not_black(size: float, peak: Path, tmp_path: Path) -> None:
+def test_the_sky_over_kilometers_is_not_black(size: float, peak: Path, tmp_path: Path) -> None:
     world = build_world(peak, BuildOptions(size=size, height=size / 8, name="wide"))
     seen = picture(written(world, tmp_path / "out")).astype(int)
     assert seen.max(axis=2).min() > 20

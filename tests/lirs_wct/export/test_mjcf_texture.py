@@ -24,15 +24,15 @@ def picture(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def checks(tmp_path: Path) -> np.ndarray:
-    colours = np.random.default_rng(2).integers(0, 256, (8, 8, 3)).astype(np.uint8)
-    picture = colours.repeat(16, axis=0).repeat(16, axis=1)
+    colors = np.random.default_rng(2).integers(0, 256, (8, 8, 3)).astype(np.uint8)
+    picture = colors.repeat(16, axis=0).repeat(16, axis=1)
     cv2.imwrite(str(tmp_path / "checks.jpg"), picture)
     cv2.imwrite(str(tmp_path / "checks.png"), picture)
     return picture
 
 
 @pytest.mark.parametrize("texture_size", [None, 3.0])
-def test_a_point_has_the_colour_that_cube_projection_gives_it(
+def test_a_point_has_the_color_that_cube_projection_gives_it(
     picture: Path, checks: np.ndarray, texture_size: float | None
 ) -> None:
     world = build_world(picture, BuildOptions(size=10, height=0.01))

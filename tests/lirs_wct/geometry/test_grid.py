@@ -17,7 +17,7 @@ poses = st.builds(Pose2, st.floats(-50, 50), st.floats(-50, 50), st.floats(-3, 3
 
 
 @given(poses, st.floats(0.01, 2.0), st.integers(-30, 30), st.integers(-30, 30))
-def test_a_cells_centre_lies_in_that_cell(origin: Pose2, resolution: float, row: int, col: int) -> None:
+def test_a_cells_center_lies_in_that_cell(origin: Pose2, resolution: float, row: int, col: int) -> None:
     grid = OccupancyGrid(np.zeros((2, 2), np.float32), resolution, origin)
     assert grid.cells(grid.centers((row, col))).tolist() == [row, col]
 

@@ -27,7 +27,7 @@ def test_cells_are_wall_hole_or_floor() -> None:
 
 
 def test_corners_of_a_turned_map() -> None:
-    """Three cells east and two north of half a metre, a quarter turn to the left."""
+    """Three cells east and two north of half a meter, a quarter turn to the left."""
     corners = WallGrid(WALLS, 0.5, Pose2(10.0, -4.0, math.pi / 2)).corners
     np.testing.assert_allclose(corners, [(10, -4), (10, -2.5), (9, -2.5), (9, -4)], atol=1e-12)
 

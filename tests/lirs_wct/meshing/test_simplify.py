@@ -104,9 +104,9 @@ def test_triangles_are_delaunay() -> None:
     points, faces = triangulate(surface, max_error=0.05 * surface.relief)
     for triangle in points[faces].astype(float):
         a = np.column_stack((2 * triangle, np.ones(3)))
-        *centre, k = np.linalg.solve(a, (triangle**2).sum(axis=1))
-        radius2 = k + np.dot(centre, centre)
-        assert (((points - centre) ** 2).sum(axis=1) >= radius2 - 1e-6 * radius2).all()
+        *center, k = np.linalg.solve(a, (triangle**2).sum(axis=1))
+        radius2 = k + np.dot(center, center)
+        assert (((points - center) ** 2).sum(axis=1) >= radius2 - 1e-6 * radius2).all()
 
 
 def test_edges_are_straight_and_the_box_is_the_fields() -> None:

@@ -116,7 +116,7 @@ def test_normals_are_those_of_the_surface() -> None:
 
 
 def test_a_draped_picture_lies_where_it_is_seen_from_above() -> None:
-    """On steep ground too, where cube projection took the colour of another height."""
+    """On steep ground too, where cube projection took the color of another height."""
     surface = hills(height=30.0)
     mesh = draped_uv(solid_mesh(surface), surface.bounds)
     assert mesh.uv is not None

@@ -114,7 +114,7 @@ def fans(mesh: trimesh.Trimesh) -> int:
     return len(trimesh.graph.connected_components(np.array(links), nodes=corners.ravel(), min_len=1))
 
 
-def test_corners_that_touch_are_a_millimetre_apart() -> None:
+def test_corners_that_touch_are_a_millimeter_apart() -> None:
     solid = np.array(((1, 0), (0, 1)), np.bool_)
     mesh = wall_mesh(WallGrid(solid, 0.05))
     exact = np.round(mesh.vertices[:, :2] / 0.025) * 0.025

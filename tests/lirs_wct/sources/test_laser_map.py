@@ -68,7 +68,7 @@ def test_walls_lie_as_their_map_does() -> None:
 
 
 def test_the_floor_lies_under_the_whole_turned_map() -> None:
-    """Four cells east and two north of half a metre, turned by 30 deg about its corner."""
+    """Four cells east and two north of half a meter, turned by 30 deg about its corner."""
     walls = WallGrid(np.ones((2, 4), np.bool_), 0.5, Pose2(10.0, -5.0, math.pi / 6), 3.0)
     floor = level_floor(walls)
     c, s = math.cos(math.pi / 6), 0.5
@@ -123,7 +123,7 @@ def test_a_picture_of_a_map_needs_its_resolution(tmp_path: Path) -> None:
 
 @pytest.mark.shared
 def test_real_maps_become_closed_solids_of_few_boxes(shared_data: Path) -> None:
-    """As many boxes as plain greedy rectangles give, or fewer; the plan's walls to the millimetre."""
+    """As many boxes as plain greedy rectangles give, or fewer; the plan's walls to the millimeter."""
     most = {"map": 214, "willow-2010-02-18-0.10": 453, "depot": 1307}
     read = 0
     for path in sorted(shared_data.glob("maps/*/*.yaml")):
@@ -139,5 +139,5 @@ def test_real_maps_become_closed_solids_of_few_boxes(shared_data: Path) -> None:
         assert mesh.is_watertight
         assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).is_watertight
         volume = walls.resolution**2 * (walls.solid.size * SLAB + walls.solid.sum() * 2.5)
-        assert mesh.volume == pytest.approx(volume, rel=1e-3)  # corners that touch stand a millimetre apart
+        assert mesh.volume == pytest.approx(volume, rel=1e-3)  # corners that touch stand a millimeter apart
     assert read == 10

@@ -53,7 +53,7 @@ def test_a_closed_terrain_of_any_format(suffix: str, hill: TriangleMesh, tmp_pat
         assert world.surface.height_at(x, y) == pytest.approx(true, abs=0.01)
 
 
-def test_metres_and_windows(hill: TriangleMesh, tmp_path: Path) -> None:
+def test_meters_and_windows(hill: TriangleMesh, tmp_path: Path) -> None:
     path = tmp_path / "hill.stl"
     write_mesh(path, hill)
     assert build_world(path, BuildOptions(size=30)).surface.size == pytest.approx((30, 16))

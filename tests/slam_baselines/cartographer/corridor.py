@@ -11,7 +11,7 @@ from lirs_wct.geometry.scan import LaserScan
 from tests.slam_baselines.synthetic import ranges_to
 
 OUTER, INNER = 9.0, 6.0
-"""Half edges of a corridor that leads around a block, metres."""
+"""Half edges of a corridor that leads around a block, meters."""
 
 
 def box(half_x, half_y, x=0.0, y=0.0):

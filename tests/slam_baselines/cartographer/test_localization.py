@@ -159,7 +159,7 @@ def test_a_bundled_world_with_hills() -> None:
 
 
 def start_poses_in(grid: OccupancyGrid) -> list[Pose2]:
-    """Return ten places with a metre of free floor around, spread over the map."""
+    """Return ten places with a meter of free floor around, spread over the map."""
     room = cv2.distanceTransform(grid.free.astype(np.uint8), cv2.DIST_L2, 5) * grid.resolution
     cells = np.argwhere(room > 1.0)
     chosen = cells[np.random.default_rng(6).choice(len(cells), 10, replace=False)]

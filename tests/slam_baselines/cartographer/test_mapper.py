@@ -46,7 +46,7 @@ def rmse(trajectory, truth):
 
 
 def closure(trajectory, truth):
-    """RMSE of where the robot is on its second round, as seen from where it was on the first, metres."""
+    """RMSE of where the robot is on its second round, as seen from where it was on the first, meters."""
     half = len(truth) // 2
     errors = [
         (trajectory.pose2(i).inverse() @ trajectory.pose2(i + half)).distance(

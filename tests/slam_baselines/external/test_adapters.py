@@ -31,7 +31,7 @@ from tests.slam_baselines.external.sweeps import drive
 INSTALLED = [name for name, method in CLOUD_MAPPERS.items() if method.installed]
 SCANS = 80
 BOUNDS = {"kiss-icp": 0.20, "genz-icp": 0.08, "kiss-slam": 0.20}
-"""Metres over a drive of 4.6 m, which standing still would miss by 1.4."""
+"""Meters over a drive of 4.6 m, which standing still would miss by 1.4."""
 
 
 def driven(mapper: CloudMapper, *, rolling: bool = False) -> CloudMapper:

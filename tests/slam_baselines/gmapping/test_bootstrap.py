@@ -1,4 +1,4 @@
-"""The first metres of gmapping on uneven ground: the gyro's bias found and taken out."""
+"""The first meters of gmapping on uneven ground: the gyro's bias found and taken out."""
 
 from __future__ import annotations
 

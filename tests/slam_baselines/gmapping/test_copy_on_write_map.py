@@ -72,7 +72,7 @@ def test_writing_into_one_child_leaves_the_other() -> None:
     maps.tables[0], maps.patches = only.tables[0], only.patches
     np.testing.assert_array_equal(cells(maps, 1)[0], before)
     assert not np.array_equal(cells(maps, 0)[0], before, equal_nan=True)
-    # Half a metre around the laser is a few patches: only these were copied.
+    # Half a meter around the laser is a few patches: only these were copied.
     assert 0 < maps.in_use - shared <= 16
     assert np.all(maps.patches.owners[np.unique(maps.tables[maps.tables != ABSENT])] >= 1)
 

@@ -36,7 +36,7 @@ def test_five_minutes_of_circles_teach_nothing_wrong(rate: float, speed: float) 
     assert straight.distance(Pose2(1.0)) < 0.05
 
 
-def circle(metres: float) -> Pose2:
-    """Pose after metres of a circle through the room."""
-    a = metres / RADIUS
+def circle(meters: float) -> Pose2:
+    """Pose after meters of a circle through the room."""
+    a = meters / RADIUS
     return Pose2(RADIUS * math.sin(a), RADIUS * (1 - math.cos(a)) - 0.5, a)

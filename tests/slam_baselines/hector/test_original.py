@@ -48,7 +48,7 @@ def test_the_first_scans_are_matched_as_the_original_matches_them(shared_data: P
     """Lattice of cells, range limit and steps are the original's.
 
     In the other runs its single precision puts the end of a beam into the next cell at once, and the poses
-    differ by a millimetre from then on.
+    differ by a millimeter from then on.
     """
     for run in ("advanced-2", "medium-2", "willow-1"):
         folder = shared_data / "fidelity" / run
@@ -81,7 +81,7 @@ def test_attitude_changes_nothing() -> None:
         assert level.update(scan, None, None) == leaning.update(scan, None, tilted)
 
 
-def test_interpolation_is_exact_at_the_cells_centres() -> None:
+def test_interpolation_is_exact_at_the_cells_centers() -> None:
     field = np.random.default_rng(1).random((6, 7)).astype(np.float32)
     for row in range(5):
         for col in range(6):

@@ -1,4 +1,4 @@
-"""Scans a metre apart: far walls are dots in a single scan, and are drawn as walls nevertheless."""
+"""Scans a meter apart: far walls are dots in a single scan, and are drawn as walls nevertheless."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def hall_scan(pose: Pose2, stamp: float, rng: np.random.Generator) -> LaserScan:
 
 
 def far_wall(spacing: float) -> float:
-    """Return the share of 10 cm stretches of the far wall that are drawn by two scans, metres apart."""
+    """Return the share of 10 cm stretches of the far wall that are drawn by two scans, meters apart."""
     rng, mapper = np.random.default_rng(0), HectorMapper()
     for k in range(2):
         pose = Pose2(k * spacing)
@@ -45,17 +45,17 @@ def test_a_wall_is_drawn_without_gaps_where_no_other_scan_fills_them() -> None:
 
 @pytest.mark.shared
 @pytest.mark.parametrize("skipped", [0.0, 0.5])
-def test_csail_thinned_to_a_scan_a_metre(shared_data: Path, skipped: float) -> None:
+def test_csail_thinned_to_a_scan_a_meter(shared_data: Path, skipped: float) -> None:
     """Or half a radian; where hits are left alone, the map breaks, and the error is 17 to 20 m."""
     folder = shared_data / "logs" / "csail"
     log, mapper = read_carmen(folder / "mit-csail.clf.gz"), HectorMapper()
-    metres, radians, last = 1.0 - skipped, 0.0, log.odometry[0]
+    meters, radians, last = 1.0 - skipped, 0.0, log.odometry[0]
     for scan, odometry in zip(log.scans, log.odometry, strict=True):
-        metres += last.distance(odometry)
+        meters += last.distance(odometry)
         radians += abs(wrap_angle(odometry.yaw - last.yaw))
         last = odometry
-        if metres >= 1.0 or radians >= 0.5:
+        if meters >= 1.0 or radians >= 0.5:
             mapper.update(scan, odometry, None)
-            metres = radians = 0.0
+            meters = radians = 0.0
     errors = reference_errors(mapper.trajectory(), read_reference(folder / "reference_poses.log.gz"))
     assert np.sqrt((errors.position**2).mean()) < 1.0

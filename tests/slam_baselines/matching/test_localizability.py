@@ -84,7 +84,7 @@ def test_without_an_attitude_nothing_is_observed_and_all_is_believed() -> None:
     assert monitor.draws(1e3)
 
 
-def test_the_first_metres_are_drawn_until_enough_scans_were_matched() -> None:
+def test_the_first_meters_are_drawn_until_enough_scans_were_matched() -> None:
     assert observed(*[0.3] * 20).draws(4.0)
     assert not observed(*[0.3] * 20).draws(6.0)
     assert not observed(*[0.3] * 80).draws(4.0)

@@ -25,14 +25,14 @@ from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, Po
     st.integers(0, 99),
 )
 def test_constant_errors_are_learnt(
-    metre: float, lateral: float, turn: float, slide: float, seed: int
+    meter: float, lateral: float, turn: float, slide: float, seed: int
 ) -> None:
     rng, calibration = np.random.default_rng(seed), Calibration(CalibrationConfig())
     for _ in range(1500):
         d, a, east, north = (rng.uniform(0, 0.05), rng.normal(0, 0.03), *rng.normal(0, 0.15, 2))
         step, down = Pose2(d, 0.0, a), (east, north)
         true = Pose2(
-            d * (1 + metre) + slide * abs(a) * east,
+            d * (1 + meter) + slide * abs(a) * east,
             lateral * a + slide * abs(a) * north,
             a + turn * d,
         )
@@ -40,7 +40,7 @@ def test_constant_errors_are_learnt(
     step, down = Pose2(0.05, 0.0, 0.04), (0.2, -0.1)
     got = calibration.corrected(step, down)
     expected = (
-        0.05 * (1 + metre) + slide * 0.04 * 0.2,
+        0.05 * (1 + meter) + slide * 0.04 * 0.2,
         lateral * 0.04 - slide * 0.04 * 0.1,
         0.04 + turn * 0.05,
     )

@@ -40,7 +40,7 @@ def test_the_filter_knows_how_well_it_knows() -> None:
         assert 0.75 < np.mean(np.square(errors)) < 1.35
 
 
-def test_a_few_metres_say_little_and_a_drive_says_much() -> None:
+def test_a_few_meters_say_little_and_a_drive_says_much() -> None:
     bias = math.radians(0.03)
     first = [abs(drive(0.0, 8, k).value) for k in range(50)]
     assert np.median(first) < CONFIG.prior / 2

@@ -59,7 +59,7 @@ def test_without_a_gyro_the_odometry_is_believed_as_configured() -> None:
 
 
 def test_unbiased_undoes_a_constant_turn() -> None:
-    # A straight metre in 2 s that the bias bends into an arc.
+    # A straight meter in 2 s that the bias bends into an arc.
     bent = Pose2()
     for _ in range(1000):
         bent = bent @ Pose2(0.001, 0, 0.05 * 0.002)
@@ -67,7 +67,7 @@ def test_unbiased_undoes_a_constant_turn() -> None:
 
 
 def test_the_distance_from_dead_reckoning_is_in_standard_deviations() -> None:
-    """After 4 m at 5 cm a metre 10 cm of odometry and 5 cm of registration: 11 cm is one."""
+    """After 4 m at 5 cm a meter 10 cm of odometry and 5 cm of registration: 11 cm is one."""
     step = MotionIncrement(MotionConfig(translation_per_meter=0.05))
     for k in range(5):
         step.add_odometry(Pose2(float(k)), None, float(k))

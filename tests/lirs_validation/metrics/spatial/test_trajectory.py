@@ -32,11 +32,11 @@ def any_pose(rng: np.random.Generator) -> Pose3:
     return Pose3.from_arrays(rng.normal(0, 5, 3), rng.normal(0, 1, 4))
 
 
-def jittered(t: Trajectory, rng: np.random.Generator, metres: float = 0.05) -> Trajectory:
+def jittered(t: Trajectory, rng: np.random.Generator, meters: float = 0.05) -> Trajectory:
     turned = Rotation.from_quat(t.quaternions, scalar_first=True) * Rotation.from_rotvec(
         rng.normal(0, 0.02, (len(t), 3))
     )
-    noise = rng.normal(0, metres, (len(t), 3)) + np.linspace(0, 0.3, len(t))[:, None]
+    noise = rng.normal(0, meters, (len(t), 3)) + np.linspace(0, 0.3, len(t))[:, None]
     return Trajectory(t.stamps, t.positions + noise, turned.as_quat(scalar_first=True))
 
 

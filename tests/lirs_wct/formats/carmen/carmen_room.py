@@ -30,7 +30,7 @@ def room_lines(
     Args:
         n: scans.
         beams: over 180 deg.
-        drifting: whether the odometry errs, by 3 % and 1 deg a metre; else it stays at the origin.
+        drifting: whether the odometry errs, by 3 % and 1 deg a meter; else it stays at the origin.
         seed: of the noise (1 cm).
         most: the laser's largest range, which it gives for all beyond; None = it sees all of the room.
     """

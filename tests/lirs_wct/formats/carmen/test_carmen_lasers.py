@@ -64,7 +64,7 @@ def test_the_messages_poses_are_believed_before_parameters(tmp_path: Path) -> No
 
 
 def test_corrected_poses_are_no_mount(tmp_path: Path) -> None:
-    """Some logs hold the corrected pose beside the odometry's: metres apart, and more and more so."""
+    """Some logs hold the corrected pose beside the odometry's: meters apart, and more and more so."""
     lines = [robotlaser(1.0 + k, base=at(k), laser=Pose2(3.0 * k, 2.0, -0.2 * k)) for k in range(9)]
     log = read_carmen(write_log(tmp_path / "x.clf", lines))
     assert log.scans[0].T_base_laser == Pose3()
@@ -240,10 +240,10 @@ def test_a_code_comes_in_a_twentieth_of_the_directions(beams: int, code: bool) -
 @pytest.mark.parametrize(
     ("below", "count", "code"), [(4, 100, True), (5, 100, True), (5, 99, False), (6, 100, False)]
 )
-def test_a_code_is_twenty_times_as_frequent_as_the_three_metres_below(
+def test_a_code_is_twenty_times_as_frequent_as_the_three_meters_below(
     below: int, count: int, code: bool
 ) -> None:
-    """Each centimetre from 5 to 8 m comes a few times."""
+    """Each centimeter from 5 to 8 m comes a few times."""
     r = np.full((30, 100), 1.0, np.float32)
     r.flat[: below * 300] = np.repeat(np.arange(500, 800), below) / np.float32(100)
     r[29, :count] = 8.0
@@ -392,10 +392,10 @@ def test_the_mount_is_where_the_laser_follows_the_base(tmp_path: Path, mount: Po
 
 @pytest.mark.parametrize(("spread", "steady"), [(0.045, True), (0.055, False)])
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_mount_that_differs_by_five_centimetres_is_none(
+def test_a_mount_that_differs_by_five_centimeters_is_none(
     tmp_path: Path, spread: float, steady: bool, axis: int
 ) -> None:
-    """Half of the poses differ from the median one by so many metres or radians, to either side."""
+    """Half of the poses differ from the median one by so many meters or radians, to either side."""
 
     def mount(k: int) -> Pose2:
         off = [0.0, 0.0, 0.0]
@@ -471,7 +471,7 @@ def test_the_largest_range_is_the_reading_where_nothing_came_back(
 
 
 @pytest.mark.parametrize(("x", "known"), [(3.0, True), (3.25, False)])
-def test_a_laser_three_metres_away_is_still_mounted(tmp_path: Path, x: float, known: bool) -> None:
+def test_a_laser_three_meters_away_is_still_mounted(tmp_path: Path, x: float, known: bool) -> None:
     lines = [robotlaser(1.0 + k, base=Pose2(k), laser=Pose2(k + x)) for k in range(5)]
     found = read_carmen(write_log(tmp_path / "x.clf", lines)).scans[0].T_base_laser
     assert found == Pose3(x if known else 0.0)

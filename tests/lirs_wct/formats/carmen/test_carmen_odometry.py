@@ -44,7 +44,7 @@ def test_the_lasers_own_poses_come_first_and_the_wheels_fill_the_gaps() -> None:
 
 
 @pytest.mark.parametrize(("away", "merged"), [(0.99, True), (1.0, True), (1.01, False), (-1.01, False)])
-def test_wheels_a_metre_away_are_of_another_frame(away: float, merged: bool) -> None:
+def test_wheels_a_meter_away_are_of_another_frame(away: float, merged: bool) -> None:
     """The median of the distances, in the plane."""
     stamps = [0.0, 1.0, 2.0, 3.0, 4.0]
     lasers = messages(stamps, [Pose2(5.0 + k, 3.0) for k in range(5)])
@@ -99,13 +99,13 @@ FAR, ANEW = (
 
 
 @pytest.mark.parametrize(
-    ("seconds", "metres", "sound"),
+    ("seconds", "meters", "sound"),
     [(0.1, 5.0, True), (0.1, 5.01, False), (1.0, 30.0, True), (1.0, 30.1, False), (0.5, 14.9, True)],
 )
-def test_what_is_no_motion_of_a_robot(seconds: float, metres: float, sound: bool) -> None:
+def test_what_is_no_motion_of_a_robot(seconds: float, meters: float, sound: bool) -> None:
     """More than 5 m, and more than 30 m/s; the same sideways."""
     stamps = [10.0, 10.0 + seconds]
-    for at in (track(stamps, [7.0, 7.0 + metres]), track(stamps, [7.0, 7.0], [-2.0, -2.0 - metres])):
+    for at in (track(stamps, [7.0, 7.0 + meters]), track(stamps, [7.0, 7.0], [-2.0, -2.0 - meters])):
         repaired = Counter[str]()
         kept = without_jumps(at, repaired)
         assert (kept is at) == sound

@@ -20,7 +20,7 @@ RANGES = np.full(3, 2.0, np.float32)
 
 
 def pooled(values: list[float]) -> list[float]:
-    """Return the rising values nearest to some, in the least squares' sense: neighbours that fall are one."""
+    """Return the rising values nearest to some, in the least squares' sense: neighbors that fall are one."""
     pools: list[list[float]] = []
     for value in values:
         pools.append([value])
@@ -37,10 +37,10 @@ def least_steps(stamps: list[float], poses: list[Pose2]) -> list[float]:
     pace = float(np.median([stamps[b] - stamps[a] for a, b in windows])) / n
     if pace <= 0:
         pace = (max(stamps) - min(stamps)) / (len(stamps) - 1) or 0.1
-    metres = [math.dist((p.x, p.y), (q.x, q.y)) for p, q in pairwise(poses)]
+    meters = [math.dist((p.x, p.y), (q.x, q.y)) for p, q in pairwise(poses)]
     radians = [abs(math.remainder(q.yaw - p.yaw, math.tau)) for p, q in pairwise(poses)]
-    takes = [0.0] * len(metres)
-    for steps in (metres, radians):
+    takes = [0.0] * len(meters)
+    for steps in (meters, radians):
         speeds = [sum(steps[a:b]) / max(stamps[b] - stamps[a], n * pace / 2) for a, b in windows]
         limit = 1.25 * float(np.percentile(speeds, 99))
         if limit > 0:
@@ -223,13 +223,13 @@ def test_pauses_and_single_forward_leaps_stay() -> None:
     np.testing.assert_allclose(found, range(12), atol=1e-6)
 
 
-@pytest.mark.parametrize("metres", [0.0, 0.1])
-def test_a_log_without_a_clock_gets_steps_of_its_own(metres: float) -> None:
+@pytest.mark.parametrize("meters", [0.0, 0.1])
+def test_a_log_without_a_clock_gets_steps_of_its_own(meters: float) -> None:
     """A tenth of a second a line, half of it in a burst: 2 m/s, and a quarter more is the limit."""
     n = 30
-    poses = [Pose2(metres * k) for k in range(n)]
+    poses = [Pose2(meters * k) for k in range(n)]
     found = repaired(lines([5.0] * n, list(poses), [True] * n))
-    np.testing.assert_allclose(np.diff(found), 0.04 if metres else 1e-3, atol=1e-9)
+    np.testing.assert_allclose(np.diff(found), 0.04 if meters else 1e-3, atol=1e-9)
     assert np.mean(found) == pytest.approx(5.0)
 
 

@@ -103,7 +103,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _on_the_ground(file: Any) -> dict[str, Any]:
-    """Return latitudes and longitudes of the corner pixels' middles, and metres of the middle pixel.
+    """Return latitudes and longitudes of the corner pixels' middles, and meters of the middle pixel.
 
     Distances from the center of an azimuthal equidistant projection are true.
     """

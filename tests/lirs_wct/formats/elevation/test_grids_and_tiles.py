@@ -143,22 +143,22 @@ def test_hgt_of_another_name_or_length(srtm: Path, tmp_path: Path) -> None:
 # ---- heights in colors
 
 
-def encoded(metres: np.ndarray, encoding: str) -> np.ndarray:
+def encoded(meters: np.ndarray, encoding: str) -> np.ndarray:
     """Return BGR by the encodings' own words, the other way round."""
     if encoding == "terrain-rgb":
-        levels = np.rint((metres + 10000) * 10).astype(np.int64)
+        levels = np.rint((meters + 10000) * 10).astype(np.int64)
     else:
-        levels = np.rint((metres + 32768) * 256).astype(np.int64)
+        levels = np.rint((meters + 32768) * 256).astype(np.int64)
     return np.stack([levels >> shift & 255 for shift in (0, 8, 16)], axis=-1).astype(np.uint8)
 
 
-METRES = 800 + 400 * cv2.GaussianBlur(np.random.default_rng(3).random((64, 64)), (0, 0), 5)
+METERS = 800 + 400 * cv2.GaussianBlur(np.random.default_rng(3).random((64, 64)), (0, 0), 5)
 
 
 @pytest.mark.parametrize(("encoding", "step"), [("terrain-rgb", 0.1), ("terrarium", 1 / 256)])
 def test_tiles_are_decoded(encoding: Any, step: float, tmp_path: Path) -> None:
-    pixels = encoded(METRES, encoding)
-    np.testing.assert_allclose(decode(pixels, encoding), METRES, atol=step / 2 + 1e-9)
+    pixels = encoded(METERS, encoding)
+    np.testing.assert_allclose(decode(pixels, encoding), METERS, atol=step / 2 + 1e-9)
     assert guess(pixels) == encoding
     tile = tmp_path / "14" / "4824" / "6158.png"
     tile.parent.mkdir(parents=True)
@@ -166,9 +166,9 @@ def test_tiles_are_decoded(encoding: Any, step: float, tmp_path: Path) -> None:
     with pytest.raises(SourceError, match=rf"look like heights of .* m: give --encoding {encoding} "):
         build_world(tile)
     world = build_world(tile, BuildOptions(encoding=encoding))
-    np.testing.assert_allclose(world.surface.z, METRES - METRES.min(), atol=step)
+    np.testing.assert_allclose(world.surface.z, METERS - METERS.min(), atol=step)
     assert world.place is not None
-    assert world.place.height == pytest.approx(METRES.min(), abs=step)
+    assert world.place.height == pytest.approx(METERS.min(), abs=step)
     # OSM's slippy map: the tile's corner, and half a pixel.
     west, north = world.surface.bounds[0], world.surface.bounds[3]
     latitude, longitude = world.to_geographic(west, north)
@@ -181,8 +181,8 @@ def test_tiles_are_decoded(encoding: Any, step: float, tmp_path: Path) -> None:
 
 
 def test_a_tile_of_another_name_needs_an_extent(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "a.png"), encoded(METRES, "terrarium"))
-    with pytest.raises(ConfigError, match=r"a\.png: its heights are in metres.*--pixel-size or --size"):
+    cv2.imwrite(str(tmp_path / "a.png"), encoded(METERS, "terrarium"))
+    with pytest.raises(ConfigError, match=r"a\.png: its heights are in meters.*--pixel-size or --size"):
         build_world(tmp_path / "a.png", BuildOptions(encoding="terrarium"))
     world = build_world(tmp_path / "a.png", BuildOptions(encoding="terrarium", pixel_size=3.0))
     assert world.surface.cell == (3, 3)

@@ -72,7 +72,7 @@ def test_heights_lie_where_rasterio_sees_them(name: str, reader: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name, record in RECORDS.items() if record["epsg"]])
-def test_pixels_are_in_metres_on_the_ground(name: str, reader: str) -> None:
+def test_pixels_are_in_meters_on_the_ground(name: str, reader: str) -> None:
     if reader == "core" and name in BY_GDAL:
         return
     record, georeference = RECORDS[name], read(name).info.georeference
@@ -91,10 +91,10 @@ def test_pixels_are_in_metres_on_the_ground(name: str, reader: str) -> None:
     ends = [(i + 0.5, j + 0.5) for i in (0, cols - 1) for j in (0, rows - 1)]
     x, y = (np.array([k * i + m * j + n for i, j in ends]) for k, m, n in ((a, b, c), (d, e, f)))
     found = np.stack(georeference.system.to_geographic(x, y), axis=1)
-    np.testing.assert_allclose(found, record["corners"], rtol=0, atol=5e-9)  # half a millimetre
+    np.testing.assert_allclose(found, record["corners"], rtol=0, atol=5e-9)  # half a millimeter
 
 
-def test_ten_metres_of_web_mercator_at_40_7_north_are_seven_and_a_half() -> None:
+def test_ten_meters_of_web_mercator_at_40_7_north_are_seven_and_a_half() -> None:
     georeference = read("mercator").info.georeference
     assert georeference is not None
     assert georeference.pixel == pytest.approx((10 * math.cos(math.radians(40.71)),) * 2, rel=3e-3)

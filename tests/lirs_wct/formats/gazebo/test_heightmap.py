@@ -49,7 +49,7 @@ def test_an_impossible_side_is_refused() -> None:
         heightmap_pixels(hills(60, 100), 128)
 
 
-def test_sdf_has_the_metres() -> None:
+def test_sdf_has_the_meters() -> None:
     surface = hills(60, 101)
     model = ET.fromstring(heightmap_sdf("dune", surface, "materials/textures/dune_heights.png"))
     for kind in ("visual", "collision"):
@@ -62,7 +62,7 @@ def test_sdf_has_the_metres() -> None:
 
 
 def test_what_it_wears_has_a_flat_normal_map_of_its_own() -> None:
-    """The colour picture as normals lights the ground from everywhere."""
+    """The color picture as normals lights the ground from everywhere."""
     layer = Layer("a.png", "a-normal.png", 12.5)
     model = ET.fromstring(heightmap_sdf("dune", hills(60, 101), "h.png", layer))
     texture = model.find(".//visual/geometry/heightmap/texture")

@@ -18,7 +18,7 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.images import tiff
 from lirs_wct.formats.images.geotiff import height_unit, raster_info
 from lirs_wct.formats.images.tiff import Tags, TagValue
-from lirs_wct.geometry.geodesy.earth import CoordinateSystem, metres_per_degree
+from lirs_wct.geometry.geodesy.earth import CoordinateSystem, meters_per_degree
 
 KINDS = {"B": 1, "s": 2, "H": 3, "I": 4, "b": 6, "h": 8, "i": 9, "f": 11, "d": 12, "Q": 16, "q": 17}
 Entries = Mapping[int, tuple[str, tuple[Any, ...]]]
@@ -153,7 +153,7 @@ def pixel(tags: Tags) -> tuple[float, float] | None:
 
 
 def degree(latitude: float, a: float, inverse: float) -> tuple[float, float]:
-    """Return metres in a degree east and north, by differences of points on the ellipsoid."""
+    """Return meters in a degree east and north, by differences of points on the ellipsoid."""
     b = a * (1 - 1 / inverse) if inverse else a
 
     def at(angle: float) -> np.ndarray:
@@ -169,27 +169,27 @@ def degree(latitude: float, a: float, inverse: float) -> tuple[float, float]:
     st.floats(-85, 85),
     st.sampled_from(((6378137.0, 298.257223563), (6377397.155, 299.1528128), (6371000.0, 0.0))),
 )
-def test_metres_in_a_degree_on_any_ellipsoid(latitude: float, ellipsoid: tuple[float, float]) -> None:
+def test_meters_in_a_degree_on_any_ellipsoid(latitude: float, ellipsoid: tuple[float, float]) -> None:
     a, inverse = ellipsoid
-    found = metres_per_degree(latitude, ellipsoid)
+    found = meters_per_degree(latitude, ellipsoid)
     assert found == pytest.approx(degree(latitude, a, inverse), rel=1e-6)
     if a == 6378137.0:
-        assert metres_per_degree(latitude) == found
+        assert meters_per_degree(latitude) == found
 
 
-def test_metres_in_a_degree_as_published() -> None:
+def test_meters_in_a_degree_as_published() -> None:
     """WGS 84 (NGA's calculator): 111,319.5 and 110,574.3 m at the equator, 78,846.8 and 111,131.7 at 45."""
-    assert metres_per_degree(0.0) == pytest.approx((111319.49, 110574.28), abs=0.05)
-    assert metres_per_degree(45.0) == pytest.approx((78846.81, 111131.75), abs=0.05)
-    assert 0 < metres_per_degree(89.999999)[0] < 0.01
-    assert metres_per_degree(-45.0) == metres_per_degree(45.0)
+    assert meters_per_degree(0.0) == pytest.approx((111319.49, 110574.28), abs=0.05)
+    assert meters_per_degree(45.0) == pytest.approx((78846.81, 111131.75), abs=0.05)
+    assert 0 < meters_per_degree(89.999999)[0] < 0.01
+    assert meters_per_degree(-45.0) == meters_per_degree(45.0)
     for latitude in (90.0, 91.0, -120.0):
         with pytest.raises(ConfigError, match="degrees have no width there"):
-            CoordinateSystem.of_code(4326).ground_metres(7.0, latitude)
+            CoordinateSystem.of_code(4326).ground_meters(7.0, latitude)
 
 
 @pytest.mark.parametrize("tie_row", [0.0, 0.5, 30.0])
-def test_the_latitude_is_that_of_the_centre_by_a_tie_point(tie_row: float) -> None:
+def test_the_latitude_is_that_of_the_center_by_a_tie_point(tie_row: float) -> None:
     """A raster of 40 rows by 10 columns whose tie point need not be its corner."""
     sx, sy, latitude = 0.02, 0.05, -47.0
     tags = geo(
@@ -203,7 +203,7 @@ def test_the_latitude_is_that_of_the_centre_by_a_tie_point(tie_row: float) -> No
     assert pixel(tags) == pytest.approx((sx * east, sy * north), rel=1e-6)
 
 
-def test_the_latitude_is_that_of_the_centre_by_a_matrix() -> None:
+def test_the_latitude_is_that_of_the_center_by_a_matrix() -> None:
     """A turned raster: the steps along a column and a row have lengths of their own."""
     m = (0.003, 0.004, 0.0, 7.0, 0.001, -0.02, 0.0, 61.5, *[0.0] * 7, 1.0)
     tags = geo(width=(10,), height=(40,), matrix=m, keys=DEGREES)
@@ -234,12 +234,12 @@ def test_a_scale_that_is_none(scale: tuple[float, float]) -> None:
         pixel(geo(scale=scale))
 
 
-@pytest.mark.parametrize(("code", "metres"), [(9001, 1.0), (9002, 0.3048), (9003, 0.3048006096), (9999, 1.0)])
-def test_units_of_length(code: int, metres: float) -> None:
+@pytest.mark.parametrize(("code", "meters"), [(9001, 1.0), (9002, 0.3048), (9003, 0.3048006096), (9999, 1.0)])
+def test_units_of_length(code: int, meters: float) -> None:
     tags = geo(scale=(2.0, 5.0, 0.0), keys=keys((1024, 0, 1, 1), (3076, 0, 1, code)))
-    assert pixel(tags) == pytest.approx((2 * metres, 5 * metres), rel=1e-9)
+    assert pixel(tags) == pytest.approx((2 * meters, 5 * meters), rel=1e-9)
     assert raster_info(Path("a.tif"), {tiff.WIDTH: (4,), tiff.HEIGHT: (4,)} | tags).unit == 1.0
-    assert height_unit(Path(), "", geo(keys=keys((4099, 0, 1, code)))) == pytest.approx(metres, rel=1e-9)
+    assert height_unit(Path(), "", geo(keys=keys((4099, 0, 1, code)))) == pytest.approx(meters, rel=1e-9)
     assert height_unit(Path(), "", {}) == height_unit(Path(), "") == 1.0
 
 

@@ -152,7 +152,7 @@ def test_positions_are_exact_as_float32(tmp_path: Path, monkeypatch: pytest.Monk
         assert apart.max() < 1.01
 
 
-def test_plain_colour_without_texture(tmp_path: Path, above: int) -> None:
+def test_plain_color_without_texture(tmp_path: Path, above: int) -> None:
     write_collada(tmp_path / "a.dae", hills(), stream_above=above)
     document = collada.Collada(str(tmp_path / "a.dae"))
     assert len(document.images) == 0

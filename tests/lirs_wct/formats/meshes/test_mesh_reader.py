@@ -1,4 +1,4 @@
-"""Meshes are read upright, in metres, with one vertex a place."""
+"""Meshes are read upright, in meters, with one vertex a place."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_collada_says_its_axis_and_its_unit(tmp_path: Path, unit: float) -> None
         assert triangles(mesh) == triangles(TriangleMesh(expected * unit, np.array([[0, 1, 2]], np.int32)))
 
 
-def test_collada_without_a_word_has_y_up_in_metres(tmp_path: Path) -> None:
+def test_collada_without_a_word_has_y_up_in_meters(tmp_path: Path) -> None:
     expected = TriangleMesh(UP["Y"], np.array([[0, 1, 2]], np.int32))
     assert triangles(read_upright(dae(tmp_path / "a.dae", ""))) == triangles(expected)
 
@@ -75,7 +75,7 @@ def test_collada_without_a_word_has_y_up_in_metres(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("asset", "told"),
     [
-        ('<unit meter="inch"/>', "its unit is not a number of metres"),
+        ('<unit meter="inch"/>', "its unit is not a number of meters"),
         ('<unit meter="0"/>', "its unit must be above 0 m, got 0"),
         ('<unit meter="-1"/>', "its unit must be above 0 m, got -1"),
         ('<unit meter="inf"/>', "its unit must be above 0 m, got inf"),

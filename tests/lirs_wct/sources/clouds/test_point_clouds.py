@@ -273,14 +273,14 @@ FEET = (
     'PROJECTION["Lambert_Conformal_Conic_2SP"],UNIT["US survey foot",0.3048006096012192],'
     'AUTHORITY["EPSG","2263"]]'
 )
-METRES_UP = ',VERT_CS["NAVD88",VERT_DATUM["NAVD88",2005],UNIT["metre",1.0]]]'
+METERS_UP = ',VERT_CS["NAVD88",VERT_DATUM["NAVD88",2005],UNIT["metre",1.0]]]'
 
 
 @pytest.mark.parametrize(
-    ("wkt", "unit"), [(FEET, 0.3048006), ('COMPD_CS["both",' + FEET + METRES_UP, 1.0)], ids=["feet", "both"]
+    ("wkt", "unit"), [(FEET, 0.3048006), ('COMPD_CS["both",' + FEET + METERS_UP, 1.0)], ids=["feet", "both"]
 )
 def test_a_las_in_feet(wkt: str, unit: float, tmp_path: Path) -> None:
-    """Its extent was in metres, its heights were not."""
+    """Its extent was in meters, its heights were not."""
     laspy = pytest.importorskip("laspy")
     las = laspy.create(point_format=6, file_version="1.4")
     las.header.offsets, las.header.scales = (980_000, 200_000, 0), (0.001,) * 3

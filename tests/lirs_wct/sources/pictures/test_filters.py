@@ -91,7 +91,7 @@ def test_crop_beyond_the_picture_is_refused(tmp_path: Path) -> None:
         read(png(tmp_path, noise()), crop=(60, 0, 30, 30))
 
 
-def test_resize_keeps_the_metres(tmp_path: Path) -> None:
+def test_resize_keeps_the_meters(tmp_path: Path) -> None:
     surface = read(png(tmp_path, noise()), pixel_size=0.5, resize=(20, 30))
     assert surface.shape == (30, 20)
     assert surface.size == pytest.approx((79 * 0.5, 59 * 0.5))

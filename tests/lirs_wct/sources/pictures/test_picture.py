@@ -94,14 +94,14 @@ def test_16_bits_survive(tmp_path: Path) -> None:
     np.testing.assert_array_equal(z, levels.astype(np.float32))
 
 
-def test_nearly_gray_is_gray_and_colour_needs_the_option(tmp_path: Path) -> None:
-    colour = np.repeat(np.linspace(0, 200, 12, dtype=np.uint8).reshape(3, 4, 1), 3, axis=2)
-    gray = read(png(tmp_path / "gray.png", colour)).z
-    colour[1, 1, 2] += 2
-    assert np.abs(read(png(tmp_path / "near.png", colour)).z - gray).max() < 0.03
-    colour[1, 1, 2] += 1
-    path = png(tmp_path / "colour.png", colour)
-    with pytest.raises(SourceError, match=r"colour\.png: is in colour.*--grayscale"):
+def test_nearly_gray_is_gray_and_color_needs_the_option(tmp_path: Path) -> None:
+    color = np.repeat(np.linspace(0, 200, 12, dtype=np.uint8).reshape(3, 4, 1), 3, axis=2)
+    gray = read(png(tmp_path / "gray.png", color)).z
+    color[1, 1, 2] += 2
+    assert np.abs(read(png(tmp_path / "near.png", color)).z - gray).max() < 0.03
+    color[1, 1, 2] += 1
+    path = png(tmp_path / "color.png", color)
+    with pytest.raises(SourceError, match=r"color\.png: is in color.*--grayscale"):
         read(path)
     assert read(path, grayscale=True).relief == pytest.approx(6)
 
@@ -149,7 +149,7 @@ def test_holes_are_filled_and_counted(tmp_path: Path, hole: float) -> None:
         read(tiff(tmp_path / "b.tif", holed, **tags))
 
 
-def test_geotiff_in_metres_is_read_as_it_is(tmp_path: Path) -> None:
+def test_geotiff_in_meters_is_read_as_it_is(tmp_path: Path) -> None:
     heights = (100 + 3 * RAMP).astype(np.float32)
     path = tiff(tmp_path / "a.tif", heights, scale=(2.0, 4.0, 0.0), tie=(0.0, 0, 0, 5e5, 6e6, 0))
     surface = read(path)
@@ -161,7 +161,7 @@ def test_geotiff_in_metres_is_read_as_it_is(tmp_path: Path) -> None:
     assert read(path, size=12.0).z.max() == 33
 
 
-def test_geotiff_in_degrees_uses_the_latitude_of_its_centre(tmp_path: Path) -> None:
+def test_geotiff_in_degrees_uses_the_latitude_of_its_center(tmp_path: Path) -> None:
     keys = (1, 1, 0, 1, 1024, 0, 1, 2)
     tie = (0.0, 0.0, 0.0, 10.0, 60.0 + 1.5 / 3600, 0.0)
     path = tiff(
@@ -251,7 +251,7 @@ def test_nothing_but_our_warnings_reaches_stderr(tmp_path: Path, capfd: pytest.C
         ({"pixel_size": 0.5, "height": 2}, "as given"),
     ],
 )
-def test_the_world_says_where_its_metres_come_from(
+def test_the_world_says_where_its_meters_come_from(
     options: dict[str, Any], words: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "a.png"
@@ -293,7 +293,7 @@ def test_two_levels_of_255_are_rounding(tmp_path: Path, span: int, gray: bool) -
     if gray:
         read(path)
         return
-    with pytest.raises(SourceError, match="is in colour"):
+    with pytest.raises(SourceError, match="is in color"):
         read(path)
 
 
@@ -345,7 +345,7 @@ def test_each_hole_takes_its_nearest_height(tmp_path: Path, value: float) -> Non
     with pytest.warns(UserWarning, match="2 of 15 pixels have no height"):
         z = read(tiff(tmp_path / "a.tif", holed, scale=(1.0, 1.0, 0.0))).z
     lowest = z[0, 0] + 0.0
-    assert lowest in (2 - 2, 6 - 2)  # the neighbour east or south
+    assert lowest in (2 - 2, 6 - 2)  # the neighbor east or south
     assert z[1, 4] in (5 - 2, 9 - 2, 20 - 2)
     assert (z[2, 4], z[0, 3]) == (18, 2)
 
@@ -386,7 +386,7 @@ def test_heights_just_above_nodata_are_heights(tmp_path: Path) -> None:
         ({"pixel_size": 0.25}, (1.0, 0.5), 1.25, "as given"),
     ],
 )
-def test_a_bundled_world_has_metres_of_its_own(
+def test_a_bundled_world_has_meters_of_its_own(
     options: dict[str, Any],
     size: tuple[float, float],
     height: float,
@@ -410,7 +410,7 @@ def test_a_bundled_world_has_metres_of_its_own(
             read_terrain(find_source("simple", given), given)
 
 
-def test_a_window_keeps_the_metres_of_the_whole(tmp_path: Path) -> None:
+def test_a_window_keeps_the_meters_of_the_whole(tmp_path: Path) -> None:
     path = png(tmp_path / "a.png", np.random.default_rng(0).integers(0, 99, (41, 81), np.uint8))
     given = BuildOptions(pixel_size=0.5, height=4.0, window=(3.0, -1.0, 10.0))
     ground, _, place = read_terrain(find_source(path, given), given)
@@ -430,7 +430,7 @@ def test_a_window_keeps_the_metres_of_the_whole(tmp_path: Path) -> None:
         ({"height": 2}, "size the file's own, height as given"),
     ],
 )
-def test_a_geotiff_says_that_its_metres_are_its_own(
+def test_a_geotiff_says_that_its_meters_are_its_own(
     tmp_path: Path, options: dict[str, Any], words: str
 ) -> None:
     path = tiff(tmp_path / "a.tif", RAMP.astype(np.float32), scale=(2.0, 2.0, 0.0))
@@ -448,7 +448,7 @@ def test_deterrace_needs_levels_and_takes_their_own_step(tmp_path: Path) -> None
         read(tiff(tmp_path / "c.tif", RAMP.astype(np.float32)), deterrace=True)
 
 
-def test_heights_of_a_few_millimetres_are_scaled_like_any_other(tmp_path: Path) -> None:
+def test_heights_of_a_few_millimeters_are_scaled_like_any_other(tmp_path: Path) -> None:
     path = tiff(tmp_path / "a.tif", (RAMP / 4096).astype(np.float32))
     np.testing.assert_allclose(read(path, height=2.0).z, RAMP / 11 * 2, rtol=1e-5)
     own = tiff(tmp_path / "b.tif", (RAMP / 4096).astype(np.float32), scale=(1.0, 1.0, 0.0))

@@ -1,4 +1,4 @@
-"""Worlds keep their place on the earth and their heights: world.json, SDF, `info`, neighbours, windows."""
+"""Worlds keep their place on the earth and their heights: world.json, SDF, `info`, neighbors, windows."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def built(path: Path, **options: Any) -> World:
 
 
 def mercator(latitude: float, longitude: float) -> tuple[float, float]:
-    """Return web Mercator's metres: Snyder 1987, eqs. 7-1 and 7-2, on a sphere."""
+    """Return web Mercator's meters: Snyder 1987, eqs. 7-1 and 7-2, on a sphere."""
     a = 6378137.0
     return a * np.radians(longitude), a * np.log(np.tan(np.pi / 4 + np.radians(latitude) / 2))
 
@@ -82,7 +82,7 @@ def test_absolute_heights_and_what_undoes_them(folder: Path) -> None:
             built(folder / "a.asc", zero=700.0, **options)
 
 
-def test_neighbours_fit_with_one_zero(folder: Path) -> None:
+def test_neighbors_fit_with_one_zero(folder: Path) -> None:
     a, b = (built(folder / f"{name}.asc", zero=650.0) for name in "ab")
     np.testing.assert_array_equal(a.surface.z[:, -1], b.surface.z[:, 0])
     assert a.surface.z[0, 0] == pytest.approx(50.0, abs=1e-4)

@@ -11,7 +11,7 @@ from lirs_wct.errors import SourceError
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.pictures.picture import read_height_field
 
-COLOUR = "is in colour"
+COLOR = "is in color"
 HOLES = "pixels have no height"
 PAGES = "pages, the first is taken"
 
@@ -34,21 +34,21 @@ OUTCOMES: dict[str, tuple[tuple[int, int], str] | str] = {
     "height/hmstl__mask.png": ((104, 138), ""),
     "height/hmstl__scene.png": ((104, 138), ""),
     "height/mujoco-terrain-based-on-grayscale-images__terrain0.png": ((100, 100), ""),
-    "height/mujoco__hfield.png": COLOUR,
+    "height/mujoco__hfield.png": COLOR,
     "height/mujoco__hfield_240_280.png": ((240, 280), ""),
-    "height/pydelatin__fuji.png": COLOUR,
+    "height/pydelatin__fuji.png": COLOR,
     "height/rasterio__RGBA.uint16.tif": ((411, 634), "has 4 bands, the first is taken"),
     "height/rasterio__float_nan.tif": ((2, 3), f"1 of 6 {HOLES}"),
     "height/tin-terrain__valid_raster.tif": ((80, 100), f"970 of 8000 {HOLES}"),
     "height/unicode путь 图.png": ((65, 97), ""),
     "height/unitree_mujoco__height_field.png": ((128, 128), ""),
-    "height/unitree_mujoco__unitree_robot.jpeg": COLOUR,
+    "height/unitree_mujoco__unitree_robot.jpeg": COLOR,
     "height/vrc_driving_heightmap.png": ((129, 129), ""),
     "broken/Pillow__broken.png": "is damaged: the PNG does not begin with IHDR",
-    "broken/Pillow__broken_exif_dpi.jpg": COLOUR,
+    "broken/Pillow__broken_exif_dpi.jpg": COLOR,
     "broken/Pillow__decompression_bomb.gif": "image is 65535x1321 px = 86571735 pixels, at most",
     "broken/Pillow__hopper_bw_500.png": ((500, 500), ""),
-    "broken/Pillow__pil_sample_cmyk.jpg": COLOUR,
+    "broken/Pillow__pil_sample_cmyk.jpg": COLOR,
     "broken/gen_1x1.png": "image is 1x1 px, a terrain needs at least 2x2",
     "broken/gen_1x64.png": "image is 1x64 px, a terrain needs at least 2x2",
     "broken/gen_allblack_129.png": ((129, 129), ""),
@@ -72,7 +72,7 @@ OUTCOMES: dict[str, tuple[tuple[int, int], str] | str] = {
     "broken/gen_zero_width.png": "image is 0x10 px, a terrain needs at least 2x2",
 }
 
-SIZES = {  # metres, from the GeoTIFFs' own scale; on the ground at the centre's latitude
+SIZES = {  # meters, from the GeoTIFFs' own scale; on the ground at the center's latitude
     "gz-common__dem_moon.tif": (77.65, 77.65, 6.856),
     "gz-common__dem_squared.tif": (3123.6, 3946.5, 253.08),
     "tin-terrain__valid_raster.tif": (307.00, 243.95, 17.493),
@@ -109,11 +109,11 @@ def test_outcome(shared_data: Path, name: str, capfd: pytest.CaptureFixture[str]
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("name", [name for name, outcome in OUTCOMES.items() if outcome == COLOUR])
-def test_colour_builds_with_grayscale(shared_data: Path, name: str) -> None:
+@pytest.mark.parametrize("name", [name for name, outcome in OUTCOMES.items() if outcome == COLOR])
+def test_color_builds_with_grayscale(shared_data: Path, name: str) -> None:
     relief = read_height_field(shared_data / name, BuildOptions(grayscale=True)).relief
-    one_colour = name == "broken/Pillow__broken_exif_dpi.jpg"
-    assert relief == pytest.approx(0 if one_colour else 6)
+    one_color = name == "broken/Pillow__broken_exif_dpi.jpg"
+    assert relief == pytest.approx(0 if one_color else 6)
 
 
 @pytest.mark.shared
