@@ -1,0 +1,126 @@
+"""Size and language of the product stay within the limits of style_limits.toml."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+LIMITS = tomllib.loads(Path(__file__).with_name("style_limits.toml").read_text(encoding="utf-8"))
+PACKAGES = ("lirs_wct", "envs", "slam_baselines", "lirs_validation")
+OWN = ("lirs_wct", "lirs_envs", "slam_baselines", "lirs_validation")
+OPENING = re.compile(r"^(What|Who|Whose|Whom|How|Where|Which)\b")
+FROM_OUTSIDE = re.compile(r"rpe_metre")
+BRITISH = re.compile(
+    r"\w*(metre|colour|centre|neighbour|behaviour|grey|normalise|serialise|initialise|modelling|labelled)\w*"
+    r"|\banalyse[dr]?\b",
+    re.IGNORECASE,
+)
+PARTICIPLE = re.compile(r"^_*[a-z]+ed$")
+VERBS = {"seed", "speed", "feed", "need"}
+
+
+@cache
+def sources() -> dict[str, str]:
+    """Return the text of each tracked product file."""
+    listed = subprocess.run(
+        ["git", "ls-files", "*.py"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    if listed.returncode:
+        pytest.skip("not a git checkout")
+    names = [name for name in listed.stdout.split() if name.startswith(PACKAGES)]
+    return {name: (ROOT / name).read_text(encoding="utf-8") for name in names if (ROOT / name).exists()}
+
+
+@cache
+def trees() -> dict[str, ast.Module]:
+    return {name: ast.parse(text) for name, text in sources().items()}
+
+
+def nodes() -> Iterator[ast.AST]:
+    for tree in trees().values():
+        yield from ast.walk(tree)
+
+
+def docstrings() -> list[str]:
+    kinds = (ast.FunctionDef, ast.ClassDef, ast.Module)
+    return [doc for node in nodes() if isinstance(node, kinds) and (doc := ast.get_docstring(node))]
+
+
+def own_imports() -> int:
+    count = 0
+    for node in nodes():
+        if isinstance(node, ast.ImportFrom):
+            count += node.level > 0 or (node.module or "").split(".")[0] in OWN
+        elif isinstance(node, ast.Import):
+            count += any(alias.name.split(".")[0] in OWN for alias in node.names)
+    return count
+
+
+def participles() -> list[str]:
+    return [
+        node.name
+        for node in nodes()
+        if isinstance(node, ast.FunctionDef)
+        and not {"property", "cached_property"} & {getattr(d, "id", "") for d in node.decorator_list}
+        and PARTICIPLE.match(node.name)
+        and node.name.lstrip("_") not in VERBS
+    ]
+
+
+def first_sentence(doc: str) -> str:
+    return re.split(r"(?<=[.!?])\s|\n\n", doc.strip())[0]
+
+
+def test_size() -> None:
+    lines = sum(text.count("\n") for text in sources().values())
+    words = len(
+        re.sub(r"```.*?```", " ", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.S).split()
+    )
+    found = {
+        "product_lines": lines,
+        "product_files": len(sources()),
+        "own_imports_per_file": own_imports() / len(sources()),
+        "readme_words": words,
+    }
+    assert {name: value for name, value in found.items() if value > LIMITS[name]} == {}
+
+
+def test_docstrings_are_plain() -> None:
+    docs = docstrings()
+    words = [word.lower() for doc in docs for word in re.findall(r"[A-Za-z']+", doc)]
+    openings = [first_sentence(doc) for doc in docs if OPENING.match(doc)]
+    long = [doc for doc in docs if len(first_sentence(doc).split()) > 15]
+    assert len(openings) <= LIMITS["docstring_openings"], openings
+    assert len(long) / len(docs) <= LIMITS["long_first_sentences"]
+    assert 1e4 * words.count("what") / len(words) <= LIMITS["what_per_10000_words"]
+
+
+def test_functions_are_verbs() -> None:
+    found = participles()
+    assert len(found) <= LIMITS["participle_functions"], found
+
+
+def test_spelling_is_american() -> None:
+    found = [
+        f"{name}: {match.group(0)}"
+        for name, text in sources().items()
+        for match in BRITISH.finditer(FROM_OUTSIDE.sub("", text))
+    ]
+    assert len(found) <= LIMITS["british_spellings"], found
+
+
+def test_class_names_are_unique() -> None:
+    names = Counter(
+        node.name for tree in trees().values() for node in tree.body if isinstance(node, ast.ClassDef)
+    )
+    twice = sorted(name for name, count in names.items() if count > 1)
+    assert len(twice) <= LIMITS["class_names_twice"], twice
