@@ -20,7 +20,7 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_wct.world import build_world
+from lirs_wct.sources.build import build_world
 
 
 def main() -> None:

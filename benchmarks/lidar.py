@@ -44,8 +44,8 @@ from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.sources.build import build_world
 from lirs_wct.sources.bundled import RECIPES
-from lirs_wct.world import build_world
 
 SIZES = (257, 513, 1025, 2049, 4097)
 SAMPLES, BEAMS, POSES = 1025, 720, 40

@@ -24,8 +24,8 @@ from lirs_envs.robots.command import Twist
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.export.mjcf import TERRAIN_GROUP
+from lirs_wct.sources.build import build_world
 from lirs_wct.sources.bundled import RECIPES
-from lirs_wct.world import build_world
 
 
 def wander(sim: Simulation, seconds: float, seed: int = 0) -> float:

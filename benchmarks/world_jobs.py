@@ -19,9 +19,10 @@ from lirs_wct.export.package import write_package
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.meshing.simplify import triangulate
 from lirs_wct.meshing.solid import solid_mesh
+from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.pictures.picture import read_height_field
-from lirs_wct.world import World, build_world
+from lirs_wct.world import World
 
 Figures = dict[str, float | int | str]
 RELIEF = 6.0

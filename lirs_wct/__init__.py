@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from lirs_wct.geometry.scan import Imu, LaserScan
     from lirs_wct.geometry.trajectory import Trajectory
     from lirs_wct.geometry.walls import WallGrid
+    from lirs_wct.sources.build import build_world
     from lirs_wct.sources.options import BuildOptions
-    from lirs_wct.world import World, build_world
+    from lirs_wct.world import World
 
 _HOMES = {
     "BuildOptions": "sources.options",
@@ -32,7 +33,7 @@ _HOMES = {
     "WallGrid": "geometry.walls",
     "WctError": "errors",
     "World": "world",
-    "build_world": "world",
+    "build_world": "sources.build",
     "write_package": "export.package",
 }
 

@@ -1,4 +1,4 @@
-"""The world: everything that a consumer needs, and how a source becomes one."""
+"""World: ground, start poses, export options and georeference of a site."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.display import ShownAsPicture
-from lirs_wct.errors import ConfigError, LogSourceError
+from lirs_wct.errors import ConfigError
 from lirs_wct.formats.world_json import WorldFile, checked_content, read_world, write_world
 from lirs_wct.geometry.geodesy.place import Place
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -21,25 +21,11 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
 from lirs_wct.meshing.export_options import ExportOptions
-from lirs_wct.meshing.ground_texture import checked_texture
 from lirs_wct.navigation.areas import mapped_area
 from lirs_wct.navigation.footprints import FOOTPRINTS
 from lirs_wct.navigation.refusal import cause_of_refusal, nearest_place
 from lirs_wct.navigation.spawn_poses import spawn_poses
 from lirs_wct.navigation.traversability import blocked_ground, overlaid, traversable
-from lirs_wct.sources.clouds.source import read_point_cloud
-from lirs_wct.sources.laser_map import read_laser_map
-from lirs_wct.sources.mesh_source import read_mesh_source
-from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.pictures.picture import read_terrain
-from lirs_wct.sources.source import Source, find_source, warn_of_shape, warn_of_useless
-from lirs_wct.sources.source_kind import SourceKind
-from lirs_wct.sources.window import Window, cut_nodes, cut_surface, leveled
-
-SPAWN_AREA = 200.0
-"""Side of the square in the middle of a larger terrain where spawn poses are looked for, meters."""
-SPAWN_CELLS = 1000
-"""Cells along the side of a terrain, at most, of the grid on which they are."""
 
 
 @dataclass(frozen=True)
@@ -266,118 +252,3 @@ def _ground(content: WorldFile) -> Ground:
     if content.solid is not None:
         return ClosedMesh(content.surface, content.solid, content.overhangs, content.no_ground)
     return Terrain(content.surface, content.no_ground)
-
-
-def build_world(source: str | Path, options: BuildOptions | None = None) -> World:
-    """Make a world of a bundled name, a built folder, a picture, a laser map, a mesh or a point cloud.
-
-    Raises:
-        SourceError: the source cannot be used.
-        LogSourceError: it is a laser log, which holds no world before it is mapped.
-        ConfigError: an option does not fit the source.
-    """
-    options = options or BuildOptions()
-    found = find_source(source, options)
-    if found.kind is SourceKind.LOG:
-        raise LogSourceError(f"{found.path}: a log is mapped before it is a world")
-    warn_of_useless(found, options)
-    world = _built(found, options)
-    exact = world.walls is not None or world.overhangs
-    warn_of_shape(found, options, world.surface.size, exact)
-    for texture in (options.texture, options.wall_texture):
-        checked_texture(texture, options.max_pixels)
-    return world.with_export(options)
-
-
-def _built(found: Source, options: BuildOptions) -> World:
-    if found.kind is SourceKind.FOLDER:
-        return _loaded_world(found, options)
-    ground: Ground
-    place = None
-    if found.kind is SourceKind.MESH:
-        ground, scale = read_mesh_source(found.path, options)
-    elif found.kind is SourceKind.CLOUD:
-        ground, scale, place = read_point_cloud(found.path, options)
-    elif found.kind in (SourceKind.MAP, SourceKind.MAP_PICTURE):
-        ground, scale = read_laser_map(found, options)
-    else:
-        ground, scale, place = read_terrain(found, options)
-    world = World(found.name, ground, scale=scale, source=found.identity, start=options.start, place=place)
-    return _with_spawn_poses(world)
-
-
-def _loaded_world(source: Source, options: BuildOptions) -> World:
-    world = World.load(source.path)
-    if options.name is not None:
-        world = replace(world, name=source.name)
-    if options.start is not None:
-        world = replace(world, start=options.start)
-    if options.window is None:
-        return world if options.start is None else _with_spawn_poses(world)
-    if isinstance(world.ground, LaserMap) or world.overhangs:
-        raise ConfigError(f"{source.path}: --window cuts a built terrain only; give the world's own source")
-    ground, lift = _cut(world.ground, options.window)
-    return _with_spawn_poses(replace(world, ground=ground, place=world.place and world.place.raised(lift)))
-
-
-def _cut(ground: Terrain | ClosedMesh, window: Window) -> tuple[Terrain, float]:
-    """Return a square of a ground, and by how many meters it was lowered to z = 0."""
-    surface, lift = leveled(cut_surface(ground.surface, window, level=False))
-    return Terrain(surface, cut_nodes(ground.no_ground, ground.surface, surface)), lift
-
-
-def _with_spawn_poses(world: World) -> World:
-    """Look for spawn poses for the largest robot that fits; the pose asked for is the first of them.
-
-    On a terrain of kilometers in its middle only, or around that pose: the search is by the decimeter.
-
-    Raises:
-        ConfigError: no robot can stand at the pose that was asked for, or it is outside the world.
-    """
-    place = world
-    if not isinstance(world.ground, LaserMap) and max(world.surface.size) > SPAWN_AREA:
-        west, south, east, north = world.surface.bounds
-        middle = world.start or Pose2((west + east) / 2, (south + north) / 2)
-        x, y = min(max(middle.x, west), east), min(max(middle.y, south), north)
-        place = replace(world, ground=_cut(world.ground, (x, y, SPAWN_AREA))[0])
-    resolution = 0.1 if world.walls is not None else max(0.1, max(place.surface.size) / SPAWN_CELLS)
-    for footprint in FOOTPRINTS:
-        for clearance, slope in footprint.limits:
-            free = place.traversable(clearance=clearance, max_slope=slope, resolution=resolution)
-            if world.start is not None and not free.free_at(world.start.x, world.start.y):
-                continue
-            found = place.starts(free)
-            if found:
-                first = () if world.start is None else (world.start,)
-                return replace(world, spawn_poses=(*first, *found)[: len(found)], spawn_for=footprint.robot)
-    if world.start is not None:
-        raise _refused_start(world, place, world.start, resolution)
-    return replace(world, spawn_poses=(), spawn_for="")
-
-
-def _refused_start(world: World, place: World, start: Pose2, resolution: float) -> ConfigError:
-    """Return the error that no robot can start at a pose: the cause for the one that gets farthest.
-
-    Args:
-        world: the whole.
-        place: its part around the pose.
-        start: pose that was asked for.
-        resolution: meters a cell of the search.
-    """
-    where = f"{world.name}: no robot can start at {start.x:g},{start.y:g}: "
-    smallest, climber = FOOTPRINTS[-1], max(FOOTPRINTS, key=lambda footprint: footprint.max_slope)
-    for footprint in (smallest, climber):
-        clearance, slope = footprint.limits[-1]
-        cause, nearest = place.refusal(
-            (start.x, start.y), clearance=clearance, max_slope=slope, resolution=resolution
-        )
-        if " deg (limit" not in cause:
-            break
-    if not world.surface.contains(start.x, start.y):
-        west, south, east, north = world.surface.bounds
-        cause = (
-            f"that is outside the world, whose x is {west:.5g} to {east:.5g} m and y {south:.5g} to "
-            f"{north:.5g} m"
-        )
-    found = f"nearest place: {nearest}" if nearest else "no place is free"
-    return ConfigError(f"{where}{cause}; {found} ({footprint.robot})")

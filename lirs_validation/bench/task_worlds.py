@@ -20,9 +20,10 @@ from lirs_wct.errors import ConfigError, SourceError, unknown_name
 from lirs_wct.field_validators import require_seed
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
+from lirs_wct.sources.build import build_world
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.world import World, build_world
+from lirs_wct.world import World
 
 CELL = EDGE / (NODES - 1)
 """Spacing of a natural terrain's nodes, meters."""

@@ -13,9 +13,10 @@ from lirs_validation.config import RunConfig
 from lirs_validation.record.source_files import SourceFile, source_files
 from lirs_wct.errors import LogSourceError
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.window import Window
-from lirs_wct.world import World, build_world
+from lirs_wct.world import World
 
 LARGE = 200.0
 """A terrain longer than this (meters) is validated on a window."""

@@ -16,8 +16,9 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.ground import Terrain
+from lirs_wct.sources.build import build_world
 from lirs_wct.sources.bundled import RECIPES
-from lirs_wct.world import World, build_world
+from lirs_wct.world import World
 
 GROUND = [name for name, robot in ROBOTS.items() if not robot.flies]
 IMPACT = 0.010

@@ -22,7 +22,8 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.tasks.site import make_site
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.world import World, build_world
+from lirs_wct.sources.build import build_world
+from lirs_wct.world import World
 
 GROUND = [name for name, robot in ROBOTS.items() if not robot.flies]
 SPEEDS = np.array(((1 / 3, 0.0), (2 / 3, 0.0), (1.0, 0.0)))

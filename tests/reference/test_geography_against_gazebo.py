@@ -16,7 +16,7 @@ from rasterio.transform import Affine, xy
 from rasterio.warp import transform
 
 from lirs_wct.formats.gazebo.sdf import world_sdf
-from lirs_wct.world import build_world
+from lirs_wct.sources.build import build_world
 
 PYTHON = "/usr/bin/python3"
 PIXELS, SPACING = 41, 200.0

@@ -55,7 +55,7 @@ def build(
     """Build a world: Gazebo model and world, MuJoCo MJCF, meshes, texture, world.json."""
     from lirs_wct.export.ground_truth_map import ROBOT_HEIGHT
     from lirs_wct.export.package import write_package
-    from lirs_wct.world import build_world
+    from lirs_wct.sources.build import build_world
 
     if map_height is not None and "map" not in read_names(to, "--to"):
         warnings.warn("--map-height has no effect without --to map", stacklevel=1)
@@ -86,7 +86,7 @@ def view(
     options: SourceOptions,
 ) -> None:
     """Draw a picture of any source: hillshade, walls, start poses, and at an angle. No OpenGL needed."""
-    from lirs_wct.world import build_world
+    from lirs_wct.sources.build import build_world
 
     with err.status(f"drawing {source}"):
         world = build_world(source, options)
@@ -106,7 +106,7 @@ def info(
     """Say what a source is: size, heights, slopes, where robots drive, walls in sight, triangles, error."""
     from lirs_envs.robots.catalog import make_robot
     from lirs_validation.cli.commands.info import facts_table, world_facts
-    from lirs_wct.world import build_world
+    from lirs_wct.sources.build import build_world
 
     make_robot(robot)
     with err.status(f"measuring {source}"):

@@ -16,6 +16,7 @@ from lirs_wct.export.package import DEFAULT_FORMATS, GazeboTerrain, write_packag
 from lirs_wct.ground import Ground, Terrain
 from lirs_wct.meshing.ground_texture import checked_texture
 from lirs_wct.progress import Progress, no_progress
+from lirs_wct.sources.build import build_world
 from lirs_wct.sources.clouds.source import read_point_cloud
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
@@ -23,7 +24,7 @@ from lirs_wct.sources.pictures.picture import TerrainPicture, decimated, height_
 from lirs_wct.sources.source import Source, find_source
 from lirs_wct.sources.source_kind import SourceKind
 from lirs_wct.sources.window import cut_surface
-from lirs_wct.world import World, build_world
+from lirs_wct.world import World
 
 PREVIEW_NODES = 129
 """Nodes of a preview along its longer side."""

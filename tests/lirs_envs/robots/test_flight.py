@@ -17,7 +17,8 @@ from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.world import World, build_world
+from lirs_wct.sources.build import build_world
+from lirs_wct.world import World
 
 TICK = 0.04
 

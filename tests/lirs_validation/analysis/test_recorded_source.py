@@ -21,7 +21,7 @@ from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.world import build_world
+from lirs_wct.sources.build import build_world
 
 
 def hills(seed: int) -> np.ndarray:

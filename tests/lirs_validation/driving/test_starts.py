@@ -21,8 +21,9 @@ from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.navigation.footprints import FOOTPRINTS
+from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.world import World, build_world
+from lirs_wct.world import World
 
 
 def test_footprints_are_those_of_the_robots_on_wheels_the_largest_first() -> None:

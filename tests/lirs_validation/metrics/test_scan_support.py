@@ -12,8 +12,9 @@ from lirs_validation.metrics.scan_support import POSES, ScanSupport, scan_suppor
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import Terrain
+from lirs_wct.sources.build import build_world
 from lirs_wct.sources.bundled import RECIPES
-from lirs_wct.world import World, build_world
+from lirs_wct.world import World
 
 HUSKY = make_robot("husky")
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from lirs_wct.contact.contact_grid import ContactBudget, ContactGrid, contact_grid, steep_nodes
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.world import build_world
+from lirs_wct.sources.build import build_world
 
 
 def deviations(surface: HeightField, grid: ContactGrid) -> tuple[float, float]:

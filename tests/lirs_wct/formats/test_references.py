@@ -23,7 +23,7 @@ from lirs_wct.formats.meshes.collada_stream import MeshPart, stream_collada
 from lirs_wct.formats.meshes.textured import read_textured
 from lirs_wct.formats.references import referenced_file
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.world import build_world
+from lirs_wct.sources.build import build_world
 
 RAW = """<VRTDataset rasterXSize="4" rasterYSize="4"><VRTRasterBand dataType="Byte" band="1" {kind}>
 {source}</VRTRasterBand></VRTDataset>"""

@@ -13,8 +13,8 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.navigation.areas import mapped_area
 from lirs_wct.navigation.spawn_poses import spawn_poses
+from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.world import build_world
 
 
 def ring(origin: Pose2, inner: float = 8.0, outer: float = 10.0) -> OccupancyGrid:

@@ -13,9 +13,9 @@ import trimesh
 
 from lirs_wct.export.package import write_package
 from lirs_wct.formats.map_server import read_map
+from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.source import find_source
-from lirs_wct.world import build_world
 
 
 @pytest.mark.parametrize(

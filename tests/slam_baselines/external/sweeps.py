@@ -11,7 +11,7 @@ from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.trajectory import Trajectory
-from lirs_wct.world import build_world
+from lirs_wct.sources.build import build_world
 
 
 @cache

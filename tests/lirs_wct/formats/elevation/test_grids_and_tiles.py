@@ -14,9 +14,9 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.elevation.raster import read_raster
 from lirs_wct.formats.elevation.tiles import decode, guess
 from lirs_wct.geometry.geodesy.georeference import Georeference
+from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.pictures.picture import read_height_field
-from lirs_wct.world import build_world
 
 HEADER = "ncols 4\nNROWS 3\nxllcorner 500000\nyllcorner 4000000\ncellsize 10\nNODATA_value -1\n"
 HEIGHTS = "1 2 3 4\n5 6 -1 8\n9 10 11 12.5\n"

@@ -10,8 +10,8 @@ import pytest
 import rasterio
 
 from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.world import build_world
 
 HEADER = "ncols 3\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 1\n"
 

@@ -17,11 +17,11 @@ from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.sources.build import build_world
 from lirs_wct.sources.bundled import BundledPicture
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.pictures.picture import read_height_field, read_terrain
 from lirs_wct.sources.source import find_source
-from lirs_wct.world import build_world
 
 RAMP = np.arange(12, dtype=np.uint16).reshape(3, 4)
 

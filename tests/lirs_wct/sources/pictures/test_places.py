@@ -15,8 +15,8 @@ from lirs_validation.cli.commands.info import facts_table, world_facts
 from lirs_validation.gui.session.world_facts import built_facts
 from lirs_wct import World, write_package
 from lirs_wct.errors import ConfigError
+from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.world import build_world
 
 CELL, WEST, NORTH = 10.0, -8_238_310.0, 4_970_072.0
 
