@@ -148,8 +148,15 @@ def _typer(option: Option, flags: tuple[str, ...], default: Any = None) -> Any:
         help=option.help,
         rich_help_panel=option.panel,
         hidden=option.hidden,
-        show_default=True if default is None else str(default),
+        show_default=_text(default),
     )
+
+
+def _text(default: Any) -> str | bool:
+    """Return a default as the help shows it; True = the parameter's own default."""
+    if default is None:
+        return True
+    return f"{default:g}" if isinstance(default, float) else str(default)
 
 
 def _keyword(name: str, default: Any, annotation: Any) -> inspect.Parameter:
