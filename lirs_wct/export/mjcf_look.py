@@ -12,7 +12,7 @@ import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.export.appearance import Wear, ground_wear, world_parts
-from lirs_wct.formats.images.image_writer import write_image
+from lirs_wct.formats.images.picture import write_image
 from lirs_wct.formats.meshes.obj import write_obj
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.viewpoint import AZIMUTH, ELEVATION, Viewpoint, overview

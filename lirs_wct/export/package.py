@@ -14,10 +14,17 @@ from lirs_wct.export.mesh_writer import write_parts
 from lirs_wct.export.mjcf_file import write_hfield, write_mjcf
 from lirs_wct.export.usd_file import require_usd, write_usd
 from lirs_wct.files import atomic_folder
-from lirs_wct.formats.gazebo.gz_sim import gz_world_sdf
-from lirs_wct.formats.gazebo.heightmap import Layer, flat_normals, heightmap_sdf, write_heightmap
-from lirs_wct.formats.gazebo.sdf import model_config, model_sdf, world_sdf
-from lirs_wct.formats.images.image_writer import write_image
+from lirs_wct.formats.gazebo import (
+    Layer,
+    flat_normals,
+    gz_world_sdf,
+    heightmap_sdf,
+    model_config,
+    model_sdf,
+    world_sdf,
+    write_heightmap,
+)
+from lirs_wct.formats.images.picture import write_image
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.meshes.collada_stream import MeshPart
 from lirs_wct.formats.meshes.obj import write_obj_parts

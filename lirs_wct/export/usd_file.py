@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.gazebo.sdf import FRICTION
+from lirs_wct.formats.gazebo import FRICTION
 from lirs_wct.formats.meshes.collada_stream import MeshPart
 from lirs_wct.world import World
 

@@ -17,8 +17,7 @@ from lirs_wct.arrays import BoolArray
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.references import referenced_file
-from lirs_wct.geometry.geodesy.earth import CoordinateSystem
-from lirs_wct.geometry.geodesy.place import Place
+from lirs_wct.geometry.geodesy import CoordinateSystem, Place
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.elevation.tiles import ENCODINGS, Encoding
+from lirs_wct.formats.elevation import ENCODINGS, Encoding
 from lirs_wct.formats.images.header import MAX_PIXELS
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.meshing.export_options import ExportOptions

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.clouds.point_file import is_cloud_ply
 from lirs_wct.formats.map_server import read_metadata
+from lirs_wct.formats.point_clouds import is_cloud_ply
 from lirs_wct.formats.suffixes import CLOUDS, LOGS, MAPS, MESHES, ZSTD, is_bag_file
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.options import BuildOptions, without_effect

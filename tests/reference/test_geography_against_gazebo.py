@@ -15,7 +15,7 @@ import rasterio
 from rasterio.transform import Affine, xy
 from rasterio.warp import transform
 
-from lirs_wct.formats.gazebo.sdf import world_sdf
+from lirs_wct.formats.gazebo import world_sdf
 from lirs_wct.sources.build import build_world
 
 PYTHON = "/usr/bin/python3"

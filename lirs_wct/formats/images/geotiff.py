@@ -13,8 +13,7 @@ from pathlib import Path
 
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.images import tiff
-from lirs_wct.geometry.geodesy.earth import WGS84, CoordinateSystem
-from lirs_wct.geometry.geodesy.georeference import TURNED, Affine, Georeference, middle_of_pixels
+from lirs_wct.geometry.geodesy import TURNED, WGS84, Affine, CoordinateSystem, Georeference, middle_of_pixels
 
 DEGREES = "names no coordinate system, its coordinates are taken for degrees"
 UNITS = {

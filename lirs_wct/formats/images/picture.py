@@ -1,4 +1,4 @@
-"""Decoding a picture file into an array, safely: size checked first, damage refused, the codecs quiet."""
+"""Picture files: safe decoding, and encoding of 8-bit pictures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import ByteArray
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import OutputError, SourceError
+from lirs_wct.files import atomic_write
 from lirs_wct.formats.images import tiff
 from lirs_wct.formats.images.gdal import DRIVERS, EXTRA, rasterio_there, read_gdal
 from lirs_wct.formats.images.header import MAX_PIXELS, PictureHeader, check_complete, read_header
@@ -165,3 +166,21 @@ def _quiet_codecs() -> Iterator[IO[bytes]]:
             os.dup2(kept, STDERR)
             os.close(kept)
             log.setLogLevel(before)
+
+
+def write_image(path: Path, pixels: ByteArray) -> None:
+    """Write an 8-bit picture, gray or BGR; missing parent folders are made.
+
+    OpenCV encodes and Python writes: `cv2.imwrite` returns False where it cannot write, and raises nothing.
+
+    Raises:
+        OutputError: the file cannot be written, or OpenCV cannot encode such a picture by this suffix.
+    """
+    try:
+        done, data = cv2.imencode(path.suffix, pixels)
+    except cv2.error as error:
+        raise OutputError(f"{path}: cannot be encoded: {error.err or error}") from error
+    if not done:
+        raise OutputError(f"{path}: a {pixels.dtype} picture of shape {pixels.shape} cannot be encoded")
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(data.data)

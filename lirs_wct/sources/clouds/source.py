@@ -10,9 +10,9 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.clouds.point_file import PointFile, read_points
 from lirs_wct.formats.images.geotiff import located
-from lirs_wct.geometry.geodesy.place import Place
+from lirs_wct.formats.point_clouds import PointFile, read_points
+from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.clouds.grid import NodeGrid, filled, gap_distance

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.elevation.raster import Raster
-from lirs_wct.formats.elevation.tiles import decode, guess, tile_georeference
+from lirs_wct.formats.elevation import Raster, decode, guess, tile_georeference
 from lirs_wct.formats.images.geotiff import RasterInfo
-from lirs_wct.geometry.geodesy.place import Place
+from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.sources.options import BuildOptions
 

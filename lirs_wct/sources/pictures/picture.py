@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.elevation.raster import Raster, read_raster
+from lirs_wct.formats.elevation import Raster, read_raster
 from lirs_wct.formats.images.geotiff import RasterInfo
 from lirs_wct.formats.images.picture import check_size
-from lirs_wct.geometry.geodesy.place import Place
+from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.bundled import SIZE, bundled_picture

@@ -15,7 +15,7 @@ import pytest
 
 from lirs_validation import cli
 from lirs_wct.errors import OutputError
-from lirs_wct.formats.images.image_writer import write_image
+from lirs_wct.formats.images.picture import write_image
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.geometry.grid import OccupancyGrid
 

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.elevation.raster import read_raster
-from lirs_wct.formats.elevation.tiles import decode, guess
-from lirs_wct.geometry.geodesy.georeference import Georeference
+from lirs_wct.formats.elevation import decode, guess, read_raster
+from lirs_wct.geometry.geodesy import Georeference
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.pictures.picture import read_height_field

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.elevation.raster import Raster, read_raster
+from lirs_wct.formats.elevation import Raster, read_raster
 
 HERE = Path(__file__).parent / "rasters"
 RECORDS: dict[str, Any] = json.loads((HERE / "rasters.json").read_text())

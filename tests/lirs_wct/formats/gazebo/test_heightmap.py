@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.gazebo.heightmap import (
+from lirs_wct.formats.gazebo import (
     Layer,
     flat_normals,
     heightmap_pixels,

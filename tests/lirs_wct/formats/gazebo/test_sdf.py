@@ -7,7 +7,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.gazebo.sdf import Physics, model_config, model_sdf, world_sdf
+from lirs_wct.formats.gazebo import Physics, model_config, model_sdf, world_sdf
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.viewpoint import overview
 

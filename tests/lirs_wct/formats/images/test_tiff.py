@@ -18,7 +18,7 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.images import tiff
 from lirs_wct.formats.images.geotiff import height_unit, raster_info
 from lirs_wct.formats.images.tiff import Tags, TagValue
-from lirs_wct.geometry.geodesy.earth import CoordinateSystem, meters_per_degree
+from lirs_wct.geometry.geodesy import CoordinateSystem, meters_per_degree
 
 KINDS = {"B": 1, "s": 2, "H": 3, "I": 4, "b": 6, "h": 8, "i": 9, "f": 11, "d": 12, "Q": 16, "q": 17}
 Entries = Mapping[int, tuple[str, tuple[Any, ...]]]

@@ -376,7 +376,7 @@ def test_a_slope_adds_no_roughness(seed: int) -> None:
 def test_what_is_no_las_file_says_so_and_asks_for_no_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, content: bytes
 ) -> None:
-    monkeypatch.setattr("lirs_wct.formats.clouds.point_file.find_spec", lambda _: None)
+    monkeypatch.setattr("lirs_wct.formats.point_clouds.find_spec", lambda _: None)
     path = tmp_path / f"a.{suffix}"
     path.write_bytes(content)
     with pytest.raises(SourceError, match=rf"a\.{suffix}: is not a LAS file: .*b'LASF'"):

@@ -1,14 +1,22 @@
-"""Gazebo's files: the model package and a world that includes it (SDF 1.6, read by Gazebo 9 to Harmonic)."""
+"""Gazebo's files: model packages, worlds and heightmaps."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
 from xml.sax.saxutils import escape, quoteattr
 
+import numpy as np
+
+from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above, require_at_least
-from lirs_wct.geometry.geodesy.place import Place
+from lirs_wct.formats.images.picture import write_image
+from lirs_wct.geometry.geodesy import Place
+from lirs_wct.geometry.grid_sampling import resized
+from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.viewpoint import Viewpoint
 
@@ -212,3 +220,159 @@ def model_uri(name: str, inside: str = "") -> str:
     if any(c.isspace() for c in uri):
         raise ConfigError(f"Gazebo finds no names with spaces, got {uri!r}")
     return uri
+
+
+GZ_VERSION = "1.9"
+SYSTEMS = (
+    ("gz-sim-physics-system", "gz::sim::systems::Physics"),
+    ("gz-sim-user-commands-system", "gz::sim::systems::UserCommands"),
+    ("gz-sim-scene-broadcaster-system", "gz::sim::systems::SceneBroadcaster"),
+    ("gz-sim-contact-system", "gz::sim::systems::Contact"),
+    ("gz-sim-imu-system", "gz::sim::systems::Imu"),
+    ("gz-sim-sensors-system", "gz::sim::systems::Sensors"),
+)
+"""What gz-sim does with a world only if the file says so: step it, show it, run lidars, cameras and IMUs."""
+
+
+def gz_world_sdf(classic: str, model: str, *, starts: Sequence[Pose3] = (), albedo: str | None = None) -> str:
+    """Return a world file for gz-sim without search path: the model stands in it, its files are relative.
+
+    Args:
+        classic: world file of Gazebo classic, whose physics, light, scene and place on earth are kept.
+        model: file of the included model.
+        starts: frames `start`, `start1`, ... that robots are set down in.
+        albedo: path of the texture that the model's one visual wears; None = what its mesh file says.
+    """
+    root = ElementTree.fromstring(classic)
+    root.set("version", GZ_VERSION)
+    world = root.find("world")
+    assert world is not None
+    for element in (*world.findall("gui"), *world.findall("include")):
+        world.remove(element)
+    for k, (file, name) in enumerate(SYSTEMS):
+        system = ElementTree.Element("plugin", filename=file, name=name)
+        if file == "gz-sim-sensors-system":
+            ElementTree.SubElement(system, "render_engine").text = "ogre2"
+        world.insert(k, system)
+    world.append(_included_model(model, albedo))
+    for k, pose in enumerate(starts):
+        frame = ElementTree.SubElement(world, "frame", name=f"start{k or ''}")
+        x, y, z = pose.position.tolist()
+        ElementTree.SubElement(frame, "pose").text = f"{x:.6g} {y:.6g} {z:.6g} 0 0 {pose.yaw:.6g}"
+    ElementTree.indent(root)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _included_model(text: str, albedo: str | None) -> ElementTree.Element:
+    """Return the model of a model file with paths relative to its folder, and a material for PBR."""
+    model = ElementTree.fromstring(text).find("model")
+    assert model is not None
+    prefix = f"model://{model.get('name')}/"
+    for element in model.iter():
+        if element.text and element.text.startswith(prefix):
+            element.text = element.text.removeprefix(prefix)
+    for visual in model.iter("visual"):
+        if albedo is not None and visual.find("geometry/mesh") is not None:
+            material = ElementTree.SubElement(visual, "material")
+            for color in ("ambient", "diffuse"):
+                ElementTree.SubElement(material, color).text = "1 1 1 1"
+            ElementTree.SubElement(material, "specular").text = "0 0 0 1"
+            metal = ElementTree.SubElement(ElementTree.SubElement(material, "pbr"), "metal")
+            ElementTree.SubElement(metal, "albedo_map").text = albedo
+            ElementTree.SubElement(metal, "roughness").text = "1"
+            ElementTree.SubElement(metal, "metalness").text = "0"
+    return model
+
+
+SIDES = tuple(2**n + 1 for n in range(4, 13))
+"""Legal pixels a side: 17 to 4097."""
+
+
+def heightmap_side(surface: HeightField) -> int:
+    """Return the smallest legal side that is not coarser than the surface, at most 4097."""
+    side: int = next((side for side in SIDES if side >= max(surface.shape)), SIDES[-1])
+    return side
+
+
+def heightmap_pixels(surface: HeightField, side: int | None = None) -> ByteArray:
+    """Return (side, side) gray levels: 0 is the lowest point, 255 the highest.
+
+    Raises:
+        ConfigError: side is not 2^n + 1.
+    """
+    side = side or heightmap_side(surface)
+    if side not in SIDES:
+        raise ConfigError(f"a heightmap has 2^n + 1 pixels a side, got {side}; legal: {SIDES}")
+    above = surface.z - surface.z.min()
+    levels = resized(above, side, side) * np.float32(255 / max(surface.relief, 1e-9))
+    pixels: ByteArray = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+    return pixels
+
+
+def write_heightmap(path: Path, surface: HeightField, side: int | None = None) -> None:
+    """Write the picture as PNG.
+
+    Raises:
+        ConfigError: side is not 2^n + 1.
+        OutputError: the file cannot be written.
+    """
+    write_image(path, heightmap_pixels(surface, side))
+
+
+@dataclass(frozen=True)
+class Layer:
+    """What a heightmap wears.
+
+    Attributes:
+        diffuse: path of the texture inside the package.
+        normal: path of its normal map inside the package; `flat_normals` where it has none.
+        span: meters that the texture spans before it repeats.
+    """
+
+    diffuse: str
+    normal: str
+    span: float
+
+
+def flat_normals() -> ByteArray:
+    """Return (16, 16, 3) BGR: the normal map of a texture that is flat (x 0, y 0, z 1)."""
+    return np.full((16, 16, 3), (255, 128, 128), np.uint8)
+
+
+def heightmap_sdf(name: str, surface: HeightField, picture: str, layer: Layer | None = None) -> str:
+    """Return `model.sdf` of a heightmap model.
+
+    Args:
+        name: of the model and of its folder.
+        surface: gives the meters.
+        picture: path of the heightmap inside the package.
+        layer: what it wears; None = Gazebo's gray.
+    """
+    width, depth = surface.size
+    west, south, east, north = surface.bounds
+    # Gazebo divides by the height: level ground gets a millimeter.
+    size = f"<size>{width:.9g} {depth:.9g} {max(surface.relief, 1e-3):.9g}</size>"
+    place = f"<pos>{(west + east) / 2:.9g} {(south + north) / 2:.9g} {float(surface.z.min()):.9g}</pos>"
+    uri = f"<uri>{escape(model_uri(name, picture))}</uri>"
+    look = ""
+    if layer is not None:
+        diffuse, normal = (escape(model_uri(name, path)) for path in (layer.diffuse, layer.normal))
+        look = (
+            f"<texture><diffuse>{diffuse}</diffuse><normal>{normal}</normal>"
+            f"<size>{layer.span:.9g}</size></texture>"
+        )
+    return f"""<?xml version="1.0"?>
+<sdf version="{VERSION}">
+  <model name={quoteattr(name)}>
+    <static>true</static>
+    <link name="ground">
+      <visual name="visual">
+        <geometry><heightmap>{uri}{look}{size}{place}</heightmap></geometry>
+      </visual>
+      <collision name="collision">
+        <geometry><heightmap>{uri}{size}{place}</heightmap></geometry>
+      </collision>
+    </link>
+  </model>
+</sdf>
+"""

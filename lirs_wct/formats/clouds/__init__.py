@@ -1,1 +1,0 @@
-"""Files of point clouds: PLY, LAS and LAZ, PCD."""

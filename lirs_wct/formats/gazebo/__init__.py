@@ -1,1 +1,0 @@
-"""Gazebo's files: SDF, model package, heightmap."""

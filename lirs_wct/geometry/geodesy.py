@@ -1,0 +1,372 @@
+"""Coordinate systems of elevation data, georeferences of rasters, and the place of a world on the earth."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lirs_wct.arrays import FloatArray
+from lirs_wct.errors import ConfigError
+
+WGS84 = (6378137.0, 298.257223563)
+"""Semi-major axis, meters, and inverse flattening."""
+MERCATOR = (3857, 900913, 3785, 102113, 102100)
+GEOGRAPHIC = (4326, 4269, 4258, 4979, 4283, 7844, 6318, 4937, 9754)
+"""Latitude and longitude on datums that agree with WGS 84 to about a meter."""
+_UTM = {32600: 1, 32700: -1, 26900: 1, 25800: 1, 28300: -1, 7800: -1, 6329: 1}
+"""EPSG code of zone 0 -> hemisphere: WGS 84 N and S, NAD 83, ETRS 89, GDA 94, GDA 2020, NAD 83 (2011)."""
+_SCALE, _EAST, _SOUTH = 0.9996, 500e3, 10_000e3
+"""UTM's scale on the central meridian, false easting, and false northing of the southern hemisphere."""
+
+Form = Literal["geographic", "mercator", "utm", "other", "unknown"]
+
+
+@dataclass(frozen=True)
+class CoordinateSystem:
+    """A coordinate reference system.
+
+    Attributes:
+        name: `EPSG:code`, WKT of one without a code, or empty where none is known.
+        form: how it is computed; `other` by PROJ, `unknown` not at all.
+        unit: meters in a unit of projected coordinates.
+        ellipsoid: semi-major axis in meters and inverse flattening (0 = sphere) of geographic coordinates.
+    """
+
+    name: str = ""
+    form: Form = "unknown"
+    unit: float = 1.0
+    ellipsoid: tuple[float, float] = WGS84
+
+    @staticmethod
+    def of_code(code: int, unit: float = 1.0) -> CoordinateSystem:
+        """Return the system of an EPSG code."""
+        form: Form = "other"
+        if code in MERCATOR:
+            form = "mercator"
+        elif code in GEOGRAPHIC:
+            form = "geographic"
+        elif _utm_zone(code) is not None:
+            form = "utm"
+        return CoordinateSystem(f"EPSG:{code}", form, unit)
+
+    @property
+    def label(self) -> str:
+        """What to call it in a line of text."""
+        if "[" in self.name:
+            return self.name.split('"')[1]
+        if self.name or self.form != "geographic":
+            return self.name
+        return f"degrees, radius {self.ellipsoid[0] / 1000:.6g} km"
+
+    @cached_property
+    def _code(self) -> int:
+        return int(self.name.removeprefix("EPSG:"))
+
+    def to_geographic(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return latitudes and longitudes of coordinates, degrees.
+
+        Raises:
+            ConfigError: the system is unknown, or PROJ is needed and not there.
+        """
+        px, py = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        if self.form == "geographic":
+            return py, px
+        if self.form == "mercator":
+            return _mercator_inverse(px * self.unit, py * self.unit)
+        if self.form == "utm":
+            zone, hemisphere = _utm_zone(self._code) or (0, 1)
+            return _utm_inverse(px * self.unit, py * self.unit, zone, hemisphere)
+        if self.form == "other":
+            return _by_proj(self.name, self.label, px, py)
+        raise ConfigError("no coordinate reference system is known")
+
+    def ground_meters(self, x: float, y: float) -> FloatArray:
+        """Return (2, 2) meters eastward and northward on the ground per unit of x and of y, at a place.
+
+        Raises:
+            ConfigError: as `to_geographic`, or the place is a pole or beyond.
+        """
+        step = 1e-4 if self.form == "geographic" else 10.0 / self.unit
+        at = np.array(((x + step, y), (x - step, y), (x, y + step), (x, y - step), (x, y)))
+        latitude, longitude = self.to_geographic(at[:, 0], at[:, 1])
+        if not (np.isfinite(latitude).all() and abs(latitude[4]) < 90):
+            raise ConfigError(f"center lies at latitude {latitude[4]:g}, degrees have no width there")
+        per_degree = meters_per_degree(float(latitude[4]), self.ellipsoid)
+        degrees_east = (longitude[[0, 2]] - longitude[[1, 3]] + 180) % 360 - 180
+        degrees_north = latitude[[0, 2]] - latitude[[1, 3]]
+        meters: FloatArray = np.stack((degrees_east * per_degree[0], degrees_north * per_degree[1]))
+        return meters / (2 * step)
+
+
+def meters_per_degree(latitude: float, ellipsoid: tuple[float, float] = WGS84) -> tuple[float, float]:
+    """Return meters in a degree eastward and northward on an ellipsoid.
+
+    Radii of curvature in the prime vertical and the meridian: Snyder 1987, eqs. 4-20 and 4-19.
+
+    Args:
+        latitude: degrees.
+        ellipsoid: semi-major axis, meters, and inverse flattening; 0 = sphere.
+    """
+    a, inverse = ellipsoid
+    f = 1 / inverse if inverse else 0.0
+    e2, phi = f * (2 - f), math.radians(latitude)
+    w = math.sqrt(1 - e2 * math.sin(phi) ** 2)
+    return math.radians(a / w * math.cos(phi)), math.radians(a * (1 - e2) / w**3)
+
+
+def _mercator_inverse(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return latitudes and longitudes of web Mercator's meters: Snyder 1987, eqs. 7-4 and 7-5."""
+    a = WGS84[0]
+    return np.degrees(np.pi / 2 - 2 * np.arctan(np.exp(-y / a))), np.degrees(x / a)
+
+
+def _utm_zone(code: int) -> tuple[int, int] | None:
+    """Return zone and hemisphere (1 = north) of an EPSG code; None where it is none of UTM."""
+    for base, hemisphere in _UTM.items():
+        if 1 <= code - base <= 60 and (base != 6329 or code <= 6348):
+            return code - base, hemisphere
+    return None
+
+
+def _utm_inverse(x: FloatArray, y: FloatArray, zone: int, hemisphere: int) -> tuple[FloatArray, FloatArray]:
+    """Return latitudes and longitudes of UTM's meters: Karney 2011, eqs. 11, 15, 25 and 36, to n^4."""
+    a, f = WGS84[0], 1 / WGS84[1]
+    n, e = f / (2 - f), math.sqrt(f * (2 - f))
+    radius = a / (1 + n) * (1 + n**2 / 4 + n**4 / 64) * _SCALE
+    xi, eta = (y - (0 if hemisphere > 0 else _SOUTH)) / radius, (x - _EAST) / radius
+    beta = (
+        n / 2 - 2 * n**2 / 3 + 37 * n**3 / 96 - n**4 / 360,
+        n**2 / 48 + n**3 / 15 - 437 * n**4 / 1440,
+        17 * n**3 / 480 - 37 * n**4 / 840,
+        4397 * n**4 / 161280,
+    )
+    zeta = xi + 1j * eta
+    zeta = zeta - sum(b * np.sin(2 * (j + 1) * zeta) for j, b in enumerate(beta))
+    conformal = np.sin(zeta.real) / np.hypot(np.sinh(zeta.imag), np.cos(zeta.real))
+    tau = conformal.copy()
+    for _ in range(4):  # Newton's method, eqs. 19 to 21
+        sigma = np.sinh(e * np.arctanh(e * tau / np.hypot(1, tau)))
+        found = tau * np.hypot(1, sigma) - sigma * np.hypot(1, tau)
+        slope = (1 + (1 - e**2) * tau**2) / ((1 - e**2) * np.hypot(1, found) * np.hypot(1, tau))
+        tau = tau + (conformal - found) * slope
+    longitude = np.degrees(np.arctan2(np.sinh(zeta.imag), np.cos(zeta.real))) + 6 * zone - 183
+    return np.degrees(np.arctan(tau)), longitude
+
+
+def _by_proj(name: str, label: str, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    try:
+        import rasterio.crs
+        import rasterio.warp
+    except ModuleNotFoundError:
+        raise ConfigError(f"{label} is not known without rasterio: pip install 'lirs-wct[geo]'") from None
+    try:
+        known, wgs84 = rasterio.crs.CRS.from_user_input(name), rasterio.crs.CRS.from_epsg(4326)
+        found = rasterio.warp.transform(known, wgs84, x.ravel(), y.ravel())
+    except Exception as error:  # rasterio passes on errors of GDAL of many kinds
+        raise ConfigError(f"PROJ knows no latitudes and longitudes of {label}") from error
+    longitude, latitude = (np.reshape(values, x.shape) for values in found[:2])
+    return latitude, longitude
+
+
+_NAMED = re.compile(r'(?:AUTHORITY|ID)\["EPSG",\s*"?(\d+)"?\]\]\s*$')
+"""The code of the whole system, which stands last in its WKT."""
+_UTM_TEXT = re.compile(r"UTM[_ ]zone[_ ](\d+)[_ ]?([NS])", re.IGNORECASE)
+
+_UNIT = re.compile(r'(?:LENGTH)?UNIT\["([^"]*)",\s*([0-9.eE+-]+)')
+_VERTICAL = re.compile(r"VERT_?CR?S\[")
+
+
+def units_of_text(text: str) -> tuple[float, float]:
+    """Return meters a unit of x and y, and of z, by a projected system's WKT.
+
+    Where it says nothing of z, that is in the unit of x and y.
+    """
+    plane, _, upright = text.partition(found[0] if (found := _VERTICAL.search(text)) else "\0")
+    # The last is the system's own: those of its angles, ellipsoid and parameters stand before it.
+    lengths, heights = (
+        [float(size) for name, size in _UNIT.findall(part) if not name.lower().startswith(("deg", "rad"))]
+        for part in (plane, upright)
+    )
+    unit = lengths[-1] if lengths else 1.0
+    return unit, heights[-1] if heights else unit
+
+
+def system_of_text(text: str) -> CoordinateSystem:
+    """Return the coordinate system of a .prj file's WKT, as far as it is known without PROJ."""
+    named = _NAMED.search(text)
+    if named or "MERCATOR_AUXILIARY_SPHERE" in text.upper():
+        return CoordinateSystem.of_code(int(named[1]) if named else 3857, units_of_text(text)[0])
+    zone = _UTM_TEXT.search(text)
+    if zone and "WGS" in text.upper():
+        return CoordinateSystem.of_code((32600 if zone[2].upper() == "N" else 32700) + int(zone[1]))
+    if zone and "ETRS" in text.upper():
+        return CoordinateSystem.of_code(25800 + int(zone[1]))
+    if text.lstrip().upper().startswith(("GEOGCS", "GEOGCRS")):
+        known = {"WGS_1984": 4326, "NORTH_AMERICAN_1983": 4269, "ETRS": 4258}
+        code = next((code for word, code in known.items() if word in text.upper().replace(" ", "_")), 0)
+        return CoordinateSystem.of_code(code) if code else CoordinateSystem(text.strip(), "geographic")
+    return CoordinateSystem(text.strip(), "other", units_of_text(text)[0])
+
+
+Affine = tuple[float, float, float, float, float, float]
+"""a, b, c, d, e, f of x = a u + b v + c, y = d u + e v + f."""
+TURNED = 1e-4
+"""Sine of a raster's turn, or cosine between its rows and columns, that is worth a word."""
+
+
+@dataclass(frozen=True, slots=True)
+class Georeference:
+    """Coordinates and ground meters of a raster's pixels.
+
+    Attributes:
+        system: of the coordinates.
+        affine: column and row of a pixel's middle (whole numbers) to coordinates.
+        steps: meters eastward and northward on the ground, at the raster's middle, from one column to the
+            next, and from one row to the next: ((east, north), (east, north)).
+        located: whether the coordinates are known, and not only their spacing.
+    """
+
+    system: CoordinateSystem
+    affine: Affine
+    steps: tuple[tuple[float, float], tuple[float, float]]
+    located: bool = True
+
+    @staticmethod
+    def of(system: CoordinateSystem, affine: Affine, shape: tuple[int, int]) -> Georeference:
+        """Return the georeference of a raster of (rows, cols) pixels.
+
+        Raises:
+            ConfigError: the raster's middle is no place on the earth, or PROJ is needed and not there.
+        """
+        a, b, c, d, e, f = affine
+        u, v = (shape[1] - 1) / 2, (shape[0] - 1) / 2
+        ground = system.ground_meters(a * u + b * v + c, d * u + e * v + f)
+        column, row = (ground @ np.array(((a, b), (d, e)))).T.tolist()
+        return Georeference(system, affine, (tuple(column), tuple(row)))
+
+    @staticmethod
+    def on_grid(system: CoordinateSystem, affine: Affine, *, located: bool = True) -> Georeference:
+        """Return the georeference of a raster whose units are taken for ground meters."""
+        a, b, _, d, e, _ = (value * system.unit for value in affine)
+        return Georeference(system, affine, ((a, d), (b, e)), located)
+
+    @property
+    def pixel(self) -> tuple[float, float]:
+        """Ground meters from one column, and one row, to the next."""
+        return math.hypot(*self.steps[0]), math.hypot(*self.steps[1])
+
+    @property
+    def heading(self) -> float:
+        """Degrees north of east to which the columns go on."""
+        return math.degrees(math.atan2(self.steps[0][1], self.steps[0][0]))
+
+    @property
+    def turn(self) -> float:
+        """Degrees by which the raster is turned in its own coordinates, from x towards y."""
+        return math.degrees(math.atan2(self.affine[3], self.affine[0]))
+
+    @property
+    def skewed(self) -> bool:
+        """Whether columns and rows are not at right angles."""
+        (ce, cn), (re, rn) = self.steps
+        return abs(ce * re + cn * rn) > 100 * TURNED * math.hypot(ce, cn) * math.hypot(re, rn)
+
+    def upright(self, pixels: NDArray[Any]) -> tuple[NDArray[Any], Georeference]:
+        """Return pixels and georeference with the columns as near to east, the rows to south, as they go.
+
+        Rows and columns are exchanged and turned round; no pixel is computed anew.
+        """
+        found, (a, b, c, d, e, f) = self, self.affine
+        if abs(self.steps[0][0]) < abs(self.steps[1][0]):
+            pixels, (a, b, d, e) = pixels.swapaxes(0, 1), (b, a, e, d)
+            found = replace(found, steps=found.steps[::-1])
+        (ce, cn), (re, rn) = found.steps
+        if ce < 0:
+            last = pixels.shape[1] - 1
+            pixels, (a, c, d, f) = pixels[:, ::-1], (-a, c + a * last, -d, f + d * last)
+            ce, cn = -ce, -cn
+        if rn > 0:
+            last = pixels.shape[0] - 1
+            pixels, (b, c, e, f) = pixels[::-1], (-b, c + b * last, -e, f + e * last)
+            re, rn = -re, -rn
+        steps = ((ce, cn), (re, rn))
+        return np.ascontiguousarray(pixels), replace(found, affine=(a, b, c, d, e, f), steps=steps)
+
+    def coordinates(self, column: float, row: float) -> tuple[float, float]:
+        """Return the coordinates of a place between pixels."""
+        a, b, c, d, e, f = self.affine
+        return a * column + b * row + c, d * column + e * row + f
+
+
+def middle_of_pixels(corner: Affine) -> Affine:
+    """Return the affine map of pixels' middles from that of their upper-left corners, as GDAL gives it."""
+    a, b, c, d, e, f = corner
+    return a, b, c + (a + b) / 2, d, e, f + (d + e) / 2
+
+
+def matrix(affine: Affine) -> FloatArray:
+    """Return the (3, 3) matrix of an affine map."""
+    return np.array((affine[:3], affine[3:], (0.0, 0.0, 1.0)))
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the world's frame lies.
+
+    Attributes:
+        system: of the coordinates.
+        affine: x and y of the world, meters, to coordinates.
+        height: of z = 0 above the data's own datum, meters; None where heights are not the file's.
+    """
+
+    system: CoordinateSystem
+    affine: Affine
+    height: float | None = None
+
+    def coordinates(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return the coordinates of points of the world, in the place's own system."""
+        px, py = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        a, b, c, d, e, f = self.affine
+        return a * px + b * py + c, d * px + e * py + f
+
+    def to_geographic(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return latitudes and longitudes of points of the world, degrees.
+
+        Raises:
+            ConfigError: the system is unknown, or PROJ is needed and not there.
+        """
+        return self.system.to_geographic(*self.coordinates(x, y))
+
+    def heading(self) -> float:
+        """Return the degrees north of east to which the world's x axis points, at its origin.
+
+        Raises:
+            ConfigError: as `to_geographic`.
+        """
+        latitude, longitude = self.to_geographic(np.array((0.0, 10.0)), np.zeros(2))
+        east, north = meters_per_degree(float(latitude[0]))
+        along = (float(np.diff(longitude)[0]) + 180) % 360 - 180
+        return float(np.degrees(np.arctan2(float(np.diff(latitude)[0]) * north, along * east)))
+
+    def label(self) -> str:
+        """Return the system, the world's origin and the height of z = 0, in words."""
+        try:
+            latitude, longitude = (float(value) for value in self.to_geographic(0.0, 0.0))
+            origin = (
+                f"{abs(latitude):.6f} {'N' if latitude >= 0 else 'S'} "
+                f"{abs(longitude):.6f} {'E' if longitude >= 0 else 'W'}"
+            )
+        except ConfigError:
+            origin = "origin {:.8g}, {:.8g}".format(*map(float, self.coordinates(0.0, 0.0)))
+        height = "" if self.height is None else f", z = 0 at {self.height:.2f} m"
+        return ", ".join(part for part in (self.system.label, origin) if part) + height
+
+    def raised(self, meters: float) -> Place:
+        """Return the place of a world whose z = 0 lies so much higher."""
+        return self if self.height is None else replace(self, height=self.height + meters)
