@@ -1,12 +1,16 @@
-"""Protocols of mappers, planar and in space, and of localizers, and how to make one by its name."""
+"""Protocols of mappers and localizers, their statistics, and their construction by name."""
 
 from __future__ import annotations
 
 import importlib
+import time
+from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.util import find_spec
-from typing import Any, NamedTuple, Protocol, TypeGuard
+from typing import Any, NamedTuple, Protocol, TypedDict, TypeGuard
+
+import numpy as np
 
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.geometry.cloud import PointCloud
@@ -302,3 +306,33 @@ def _config_class(name: str) -> Any:
         raise unknown_name("mapper", name, _METHODS)
     method = _METHODS[name]
     return getattr(importlib.import_module(method.module), method.config)
+
+
+class Times(TypedDict, total=False):
+    """The times of MapperStats; empty before the first update."""
+
+    ms_p50: float
+    ms_p95: float
+    ms_max: float
+
+
+class Stopwatch:
+    """Wall times of updates, milliseconds."""
+
+    def __init__(self) -> None:
+        self._ms = array("d")
+
+    def start(self) -> int:
+        """Return the time now, nanoseconds."""
+        return time.perf_counter_ns()
+
+    def stop(self, started: int) -> None:
+        """Note how long ago `started` was."""
+        self._ms.append((time.perf_counter_ns() - started) * 1e-6)
+
+    def summary(self) -> Times:
+        """Return the times of MapperStats."""
+        if not self._ms:
+            return {}
+        p50, p95, most = np.percentile(self._ms, (50, 95, 100))
+        return {"ms_p50": float(p50), "ms_p95": float(p95), "ms_max": float(most)}

@@ -14,13 +14,16 @@ import numpy as np
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.cartographer.config import GlobalConfig
 from slam_baselines.cartographer.local_slam import LocalSlam
-from slam_baselines.cartographer.loop_closure.candidates import CandidateQueue
-from slam_baselines.cartographer.loop_closure.constraint_builder import ConstraintBuilder, LoopConstraint
-from slam_baselines.cartographer.loop_closure.loop_event import LoopEvent
-from slam_baselines.cartographer.loop_closure.verification import LoopVerification
+from slam_baselines.cartographer.loop_closure import (
+    CandidateQueue,
+    ConstraintBuilder,
+    LoopConstraint,
+    LoopEvent,
+    LoopVerification,
+)
 from slam_baselines.cartographer.node import NOWHERE, Node, composed
-from slam_baselines.cartographer.pose_graph.constraint_table import ConstraintTable
-from slam_baselines.cartographer.pose_graph.optimization import (
+from slam_baselines.cartographer.pose_graph import (
+    ConstraintTable,
     OptimizationProblem,
     PoseConstraint,
     Solution,
@@ -29,8 +32,7 @@ from slam_baselines.cartographer.pose_graph.optimization import (
     start_optimization,
 )
 from slam_baselines.cartographer.trimmer import Trimmer
-from slam_baselines.common.linalg import inverted
-from slam_baselines.common.se2 import in_axes_of
+from slam_baselines.linalg import in_axes_of, inverted
 
 
 class GlobalSlam:

@@ -19,8 +19,7 @@ from slam_baselines.cartographer.config import LocalConfig
 from slam_baselines.cartographer.node import NOWHERE, Node, composed
 from slam_baselines.cartographer.submap import Submaps
 from slam_baselines.mapping.bootstrap import register_backwards
-from slam_baselines.mapping.ground_filter import GroundFilter
-from slam_baselines.mapping.minimum_slope import IN_FULL, Limits
+from slam_baselines.mapping.ground_filter import IN_FULL, GroundFilter, Limits
 from slam_baselines.mapping.occupancy_map import bounding_box, union_of
 from slam_baselines.matching.gauss_newton import Match
 from slam_baselines.matching.localizability import LocalizabilityMonitor

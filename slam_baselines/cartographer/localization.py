@@ -23,17 +23,15 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.cartographer.config import CartographerConfig
-from slam_baselines.common.stopwatch import Stopwatch
-from slam_baselines.mapper import MapperStats
-from slam_baselines.mapping.occupancy_map import OccupancyMap, UpdateConfig
-from slam_baselines.mapping.pyramid import MapPyramid
+from slam_baselines.mapper import MapperStats, Stopwatch
+from slam_baselines.mapping.occupancy_map import MapPyramid, OccupancyMap, UpdateConfig
 from slam_baselines.matching.branch_and_bound import BoundGrids, Exclusion, Window, branch_and_bound
 from slam_baselines.matching.gauss_newton import Match, Prior, ScanMatcher
 from slam_baselines.matching.registration import Registration
 from slam_baselines.matching.tracking_monitor import TrackingMonitor
 from slam_baselines.motion.dead_reckoning import DeadReckoning, PoseEstimate
+from slam_baselines.scan.interpolation import voxel_filter
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
-from slam_baselines.scan.voxel_filter import voxel_filter
 
 DEPTH = 6
 """Number of times that four cells become one in the search."""

@@ -10,18 +10,21 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.cartographer.config import CartographerConfig, GlobalConfig, LocalConfig, SubmapConfig
+from slam_baselines.cartographer.config import (
+    CartographerConfig,
+    ConstraintConfig,
+    GlobalConfig,
+    LocalConfig,
+    SubmapConfig,
+)
 from slam_baselines.cartographer.global_slam import GlobalSlam
 from slam_baselines.cartographer.local_slam import LocalSlam
 from slam_baselines.cartographer.localization import CartographerLocalizer, KnownMap
-from slam_baselines.cartographer.loop_closure.loop_event import LoopEvent
-from slam_baselines.cartographer.loop_closure_config import ConstraintConfig
-from slam_baselines.cartographer.node import Node
-from slam_baselines.cartographer.node_map import NodeMap
-from slam_baselines.common.stopwatch import Stopwatch
-from slam_baselines.mapper import Mapper, MapperStats, required_odometry
+from slam_baselines.cartographer.loop_closure import LoopEvent
+from slam_baselines.cartographer.node import Node, NodeMap
+from slam_baselines.mapper import Mapper, MapperStats, Stopwatch, required_odometry
 from slam_baselines.mapping.bootstrap import Bootstrap
-from slam_baselines.mapping.keyframe_trajectory import KeyframeTrajectory
+from slam_baselines.mapping.keyframe import KeyframeTrajectory
 
 WARM_UP = {
     "local": LocalConfig(submaps=SubmapConfig(num_range_data=20), sparse_distance=0.1),

@@ -17,16 +17,14 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from slam_baselines.cartographer.config import (
+    CandidateConfig,
     CartographerConfig,
+    ConstraintConfig,
     GlobalConfig,
     LocalConfig,
+    LoopVerificationConfig,
     SubmapConfig,
     TrimmingConfig,
-)
-from slam_baselines.cartographer.loop_closure_config import (
-    CandidateConfig,
-    ConstraintConfig,
-    LoopVerificationConfig,
 )
 from slam_baselines.cartographer.mapper import CartographerMapper
 from slam_baselines.mapper import required_odometry

@@ -12,8 +12,7 @@ from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import Imu
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.common.stopwatch import Stopwatch
-from slam_baselines.mapper import MapperStats
+from slam_baselines.mapper import MapperStats, Stopwatch
 
 Register = Callable[[FloatArray, FloatArray], FloatArray]
 """Takes points (n, 3) in the sensor's frame, meters, and their times (n,) in the sweep, seconds, or none (0,)

@@ -18,10 +18,9 @@ from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import Imu
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.common.stopwatch import Stopwatch
 from slam_baselines.external.cloud_odometry import pose_of, sweep_times
 from slam_baselines.external.kiss_icp import KissIcpConfig, configure
-from slam_baselines.mapper import MapperStats
+from slam_baselines.mapper import MapperStats, Stopwatch
 
 
 @dataclass(frozen=True, kw_only=True)

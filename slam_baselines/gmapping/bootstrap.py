@@ -15,14 +15,13 @@ import numpy as np
 
 from lirs_wct.arrays import ByteArray
 from lirs_wct.geometry.pose import Pose2, wrap_angle
-from slam_baselines.common.se2 import in_axes_of
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
-from slam_baselines.gmapping.likelihood_field import Beams
 from slam_baselines.gmapping.proposal import Proposer
+from slam_baselines.gmapping.scan_matching import Beams
+from slam_baselines.linalg import in_axes_of
 from slam_baselines.mapping.bootstrap import register_backwards
-from slam_baselines.mapping.ground_filter import GroundFilter
+from slam_baselines.mapping.ground_filter import IN_FULL, GroundFilter, Limits
 from slam_baselines.mapping.keyframe import Keyframe
-from slam_baselines.mapping.minimum_slope import IN_FULL, Limits
 from slam_baselines.motion.dead_reckoning import PoseEstimate
 from slam_baselines.motion.gyro_bias import GyroBias, GyroBiasConfig
 from slam_baselines.motion.increment import unbiased

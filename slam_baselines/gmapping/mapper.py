@@ -13,14 +13,13 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.common.stopwatch import Stopwatch
 from slam_baselines.gmapping.bootstrap import BiasedRegistration, GmappingKeyframe, GyroIncrement
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
-from slam_baselines.gmapping.likelihood_field import Beams
 from slam_baselines.gmapping.particle_filter import ParticleFilter
 from slam_baselines.gmapping.proposal import Proposal
-from slam_baselines.mapper import MapperStats, required_odometry
+from slam_baselines.gmapping.scan_matching import Beams
+from slam_baselines.mapper import MapperStats, Stopwatch, required_odometry
 from slam_baselines.mapping.bootstrap import Bootstrap
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.mapping.keyframe import Keyframe

@@ -15,9 +15,9 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
-from slam_baselines.gmapping.likelihood_field import Beams
 from slam_baselines.gmapping.proposal import First, Proposal, Proposer, propagated
 from slam_baselines.gmapping.resampling import effective_number, normalized, systematic_resample
+from slam_baselines.gmapping.scan_matching import Beams
 from slam_baselines.gmapping.trajectory_tree import TrajectoryTree
 from slam_baselines.motion.increment import MotionIncrement
 from slam_baselines.scan.leveling import ScanPoints

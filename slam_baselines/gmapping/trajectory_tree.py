@@ -7,7 +7,7 @@ import numpy as np
 from lirs_wct.arrays import FloatArray, Int32Array, IntArray
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.mapping.keyframe_trajectory import KeyframeTrajectory
+from slam_baselines.mapping.keyframe import KeyframeTrajectory
 
 
 class TrajectoryTree:

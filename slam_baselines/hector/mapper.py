@@ -18,12 +18,10 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.common.stopwatch import Stopwatch
 from slam_baselines.hector.bootstrap import HectorKeyframe, refined
-from slam_baselines.mapper import MapperStats
+from slam_baselines.mapper import MapperStats, Stopwatch
 from slam_baselines.mapping.bootstrap import Bootstrap, BootstrapConfig
-from slam_baselines.mapping.keyframe import Keyframe
-from slam_baselines.mapping.keyframe_trajectory import KeyframeTrajectory
+from slam_baselines.mapping.keyframe import Keyframe, KeyframeTrajectory
 from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
 from slam_baselines.matching.gauss_newton import Match
 from slam_baselines.matching.localizability import LocalizabilityConfig, LocalizabilityMonitor

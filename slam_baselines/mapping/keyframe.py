@@ -1,12 +1,18 @@
-"""Keyframes: the scans that entered a map."""
+"""Keyframes, the scans that entered a map, and the trajectory of all scans relative to them."""
 
 from __future__ import annotations
 
+from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from lirs_wct.arrays import ByteArray
+import numpy as np
+
+from lirs_wct.arrays import ByteArray, FloatArray, IntArray
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.linalg import composed, relative_poses, wrap
 from slam_baselines.scan.leveling import LeveledScan
 
 Motion = TypeVar("Motion")
@@ -29,3 +35,77 @@ class Keyframe(Generic[Motion]):
     height: float
     min_slopes: ByteArray
     motion: Motion
+
+
+LEVER = 0.5
+"""Meters that a radian of turn counts as where an error is spread between keyframes."""
+
+
+class KeyframeTrajectory:
+    """Poses of all scans in the frame of the last keyframe before each, 36 bytes a scan."""
+
+    def __init__(self) -> None:
+        self._keyframes, self._numbers = array("i"), array("d")
+
+    def add(self, stamp: float, keyframe: int, T_keyframe_scan: Pose2) -> None:
+        """Note a scan; a later scan of the same stamp takes the place of the earlier.
+
+        Args:
+            stamp: seconds.
+            keyframe: index of the last one; -1 before the first, when the pose is in the start frame.
+            T_keyframe_scan: pose of the base at the scan.
+        """
+        pose = T_keyframe_scan
+        self._keyframes.append(keyframe)
+        self._numbers.extend((stamp, pose.x, pose.y, pose.yaw))
+
+    def trajectory(
+        self,
+        keyframes: Sequence[Pose2],
+        measured: Sequence[Pose2] | None = None,
+        T_map_start: Pose2 | None = None,
+    ) -> Trajectory:
+        """Return the pose of every scan in the map frame, by stamp.
+
+        Args:
+            keyframes: `T_map_base` of the keyframes.
+            measured: poses of the keyframes by the motion that led from one to the next; what `keyframes`
+                differ from it is spread over the scans between. None: scans stay rigidly beside the
+                keyframe before them, as those that were matched one by one do.
+            T_map_start: of the start frame, for scans before the first keyframe; None: where `measured` puts
+                it, else the map frame.
+        """
+        if not self._keyframes:
+            return Trajectory.from_poses([], [])
+        stamps, last, scans = self._by_stamp()
+        if T_map_start is None:
+            T_map_start = keyframes[0] @ measured[0].inverse() if measured and keyframes else Pose2()
+        poses = composed(T_map_start.as_array(), scans)
+        at = last >= 0
+        if at.any():
+            final = np.array([p.as_array() for p in keyframes])
+            poses[at] = composed(final[last[at]], scans[at])
+            if measured is not None:
+                by_motion = np.array([p.as_array() for p in measured])
+                poses[at] = _spread(poses[at], scans[at], last[at], final, by_motion)
+        return Trajectory.from_poses(stamps, (Pose2(*pose.tolist()) for pose in poses))
+
+    def _by_stamp(self) -> tuple[FloatArray, IntArray, FloatArray]:
+        """Return stamps (n,) in order, keyframes (n,) and poses (n, 3) of the last scan of each stamp."""
+        rows = np.array(self._numbers).reshape(-1, 4)
+        order = np.argsort(rows[:, 0], kind="stable")
+        ordered = rows[order, 0]
+        order = order[np.append(ordered[1:] != ordered[:-1], True)]
+        return rows[order, 0], np.array(self._keyframes, dtype=np.int64)[order], rows[order, 1:]
+
+
+def _spread(
+    poses: FloatArray, scans: FloatArray, last: IntArray, final: FloatArray, measured: FloatArray
+) -> FloatArray:
+    """Return poses between those seen from the keyframe before and from the one after, by the distance."""
+    after = np.clip(last + 1, 0, len(final) - 1)
+    ahead = relative_poses(measured[after], composed(measured[last], scans))
+    near, far = (np.hypot(d[:, 0], d[:, 1]) + LEVER * abs(wrap(d[:, 2])) for d in (scans, ahead))
+    delta = composed(final[after], ahead) - poses
+    delta[:, 2] = wrap(delta[:, 2])
+    return np.asarray(poses + (near / np.maximum(near + far, 1e-12))[:, None] * delta)

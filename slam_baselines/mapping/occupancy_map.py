@@ -268,3 +268,34 @@ def union_of(boxes: Sequence[FloatArray]) -> FloatArray:
     """Return the (4,) box, west, south, east, north, that holds all boxes."""
     all_of_them = np.array(boxes)
     return np.concatenate((all_of_them[:, :2].min(axis=0), all_of_them[:, 2:].max(axis=0)))
+
+
+class Levels(NamedTuple):
+    """Arrays of a pyramid for the matcher's kernels, finest level first.
+
+    Attributes:
+        values: (rows, cols) uint8 layer `value` of each level.
+        frames: (levels, 3) lattice row and column of cell (0, 0), resolution in meters.
+    """
+
+    values: tuple[Any, ...]
+    frames: FloatArray
+
+
+class MapPyramid:
+    """Occupancy maps of growing cell size, finest first.
+
+    Attributes:
+        maps: the levels.
+        levels: their arrays.
+    """
+
+    def __init__(self, maps: tuple[OccupancyMap, ...]) -> None:
+        self.maps = maps
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Take over the maps' arrays; needed whenever one of them grew."""
+        self.levels = Levels(
+            tuple(level.layers.value for level in self.maps), np.array([level.frame for level in self.maps])
+        )

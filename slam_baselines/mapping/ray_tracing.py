@@ -139,3 +139,23 @@ def _number_cells(line: Any, count: int, v: int, u: int, dy: float, dx: float) -
     dv, du = np.int64(dy * ONE), np.int64(dx * ONE)
     for k in range(count):
         line[k] = ((v + k * dv) & ~COLUMN) | ((u + k * du) >> BITS)
+
+
+@njit(cache=True, nogil=True)
+def line_cells(row: int, col: int, last_row: int, last_col: int) -> Any:
+    """Return (n, 2) row and column of the cells from the first to the last, which is left out."""
+    dy, dx = last_row - row, last_col - col
+    along, across = max(abs(dx), abs(dy)), min(abs(dx), abs(dy))
+    cells = np.empty((along, 2), np.int64)
+    error = along // 2
+    for k in range(along):
+        cells[k, 0], cells[k, 1] = row, col
+        error += across
+        sideways = error >= along
+        if sideways:
+            error -= along
+        if abs(dx) >= abs(dy) or sideways:
+            col += 1 if dx > 0 else -1
+        if abs(dx) < abs(dy) or sideways:
+            row += 1 if dy > 0 else -1
+    return cells

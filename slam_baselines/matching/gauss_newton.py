@@ -19,9 +19,8 @@ from lirs_wct.arrays import FloatArray, IntArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above
 from lirs_wct.kernels import njit
-from slam_baselines.common.linalg import invert3, solve3
-from slam_baselines.mapping.occupancy_map import FULL, UNSEEN
-from slam_baselines.mapping.pyramid import Levels
+from slam_baselines.linalg import invert3, solve3
+from slam_baselines.mapping.occupancy_map import FULL, UNSEEN, Levels
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,8 @@ import numpy as np
 from lirs_wct.arrays import FloatArray
 from lirs_wct.field_validators import require_above, require_at_least, require_within
 from lirs_wct.geometry.pose import Pose2, wrap_angle
-from slam_baselines.common.linalg import invert3
-from slam_baselines.mapping.pyramid import MapPyramid
+from slam_baselines.linalg import invert3
+from slam_baselines.mapping.occupancy_map import MapPyramid
 from slam_baselines.matching.correlative import SearchConfig, correlative_search
 from slam_baselines.matching.gauss_newton import Match, MatchConfig, Prior, ScanMatcher
 from slam_baselines.motion.dead_reckoning import PoseEstimate

@@ -15,7 +15,7 @@ from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu
 from lirs_wct.kernels import njit
-from slam_baselines.common.linalg import moved_covariance
+from slam_baselines.linalg import moved_covariance
 from slam_baselines.motion.calibration import LEVEL, Calibration, CalibrationConfig, Slope
 
 STANDSTILL = 1e-3

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from lirs_wct.arrays import ByteArray
+from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.field_validators import require_above, require_within
 from lirs_wct.kernels import njit
 from slam_baselines.scan.leveling import ScanPoints
@@ -102,3 +102,12 @@ def _fill(hits: Any, slopes: Any, count: Any, out: Any, out_slopes: Any) -> None
                 out[m, a] = hits[i, a] + share * (hits[i + 1, a] - hits[i, a])
             out_slopes[m] = min(slopes[i], slopes[i + 1])
             m += 1
+
+
+def voxel_filter(points: FloatArray, size: float, max_points: int) -> FloatArray:
+    """Return at most `max_points` of the points, the first one of each square of the given size."""
+    cells = np.floor(points[:, :2] / size).astype(np.int64)
+    _, first = np.unique(cells[:, 0] * (1 << 20) + cells[:, 1], return_index=True)
+    first.sort()
+    stride = max(1, -(-len(first) // max_points))
+    return np.asarray(points[first[::stride]], dtype=np.float64)

@@ -16,12 +16,11 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.common.stopwatch import Stopwatch
 from slam_baselines.gmapping.original.config import GmappingOriginalConfig
 from slam_baselines.gmapping.original.particles import OriginalParticles
 from slam_baselines.gmapping.original.path_map import ProcessedScan, path_map
-from slam_baselines.mapper import MapperStats, required_odometry
-from slam_baselines.mapping.keyframe_trajectory import KeyframeTrajectory
+from slam_baselines.mapper import MapperStats, Stopwatch, required_odometry
+from slam_baselines.mapping.keyframe import KeyframeTrajectory
 
 __all__ = ["GmappingOriginalConfig", "GmappingOriginalMapper"]
 

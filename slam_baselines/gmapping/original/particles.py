@@ -6,13 +6,13 @@ import numpy as np
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2
-from slam_baselines.common.se2 import composed
 from slam_baselines.gmapping.original.config import GmappingOriginalConfig
 from slam_baselines.gmapping.original.drand48 import Drand48
 from slam_baselines.gmapping.original.hit_maps import HitMaps
 from slam_baselines.gmapping.original.scan_matcher import match_scan
 from slam_baselines.gmapping.resampling import effective_number, normalized, systematic_resample
 from slam_baselines.gmapping.trajectory_tree import TrajectoryTree
+from slam_baselines.linalg import composed
 
 
 class OriginalParticles:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam_baselines.cartographer.config import GlobalConfig
+from slam_baselines.cartographer.config import CandidateConfig, GlobalConfig
 from slam_baselines.cartographer.global_slam import GlobalSlam
-from slam_baselines.cartographer.loop_closure_config import CandidateConfig
 from slam_baselines.mapper import make_mapper
 from tests.slam_baselines.cartographer.corridor import corridor_scan, ring
 

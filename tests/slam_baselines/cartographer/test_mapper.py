@@ -13,8 +13,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.cartographer.config import GlobalConfig, SubmapConfig
-from slam_baselines.cartographer.loop_closure_config import CandidateConfig, ConstraintConfig
+from slam_baselines.cartographer.config import CandidateConfig, ConstraintConfig, GlobalConfig, SubmapConfig
 from slam_baselines.mapper import make_mapper
 from tests.slam_baselines.cartographer.corridor import CORRIDOR, corridor_scan, ring
 

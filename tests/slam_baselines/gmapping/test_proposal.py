@@ -8,8 +8,8 @@ import pytest
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
-from slam_baselines.gmapping.likelihood_field import Beams, log_likelihood, near_beams
 from slam_baselines.gmapping.proposal import First, PoseDistributions, Proposal, ProposalConfig, Proposer
+from slam_baselines.gmapping.scan_matching import Beams, log_likelihood, near_beams
 from slam_baselines.scan.leveling import ScanPoints
 
 ALONE = First(0, False)

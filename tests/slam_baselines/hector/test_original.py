@@ -13,8 +13,12 @@ from lirs_wct import Imu, Pose2, Trajectory
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.tum import read_tum
-from slam_baselines.hector.original import HectorOriginalConfig, HectorOriginalMapper
-from slam_baselines.hector.original_map import OriginalMap, _interpolated
+from slam_baselines.hector.original import (
+    HectorOriginalConfig,
+    HectorOriginalMapper,
+    OriginalMap,
+    _interpolated,
+)
 from slam_baselines.mapper import make_mapper
 from tests.slam_baselines.synthetic import drive_room, loop, room_scan
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import ConfigError
-from slam_baselines.scan.interpolation import InterpolationConfig, interpolate_hits
+from slam_baselines.scan.interpolation import InterpolationConfig, interpolate_hits, voxel_filter
 from slam_baselines.scan.leveling import ScanPoints
 
 SPACING = 0.05
@@ -62,3 +62,12 @@ def test_illegal_settings_are_named():
         InterpolationConfig(max_gap=0.0)
     with pytest.raises(ConfigError, match="max_obliqueness"):
         InterpolationConfig(max_obliqueness=0.5)
+
+
+def test_the_voxel_filter_keeps_one_point_a_square() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1, 1, (500, 3))
+    thin = voxel_filter(points, 0.5, 1000)
+    cells = {tuple(c) for c in np.floor(thin[:, :2] / 0.5).astype(int).tolist()}
+    assert len(thin) == len(cells) == 16
+    assert len(voxel_filter(points, 0.05, 40)) <= 40

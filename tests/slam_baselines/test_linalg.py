@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam_baselines.common.linalg import invert3, moved_covariance, solve3
+from slam_baselines.linalg import invert3, moved_covariance, solve3
 
 
 def test_small_matrices_equal_numpy() -> None:

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lirs_wct.geometry.pose import Pose2
-from slam_baselines.mapping.keyframe_trajectory import KeyframeTrajectory
+from slam_baselines.mapping.keyframe import KeyframeTrajectory
 
 NEAR = st.floats(-3, 3)
 POSES = st.builds(Pose2, NEAR, NEAR, NEAR)

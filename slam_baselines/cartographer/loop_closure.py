@@ -1,11 +1,14 @@
-"""Loop constraints: nodes matched to finished submaps.
+"""Loop closure: candidate pairs of node and submap, search, verification of distant loops.
 
-Hess et al. 2016, section V-B: branch and bound over the poses of a scan in a submap, then refinement
-by Gauss-Newton on the interpolated map.
+Hess et al. 2016, section V-B: branch and bound over the poses of a scan in a submap, then refinement by
+Gauss-Newton on the interpolated map. One corridor looks like the next, so a single match in a wide window is
+no proof. A loop that would move the map far waits for a second one of the same stretch that agrees.
 """
 
 from __future__ import annotations
 
+from collections import Counter, deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,12 +16,67 @@ import numpy as np
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2, wrap_angle
-from slam_baselines.cartographer.loop_closure_config import ConstraintConfig
+from slam_baselines.cartographer.config import CandidateConfig, ConstraintConfig, LoopVerificationConfig
 from slam_baselines.cartographer.submap import Submap
-from slam_baselines.common.linalg import inverted
+from slam_baselines.linalg import inverted
 from slam_baselines.matching.branch_and_bound import Exclusion, Window, branch_and_bound
 from slam_baselines.matching.gauss_newton import Match, Prior, ScanMatcher
-from slam_baselines.scan.voxel_filter import voxel_filter
+from slam_baselines.scan.interpolation import voxel_filter
+
+Candidate = tuple[int, int]
+"""Index of a node, index of a submap."""
+
+
+class CandidateQueue:
+    """Candidates that wait for their search.
+
+    Attributes:
+        dropped: candidates that were never tried because too many waited.
+    """
+
+    def __init__(self, config: CandidateConfig) -> None:
+        self.config = config
+        self.dropped = 0
+        self._new_nodes: deque[Candidate] = deque()
+        self._old_nodes: deque[Candidate] = deque()
+        self._tried: Counter[tuple[int, int]] = Counter()
+        self._found: Counter[tuple[int, int]] = Counter()
+        self._home: dict[int, int] = {}
+
+    def __len__(self) -> int:
+        return len(self._new_nodes) + len(self._old_nodes)
+
+    def add_candidate(self, node: int, home: int, submap: int, *, new_node: bool) -> None:
+        """Put a candidate into the queue.
+
+        Args:
+            node: index.
+            home: index of the submap that the node was inserted into.
+            submap: index of the submap in which the node is searched for.
+            new_node: whether the node is new, and not the submap.
+        """
+        self._home[node] = home
+        queue = self._new_nodes if new_node else self._old_nodes
+        queue.append((node, submap))
+        if len(queue) > self.config.max_num_candidates:
+            queue.popleft()
+            self.dropped += 1
+
+    def next_candidate(self) -> Candidate | None:
+        """Take the next candidate out of the queue; None where none is worth a search."""
+        c = self.config
+        while self._new_nodes or self._old_nodes:
+            node, submap = self._new_nodes.pop() if self._new_nodes else self._old_nodes.popleft()
+            pair = self._home[node], submap
+            if self._found[pair] < c.found_per_pair and self._tried[pair] < c.tries_per_pair:
+                return node, submap
+        return None
+
+    def record_result(self, node: int, submap: int, *, found: bool) -> None:
+        """Count a search and its success."""
+        pair = self._home[node], submap
+        self._tried[pair] += 1
+        self._found[pair] += found
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,3 +215,72 @@ class ConstraintBuilder:
             self.counts.ambiguous += 1
             return None
         return best.pose
+
+
+class LoopVerification:
+    """Loops that wait for a second one."""
+
+    def __init__(self, config: LoopVerificationConfig) -> None:
+        self._config = config
+        self._pending: deque[tuple[LoopConstraint, float]] = deque(maxlen=config.max_pending)
+
+    def __len__(self) -> int:
+        return len(self._pending)
+
+    def verify_loop(
+        self, loop: LoopConstraint, distance_traveled: float, submaps: Sequence[Pose2], nodes: Sequence[Pose2]
+    ) -> list[LoopConstraint]:
+        """Return the loops that are accepted now: none, the given one, or it and those that agree with it.
+
+        Args:
+            loop: new.
+            distance_traveled: distance traveled until its node, meters.
+            submaps: `T_map_submap` of all submaps at present.
+            nodes: `T_map_base` of all nodes at present.
+        """
+        c = self._config
+        here = nodes[loop.node]
+        there = submaps[loop.submap] @ loop.T_submap_node
+        turn = abs(wrap_angle(there.yaw - here.yaw))
+        if there.distance(here) <= c.max_translation and turn <= c.max_rotation:
+            return [loop]
+        agreeing = []
+        for other, other_distance in self._pending:
+            if c.min_separation <= abs(distance_traveled - other_distance) <= c.max_separation:
+                correction = submaps[other.submap] @ other.T_submap_node @ nodes[other.node].inverse()
+                expected = correction @ here
+                turn = abs(wrap_angle(expected.yaw - there.yaw))
+                if expected.distance(there) <= c.linear_tolerance and turn <= c.angular_tolerance:
+                    agreeing.append(other)
+        if not agreeing:
+            self._pending.append((loop, distance_traveled))
+            return []
+        accepted = {(o.node, o.submap) for o in agreeing}
+        self._pending = deque(
+            (p for p in self._pending if (p[0].node, p[0].submap) not in accepted), maxlen=c.max_pending
+        )
+        return [*agreeing, loop]
+
+
+@dataclass(frozen=True, slots=True)
+class LoopEvent:
+    """A scan that was matched to an older submap, and accepted.
+
+    Attributes:
+        stamp: of the scan, seconds.
+        seen: stamp of the submap's first scan, seconds.
+        before: `T_map_base` of the scan before the loop was closed.
+        after: `T_map_base` of the scan according to the loop.
+        score: mean occupancy at the ends of its beams there, 0 to 1.
+    """
+
+    stamp: float
+    seen: float
+    before: Pose2
+    after: Pose2
+    score: float
+
+    @property
+    def distance(self) -> float:
+        """Distance by which the loop moves the scan, meters."""
+        return self.before.distance(self.after)

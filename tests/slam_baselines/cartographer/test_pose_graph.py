@@ -7,17 +7,19 @@ import pytest
 
 from lirs_wct.errors import ConfigError
 from slam_baselines.cartographer.config import OptimizationConfig
-from slam_baselines.cartographer.pose_graph.constraint_table import FIRST_ROWS, ConstraintTable
-from slam_baselines.cartographer.pose_graph.normal_equations import linearize, robust_cost
-from slam_baselines.cartographer.pose_graph.optimization import (
+from slam_baselines.cartographer.pose_graph import (
+    FIRST_ROWS,
+    ConstraintTable,
     OptimizationProblem,
     PoseConstraint,
     PoseConstraints,
     errors,
+    linearize,
     optimize,
+    robust_cost,
     start_optimization,
 )
-from slam_baselines.common.se2 import composed, relative_poses, wrap
+from slam_baselines.linalg import composed, relative_poses, wrap
 
 TIGHT = np.diag((0.02**-2, 0.02**-2, 0.004**-2))
 LOCAL = np.diag((0.03**-2, 0.03**-2, 0.01**-2))

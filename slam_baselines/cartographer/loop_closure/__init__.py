@@ -1,1 +1,0 @@
-"""Loop-closure constraints: candidates, search, verification."""

@@ -1,1 +1,0 @@
-"""The pose graph of submaps and nodes: its constraints, its normal equations, its optimization."""

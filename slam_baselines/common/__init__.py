@@ -1,1 +1,0 @@
-"""Planar poses and small matrices by the array."""
