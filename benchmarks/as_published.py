@@ -22,12 +22,11 @@ from lirs_validation import read_record
 from lirs_validation.analysis.as_published import SUFFIX, conclusion, outcome_of, published_pairs
 from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.config import EngineOptions, RunConfig
-from lirs_validation.report.tables.method_tables import method_tables
+from lirs_validation.report.tables.run_tables import method_tables
 from lirs_validation.report.tables.table import as_markdown
 from lirs_validation.sweep.axes import cross
-from lirs_validation.sweep.engines.factory import make_executor
 from lirs_validation.sweep.slam_experiment import SlamExperiment
-from lirs_validation.sweep.sweep import Sweep
+from lirs_validation.sweep.sweep import Sweep, make_executor
 from lirs_wct.sources.option_text import read_names, read_numbers
 from slam_baselines.mapper import MAPPERS
 

@@ -23,7 +23,7 @@ from typing import Any
 from rich.console import Console
 
 from lirs_validation import read_record
-from lirs_validation.analysis.repeats import repeats
+from lirs_validation.analysis.statistics import repeats
 from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.record.formatting import NOTHING
@@ -31,9 +31,8 @@ from lirs_validation.record.metric_catalog import METRICS
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.tables.table import ReportTable, as_markdown
 from lirs_validation.sweep.axes import cross
-from lirs_validation.sweep.engines.factory import make_executor
 from lirs_validation.sweep.slam_experiment import SlamExperiment
-from lirs_validation.sweep.sweep import Sweep
+from lirs_validation.sweep.sweep import Sweep, make_executor
 from lirs_wct.sources.option_text import read_names, read_numbers
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

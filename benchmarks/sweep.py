@@ -30,10 +30,8 @@ from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.experiment.run import Run
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.report.tables.sweep_tables import sweep_tables
-from lirs_validation.sweep.engines.base import Executor
-from lirs_validation.sweep.engines.processes import Processes
-from lirs_validation.sweep.engines.serial import Serial
-from lirs_validation.sweep.outcome import Outcome
+from lirs_validation.sweep.engines import Executor, Processes, Serial
+from lirs_validation.sweep.experiment import Outcome
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.files import atomic_folder

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lirs_validation.analysis.groups import FIELDS, RunGroup, by_group
-from lirs_validation.analysis.paired import Test, holm, paired_test
+from lirs_validation.analysis.statistics import Test, holm, paired_test
 from lirs_validation.record.formatting import Entry
 from lirs_validation.record.metric_catalog import Metric
 from lirs_validation.record.odometry import worse_than_odometry

@@ -1,21 +1,30 @@
-"""What a run recorded, read back: its config, its world's place, its scans with the true poses."""
+"""Recorded runs read back, and their export as a ROS bag."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import shutil
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
+from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.config import RunConfig, SourceOptions
+from lirs_validation.record.result_files import maps_clouds
 from lirs_validation.record.source_files import with_recorded_source
-from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.arrays import FloatArray
+from lirs_wct.errors import ConfigError, SourceError, unknown_name
+from lirs_wct.files import atomic_write
 from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.imu_csv import HEADER as IMU_HEADER
 from lirs_wct.formats.imu_csv import read_imu
+from lirs_wct.formats.map_server import read_map
+from lirs_wct.formats.rosbag.library import Storage, require_rosbags
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.formats.world_json import TEXTURE_OPTIONS
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -24,8 +33,14 @@ from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.mapping.known_pose import KnownPoseMapper
 
+if TYPE_CHECKING:
+    from lirs_wct.formats.rosbag.writer import Drive
+
 SAME_STAMP = 1e-4
 """Stamps of the same scan in two files differ by no more, seconds."""
+FORMATS = ("bag", "csv", "npz", "carmen")
+"""What a run can be exported to."""
+POSE_HEADER = "stamp,x,y,z,qw,qx,qy,qz"
 
 
 def recorded_config(entry: Mapping[str, Any]) -> RunConfig:
@@ -111,3 +126,115 @@ def true_pose_map(folder: Path, config: RunConfig, resolution: float) -> Occupan
         mounted: LaserScan = replace(scan, T_base_laser=T_base_laser, range_min=range_min)
         mapper.update(mounted, T_world_map.inverse() @ pose.to_pose2(), imu[k])
     return mapper.map().moved(T_world_map)
+
+
+def export_run(
+    run: RunFolder, out: Path, formats: tuple[str, ...], *, storage: Storage = "mcap", slam: bool = True
+) -> list[Path]:
+    """Export a run; return what was written.
+
+    Args:
+        run: that was recorded.
+        out: folder that receives a folder or file for each format.
+        formats: of `FORMATS`.
+        storage: of the bag.
+        slam: whether the bag holds what the mapper made: the frame `map` on /tf, and /map.
+
+    Raises:
+        WctError: there is no such format, the run cannot be read, rosbags is absent, or out not writable.
+    """
+    for name in formats:
+        if name not in FORMATS:
+            raise unknown_name("format", name, FORMATS)
+    if "bag" in formats:
+        require_rosbags(out / "bag")
+    exporters: Mapping[str, Callable[[RunFolder, Path], Path]] = {
+        "bag": partial(_export_bag, storage=storage, slam=slam),
+        "csv": _export_csv,
+        "npz": _export_npz,
+        "carmen": _export_carmen,
+    }
+    return [exporters[name](run, out) for name in formats]
+
+
+def recorded_drive(run: RunFolder, *, slam: bool = True) -> Drive:
+    """Return what a run recorded, in the map frame: the first base pose.
+
+    Ranges are in the millimeters' steps of `scans.clf.gz`; the estimates are the mapper's final ones.
+
+    Raises:
+        SourceError: scans, poses or inertial readings are missing, damaged, or not of one drive.
+    """
+    from lirs_wct.formats.rosbag.writer import Drive, Tick
+
+    truth, log = recorded_truth(run.folder), read_carmen(run.folder / "scans.clf.gz")
+    imu, estimate = read_imu(run.folder / "imu.csv.gz"), read_tum(run.folder / "estimate.tum")
+    n = len(log.scans)
+    if not n == len(truth) == len(imu) or np.abs(log.stamps - truth.stamps).max() > SAME_STAMP:
+        raise SourceError(
+            f"{run.folder}: not one drive: {n} scans, {len(truth)} true poses, {len(imu)} IMU readings"
+        )
+    T_map_world = truth.pose2(0).inverse()
+    robot = make_robot((config := recorded_config(run.entry)).robot)
+    range_min = make_lidar_preset(config.lidar or robot.lidar).range_min
+    in_map, estimate = truth.moved(T_map_world), estimate.moved(T_map_world)
+    estimates = [Pose2(*row) for row in estimate.planar_at(log.stamps).tolist()]
+    ticks = [
+        Tick(
+            scan=replace(scan, T_base_laser=robot.T_base_laser, range_min=range_min),
+            odometry=log.odometry[k] or Pose2(),
+            imu=imu[k],
+            truth=Pose3.from_arrays(in_map.positions[k], in_map.quaternions[k]),
+            estimate=estimates[k] if slam else None,
+        )
+        for k, scan in enumerate(log.scans)
+    ]
+    mapped = slam and not maps_clouds(run.entry)
+    return Drive(ticks=ticks, grid=read_map(run.folder / "map.yaml").moved(T_map_world) if mapped else None)
+
+
+def _export_bag(run: RunFolder, out: Path, *, storage: Storage, slam: bool) -> Path:
+    from lirs_wct.formats.rosbag.writer import write_bag
+
+    write_bag(out / "bag", recorded_drive(run, slam=slam), storage)
+    return out / "bag"
+
+
+def _export_csv(run: RunFolder, out: Path) -> Path:
+    tables = _tables(run)
+    beams = ",".join(f"range_{k}" for k in range(len(tables["beams"])))
+    headers = {"scans": f"stamp,{beams}", "imu": IMU_HEADER, "beams": "angle"}
+    for name, table in tables.items():
+        with atomic_write(out / "csv" / f"{name}.csv") as path:
+            header = headers.get(name, POSE_HEADER)
+            np.savetxt(path, table, fmt="%.9g", delimiter=",", header=header, comments="")
+    return out / "csv"
+
+
+def _export_npz(run: RunFolder, out: Path) -> Path:
+    with atomic_write(out / "run.npz") as path:
+        np.savez_compressed(path, allow_pickle=False, **_tables(run))
+    return out / "run.npz"
+
+
+def _export_carmen(run: RunFolder, out: Path) -> Path:
+    target = out / "scans.clf.gz"
+    read_carmen(run.folder / "scans.clf.gz")
+    with atomic_write(target) as path:
+        shutil.copyfile(run.folder / "scans.clf.gz", path)
+    return target
+
+
+def _tables(run: RunFolder) -> dict[str, FloatArray]:
+    """Return what a run recorded as tables, a row a scan, stamps first; trajectories in the world frame."""
+    log = read_carmen(run.folder / "scans.clf.gz")
+    tables = {"scans": np.column_stack((log.stamps, np.array([scan.ranges for scan in log.scans])))}
+    tables["beams"] = log.scans[0].angles
+    for name in ("truth", "estimate", "odometry"):
+        t = read_tum(run.folder / f"{name}.tum")
+        tables[name] = np.column_stack((t.stamps, t.positions, t.quaternions))
+    rows = [
+        (r.stamp, r.roll, r.pitch, *r.angular_velocity, *r.linear_acceleration)
+        for r in read_imu(run.folder / "imu.csv.gz")
+    ]
+    return tables | {"imu": np.array(rows)}

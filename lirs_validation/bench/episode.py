@@ -13,7 +13,7 @@ import numpy as np
 
 from lirs_envs.env import Observed, RobotEnv
 from lirs_envs.policies.policy import Policy
-from lirs_validation.bench.policies.choice import PolicyChoice
+from lirs_validation.bench.policies import PolicyChoice
 from lirs_validation.bench.scores import coverage_area, distance_share, success_by_path_length
 from lirs_validation.bench.tasks import BenchTask
 from lirs_validation.interrupts import is_interrupt

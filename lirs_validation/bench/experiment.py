@@ -13,14 +13,14 @@ import cv2
 
 from lirs_envs.episodes.episodes import TASKS as ENVIRONMENT_TASKS
 from lirs_validation.bench.episode import EpisodeLog, episode_metrics, run_episode
-from lirs_validation.bench.policies.choice import PolicyChoice
+from lirs_validation.bench.policies import PolicyChoice
 from lirs_validation.bench.tasks import BenchTask
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.provenance import versions
 from lirs_validation.record.run_record import plain
 from lirs_validation.record.staleness import is_stale
-from lirs_validation.sweep.outcome import Outcome
+from lirs_validation.sweep.experiment import Outcome
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import Progress

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lirs_validation.bench.experiment import RECORD, read_episode
-from lirs_validation.bench.policies.choice import UPPER_BOUND, PolicyChoice
+from lirs_validation.bench.policies import UPPER_BOUND, PolicyChoice
 from lirs_validation.bench.scores import Score, score_of
 from lirs_validation.bench.tasks import BenchTask, TaskSet
 from lirs_validation.record.staleness import same_code

@@ -1,9 +1,25 @@
-"""Progress bars of the commands: one piece of work, or many runs with the time that is left."""
+"""Progress of a command on the screen, and the run of its sweep."""
 
 from __future__ import annotations
 
+import shlex
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import typer
+
+from lirs_validation.cli.console import RUN_FAILED, err
+from lirs_wct.errors import OutputError
+
+if TYPE_CHECKING:
+    from lirs_validation.config import EngineOptions
+    from lirs_validation.sweep.experiment import Manifest
+    from lirs_validation.sweep.sweep import Sweep
+
+
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -14,8 +30,8 @@ from rich.progress import Progress as ProgressBar
 from lirs_wct.progress import Progress
 
 if TYPE_CHECKING:
-    from lirs_validation.sweep.engines.base import Executor
-    from lirs_validation.sweep.outcome import Outcome
+    from lirs_validation.sweep.engines import Executor
+    from lirs_validation.sweep.experiment import Outcome
     from lirs_validation.sweep.sweep import Sweep
 
 STEPS = {
@@ -34,6 +50,39 @@ LONG = 3600.0
 """The time left is estimated from the last so many seconds: experiments take minutes, and differ."""
 EVERY = 10.0
 """Seconds between two lines of progress where no terminal shows a bar."""
+
+
+def manifest_of_command(suite: str | None = None) -> Manifest:
+    """Return the manifest of this process's command line."""
+    from lirs_validation.sweep.experiment import Manifest
+
+    return Manifest(command=shlex.join(["lirs-wct", *sys.argv[1:]]), suite=suite)
+
+
+def run_sweep(sweep: Sweep, engine: EngineOptions, show: Callable[[], None]) -> None:
+    """Run a sweep: skip finished runs, then call `show`, also when interrupted.
+
+    Raises:
+        OutputError: a result cannot be written.
+        typer.Exit: an experiment failed.
+    """
+    from lirs_validation.cli.progress import run_with_progress
+    from lirs_validation.sweep.sweep import make_executor
+
+    executor = make_executor(engine)
+    if sweep.kept:
+        again = f"; {len(sweep.pending)} to run" if sweep.pending else ""
+        err.print(f"kept {sweep.kept} of {len(sweep.experiments)} from before{again}", highlight=False)
+    try:
+        for _ in run_with_progress(sweep, executor, err):
+            pass
+    finally:
+        show()
+    if sweep.unwritten:
+        name, reason = next(iter(sweep.unwritten.items()))
+        raise OutputError(f"{reason} ({len(sweep.unwritten)} not written, {name} among them; run it again)")
+    if sweep.failed:
+        raise typer.Exit(RUN_FAILED)
 
 
 class ProgressLines:

@@ -10,18 +10,17 @@ from lirs_validation.analysis.result_folders import ResultFolder, RunFolder
 from lirs_validation.record.formatting import Entry
 from lirs_validation.record.metric_catalog import Section
 from lirs_validation.record.run_record import succeeded
-from lirs_validation.report.paper.findings import Finding, findings
-from lirs_validation.report.paper.tables import paper_tables
+from lirs_validation.report.paper import Finding, findings, paper_tables
 from lirs_validation.report.provenance import Origin, commands_table, origins_of
-from lirs_validation.report.tables.collision_table import checks_failed_table, collision_table
-from lirs_validation.report.tables.method_tables import method_tables
-from lirs_validation.report.tables.metric_tables import (
+from lirs_validation.report.tables.run_tables import (
     SECTIONS,
     failures_table,
+    method_tables,
     section_by_group,
     section_by_run,
     summary_table,
 )
+from lirs_validation.report.tables.sweep_tables import checks_failed_table, collision_table
 from lirs_validation.report.tables.table import ReportTable
 
 

@@ -14,7 +14,7 @@ from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.provenance import versions
 from lirs_validation.record.run_record import Status
 from lirs_validation.record.staleness import is_stale, world_files
-from lirs_validation.sweep.outcome import Outcome
+from lirs_validation.sweep.experiment import Outcome
 from lirs_validation.sweep.slam_experiment import world_name
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import SourceError, reason_of

@@ -1,14 +1,72 @@
-"""An experiment: the unit of a sweep, which fills one folder."""
+"""Experiments, their outcomes, and the manifest of a sweep."""
 
 from __future__ import annotations
 
+import json
+import traceback
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.sweep.outcome import Outcome, outcome_of
+from lirs_validation.interrupts import is_interrupt
+from lirs_validation.record.provenance import machine, versions
+from lirs_validation.record.run_record import SUCCEEDED, Status, plain
+from lirs_wct.errors import MapperError, OutputError, WctError
+from lirs_wct.files import atomic_write
 from lirs_wct.progress import Progress
+
+MANIFEST = "sweep.json"
+MANIFEST_SCHEMA = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How an experiment ended.
+
+    Attributes:
+        experiment: its name.
+        status: that of its record.
+        reason: one line.
+        trace: where it failed, several lines; empty where it did not.
+        bad_input: whether something that the user gave cannot be used.
+        written: whether its folder is written.
+        unwritable: whether its results could not be written: it is worth running again.
+    """
+
+    experiment: str
+    status: Status
+    reason: str = ""
+    trace: str = ""
+    bad_input: bool = False
+    written: bool = False
+    unwritable: bool = False
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether nothing failed."""
+        return self.status in SUCCEEDED
+
+
+def outcome_of(error: BaseException, experiment: str) -> Outcome:
+    """Return the outcome of an experiment that raised.
+
+    Raises:
+        KeyboardInterrupt: the error is a Ctrl-C that a compiled kernel wrapped.
+    """
+    if is_interrupt(error):
+        raise KeyboardInterrupt from error
+    ours = isinstance(error, WctError)
+    message = str(error) if ours else ": ".join(filter(None, (type(error).__name__, str(error))))
+    return Outcome(
+        experiment=experiment,
+        status="error",
+        reason=" ".join(message.split()),
+        trace="".join(traceback.format_exception(error)),
+        bad_input=ours and not isinstance(error, (MapperError, OutputError)),
+        unwritable=isinstance(error, OutputError),
+    )
 
 
 class Experiment(Protocol):
@@ -73,3 +131,30 @@ def attempt(
         raise
     except BaseException as error:
         return outcome_of(error, experiment.name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Manifest:
+    """What was asked for.
+
+    Attributes:
+        command: the command line.
+        suite: name of the suite; None = the experiments were asked for one by one.
+        cells: of each experiment its name, world and config, and the suite's tables that it belongs to.
+    """
+
+    command: str = ""
+    suite: str | None = None
+    cells: tuple[dict[str, Any], ...] = ()
+    versions: dict[str, str] = field(default_factory=versions)
+    machine: dict[str, Any] = field(default_factory=machine)
+
+    def save(self, folder: Path) -> None:
+        """Write `sweep.json`.
+
+        Raises:
+            OutputError: the folder cannot be written.
+        """
+        with atomic_write(folder / MANIFEST) as path:
+            text = json.dumps({"schema": MANIFEST_SCHEMA} | vars(self), indent=1, default=plain)
+            path.write_text(text + "\n", encoding="utf-8")

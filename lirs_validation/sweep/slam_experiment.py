@@ -23,7 +23,7 @@ from lirs_validation.record.run_record import RunRecord
 from lirs_validation.record.schema import read_whole_record
 from lirs_validation.record.source_files import same_source
 from lirs_validation.record.staleness import is_stale, world_files
-from lirs_validation.sweep.outcome import Outcome
+from lirs_validation.sweep.experiment import Outcome
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.rosbag.library import require_rosbags

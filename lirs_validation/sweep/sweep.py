@@ -1,4 +1,4 @@
-"""A sweep: experiments in, a folder of results out; what is finished already is not done again."""
+"""A sweep: run the experiments that have no result yet, and keep a folder of results."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from lirs_validation.sweep.engines.base import Executor, ProgressOf
-from lirs_validation.sweep.experiment import Experiment
-from lirs_validation.sweep.manifest import Manifest
-from lirs_validation.sweep.outcome import Outcome
+from lirs_validation.config import EngineOptions
+from lirs_validation.sweep.engines import Executor, Limits, Processes, ProgressOf, Serial, cores
+from lirs_validation.sweep.experiment import Experiment, Manifest, Outcome
+from lirs_validation.sweep.ray_engine import RayCluster
 from lirs_wct.errors import OutputError, WctError
 from lirs_wct.files import remove_leftovers
 from lirs_wct.progress import no_progress
@@ -117,3 +117,20 @@ class Sweep:
         except OutputError:
             return  # no room: with the next result then
         self._manifest = None
+
+
+def make_executor(options: EngineOptions) -> Executor:
+    """Make an engine: `serial`, or `processes` for several jobs, unless the options name one.
+
+    Raises:
+        ConfigError: Ray is not installed.
+    """
+    memory = None if options.cell_memory is None else options.cell_memory * 1e9
+    limits = Limits(seconds=options.cell_timeout, memory=memory)
+    jobs = options.jobs
+    engine = options.engine or ("processes" if jobs is not None and jobs > 1 else "serial")
+    if engine == "ray":
+        return RayCluster(address=options.address, jobs=jobs, limits=limits)
+    if engine == "serial" and not limits.any:
+        return Serial()
+    return Processes(jobs=1 if engine == "serial" else jobs or cores(), limits=limits)

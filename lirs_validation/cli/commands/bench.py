@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lirs_validation.cli.console import err, out
-from lirs_validation.cli.sweeping import manifest_of_command, run_sweep
+from lirs_validation.cli.progress import manifest_of_command, run_sweep
 from lirs_validation.cli.typer_options import with_options
 from lirs_validation.config import EngineOptions
 from lirs_wct.errors import ConfigError, SourceError
 
 if TYPE_CHECKING:
-    from lirs_validation.bench.policies.choice import PolicyChoice
+    from lirs_validation.bench.policies import PolicyChoice
     from lirs_validation.bench.results import PolicyResult
     from lirs_validation.bench.tasks import BenchTask, TaskSet
 
@@ -118,7 +118,7 @@ def _read_policies(
         ConfigError: an argument is no pair, or a policy is none.
     """
     from lirs_validation.bench.episode import make_task_env
-    from lirs_validation.bench.policies.choice import BASELINES, PolicyChoice
+    from lirs_validation.bench.policies import BASELINES, PolicyChoice
 
     pairs = [text.partition("=") for text in arguments]
     if not all(name and equals for name, equals, _ in pairs):

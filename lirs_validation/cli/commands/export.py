@@ -27,8 +27,8 @@ def export(
     ] = None,
 ) -> None:
     """Write a finished run as a ROS 2 bag (no ROS needed), CSV, NumPy archive or CARMEN log."""
+    from lirs_validation.analysis.recorded_run import export_run
     from lirs_validation.analysis.result_folders import read_run
-    from lirs_validation.analysis.run_export import export_run
     from lirs_wct.sources.option_text import chosen, read_names
 
     stored = chosen(storage, "--storage", ("mcap", "sqlite3"))

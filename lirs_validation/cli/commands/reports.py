@@ -86,7 +86,7 @@ def compare(
     from lirs_validation.analysis.compare import only
     from lirs_validation.analysis.result_folders import read_results
     from lirs_validation.record.metric_catalog import metrics_named, metrics_selected
-    from lirs_validation.report.tables.compare_table import (
+    from lirs_validation.report.tables.compare_tables import (
         compare_table,
         write_compare_csv,
         write_compare_json,
@@ -137,7 +137,7 @@ def score(
     from lirs_validation.analysis.result_folders import read_run
     from lirs_validation.analysis.score import check_frame
     from lirs_validation.analysis.score import score as scored
-    from lirs_validation.report.tables.score_table import score_table, write_score
+    from lirs_validation.report.tables.compare_tables import score_table, write_score
 
     if trajectory is None and map_yaml is None:
         raise ConfigError("nothing to score: give --trajectory, --map or both")

@@ -11,7 +11,7 @@ import typer
 
 from lirs_validation.cli.arguments import SOURCE_HELP
 from lirs_validation.cli.console import out
-from lirs_validation.cli.sweeping import manifest_of_command, run_sweep
+from lirs_validation.cli.progress import manifest_of_command, run_sweep
 from lirs_validation.cli.typer_options import with_options
 from lirs_validation.config import RUN_AXES, EngineOptions, RunConfig, SourceOptions
 from lirs_wct.errors import ConfigError

@@ -13,9 +13,9 @@ import numpy as np
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.analysis.recorded_run import recorded_truth, recorded_world_config
 from lirs_validation.experiment.scenario import ScenarioCache
+from lirs_validation.gui.session.construction import Facts
 from lirs_validation.gui.session.playback import MapSnapshot, Moment, ate, scan_points
 from lirs_validation.gui.session.uploads import Limits
-from lirs_validation.gui.session.world_facts import Facts
 from lirs_validation.record.result_files import maps_clouds
 from lirs_validation.record.run_record import read_record
 from lirs_wct.errors import SourceError, WctError

@@ -13,10 +13,15 @@ from lirs_validation.gui.session.controls import read_run_controls
 from lirs_validation.gui.session.live_drive import LiveDrive
 from lirs_validation.gui.view.page_context import PageContext
 from lirs_validation.gui.view.player import Player
-from lirs_validation.gui.view.widgets.option_controls import OptionControls
-from lirs_validation.gui.view.widgets.pace import SPEEDS, Pace, PlayButton, add_follow
-from lirs_validation.gui.view.widgets.progress import ProgressLine
-from lirs_validation.gui.view.widgets.stick import Stick
+from lirs_validation.gui.view.widgets import (
+    SPEEDS,
+    OptionControls,
+    Pace,
+    PlayButton,
+    ProgressLine,
+    Stick,
+    add_follow,
+)
 from lirs_wct.errors import ConfigError
 
 SLICE = 0.05

@@ -1,23 +1,62 @@
-"""One page of the browser: its tabs, its worker and its folder, which end with it."""
+"""A page: the tabs of one client."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import viser
+from viser import _messages
 
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Shown
 from lirs_validation.gui.session.uploads import Limits, Uploads
 from lirs_validation.gui.session.worker import Worker
-from lirs_validation.gui.view.drive_scene import DriveScene
 from lirs_validation.gui.view.drive_tab import DriveTab
-from lirs_validation.gui.view.guard import Guard
-from lirs_validation.gui.view.page_context import PageContext
+from lirs_validation.gui.view.page_context import Guard, PageContext
 from lirs_validation.gui.view.replay_tab import ReplayTab
-from lirs_validation.gui.view.scene import Detail, Scene
-from lirs_validation.gui.view.upload_limit import limit_uploads
+from lirs_validation.gui.view.scene import Detail, DriveScene, Scene
 from lirs_validation.gui.view.world_tab import WorldTab, first_sources
+from lirs_wct.errors import WctError
+
+
+def limit_uploads(
+    client: viser.ClientHandle, check: Callable[[str, int], None], refused: Callable[[Exception], None]
+) -> None:
+    """Refuse uploads before they fill the memory.
+
+    viser has no limit of its own and calls back only when all parts of a file are in memory. Therefore this
+    function, and no other, uses private parts of viser 1.1.
+
+    Args:
+        client: the page.
+        check: called with name and bytes as announced, and again with what has come; raises WctError.
+        refused: called with that error.
+    """
+    gui = client.gui
+    connection = client._websock_connection
+
+    def drop(transfer: str, error: WctError) -> None:
+        gui._current_file_upload_states.pop(transfer, None)
+        refused(error)
+
+    def announced(_: int, message: _messages.FileTransferStartUpload) -> None:
+        if message.transfer_uuid in gui._current_file_upload_states:
+            try:
+                check(message.filename, message.size_bytes)
+            except WctError as error:
+                drop(message.transfer_uuid, error)
+
+    def arrived(_: int, message: _messages.FileTransferPart) -> None:
+        state = gui._current_file_upload_states.get(message.transfer_uuid)
+        if state is not None and state["transferred_bytes"] > state["total_bytes"]:
+            try:
+                check(state["filename"], state["transferred_bytes"])
+            except WctError as error:
+                drop(message.transfer_uuid, error)
+
+    connection.register_handler(_messages.FileTransferStartUpload, announced)
+    connection.register_handler(_messages.FileTransferPart, arrived)
 
 
 class Page:

@@ -1,17 +1,80 @@
-"""What all tabs of a page work with."""
+"""Context shared by all tabs of a page, and the guard of its callbacks."""
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import viser
 
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.uploads import Limits, Uploads
 from lirs_validation.gui.session.worker import Worker
-from lirs_validation.gui.view.drive_scene import DriveScene
-from lirs_validation.gui.view.guard import Guard
-from lirs_validation.gui.view.scene import Scene
+from lirs_validation.gui.view.scene import DriveScene, Scene
+from lirs_wct.errors import WctError
+
+Callback = Callable[[Any], None]
+_LOG = logging.getLogger(__name__)
+
+
+class Guard:
+    """Wraps the callbacks of one page; shows errors and hints there.
+
+    Args:
+        client: the page.
+        folder: of the page, whose path is left out of messages.
+    """
+
+    def __init__(self, client: viser.ClientHandle, folder: Path) -> None:
+        self._client, self._folder = client, folder
+        self._shown: viser.NotificationHandle | None = None
+        self._notes: list[str] = []
+
+    def __call__(self, callback: Callback) -> Callback:
+        """Return a callback whose errors are shown."""
+
+        def guarded(event: Any) -> None:
+            try:
+                callback(event)
+            except Exception as error:
+                self.show(error)
+
+        return guarded
+
+    def show(self, error: Exception) -> None:
+        """Show an error in place of the one before; what is no user's mistake is logged, too."""
+        self._notes.clear()
+        if isinstance(error, WctError):
+            self._say("This does not work", str(error), "red")
+            return
+        _LOG.error("a page failed", exc_info=error)
+        self._say("The program failed", f"{type(error).__name__}: {error}", "red")
+
+    def note(self, message: str) -> None:
+        """Keep a hint until the present work is done."""
+        self._notes.append(message)
+
+    def done(self) -> None:
+        """Take the error before away, since it is mended; show the hints that came instead."""
+        notes, self._notes = self._notes, []
+        if notes:
+            self._say("Note", "; ".join(dict.fromkeys(notes)), "yellow")
+        else:
+            self._clear()
+
+    def _clear(self) -> None:
+        if self._shown is not None:
+            self._shown.remove()
+            self._shown = None
+
+    def _say(self, title: str, message: str, color: Any) -> None:
+        self._clear()
+        for folder in (f"{self._folder}/maps/", f"{self._folder}/worlds/", f"{self._folder}/"):
+            message = message.replace(folder, "")
+        self._shown = self._client.add_notification(title, message, color=color)
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from typing import Any
 
 import viser
 
+from lirs_validation.gui.session.construction import Facts
 from lirs_validation.gui.session.playback import Playback
-from lirs_validation.gui.session.world_facts import Facts
-from lirs_validation.gui.view.drive_scene import DriveScene
-from lirs_validation.gui.view.guard import Guard
+from lirs_validation.gui.view.page_context import Guard
+from lirs_validation.gui.view.scene import DriveScene
 
 PERIOD = 0.12
 """Seconds between two pictures."""

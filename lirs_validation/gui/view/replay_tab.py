@@ -12,9 +12,7 @@ import viser
 from lirs_validation.gui.session.finished_run import FinishedRun, runs_in, unpacked_run
 from lirs_validation.gui.view.page_context import PageContext
 from lirs_validation.gui.view.player import PERIOD, Player
-from lirs_validation.gui.view.widgets.drop_zone import add_drop_zone
-from lirs_validation.gui.view.widgets.pace import SPEEDS, Pace, PlayButton, add_follow
-from lirs_validation.gui.view.widgets.progress import ProgressLine
+from lirs_validation.gui.view.widgets import SPEEDS, Pace, PlayButton, ProgressLine, add_drop_zone, add_follow
 
 NONE = "choose a run"
 

@@ -1,14 +1,34 @@
-"""The three-dimensional part of a page: the world, seen from the south at first, as on a map."""
+"""The 3D scene of a page: the world, the robot, its scans and maps."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
 import viser
 
-from lirs_validation.gui.session.world_glb import PREVIEW_TEXTURE, TEXTURE, world_glb
+from lirs_envs.robots.catalog import make_robot
+from lirs_validation.gui.session.glb import PREVIEW_TEXTURE, TEXTURE, robot_glb, world_glb
+from lirs_validation.gui.session.playback import MapSnapshot, Moment, map_picture
+from lirs_wct.arrays import FloatArray
+from lirs_wct.drawing.style import BLUE, VERMILLION, rgb
+from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.world import World
+
+POINTS = 1500
+"""Points of a path that are drawn, at most."""
+ABOVE = 0.15
+"""Meters of the estimated path and the map above the ground."""
+FOOT = 0.5
+"""Meters around a cell of the map where the ground is looked for: the cell may be up on an obstacle."""
+WALLS = 20_000
+"""Cells of the map that are drawn in the scene, at most."""
+SCAN = (220, 30, 60)
+BEHIND = np.array((0.0, -9.0, 7.0))
+"""From the robot to the camera at first, meters."""
+TURNING = 2.0
+"""Seconds for which the browser may still say where its camera was before it was turned."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,3 +88,115 @@ class Scene:
             camera.near, camera.far = span / 2000, 20 * span
             camera.position = tuple(middle + span * np.array((0.0, -0.85, 0.65)))
             camera.look_at = tuple(middle)
+
+
+class DriveScene:
+    """Shows moments of a drive, and the map from above in a panel of its own.
+
+    Args:
+        client: the page.
+    """
+
+    def __init__(self, client: viser.ClientHandle) -> None:
+        self._client = client
+        self._surface: HeightField | None = None
+        self._root: viser.FrameHandle | None = None
+        self._robot: viser.FrameHandle | None = None
+        self._map: MapSnapshot | None = None
+        self._panel = client.gui.add_panel(visible=False)
+        with self._panel.add_tab("Map", viser.Icon.MAP):
+            blank = np.full((8, 8, 3), 205, np.uint8)
+            self._picture = client.gui.add_image(blank, format="png")
+            client.gui.add_markdown(
+                "black: occupied, white: free &nbsp; <b style='color:#0072B2'>true path</b> &nbsp; "
+                "<b style='color:#D55E00'>estimated path</b>"
+            )
+        self._panel.dock_left()
+        self.follow, self._turning_until = False, 0.0
+
+    def begin(self, robot: str, world: World | None) -> None:
+        """Show another drive."""
+        self.clear()
+        self._surface = None if world is None else world.surface
+        scene = self._client.scene
+        self._root = scene.add_frame("/drive", show_axes=False)
+        self._robot = scene.add_frame("/drive/robot", show_axes=False)
+        scene.add_glb("/drive/robot/shape", robot_glb(make_robot(robot)))
+        self._panel.visible = True
+
+    def clear(self) -> None:
+        """Take the drive out of the scene."""
+        if self._root is not None:
+            self._root.remove()
+        self._root = self._robot = self._map = None
+        self._panel.visible = False
+
+    def approach(self, position: FloatArray) -> None:
+        """Look at a place from the south and above, so that north is up as in the map."""
+        self._turning_until = time.monotonic() + TURNING
+        self._look_at(position, BEHIND)
+
+    def show(self, moment: Moment) -> None:
+        """Show a moment."""
+        if self._robot is None:
+            return
+        T, scene = moment.T_world_base, self._client.scene
+        with self._client.atomic():
+            self._robot.position, self._robot.wxyz = T.position, T.quaternion
+            scene.add_point_cloud(
+                "/drive/scan", moment.scan, SCAN, point_size=0.07, point_shape="circle", precision="float32"
+            )
+            _add_path(scene, "/drive/truth", moment.truth + np.array((0.0, 0.0, ABOVE)), BLUE)
+            _add_path(scene, "/drive/estimate", self._on_ground(moment.estimate, T.z), VERMILLION)
+            self._show_walls(moment.map)
+            self._follow(T.position)
+        self._picture.image = map_picture(moment)
+
+    def _show_walls(self, found: MapSnapshot | None) -> None:
+        if found is self._map:
+            return
+        self._map = found
+        walls = np.empty((0, 2)) if found is None else found.walls
+        walls = walls[:: max(1, -(-len(walls) // WALLS))]
+        self._client.scene.add_point_cloud(
+            "/drive/walls",
+            self._at_foot(walls).astype(np.float32),
+            (20, 20, 24),
+            point_size=0.06,
+            precision="float32",
+        )
+
+    def _on_ground(self, points: FloatArray, otherwise: float) -> FloatArray:
+        """Return points (n, 3) a little above the ground, or above a height where there is none."""
+        z = np.full(len(points), np.nan)
+        if self._surface is not None:
+            z = self._surface.height_at(points[:, 0], points[:, 1])
+        return np.column_stack((points, np.where(np.isfinite(z), z, otherwise) + ABOVE))
+
+    def _at_foot(self, points: FloatArray) -> FloatArray:
+        """Return points (n, 3) a little above the lowest ground near them."""
+        around = [(0.0, 0.0), (FOOT, 0.0), (-FOOT, 0.0), (0.0, FOOT), (0.0, -FOOT)]
+        placed = [self._on_ground(points + np.array(shift), 0.0)[:, 2] for shift in around]
+        return np.column_stack((points, np.min(placed, axis=0)))
+
+    def _follow(self, position: FloatArray) -> None:
+        """Look at the robot from as far, and from the side, as the user has chosen to."""
+        if not self.follow:
+            return
+        camera, turning = self._client.camera, time.monotonic() < self._turning_until
+        self._look_at(position, BEHIND if turning else camera.position - camera.look_at)
+
+    def _look_at(self, position: FloatArray, away: FloatArray) -> None:
+        camera = self._client.camera
+        with self._client.atomic():
+            camera.position, camera.look_at = position + away, position
+
+
+def _add_path(scene: viser.SceneApi, name: str, points: FloatArray, color: str) -> None:
+    few = points[:: max(1, -(-len(points) // POINTS))]
+    if len(few) < 2:
+        scene.remove_by_name(name)
+        return
+    segments = np.stack((few[:-1], few[1:]), axis=1).astype(np.float32)
+    tint = np.array([int(255 * v) for v in rgb(color)], np.uint8)
+    scene.add_line_segments(name, segments, tint, thickness=3.0, thickness_units="screen")

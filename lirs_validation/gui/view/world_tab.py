@@ -9,14 +9,11 @@ from typing import Any
 import viser
 
 from lirs_validation.config import SourceOptions
-from lirs_validation.gui.session.construction import Construction, Shown, zipped
+from lirs_validation.gui.session.construction import Construction, Facts, Shown, zipped
 from lirs_validation.gui.session.controls import read_controls
-from lirs_validation.gui.session.world_facts import Facts
 from lirs_validation.gui.view.page_context import PageContext
 from lirs_validation.gui.view.player import as_table
-from lirs_validation.gui.view.widgets.drop_zone import add_drop_zone
-from lirs_validation.gui.view.widgets.option_controls import OptionControls
-from lirs_validation.gui.view.widgets.progress import ProgressLine
+from lirs_validation.gui.view.widgets import OptionControls, ProgressLine, add_drop_zone
 from lirs_wct.errors import ConfigError
 from lirs_wct.export.package import DEFAULT_FORMATS, FORMATS, GazeboTerrain
 from lirs_wct.sources.bundled import RECIPES

@@ -6,12 +6,11 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from lirs_validation.bench.policies.choice import UPPER_BOUND
+from lirs_validation.bench.policies import UPPER_BOUND
 from lirs_validation.bench.results import PolicyResult, share_of_bound
 from lirs_validation.bench.scores import Score
 from lirs_validation.record.formatting import NOTHING
-from lirs_validation.report.tables.screen import FittedTable
-from lirs_validation.report.tables.table import ReportTable
+from lirs_validation.report.tables.table import FittedTable, ReportTable
 from lirs_wct.files import atomic_write
 
 MEASURES = {

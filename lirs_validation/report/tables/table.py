@@ -1,16 +1,30 @@
-"""Tables as data: the same rows as HTML, Markdown and CSV."""
+"""Tables as data, and their forms: screen, HTML, Markdown and CSV."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from html import escape
+from typing import Literal
 
-from lirs_validation.analysis.repeats import Repeats
+from rich import box
+from rich.console import Console, ConsoleOptions
+from rich.table import Table
+from rich.text import Text
+
+from lirs_validation.analysis.statistics import Repeats
 from lirs_validation.record.formatting import NOTHING
 from lirs_validation.record.metric_catalog import Metric
+
+UNBOUNDED = 100_000
+"""Columns of a screen on which every table fits."""
+BETWEEN_WORDS = re.compile(r"(?<=[\w,.]) (?=\w)| (?=\[)")
+"""Where headings go on in the next line: between words and before a unit, not within `99.9 %` or `b - a`."""
+FEWEST = 2
+"""Columns of numbers that are shown however narrow the screen is."""
 
 
 @dataclass(frozen=True)
@@ -131,3 +145,128 @@ def _parts(values: Repeats | None, of: int) -> list[str]:
 
 def _digits(value: float | None) -> str:
     return "" if value is None else repr(value)
+
+
+def screen_table(title: str = "", caption: str = "") -> Table:
+    """Return a table without columns: narrow, ruled below its head alone, captions to the left.
+
+    Titles and captions are plain text: a name may hold brackets, which rich would take for its markup.
+    """
+    return Table(
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+        title=Text(title) if title else None,
+        title_justify="left",
+        caption=Text(caption) if caption else None,
+        caption_justify="left",
+    )
+
+
+class FittedTable:
+    """A table that fits the screen without a name, a number or a unit being broken.
+
+    One that is too wide is shown without the intervals of its means, then without columns, named below it:
+    those that are said to go first, then metrics that the table of runs leaves out, else the last ones.
+    Remarks stand below, a line each.
+    """
+
+    def __init__(
+        self,
+        table: ReportTable,
+        *,
+        title: str = "",
+        styles: Sequence[str] = (),
+        drop: Sequence[str] = (),
+        keep: Sequence[str] = (),
+    ) -> None:
+        """Take a table, the style of each row, headings of columns that go first, and of those that stay."""
+        self.table = _remarks_below(table)
+        self._title, self._drop, self._keep = title, tuple(drop), tuple(keep)
+        self._styles = tuple(styles) or ("",) * len(table.rows)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Table]:
+        """Yield the first form that fits."""
+        wide = options.update(width=UNBOUNDED)
+        shown = Table()
+        for form in self._forms():
+            shown = self._drawn(form, whole=True)
+            if console.measure(shown, options=wide).maximum <= options.max_width:
+                yield shown
+                return
+        yield self._drawn(form, whole=False)
+
+    def _forms(self) -> Iterator[ReportTable]:
+        """Yield the table as it is, without intervals, and with fewer and fewer columns."""
+        yield self.table
+        table, gone = self.table, list[str]()
+        if any(isinstance(c, Spread) and c != c.without_interval for row in table.rows for c in row):
+            table, gone = _means_alone(table), ["intervals (±)"]
+            yield _noted(table, gone)
+        for column in self._dropped_in_order():
+            gone.append(self.table.headings[column])
+            yield _noted(_without(table, gone), gone)
+
+    def _dropped_in_order(self) -> list[int]:
+        """Return the columns that may be left out, the first to go first."""
+        headings = self.table.headings
+        numbers = [k for k, h in enumerate(headings) if not self.table.is_text(k) and h not in self._keep]
+        return sorted(numbers, key=self._rank)[: max(0, len(numbers) - FEWEST)]
+
+    def _rank(self, column: int) -> tuple[int, int]:
+        """Return a column's place: as said, then metrics that the table of runs leaves out, then others."""
+        heading = self.table.headings[column]
+        if heading in self._drop:
+            return 0, self._drop.index(heading)
+        contents = [row[column] for row in self.table.rows]
+        detail = any(isinstance(c, Spread) and "runs" not in c.metric.selections for c in contents)
+        return 1 if detail else 2, -column
+
+    def _drawn(self, table: ReportTable, *, whole: bool) -> Table:
+        """Return a table for the screen; its cells are plain text, for a name may hold brackets."""
+        shown = screen_table(self._title, table.caption)
+        for k, heading in enumerate(table.headings):
+            justify: Literal["left", "right"] = "left" if table.is_text(k) else "right"
+            stacked = BETWEEN_WORDS.sub("\n", heading)
+            shown.add_column(Text(stacked), justify=justify, no_wrap=whole, overflow="fold")
+        for row, style in zip(table.texts(), self._styles, strict=True):
+            shown.add_row(*map(Text, row), style=style)
+        return shown
+
+
+def _remarks_below(table: ReportTable) -> ReportTable:
+    """Return a table whose remarks are lines of its caption, each after the texts of its row."""
+    if not table.remarks:
+        return table
+    lines = [f"{', '.join(row[: table.text_columns])}: {row[-1]}" for row in table.texts()]
+    return replace(
+        table,
+        headings=table.headings[:-1],
+        rows=tuple(row[:-1] for row in table.rows),
+        caption="\n".join((*lines, table.caption)),
+        remarks=False,
+    )
+
+
+def _means_alone(table: ReportTable) -> ReportTable:
+    """Return a table of the means alone."""
+
+    def mean(content: Content) -> Content:
+        return content.without_interval if isinstance(content, Spread) else content
+
+    return replace(table, rows=tuple(tuple(map(mean, row)) for row in table.rows))
+
+
+def _without(table: ReportTable, headings: Sequence[str]) -> ReportTable:
+    """Return a table without some of its columns."""
+    kept = [k for k, heading in enumerate(table.headings) if heading not in headings]
+    return replace(
+        table,
+        headings=tuple(table.headings[k] for k in kept),
+        rows=tuple(tuple(row[k] for k in kept) for row in table.rows),
+    )
+
+
+def _noted(table: ReportTable, gone: Sequence[str]) -> ReportTable:
+    """Return a table whose caption says what there is no room for."""
+    return replace(table, caption=f"{table.caption}\nNo room here for {', '.join(gone)}.".lstrip())

@@ -18,7 +18,7 @@ from lirs_validation.analysis.as_published import (
     published_pairs,
 )
 from lirs_validation.record.formatting import Entry
-from lirs_validation.report.tables.method_tables import method_tables
+from lirs_validation.report.tables.run_tables import method_tables
 from lirs_validation.report.tables.table import Spread
 from tests.lirs_validation.records import entry
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lirs_validation import validate
+from lirs_validation.analysis.recorded_run import export_run, recorded_drive
 from lirs_validation.analysis.result_folders import RunFolder, read_run
-from lirs_validation.analysis.run_export import export_run, recorded_drive
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.tum import read_tum
 

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from lirs_validation import cli, validate
-from lirs_validation.analysis.recorded_run import recorded_config, true_pose_map
+from lirs_validation.analysis.recorded_run import export_run, recorded_config, true_pose_map
 from lirs_validation.analysis.result_folders import RunFolder, read_run
-from lirs_validation.analysis.run_export import export_run
 from lirs_validation.analysis.score import score
 from lirs_validation.config import SourceOptions
 from lirs_validation.metrics import agreement, iou

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lirs_validation.bench.episode import SPENT, episode_metrics, make_task_env, run_episode
-from lirs_validation.bench.policies.choice import BASELINES, PolicyChoice
+from lirs_validation.bench.policies import BASELINES, PolicyChoice
 from lirs_validation.bench.task_worlds import WorldSpec
 from lirs_validation.bench.tasks import BenchTask
 from lirs_wct.errors import ConfigError

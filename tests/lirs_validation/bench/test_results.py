@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from lirs_validation.bench.experiment import RECORD, BenchExperiment
-from lirs_validation.bench.policies.choice import PolicyChoice
+from lirs_validation.bench.policies import PolicyChoice
 from lirs_validation.bench.results import read_results, share_of_bound
 from lirs_validation.bench.tasks import BenchTask, TaskSet
-from lirs_validation.sweep.outcome import Outcome
+from lirs_validation.sweep.experiment import Outcome
 
 COURSE = BenchTask(
     name="a",

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from lirs_validation.cli.typer_options import with_options
 from lirs_validation.config import RunConfig, SourceOptions
 from lirs_validation.experiment.scenario import build_scenario
-from lirs_validation.report.command_line import command_of
+from lirs_validation.report.provenance import command_of
 from lirs_wct.errors import ConfigError, LogSourceError
 from lirs_wct.option import Switch, option, positive
 from lirs_wct.sources.option_text import numbers

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from lirs_validation import read_record
-from lirs_validation.sweep.outcome import Outcome
+from lirs_validation.sweep.experiment import Outcome
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.errors import MapperError
 from tests.lirs_validation.records import record, saved_whole

@@ -23,7 +23,7 @@ from lirs_validation.collision.random_drive import PERIOD, Leg, places
 from lirs_validation.collision.slope_test import climb
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions
 from lirs_validation.collision.verdict_files import write_verdicts
-from lirs_validation.report.tables.collision_table import verdicts_table
+from lirs_validation.report.tables.sweep_tables import verdicts_table
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField

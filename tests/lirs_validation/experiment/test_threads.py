@@ -27,7 +27,7 @@ from lirs_validation.experiment.loop import Drive, drive
 from lirs_validation.experiment.mappers.guard import GuardedMapper
 from lirs_validation.experiment.run import prepare, run
 from lirs_validation.record.schema import schema_error
-from lirs_validation.sweep.engines.processes import Processes
+from lirs_validation.sweep.engines import Processes
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.errors import ConfigError, MapperError, SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3

@@ -13,8 +13,8 @@ import trimesh
 from lirs_validation.config import RunConfig, SourceOptions
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Construction, zipped
+from lirs_validation.gui.session.glb import world_glb
 from lirs_validation.gui.session.uploads import Limits, Uploads
-from lirs_validation.gui.session.world_glb import world_glb
 from lirs_wct import build_world, write_package
 from lirs_wct.errors import ConfigError, WctError
 

@@ -12,8 +12,8 @@ import pytest
 pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
 
 from lirs_validation import map_log, validate
+from lirs_validation.analysis.recorded_run import export_run
 from lirs_validation.analysis.result_folders import read_run
-from lirs_validation.analysis.run_export import export_run
 from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import folder_name, read_log, run_mapping
 from lirs_wct.errors import ConfigError, SourceError

@@ -27,8 +27,8 @@ from lirs_validation.record.metric_catalog import (
 from lirs_validation.record.schema import record_schema
 from lirs_validation.report.contents import report_of
 from lirs_validation.report.page import page
-from lirs_validation.report.tables.compare_table import compare_table, write_compare_csv, write_compare_json
-from lirs_validation.report.tables.results_table import markdown_table, results_table
+from lirs_validation.report.tables.compare_tables import compare_table, write_compare_csv, write_compare_json
+from lirs_validation.report.tables.run_tables import markdown_table, results_table
 from lirs_validation.report.tables.table import as_csv, as_markdown
 from slam_baselines.mapper import MapperStats
 from tests.lirs_validation.records import entry

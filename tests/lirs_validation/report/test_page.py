@@ -14,15 +14,15 @@ import pytest
 
 from lirs_validation import cli
 from lirs_validation.analysis.groups import RunGroup, by_group
-from lirs_validation.analysis.repeats import repeats
 from lirs_validation.analysis.result_folders import RunFolder, read_results
+from lirs_validation.analysis.statistics import repeats
 from lirs_validation.record.formatting import significant
 from lirs_validation.record.metric_catalog import metrics_in, metrics_named
+from lirs_validation.report.charts import INK
 from lirs_validation.report.contents import Report, report_of
 from lirs_validation.report.page import page
 from lirs_validation.report.pictures import BUDGET, MOST_BYTES, Painter
-from lirs_validation.report.svg import INK
-from lirs_validation.report.tables.metric_tables import group_table, summary_table
+from lirs_validation.report.tables.run_tables import group_table, summary_table
 from lirs_validation.report.tables.table import ReportTable, Spread, as_csv, as_markdown
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.tum import write_tum

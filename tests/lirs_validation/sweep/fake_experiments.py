@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.sweep.outcome import Outcome
+from lirs_validation.sweep.experiment import Outcome
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import Progress
 

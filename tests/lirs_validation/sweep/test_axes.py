@@ -10,12 +10,10 @@ import pytest
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.sweep.axes import cross
 from lirs_validation.sweep.collision_experiment import CollisionExperiment
-from lirs_validation.sweep.engines.base import Limits
-from lirs_validation.sweep.engines.factory import make_executor
-from lirs_validation.sweep.engines.processes import Processes
-from lirs_validation.sweep.engines.serial import Serial
+from lirs_validation.sweep.engines import Limits, Processes, Serial
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.suites import WALL_LIMIT, make_suite
+from lirs_validation.sweep.sweep import make_executor
 from lirs_wct.errors import ConfigError
 
 

@@ -17,9 +17,8 @@ from lirs_validation.record.result_files import WITH_RESULTS
 from lirs_validation.record.run_record import Status, read_record
 from lirs_validation.record.schema import read_whole_record
 from lirs_validation.record.source_files import source_files
-from lirs_validation.sweep.engines.processes import Processes
-from lirs_validation.sweep.engines.serial import Serial
-from lirs_validation.sweep.outcome import Outcome
+from lirs_validation.sweep.engines import Processes, Serial
+from lirs_validation.sweep.experiment import Outcome
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct import BuildOptions

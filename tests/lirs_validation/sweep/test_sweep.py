@@ -8,10 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from lirs_validation.sweep.engines.base import Limits
-from lirs_validation.sweep.engines.processes import Processes
-from lirs_validation.sweep.engines.serial import Serial
-from lirs_validation.sweep.manifest import Manifest
+from lirs_validation.sweep.engines import Limits, Processes, Serial
+from lirs_validation.sweep.experiment import Manifest
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.errors import WctError
 from tests.lirs_validation.sweep.fake_experiments import FakeExperiment, Manner

@@ -14,7 +14,7 @@ import pytest
 from lirs_validation import Run, validate
 from lirs_validation.analysis.result_folders import read_results
 from lirs_validation.config import RunConfig
-from lirs_validation.drawing.elevation_view import FULL, error_picture
+from lirs_validation.drawing.run_overview import FULL, error_picture
 from lirs_validation.experiment.clouds.guard import GuardedCloudMapper, check_sensors, guarded
 from lirs_validation.experiment.mappers.guard import GuardedMapper
 from lirs_validation.experiment.mappers.loading import mapper_named, package_versions

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from lirs_validation.record.metric_catalog import picture_lines
-from lirs_validation.report.tables.results_table import markdown_table, results_table
+from lirs_validation.report.tables.run_tables import markdown_table, results_table
 
 
 def entry(world: str = "simple", status: str = "ok", reason: str = "", **more: Any) -> dict[str, Any]:

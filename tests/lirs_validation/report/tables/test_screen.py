@@ -7,10 +7,8 @@ import io
 import pytest
 from rich.console import Console
 
-from lirs_validation.report.tables.method_tables import method_tables
-from lirs_validation.report.tables.metric_tables import failure_lines, summary_table
-from lirs_validation.report.tables.screen import FittedTable
-from lirs_validation.report.tables.table import ReportTable
+from lirs_validation.report.tables.run_tables import failure_lines, method_tables, summary_table
+from lirs_validation.report.tables.table import FittedTable, ReportTable
 from tests.lirs_validation.records import entry
 
 ENTRIES = [

@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from lirs_validation.record.formatting import significant
-from lirs_validation.report.paper.findings import findings
-from lirs_validation.report.paper.published import VIEWS
-from lirs_validation.report.paper.tables import paper_tables
+from lirs_validation.report.paper import VIEWS, findings, paper_tables
 from tests.lirs_validation.records import entry
 
 

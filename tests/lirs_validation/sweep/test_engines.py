@@ -12,16 +12,16 @@ from pathlib import Path
 
 import pytest
 
-from lirs_validation.sweep.engines.serial import Serial
+from lirs_validation.sweep.engines import Serial
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.files import remove_leftovers
 from tests.lirs_validation.sweep.fake_experiments import FakeExperiment
 
-ROOT = Path(__file__).resolve().parents[4]
+ROOT = Path(__file__).resolve().parents[3]
 SCRIPT = """
 import sys
 from pathlib import Path
-from lirs_validation.sweep.engines.processes import Processes
+from lirs_validation.sweep.engines import Processes
 from lirs_validation.sweep.sweep import Sweep
 from tests.lirs_validation.sweep.fake_experiments import FakeExperiment
 

@@ -18,11 +18,8 @@ from typing import Any
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.own_code import importable
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
-from lirs_validation.sweep.engines.base import Limits, ProgressOf
-from lirs_validation.sweep.engines.processes import Processes, cores
-from lirs_validation.sweep.engines.worker import ONE_THREAD
-from lirs_validation.sweep.experiment import Experiment, attempt
-from lirs_validation.sweep.outcome import Outcome, outcome_of
+from lirs_validation.sweep.engines import ONE_THREAD, Limits, Processes, ProgressOf, cores
+from lirs_validation.sweep.experiment import Experiment, Outcome, attempt, outcome_of
 from lirs_wct.errors import ConfigError, OutputError
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import no_progress

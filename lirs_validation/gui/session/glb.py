@@ -1,20 +1,23 @@
-"""A world as a textured GLB, as light as a browser needs it."""
+"""Worlds and robots as GLB, the binary glTF that a browser shows."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import cv2
+import mujoco
 import numpy as np
 import trimesh
 from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
+from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import ByteArray
 from lirs_wct.export.appearance import world_parts
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.pose import Pose3
 from lirs_wct.ground import Terrain
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.world import World
@@ -22,6 +25,10 @@ from lirs_wct.world import World
 TEXTURE = 1024
 """Pixels of a texture's longer side, at most; of a preview, which is to come fast, fewer."""
 PREVIEW_TEXTURE = 384
+VISUAL = 2
+"""Group of the geoms that are seen."""
+SECTIONS = 20
+"""Sides of what is round."""
 
 
 def world_glb(world: World, most: int, texture: int = TEXTURE) -> tuple[bytes, int]:
@@ -74,3 +81,44 @@ def _at_most(bgr: ByteArray, most: int) -> ByteArray:
     if scale < 1.0:
         bgr = np.asarray(cv2.resize(bgr, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
     return np.ascontiguousarray(bgr[..., ::-1])
+
+
+def robot_glb(robot: Robot) -> bytes:
+    """Return the robot at rest, base_link at the origin, x ahead."""
+    model = mujoco.MjModel.from_xml_path(str(robot.mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    base = model.body("base_link").id
+    T_base_world = Pose3.from_arrays(data.xpos[base], data.xquat[base]).inverse()
+    scene = trimesh.Scene()
+    for geom in np.flatnonzero(model.geom_group == VISUAL).tolist():
+        shape = _shape(int(model.geom_type[geom]), model.geom_size[geom].tolist())
+        if shape is None:
+            continue
+        placed = np.eye(4)
+        placed[:3, :3] = T_base_world.rotation @ data.geom_xmat[geom].reshape(3, 3)
+        placed[:3, 3] = T_base_world.apply(data.geom_xpos[geom])
+        shape.apply_transform(placed)
+        color = (255 * model.geom_rgba[geom]).astype(np.uint8)
+        material = PBRMaterial(baseColorFactor=color, metallicFactor=0.1, roughnessFactor=0.7)
+        shape.visual = TextureVisuals(uv=np.zeros((len(shape.vertices), 2)), material=material)
+        scene.add_geometry(shape)
+    content: bytes = scene.export(file_type="glb")
+    return content
+
+
+def _shape(kind: int, size: list[float]) -> trimesh.Trimesh | None:
+    a, b, c = size
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        shape = trimesh.creation.box(extents=(2 * a, 2 * b, 2 * c))
+    elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        shape = trimesh.creation.cylinder(radius=a, height=2 * b, sections=SECTIONS)
+    elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        shape = trimesh.creation.capsule(radius=a, height=2 * b, count=(SECTIONS, SECTIONS))
+    elif kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
+        shape = trimesh.creation.uv_sphere(radius=1.0, count=(SECTIONS // 2, SECTIONS))
+        shape.apply_scale((a, a, a) if kind == mujoco.mjtGeom.mjGEOM_SPHERE else (a, b, c))
+    else:
+        return None
+    shape.unmerge_vertices()  # flat shading shows the edges
+    return shape

@@ -6,14 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from lirs_validation.sweep.engines.base import Limits
-from lirs_validation.sweep.engines.factory import make_executor
-from lirs_validation.sweep.engines.ray import perform_remotely
-from lirs_validation.sweep.sweep import Sweep
+from lirs_validation.sweep.engines import Limits
+from lirs_validation.sweep.ray_engine import perform_remotely
+from lirs_validation.sweep.sweep import Sweep, make_executor
 from lirs_wct.errors import ConfigError
 from tests.lirs_validation.sweep.fake_experiments import FakeExperiment
 
-ROOT = Path(__file__).resolve().parents[4]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.mark.slow

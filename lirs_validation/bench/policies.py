@@ -1,0 +1,380 @@
+"""Policies of a benchmark by name: baselines, drivers of validation runs, and your own."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from lirs_envs.env import RobotEnv
+from lirs_envs.policies.blind import RandomActions, StraightAhead
+from lirs_envs.policies.go_to_goal import GoToGoal
+from lirs_envs.policies.policy import Policy, PolicyContext
+from lirs_envs.tasks.site import SEEN_CELL
+from lirs_validation.bench.tasks import TASKS, BenchTask
+from lirs_validation.driving.choice import MARGIN
+from lirs_validation.driving.driver import Driver, Frame
+from lirs_validation.driving.frontier_route import FrontierRoute
+from lirs_validation.driving.goal_route import GoalRoute
+from lirs_validation.driving.pace import driver_config
+from lirs_validation.driving.path_driver import DriverConfig, PathDriver
+from lirs_validation.driving.path_driver import Path as DrivenPath
+from lirs_validation.driving.planning.clearance import path_weight, room_at, room_in
+from lirs_validation.driving.planning.grid_search import area_round, nearest, penalize_behind
+from lirs_validation.driving.planning.path_smoothing import smoothed
+from lirs_validation.driving.pursuit import speed_profile
+from lirs_validation.driving.tour import ground_height
+from lirs_validation.driving.waypoint_route import WaypointRoute
+from lirs_validation.experiment.own_code import make_own, own_class, own_source_file
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
+from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.formats.waypoints import Waypoint
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.grid_search import search
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.pose import Pose2
+from slam_baselines.mapper import make_mapper
+
+MAPPER = "hector"
+"""SLAM method on whose map it plans."""
+MARGINS = (MARGIN, 0.1, 0.05, 0.0)
+"""Meters beyond the robot's radius that a plan keeps: the largest at which a way leads to the goal."""
+VIEW = 4.0
+"""Unseen ground so far east, west, north and south counts for a place, meters."""
+DECAY = 0.15
+"""Share by which a place loses worth with each meter of way (lambda of the paper), 1/m."""
+ARC = 1.0
+"""Radius in which the robot turns round where there is room, meters."""
+METHODS = ("reset", "act")
+
+
+class DrivenPolicy(ABC):
+    """A policy that asks a driver for its command at each step; of a robot that flies the height stays."""
+
+    def __init__(self, context: PolicyContext) -> None:
+        self.context = context
+        self._time = 0.0
+
+    @abstractmethod
+    def driver(self) -> Driver:
+        """Return the driver of the episode that begins."""
+
+    @abstractmethod
+    def pose(self, observation: Mapping[str, Any]) -> Pose2:
+        """Return the robot's pose in the driver's frame."""
+
+    def reset(self, info: Mapping[str, Any]) -> None:
+        """Begin an episode."""
+        self._time, self._driver = 0.0, self.driver()
+
+    def act(self, observation: Mapping[str, Any]) -> Float32Array:
+        """Return the driver's command as an action."""
+        twist = self._driver.command(self.pose(observation), self._time)
+        self._time += self.context.period
+        action = np.zeros(self.context.action_size, np.float32)
+        action[0] = np.clip(twist.v / self.context.robot.max_speed, -1, 1)
+        action[1] = np.clip(twist.omega / self.context.robot.max_turn_rate, -1, 1)
+        return action
+
+
+class Explorer(DrivenPolicy):
+    """Sees scans, odometry and attitude as a mapper does, and the polar goal where there is one."""
+
+    def __init__(self, env: RobotEnv, context: PolicyContext) -> None:
+        super().__init__(context)
+        self._env = env
+
+    def driver(self) -> Driver:
+        """Return the explorer, with a mapper that has seen nothing."""
+        robot = self.context.robot
+        self._mapper = make_mapper(MAPPER, seed=self.context.seed)
+        self._pose, self._stamp = Pose2(), -math.inf
+        pace = driver_config(robot)
+        self._route = (
+            FrontierRoute(self._mapper.map, robot.radius, robot.radius + MARGIN, pace)
+            if self._env.view.goal is None
+            else GoalRoute(self._mapper.map, robot.radius, robot.radius + MARGIN, pace)
+        )
+        return PathDriver(self._route, Pose2(), pace)
+
+    def pose(self, observation: Mapping[str, Any]) -> Pose2:
+        """Let the mapper see a new scan, and return its pose."""
+        reading = self._env.view.reading()
+        if reading.scan.stamp > self._stamp:
+            self._pose = self._mapper.update(reading.scan, reading.odometry, reading.imu)
+            self._stamp = reading.scan.stamp
+        if isinstance(self._route, GoalRoute):
+            distance, bearing = (float(value) for value in observation["goal"])
+            offset = distance * np.array((math.cos(bearing), math.sin(bearing)))
+            x, y = self._pose.apply(offset).tolist()
+            self._route.goal = x, y
+        return self._pose
+
+
+class OnTrueMap(DrivenPolicy):
+    """Drives on the true map by the true pose, which no other policy is given."""
+
+    def __init__(self, env: RobotEnv, context: PolicyContext) -> None:
+        super().__init__(context)
+        self._env = env
+
+    def pose(self, observation: Mapping[str, Any]) -> Pose2:
+        """Return the true pose."""
+        return self._env.view.T_world_base.to_pose2()
+
+    def driver(self) -> Driver:
+        """Return a driver to the goal, or to what is unseen."""
+        view, pace = self._env.view, driver_config(self.context.robot)
+        start, surface = view.T_world_base.to_pose2(), view.world.surface
+        if view.goal is not None:
+            goal = Waypoint(*view.goal)
+            route = WaypointRoute((goal,), self._free(start, view.goal), pace, surface)
+            return PathDriver(route, start, pace)
+        free = self._free(start, None)
+        return PathDriver(UnseenRoute(free, start, self._unseen(), pace, surface), start, pace)
+
+    def _free(self, start: Pose2, goal: tuple[float, float] | None) -> OccupancyGrid:
+        """Return the grid of the largest margin at which the robot can set off, and reach the goal."""
+        robot, world = self.context.robot, self._env.view.world
+        for margin in MARGINS:
+            free = world.traversable(clearance=robot.radius + margin, max_slope=robot.max_slope)
+            ends = free.cells([(start.x, start.y), *([goal] if goal else [])])
+            _, areas = cv2.connectedComponents(free.free.astype(np.uint8), connectivity=4)
+            held = np.clip(ends, 0, np.array(free.shape) - 1)
+            found = set(areas[held[:, 0], held[:, 1]].tolist())
+            if len(found) == 1 and found != {0}:
+                break
+        return free
+
+    def _unseen(self) -> Callable[[], FloatArray]:
+        """Return a function that gives (n, 2) the middles of the reachable cells that nobody saw yet."""
+        stage = self._env.episodes.stage
+        frame, wanted = self._env.episodes.task.ground(0)
+
+        def unseen() -> FloatArray:
+            assert stage.seen is not None, "the mapping task has it"
+            cells = np.argwhere(wanted & ~stage.seen.seen(0))
+            middles: FloatArray = np.array(frame.corner) + (cells[:, ::-1] + 0.5) * SEEN_CELL
+            return middles
+
+        return unseen
+
+
+class UnseenRoute:
+    """Leads to where the most unseen ground is for the way, again and again.
+
+    Args:
+        free: free cells = where the robot's center may be, world frame.
+        start: pose where the robot is set down.
+        unseen: returns (n, 2) middles of unseen cells, meters.
+        config: how paths are driven.
+        surface: the ground, for slower driving where it is steep.
+    """
+
+    frame: Frame = "world"
+    refresh = 1.0
+    ends = ""
+
+    def __init__(
+        self,
+        free: OccupancyGrid,
+        start: Pose2,
+        unseen: Callable[[], FloatArray],
+        config: DriverConfig,
+        surface: HeightField,
+    ) -> None:
+        self._grid, self._unseen, self._config, self._surface = free, unseen, config, surface
+        self._free = area_round(free, start)
+        self._room = room_in(self._free, free.resolution)
+        self._weight = path_weight(self._free, self._room)
+        self._tried = np.zeros_like(self._free)
+        self._goal: tuple[int, int] | None = None
+
+    def path(self, pose: Pose2, time: float, undriven: float | None) -> DrivenPath | None:
+        """Return the path to the best place; None where nothing unseen is left that can be reached."""
+        resolution = self._grid.resolution
+        first = nearest(self._free, self._grid.cells((pose.x, pose.y)))
+        unseen = self._unseen_cells()
+        heading = pose.yaw - self._grid.origin.yaw
+        weight = penalize_behind(self._weight, first, heading, ARC / resolution)
+        reach = search(weight, first[None], resolution)
+        # What is not seen from beside it never will be.
+        self._tried |= unseen & (reach.cost <= 2 * self._config.step)
+        possible = unseen & self._free & ~self._tried & np.isfinite(reach.cost)
+        if not possible.any():
+            return None
+        if self._goal is None or not possible[self._goal]:
+            worth = np.where(possible, _around(unseen, resolution) * np.exp(-DECAY * reach.cost), 0.0)
+            row, col = divmod(int(np.argmax(worth)), worth.shape[1])
+            self._goal = row, col
+        cells = self._grid.centers(reach.path(self._goal))
+        points = smoothed(cells, self._grid, self._room, keep=self._config.pursuit.careful_room)
+        room, height = room_at(self._grid, self._room, points), ground_height(self._surface, points)
+        return DrivenPath(points, speed_profile(points, room, self._config.pursuit, height))
+
+    def avoid(self, point: tuple[float, float], radius: float) -> None:
+        """Penalize the ground round a place: only the last resort leads there."""
+        cells = np.argwhere(self._free)
+        near = cells[np.linalg.norm(self._grid.centers(cells) - np.array(point), axis=1) < radius]
+        self._weight[near[:, 0], near[:, 1]] += 50.0
+
+    def _unseen_cells(self) -> BoolArray:
+        """Return (rows, cols) cells of the plan's grid that hold the middle of an unseen one."""
+        unseen = np.zeros(self._free.shape, np.bool_)
+        cells = np.clip(self._grid.cells(self._unseen()), 0, np.array(unseen.shape) - 1)
+        unseen[cells[:, 0], cells[:, 1]] = True
+        return unseen
+
+
+def _around(unseen: BoolArray, resolution: float) -> FloatArray:
+    """Return (rows, cols) the share of unseen cells in the square view around each cell."""
+    across = 2 * math.ceil(VIEW / resolution) + 1
+    kernel = (across, across)
+    share = cv2.boxFilter(unseen.astype(np.float32), -1, kernel, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(share, dtype=np.float64)
+
+
+class Baseline(NamedTuple):
+    """A policy that ships.
+
+    Attributes:
+        make: of what it drives and of its context.
+        tasks: that it can be asked for.
+        observe: groups of observations that it is given; None = the task's own.
+    """
+
+    make: Callable[[RobotEnv, PolicyContext], Policy]
+    tasks: tuple[str, ...] = TASKS
+    observe: tuple[str, ...] | None = None
+
+
+BASELINES: Mapping[str, Baseline] = {
+    "random": Baseline(lambda env, context: RandomActions(context), observe=("attitude",)),
+    "straight": Baseline(lambda env, context: StraightAhead(context), observe=("attitude",)),
+    "go_to_goal": Baseline(
+        lambda env, context: GoToGoal(context), ("navigation", "traverse"), ("scan", "goal")
+    ),
+    "frontier": Baseline(Explorer, ("navigation", "mapping")),
+    "astar": Baseline(OnTrueMap),
+}
+"""Policies that ship, by name; the last one plans on the true map and is the upper bound."""
+UPPER_BOUND = "astar"
+
+
+@dataclass(frozen=True)
+class PolicyChoice:
+    """A policy as a user names it.
+
+    Attributes:
+        name: of `BASELINES`, or `module:name`.
+        arguments: keywords for a policy of the user's own, as text.
+    """
+
+    name: str
+    arguments: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def label(self) -> str:
+        """The name and the arguments, as tables show them."""
+        given = ",".join(f"{key}={value}" for key, value in self.arguments)
+        return f"{self.name}({given})" if given else self.name
+
+    @property
+    def short(self) -> str:
+        """The name without its module, fit for a folder's name."""
+        return self.name.rpartition(":")[2].replace(".", "_")
+
+    @property
+    def files(self) -> list[Path]:
+        """Files that decide what it does, as far as they are known: its module's and its arguments'."""
+        source = own_source_file(self.name, "policy")
+        given = [Path(value) for _, value in self.arguments if Path(value).is_file()]
+        return [*([source] if source else []), *given]
+
+    @property
+    def observe(self) -> tuple[str, ...] | None:
+        """Groups of observations that it asks for; None = the task's own.
+
+        Raises:
+            ConfigError: the module cannot be imported, or `observe` is no list of names.
+        """
+        if self.name in BASELINES:
+            return BASELINES[self.name].observe
+        names = getattr(self._maker(), "observe", None)
+        if names is None:
+            return None
+        if isinstance(names, str) or not all(isinstance(name, str) for name in names):
+            raise ConfigError(f"policy {self.name!r}: observe must be a list of groups, got {names!r}")
+        return tuple(names)
+
+    def check(self, task: str) -> None:
+        """Look for the policy.
+
+        Raises:
+            ConfigError: there is none of that name, or it cannot be asked for this task.
+        """
+        if self.name not in BASELINES:
+            self._maker()
+            return
+        if task not in BASELINES[self.name].tasks:
+            legal = [name for name, baseline in BASELINES.items() if task in baseline.tasks]
+            raise ConfigError(
+                f"the policy {self.name} is for other tasks than {task}; legal: {', '.join(legal)}"
+            )
+        if self.arguments:
+            raise ConfigError(f"the policy {self.name} takes no arguments, got {self.label}")
+
+    def make(self, env: RobotEnv, task: BenchTask) -> Policy:
+        """Make the policy for an episode of a task.
+
+        A class of the user's own gets as keywords what it takes of `context` (see `PolicyContext`),
+        `observation_space`, `action_space`, `seed`, and its arguments.
+
+        Raises:
+            ConfigError: it cannot be made, does not take its arguments, or is no policy.
+        """
+        context = PolicyContext.of(env.episodes.config, task.seed)
+        if self.name in BASELINES:
+            return BASELINES[self.name].make(env, context)
+        offered = {
+            "context": context,
+            "observation_space": env.observation_space,
+            "action_space": env.action_space,
+            "seed": task.seed,
+        }
+        maker, arguments = self._maker(), dict(self.arguments)
+        _check_taken(maker, arguments, self.name)
+        policy = make_own(maker, offered | arguments, self.name, "policy")
+        lacking = [f"{name}()" for name in METHODS if not callable(getattr(policy, name, None))]
+        if lacking:
+            raise ConfigError(
+                f"policy {self.name!r}: lacks {', '.join(lacking)}; "
+                "a policy has reset(info) and act(observation)"
+            )
+        made: Policy = policy
+        return made
+
+    def _maker(self) -> Callable[..., Any]:
+        if ":" not in self.name:
+            raise unknown_name("policy", self.name, [*BASELINES, "module:name of your own"])
+        return own_class(self.name, "policy", "act")
+
+
+def _check_taken(maker: Callable[..., Any], arguments: Mapping[str, str], name: str) -> None:
+    try:
+        parameters = inspect.signature(maker).parameters
+    except ValueError:
+        return
+    if any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values()):
+        return
+    for argument in arguments:
+        if argument not in parameters:
+            legal = ", ".join(parameters) or "none"
+            raise ConfigError(f"policy {name!r}: takes no argument {argument!r}; it takes {legal}")

@@ -1,1 +1,0 @@
-"""The benchmark's policies: shipped ones by name, and the user's own."""

@@ -1,1 +1,0 @@
-"""Controls that viser lacks, and groups of controls."""

@@ -1,0 +1,353 @@
+"""Tables of runs: one row a run or group, failures, methods as published."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from lirs_validation.analysis.as_published import (
+    MOST,
+    SLACK,
+    SUFFIX,
+    TIMES,
+    UNCHECKED,
+    MethodPair,
+    attitude_pairs,
+    conclusion,
+    outcome_of,
+    published_pairs,
+)
+from lirs_validation.analysis.groups import FIELDS, RunGroup, by_group, distinguishing_fields, unusual_fields
+from lirs_validation.analysis.statistics import repeats
+from lirs_validation.config import RUN_AXES
+from lirs_validation.record.formatting import Entry, as_entry, text_at
+from lirs_validation.record.metric_catalog import (
+    Metric,
+    Section,
+    metrics_in,
+    metrics_named,
+    metrics_selected,
+    rtf_counts,
+)
+from lirs_validation.record.odometry import (
+    ATE,
+    ODOMETRY_ATE,
+    WORSE,
+    WORSE_MARK,
+    worse_lines,
+    worse_than_odometry,
+)
+from lirs_validation.record.run_record import RunRecord, succeeded
+from lirs_validation.report.tables.table import Content, FittedTable, ReportTable, Spread
+
+EXTRAPOLATED = "†"
+SECTIONS: dict[Section, str] = {
+    "rtf": "Real-time factor",
+    "trajectory": "Trajectory",
+    "map": "Map",
+    "contacts": "Contacts while mapping",
+    "cost": "Cost",
+}
+"""Sections of the report and their titles."""
+MOST_NAMED = 12
+"""Groups that a caption names one by one."""
+ERROR, ODOMETRY_ERROR = metrics_named((ATE, ODOMETRY_ATE))
+CAPTION = (
+    "ATE [m], mean over the runs that succeeded. A run holds where its ATE is at most "
+    f"{TIMES} x the odometry's + {SLACK} m, a method where {MOST:.0%} of its runs do. Runs that tipped over, "
+    f"got stuck, left the world or diverged are not counted. {WORSE_MARK} {WORSE} in at least one run."
+)
+KINDS: tuple[tuple[str, str, Callable[[Iterable[Entry]], tuple[MethodPair, ...]]], ...] = (
+    ("as-published", "As published, with attitude, odometry alone", published_pairs),
+    ("without-attitude", "Without attitude, with attitude, odometry alone", attitude_pairs),
+)
+FACTS = {"world": "world.name", **{name: f"config.{name}" for name in RUN_AXES}, "status": "status"}
+"""Columns before the metrics, and their keys in the record."""
+ALWAYS = ("world", "robot", "mapper", "seed", "status")
+"""Columns that are shown even if every run has the default."""
+LEAST = ("driven [m]",)
+"""Columns that are left out first where the screen is narrow."""
+COMMON = RUN_AXES
+"""Columns that move into the title where all runs have the same."""
+
+
+def failures_table(entries: Sequence[Entry]) -> ReportTable:
+    """Return the runs that failed, and why."""
+    failed = [entry for entry in entries if not succeeded(entry)]
+    groups = [RunGroup.of(e) for e in entries]
+    fields = tuple(dict.fromkeys(("world", "robot", "mapper", *unusual_fields(groups))))
+    rows = [
+        (*group_texts(RunGroup.of(e), fields), str(e["seed"]),
+         str(e["status"]), str(e["reason"] or e["status"]), str(e["name"]))
+        for e in failed
+    ]  # fmt: skip
+    headings = (*fields, "seed", "status", "reason", "folder")
+    caption = f"{len(failed)} of {len(entries)} runs failed; they are in no mean below."
+    return ReportTable("failures", "Failures", caption, headings, tuple(rows), len(headings))
+
+
+def failure_lines(entries: Sequence[Entry]) -> list[str]:
+    """Return the runs that failed and why, a line each, and how many they are."""
+    failed = [entry for entry in entries if not succeeded(entry)]
+    fields = distinguishing_fields(by_group(entries))
+    fields = tuple(field for field in FIELDS if field in {"world", "robot", "mapper", *fields})
+    lines = [
+        f"{RunGroup.of(e).named(fields)}, seed {e['seed']} failed: {e['status']}"
+        + (f": {e['reason']}" if e["reason"] else "")
+        for e in failed
+    ]
+    return (
+        [*lines, f"{len(failed)} of {len(entries)} runs failed; they are in no mean below."] if lines else []
+    )
+
+
+def summary_table(entries: Sequence[Entry]) -> ReportTable:
+    """Return the metrics that one asks for first, group by group, with how many runs succeeded."""
+    return group_table("summary", "Summary", metrics_selected("summary"), entries, count=True)
+
+
+def section_by_group(section: Section, entries: Sequence[Entry]) -> ReportTable:
+    """Return the means of a section's metrics, group by group."""
+    return group_table(section, SECTIONS[section], metrics_in(section), entries)
+
+
+def section_by_run(section: Section, entries: Sequence[Entry]) -> ReportTable:
+    """Return a section's metrics, run by run."""
+    fields = _fields(by_group(entries))
+    kept = _existing(metrics_in(section), entries)
+    headings = (*fields, "seed", "status", *(metric.heading for metric in kept))
+    rows = [
+        (
+            *group_texts(RunGroup.of(e), fields),
+            str(e["seed"]),
+            str(e["status"]),
+            *(over_runs(m, [e]) for m in kept),
+        )
+        for e in entries
+    ]
+    title = f"{SECTIONS[section]}, run by run"
+    return ReportTable(f"{section}-runs", title, "", headings, tuple(rows), len(fields) + 2)
+
+
+def group_table(
+    key: str, title: str, metrics: Sequence[Metric], entries: Sequence[Entry], *, count: bool = False
+) -> ReportTable:
+    """Return means over the runs of each group that succeeded, with 95 % intervals over seeds."""
+    groups = by_group(entries)
+    fields = _fields(groups)
+    kept = _existing(metrics, entries)
+    headings = (*fields, *(("succeeded",) if count else ()), *(metric.heading for metric in kept))
+    rows = []
+    for group, runs in groups.items():
+        good = [run for run in runs if succeeded(run)]
+        counted = (f"{len(good)} of {len(runs)}",) if count else ()
+        rows.append((*group_texts(group, fields), *counted, *(over_runs(metric, good) for metric in kept)))
+    caption = _caption(kept, entries)
+    if any(isinstance(cell, Spread) and cell.partial for row in rows for cell in row):
+        caption += " (n of N): n of the N runs have this value."
+    return ReportTable(key, title, caption, headings, tuple(rows), len(fields) + count)
+
+
+def over_runs(metric: Metric, entries: Sequence[Entry]) -> Spread:
+    """Return a metric over runs; the RTF of runs that were not alone on the machine is left out."""
+    values = [v for e in entries if (v := metric.comparable(e)) is not None]
+    stopped = metric.section == "rtf" and any(e["rtf"]["extrapolated"] for e in entries if rtf_counts(e))
+    worse = metric.key == ATE and any(map(worse_than_odometry, entries))
+    mark = EXTRAPOLATED if stopped else WORSE_MARK if worse else ""
+    return Spread(metric, repeats(values), mark, len(entries))
+
+
+def _caption(metrics: Sequence[Metric], entries: Sequence[Entry]) -> str:
+    """Return what the numbers are, over how many seeds, and what was left out."""
+    seeds = {sum(map(succeeded, runs)) for runs in by_group(entries).values()}
+    if max(seeds, default=0) <= 1:
+        lines = ["One seed: one run's values, without any interval."]
+    else:
+        lines = ["Mean over seeds ± half width of its 95 % interval (Student's t)."]
+        if min(seeds) <= 1:
+            lines.append("Without ±: one seed that succeeded.")
+    if any(metric.section == "rtf" for metric in metrics):
+        beside = sum(bool(e["rtf"]) and not rtf_counts(e) for e in entries)
+        if beside:
+            runs, have = ("run", "has") if beside == 1 else ("runs", "have")
+            lines.append(f"{beside} {runs} with something running beside {have} no RTF here.")
+        if any(e["rtf"] and e["rtf"]["extrapolated"] for e in entries):
+            lines.append(f"{EXTRAPOLATED} extrapolated: some drives were stopped at their wall limit.")
+    if any(metric.key == ATE for metric in metrics):
+        lines += _worse(entries)
+    return " ".join(lines)
+
+
+def _worse(entries: Sequence[Entry]) -> list[str]:
+    """Return which groups have runs that are worse than their odometry, in one sentence; none where none."""
+    groups = by_group([entry for entry in entries if succeeded(entry)])
+    fields = _fields(groups)
+    named = []
+    for group, runs in groups.items():
+        worse = sum(map(worse_than_odometry, runs))
+        if worse:
+            named.append(f"{group.named(fields)} ({worse} of {len(runs)} run{'s' if len(runs) > 1 else ''})")
+    more = f" and {len(named) - MOST_NAMED} more" if len(named) > MOST_NAMED else ""
+    return [f"{WORSE_MARK} {WORSE}: {'; '.join(named[:MOST_NAMED])}{more}."] if named else []
+
+
+def _fields(groups: Mapping[RunGroup, Any]) -> tuple[str, ...]:
+    """Return the fields that distinguish the groups, world and mapper always."""
+    different = {"world", "mapper", *distinguishing_fields(groups)}
+    return tuple(field for field in FIELDS if field in different)
+
+
+def group_texts(group: RunGroup, fields: Sequence[str]) -> tuple[Content, ...]:
+    """Return the values of a group's fields as text."""
+    values = [group[field] for field in fields]
+    return tuple(f"{v:g} s" if isinstance(v, float) else str(v) for v in values)
+
+
+def _existing(metrics: Sequence[Metric], entries: Sequence[Entry]) -> tuple[Metric, ...]:
+    """Return the metrics that at least one record has."""
+    return tuple(m for m in metrics if any(m.of(e) is not None for e in entries))
+
+
+def method_tables(entries: Sequence[Entry]) -> tuple[ReportTable, ...]:
+    """Return the tables of methods as published and of mappers without attitude, as far as there are runs."""
+    tables = (_table(key, title, pairs_of(entries)) for key, title, pairs_of in KINDS)
+    return tuple(table for table in tables if table.rows)
+
+
+def _table(key: str, title: str, pairs: Sequence[MethodPair]) -> ReportTable:
+    fields = _method_fields([pair.group for pair in pairs])
+    how = pairs[0].how if pairs else ""
+    headings = (
+        *fields,
+        how,
+        f"holds {how}",
+        "with attitude",
+        "holds with attitude",
+        "odometry",
+        "what follows",
+    )
+    rows = tuple((*group_texts(pair.group, fields), *_row(pair)) for pair in pairs)
+    return ReportTable(key, title, CAPTION + _unchecked(pairs), headings, rows, len(fields), remarks=True)
+
+
+def _unchecked(pairs: Sequence[MethodPair]) -> str:
+    """Return which methods as published have no reference, as sentences; nothing where all have one."""
+    names = dict.fromkeys(pair.group["mapper"] for pair in pairs if pair.how == "as published")
+    return "".join(
+        f" {name}{SUFFIX} was never compared with runs of its original."
+        for name in names
+        if name in UNCHECKED
+    )
+
+
+def _row(pair: MethodPair) -> tuple[Content, ...]:
+    planar, aware = outcome_of(pair.planar), outcome_of(pair.aware)
+    driven = {entry["seed"]: entry for entry in pair.runs if succeeded(entry)}
+    return (
+        over_runs(ERROR, [entry for entry in pair.planar if succeeded(entry)]),
+        f"{planar.held} of {planar.runs}",
+        over_runs(ERROR, [entry for entry in pair.aware if succeeded(entry)]),
+        f"{aware.held} of {aware.runs}",
+        over_runs(ODOMETRY_ERROR, list(driven.values())),
+        conclusion(planar, aware, pair.how),
+    )
+
+
+def _method_fields(groups: Sequence[RunGroup]) -> tuple[str, ...]:
+    """Return the fields that distinguish the rows, world and method always; attitudes are columns."""
+    different = distinguishing_fields(groups) if groups else ()
+    rest = (field for field in different if field not in ("world", "mapper", "attitude"))
+    return ("world", "mapper", *rest)
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column: its heading, the text of a run in it, whether it is one of FACTS and no metric."""
+
+    heading: str
+    text: Callable[[Entry], str]
+    fact: bool = False
+
+
+def results_table(records: Sequence[RunRecord | Entry]) -> FittedTable:
+    """Return the runs for the screen; below them why runs failed, and which are worse than their odometry.
+
+    What all runs have in common stands above it, so that the table fits a terminal of 80 characters.
+    """
+    entries = ordered(records)
+    shown = _columns(entries)
+    common = [c for c in shown if c.heading in COMMON and len({c.text(e) for e in entries}) == 1]
+    columns = [c for c in shown if c not in common]
+    table = ReportTable(
+        "runs",
+        "",
+        _remarks(entries),
+        tuple(column.heading for column in columns),
+        tuple(tuple(column.text(entry) for column in columns) for entry in entries),
+        sum(column.fact for column in columns),
+    )
+    title = ", ".join(_named(entries[0], column) for column in common)
+    return FittedTable(table, title=title, styles=[_style(entry) for entry in entries], drop=LEAST)
+
+
+def markdown_table(records: Sequence[RunRecord | Entry]) -> str:
+    """Return the same table as Markdown, as it stands in a README."""
+    entries = ordered(records)
+    columns = _columns(entries)
+    lines = [
+        "| " + " | ".join(c.heading for c in columns) + " |",
+        "|" + "|".join("---" if c.fact and c.heading != "seed" else "---:" for c in columns) + "|",
+    ]
+    for entry in entries:
+        cells = (c.text(entry).replace("|", "\\|") for c in columns)
+        lines.append("| " + " | ".join(cells) + " |")
+    remarks = _remarks(entries)
+    return "\n".join(lines) + "\n" + (f"\n{remarks}\n" if remarks else "")
+
+
+def ordered(records: Sequence[RunRecord | Entry]) -> list[Entry]:
+    """Return the records as nested dicts: failures first, else as they came."""
+    return sorted((as_entry(r) for r in records), key=succeeded)
+
+
+def _columns(entries: Sequence[Entry]) -> list[Column]:
+    shown = {*ALWAYS, *unusual_fields(map(RunGroup.of, entries))}
+    facts = [
+        Column(name, partial(text_at, key=key), fact=True) for name, key in FACTS.items() if name in shown
+    ]
+    metrics = [
+        m
+        for m in metrics_selected("runs")
+        if not m.optional or any(m.of(entry) is not None for entry in entries)
+    ]
+    return facts + [_metric_column(metric) for metric in metrics]
+
+
+def _metric_column(metric: Metric) -> Column:
+    return Column(metric.short or metric.heading, lambda entry: metric.formatted(metric.of(entry)))
+
+
+def _named(entry: Entry, column: Column) -> str:
+    text = column.text(entry)
+    return text if column.heading in ("robot", "mapper") else f"{column.heading} {text}"
+
+
+def _style(entry: Entry) -> str:
+    if not succeeded(entry):
+        return "bold red"
+    return "yellow" if worse_than_odometry(entry) else ""
+
+
+def _remarks(entries: Sequence[Entry]) -> str:
+    """Return what failed or was stopped and why, and what is worse than its odometry, one line each."""
+    ended = [entry for entry in entries if entry["status"] != "ok"]
+    lines = []
+    for entry in ended:
+        who = [text_at(entry, FACTS[fact]) for fact in ("world", "robot", "mapper")]
+        run = f"{', '.join(who)}, seed {text_at(entry, FACTS['seed'])}"
+        lines.append(
+            f"{run}{'' if succeeded(entry) else ' failed'}: {entry.get('reason') or entry['status']}"
+        )
+    return "\n".join((*lines, *worse_lines(entries)))

@@ -1,1 +1,0 @@
-"""Engines that perform the experiments of a sweep: serial, processes, Ray."""
