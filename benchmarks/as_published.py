@@ -27,7 +27,7 @@ from lirs_validation.report.tables.table import as_markdown
 from lirs_validation.sweep.axes import cross
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.sweep import Sweep, make_executor
-from lirs_wct.sources.option_text import read_names, read_numbers
+from lirs_wct.option import read_names, read_numbers
 from slam_baselines.mapper import MAPPERS
 
 WORLDS = ("simple", "medium", "advanced")

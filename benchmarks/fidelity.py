@@ -36,7 +36,7 @@ from lirs_wct import Trajectory
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.imu_csv import read_imu
 from lirs_wct.formats.tum import read_tum
-from lirs_wct.sources.option_text import read_numbers
+from lirs_wct.option import read_numbers
 from slam_baselines.mapper import make_mapper
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "fidelity"

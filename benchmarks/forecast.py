@@ -27,7 +27,7 @@ from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.scan_support import scan_support
 from lirs_wct.errors import MapperError, WctError
-from lirs_wct.sources.option_text import read_names, read_numbers
+from lirs_wct.option import read_names, read_numbers
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "data"
 OWN = ("simple", "medium", "advanced", str(EXAMPLES / "office.yaml"), str(EXAMPLES / "dunes.png"))

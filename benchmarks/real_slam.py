@@ -33,7 +33,7 @@ from lirs_validation.report.tables.table import ReportTable, as_markdown
 from lirs_validation.sweep.axes import cross
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.sweep import Sweep, make_executor
-from lirs_wct.sources.option_text import read_names, read_numbers
+from lirs_wct.option import read_names, read_numbers
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 WORLDS = ("simple", "medium", "advanced")

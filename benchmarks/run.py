@@ -32,7 +32,7 @@ from lirs_validation import validate
 from lirs_validation.experiment.evaluation import evaluate_trajectory
 from lirs_validation.experiment.mappers.loading import mapper_named
 from lirs_validation.experiment.run import Run
-from lirs_wct.sources.option_text import read_numbers
+from lirs_wct.option import read_numbers
 
 WORLDS = ("simple", "medium", "advanced")
 PAPER_RTF = {

@@ -20,17 +20,18 @@ from lirs_wct.option import (
     Options,
     Slider,
     Switch,
+    choice,
     declared,
     digest_fields,
     documented,
     one_of,
     option,
     positive,
+    read_names,
+    read_numbers,
     within,
 )
-from lirs_wct.sources.option_text import choice, read_names, read_numbers
-from lirs_wct.sources.options import MAP_PANEL, BuildOptions
-from lirs_wct.sources.source_kind import SourceKind
+from lirs_wct.sources.options import MAP_PANEL, BuildOptions, SourceKind
 from slam_baselines.mapper import MAPPERS
 
 Attitude = Literal["imu", "none"]

@@ -15,8 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from lirs_wct.errors import OutputError
-from lirs_wct.foreign_files import link_foreign, move_foreign
-from lirs_wct.manifest import write_manifest
+from lirs_wct.foreign_files import link_foreign, move_foreign, write_manifest
 from lirs_wct.renames import exchange
 
 if sys.platform != "win32":

@@ -1,6 +1,8 @@
 """Move the user's files from a replaced folder to the new one.
 
-A file is ours if the manifest names it and its content is unchanged. Every other file is the user's.
+The manifest of a folder lists the files that this program wrote there, with their digests. It is text as
+`sha256sum` writes and checks it (and BagIt, RFC 8493, section 2.1.3). A file is ours if the manifest names it
+and its content is unchanged. Every other file is the user's.
 
 1. Before the exchange, `link_foreign` makes the user's files visible in the new folder. A file gets a hard
    link. A folder gets a symbolic link to its path after the exchange, called bridge here. Thus a program that
@@ -14,6 +16,7 @@ A file is ours if the manifest names it and its content is unchanged. Every othe
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import re
 import warnings
@@ -22,7 +25,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from lirs_wct.manifest import MANIFEST, digest, read_manifest
 from lirs_wct.renames import exchange, move
 
 FROM_BEFORE = ("world.json", "record.json")
@@ -33,6 +35,7 @@ PASSES = 1000
 """Limit of repetitions while another process keeps creating files in the replaced folder."""
 _BRIDGE = re.compile(r"(?:\.\./)+\.[^/]*\.\d+-[0-9a-f]{8}~[^/]*/(.*)", re.DOTALL)
 _NO_LINKS = (errno.EPERM, errno.EACCES, errno.ENOTSUP, errno.EXDEV, errno.EMLINK)
+MANIFEST = "manifest-sha256.txt"
 
 
 @dataclass(frozen=True)
@@ -212,3 +215,25 @@ def _backup(new: Path, old: Path) -> Path:
         if not any(os.path.lexists(path.with_name(path.name + suffix)) for path in (new, old)):
             return new.with_name(new.name + suffix)
         number += 1
+
+
+def write_manifest(folder: Path) -> None:
+    """List every file that a folder holds now."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != MANIFEST)
+    lines = (f"{digest(path)}  {path.relative_to(folder).as_posix()}\n" for path in files)
+    (folder / MANIFEST).write_text("".join(lines), encoding="utf-8")
+
+
+def read_manifest(folder: Path) -> dict[str, str] | None:
+    """Return the digests by file name; None if the manifest is missing or damaged."""
+    try:
+        lines = (folder / MANIFEST).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return None
+    return {name: value for value, _, name in (line.partition("  ") for line in lines)}
+
+
+def digest(path: Path) -> str:
+    """Return the SHA-256 digest of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import re
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import MISSING, dataclass, field, fields, replace
 from enum import Enum
@@ -15,6 +16,8 @@ from typing import Any, TypeVar
 from lirs_wct.errors import ConfigError, unknown_name
 
 _KEY = "option"
+MAX_NUMBERS = 100_000
+"""Length of a list such as 1-100000 at most."""
 
 Check = Callable[[Any, str], None]
 """Raises ConfigError for a value that is not legal; called with the value, never None, and its name."""
@@ -198,3 +201,86 @@ def one_of(legal: Names) -> Check:
             raise unknown_name(label, value, names)
 
     return check
+
+
+def numbers(form: str, *counts: int) -> Reader:
+    """Return a reader of as many comma-separated numbers as are legal; `form` says so in the error."""
+
+    def read(text: str, flag: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            values = ()
+        if len(values) not in counts:
+            raise ConfigError(f"{flag} must be {form}, got {text!r}")
+        return values
+
+    return read
+
+
+def whole_numbers(form: str, count: int) -> Reader:
+    """Return a reader of so many comma-separated whole numbers."""
+    reader = numbers(form, count)
+
+    def read(text: str, flag: str) -> tuple[int, ...]:
+        values = reader(text, flag)
+        if any(not value.is_integer() for value in values):
+            raise ConfigError(f"{flag} must be {form}, got {text!r}")
+        return tuple(int(value) for value in values)
+
+    return read
+
+
+def choice(*legal: str) -> Reader:
+    """Return a reader of one of the legal words."""
+    return lambda text, flag: chosen(text, flag, legal)
+
+
+def chosen(text: str, flag: str, legal: tuple[Any, ...]) -> Any:
+    """Return the text, which must be one of the legal words.
+
+    Raises:
+        ConfigError: it is none of them.
+    """
+    if text not in legal:
+        raise ConfigError(f"{flag} must be {', '.join(legal[:-1])} or {legal[-1]}, got {text!r}")
+    return text
+
+
+def name_of(legal: Collection[str]) -> Reader:
+    """Return a reader of one of the legal names, which lists them otherwise."""
+
+    def read(text: str, flag: str) -> str:
+        if text not in legal:
+            raise unknown_name(flag, text, legal)
+        return text
+
+    return read
+
+
+def read_names(text: str, flag: str) -> tuple[str, ...]:
+    """Return the names of a comma-separated list, without repetitions.
+
+    Raises:
+        ConfigError: a name is missing.
+    """
+    names = tuple(name.strip() for name in text.split(","))
+    if not all(names):
+        raise ConfigError(f"{flag} must be a list such as a,b,c, got {text!r}")
+    return tuple(dict.fromkeys(names))
+
+
+def read_numbers(text: str, flag: str) -> tuple[int, ...]:
+    """Return the whole numbers of a list such as `1-5` or `1,3,7-9`, without repetitions.
+
+    Raises:
+        ConfigError: the text is no such list, or has too many numbers.
+    """
+    found: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*(\d{1,9})(?:-(\d{1,9}))?\s*", part)
+        first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
+        if last < first or last - first >= MAX_NUMBERS:
+            raise ConfigError(f"{flag} must be a list such as 1-5 or 1,3,7-9, got {text!r}")
+        found += range(first, last + 1)
+    return tuple(dict.fromkeys(found))

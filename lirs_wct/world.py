@@ -21,11 +21,15 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
 from lirs_wct.meshing.export_options import ExportOptions
-from lirs_wct.navigation.areas import mapped_area
 from lirs_wct.navigation.footprints import FOOTPRINTS
-from lirs_wct.navigation.refusal import cause_of_refusal, nearest_place
-from lirs_wct.navigation.spawn_poses import spawn_poses
-from lirs_wct.navigation.traversability import blocked_ground, overlaid, traversable
+from lirs_wct.navigation.spawn_poses import mapped_area, spawn_poses
+from lirs_wct.navigation.traversability import (
+    blocked_ground,
+    cause_of_refusal,
+    nearest_place,
+    overlaid,
+    traversable,
+)
 
 
 @dataclass(frozen=True)

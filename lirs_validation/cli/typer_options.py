@@ -13,8 +13,7 @@ import typer
 from lirs_validation.cli.log_sources import with_logs_mapped
 from lirs_validation.config import SourceOptions
 from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
-from lirs_wct.option import Option, Options, declared, defaults
-from lirs_wct.sources.option_text import chosen
+from lirs_wct.option import Option, Options, chosen, declared, defaults
 
 _SWITCH = "_switch"
 """Suffix of the names of parameters that are switches."""

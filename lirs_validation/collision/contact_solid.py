@@ -10,8 +10,7 @@ from lirs_envs.robot_model import RobotModel
 from lirs_validation.metrics.mesh import mesh_error
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.contact.contact_geometry import ContactGeometry
-from lirs_wct.contact.contact_parts import PRISM_ERROR
-from lirs_wct.contact.surface_shell import touching_volume
+from lirs_wct.contact.contact_parts import PRISM_ERROR, touching_volume
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World

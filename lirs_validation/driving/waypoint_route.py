@@ -22,7 +22,7 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.grid_search import search
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.navigation.refusal import nearest_place
+from lirs_wct.navigation.traversability import nearest_place
 
 
 class WaypointRoute:

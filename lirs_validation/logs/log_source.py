@@ -12,9 +12,8 @@ from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.progress import Progress, no_progress
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.options import BuildOptions, SourceKind
 from lirs_wct.sources.source import find_source
-from lirs_wct.sources.source_kind import SourceKind
 
 
 def resolve_source(

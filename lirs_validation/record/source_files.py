@@ -12,8 +12,8 @@ from typing import Any
 from lirs_validation.config import RunConfig
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.map_server import read_metadata
+from lirs_wct.sources.options import SourceKind
 from lirs_wct.sources.source import find_source
-from lirs_wct.sources.source_kind import SourceKind
 
 SHOWN = 12
 """Hex digits of a digest that a message shows."""

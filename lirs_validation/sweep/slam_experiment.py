@@ -28,8 +28,8 @@ from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.rosbag.library import require_rosbags
 from lirs_wct.progress import Progress
+from lirs_wct.sources.options import SourceKind
 from lirs_wct.sources.source import find_source
-from lirs_wct.sources.source_kind import SourceKind
 
 
 @dataclass(frozen=True)

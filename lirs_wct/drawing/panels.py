@@ -1,15 +1,32 @@
-"""What several pictures show alike: their headline, a list of values, the ends of a path."""
+"""Panels of a figure: headline, value list, path ends, and axes of a given size in inches.
+
+Panels of any aspect ratio are placed by the inch. Matplotlib's constrained layout first gives axes of equal
+aspect a box and then shrinks them in it, so that text below them may leave the figure.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from lirs_wct.drawing.style import BLACK, GRAY, TEXT, TITLE
 from lirs_wct.geometry.trajectory import Trajectory
+
+LINE = 0.19
+"""Inches of a line of a panel's title."""
+LETTERS = 11.0
+"""Letters of a panel's title an inch."""
+LEFT, BELOW, GAP, RIM = 0.9, 0.6, 0.35, 0.12
+"""Inches left of a map and below it for its ticks and labels, between panels, and at the figure's rim."""
+SCALE = 0.95
+"""Inches right of a panel for the color scale of its heights."""
+NARROW = 2.6
+"""Inches of a panel's width below which its legend does not fit above its right end."""
 
 
 def headline(figure: Figure, text: str, **place: float) -> None:
@@ -38,3 +55,33 @@ def path_ends(axes: Axes, path: Trajectory) -> list[Line2D]:
         (mark,) = axes.plot([], [], shape, color="white", markeredgecolor=BLACK, markersize=5, label=label)
         handles.append(mark)
     return handles
+
+
+class Size(NamedTuple):
+    """Width and height, inches."""
+
+    width: float
+    height: float
+
+
+def fitted(ratio: float, most: Size) -> Size:
+    """Return the largest size of a ratio of width to height that fits."""
+    width = min(most.width, most.height * ratio)
+    return Size(width, width / ratio)
+
+
+def placed(figure: Figure, left: float, top: float, size: Size) -> Axes:
+    """Add axes of a size whose left upper corner lies so far from the figure's, inches."""
+    width, height = figure.get_size_inches()
+    return figure.add_axes(
+        (left / width, 1 - (top + size.height) / height, size.width / width, size.height / height)
+    )
+
+
+def fewer_ticks(axes: Axes, size: Size) -> None:
+    """Keep no more ticks of a map than have room along its sides."""
+    for axis, room in ((axes.xaxis, size.width / 0.7), (axes.yaxis, size.height / 0.4)):
+        if room < 1:
+            axis.set_ticks([axis.get_view_interval()[0]])
+        else:
+            axis.set_major_locator(MaxNLocator(min(7, int(room))))

@@ -20,8 +20,7 @@ from lirs_wct.drawing.canvas import Canvas
 from lirs_wct.drawing.hillshade import WALL, height_colors, shaded_heights
 from lirs_wct.drawing.mesh_view import mesh_view
 from lirs_wct.drawing.oblique import oblique_view
-from lirs_wct.drawing.panels import headline
-from lirs_wct.drawing.placing import (
+from lirs_wct.drawing.panels import (
     BELOW,
     GAP,
     LEFT,
@@ -33,6 +32,7 @@ from lirs_wct.drawing.placing import (
     Size,
     fewer_ticks,
     fitted,
+    headline,
     placed,
 )
 from lirs_wct.drawing.style import (

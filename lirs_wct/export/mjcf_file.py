@@ -1,4 +1,4 @@
-"""A world as MuJoCo's files: MJCF, the heights to the bit, and the texture that the ground wears."""
+"""MJCF file of a world: model, heights to the bit, and ground texture, for every MuJoCo since 3.0."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import numpy as np
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.export.appearance import world_extent
 from lirs_wct.export.mjcf import BASE, world_spec
-from lirs_wct.export.mjcf_compat import readable_by_old
 from lirs_wct.export.mjcf_look import add_look, dress
 from lirs_wct.files import atomic_write
 from lirs_wct.geometry.heightfield import HeightField
@@ -26,6 +25,8 @@ STAND_INS = {
     "stand-in.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n",
 }
 """Files in place of a world's own heights and meshes, under names where MuJoCo never looks for those."""
+OLDEST_MUJOCO = "3.0.0"
+"""The oldest version that reads what is written; `.ci/run` loads worlds with it."""
 
 
 def write_mjcf(world: World, folder: str | Path) -> Path:
@@ -130,3 +131,30 @@ def _exact_xml(spec: mujoco.MjSpec) -> str:
     readable_by_old(root)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def readable_by_old(root: ElementTree.Element) -> None:
+    """Rewrite a model in place so that every MuJoCo from `OLDEST_MUJOCO` on reads it, to the same ground.
+
+    - `sleep` makes static geoms cheaper and changes no motion; 3.3 refuses it.
+    - `colorspace` is that of the texture's file without it; 3.2 refuses it.
+    - `type` of a light was `directional`, which all versions read.
+    - `inertia` of a mesh says how that of an open one is computed, and static geoms have no use for it. Only
+      a mesh in several tiles keeps it, since a flat tile has no volume: 3.2 refuses those worlds.
+    """
+    for option in root.findall("option"):
+        for flag in option.findall("flag"):
+            flag.attrib.pop("sleep", None)
+            if not flag.attrib:
+                option.remove(flag)
+        if not option.attrib and not len(option):
+            root.remove(option)
+    for texture in root.iter("texture"):
+        texture.attrib.pop("colorspace", None)
+    for light in root.iter("light"):
+        if light.attrib.get("type") == "directional":
+            del light.attrib["type"]
+            light.set("directional", "true")
+    shells = [mesh for mesh in root.iter("mesh") if mesh.attrib.get("inertia") == "shell"]
+    for mesh in shells if len(shells) == 1 else ():
+        del mesh.attrib["inertia"]

@@ -11,9 +11,8 @@ from lirs_wct.arrays import Int32Array
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.meshing.greedy_insertion import FULL, count_bins, refine
 from lirs_wct.meshing.solid import base_height, close_solid, node_axes
-from lirs_wct.meshing.tin import BORDER, POINTS, STRIDE, TRIANGLES, WORST, Tin
+from lirs_wct.meshing.tin import BORDER, FULL, POINTS, STRIDE, TRIANGLES, WORST, Tin, count_bins, refine
 
 LEAST_FACES = 14
 """Two triangles, four skirts of two, a base of four."""

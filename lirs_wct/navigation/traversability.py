@@ -1,8 +1,9 @@
-"""Where a robot's center may be: the true ground, seen with the robot's limits."""
+"""Traversability: cells where a robot's center may be, and the cause where it may not."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import cv2
 import numpy as np
@@ -26,6 +27,7 @@ STEEP, WALLS = "steep ground", "a wall or a hole"
 """Causes of blocked cells (see `blocked_ground`)."""
 _STRIP = 512
 """Rows of nodes looked at together: a large surface would else stand four times in the memory."""
+EDGE = "the border of the world"
 
 
 def traversable(
@@ -286,3 +288,53 @@ def distance_to(blocked: BoolArray, resolution: float) -> FloatArray:
     meters: FloatArray = distance[1:-1, 1:-1].astype(np.float64)
     meters *= resolution
     return meters
+
+
+def cause_of_refusal(
+    surface: HeightField,
+    blocked: Mapping[str, BoolArray],
+    grid: OccupancyGrid,
+    place: tuple[float, float],
+    *,
+    clearance: float,
+    max_slope: float,
+) -> str:
+    """Return the cause why a robot cannot stand at a place, with the amount and the limit.
+
+    Args:
+        surface: the ground.
+        blocked: cells of the grid that are blocked, by cause (see `blocked_ground`).
+        grid: geometry of the cells.
+        place: x and y in the world frame, meters.
+        clearance: meters that the robot's center keeps from what is blocked.
+        max_slope: steepest ground that the robot drives, radians.
+    """
+    x, y = place
+    west, south, east, north = surface.bounds
+    distances = {EDGE: max(0.0, min(x - west, east - x, y - south, north - y))}
+    nearest = {}
+    for cause, mask in blocked.items():
+        cells = np.argwhere(mask)
+        if len(cells):
+            gap = np.maximum(np.abs(grid.centers(cells) - place) - grid.resolution / 2, 0.0)
+            away = np.hypot(*gap.T)
+            k = int(np.argmin(away))
+            distances[cause], nearest[cause] = float(away[k]), grid.centers(cells[k])
+    cause = min(distances, key=distances.__getitem__)
+    away, what = distances[cause], cause
+    if cause == STEEP:
+        slope = math.degrees(steepness(surface, nearest[cause], grid.resolution))
+        what = f"ground of {slope:.3g} deg (limit {math.degrees(max_slope):.3g})"
+    if away > 0:
+        return f"it is {away:.2f} m from {what}, its center needs {clearance:.2f} m"
+    return f"it is {'in' if cause == WALLS else 'on'} {what}"
+
+
+def nearest_place(free: OccupancyGrid, place: tuple[float, float]) -> str | None:
+    """Return the free cell nearest to a place as `x,y`; None where no cell is free."""
+    cells = np.argwhere(free.free)
+    if len(cells) == 0:
+        return None
+    centers = free.centers(cells)
+    x, y = centers[int(np.argmin(np.hypot(*(centers - place).T)))].tolist()
+    return f"{x:.2f},{y:.2f}"

@@ -13,10 +13,9 @@ from lirs_wct.navigation.footprints import FOOTPRINTS
 from lirs_wct.sources.clouds.source import read_point_cloud
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.options import BuildOptions, SourceKind
 from lirs_wct.sources.pictures.picture import read_terrain
 from lirs_wct.sources.source import Source, find_source, warn_of_shape, warn_of_useless
-from lirs_wct.sources.source_kind import SourceKind
 from lirs_wct.sources.window import Window, cut_nodes, cut_surface, leveled
 from lirs_wct.world import World
 

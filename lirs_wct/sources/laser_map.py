@@ -11,9 +11,8 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import LaserMap
-from lirs_wct.sources.options import UNKNOWN, BuildOptions, Unknown
+from lirs_wct.sources.options import UNKNOWN, BuildOptions, SourceKind, Unknown
 from lirs_wct.sources.source import Source
-from lirs_wct.sources.source_kind import SourceKind
 from lirs_wct.sources.window import cut_map
 
 

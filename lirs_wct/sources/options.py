@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any, Literal
 
 from lirs_wct.errors import ConfigError
@@ -14,17 +15,34 @@ from lirs_wct.formats.elevation import ENCODINGS, Encoding
 from lirs_wct.formats.images.header import MAX_PIXELS
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.meshing.export_options import ExportOptions
-from lirs_wct.option import Options, Slider, Switch, declared, documented, one_of, option, positive
-from lirs_wct.sources.option_text import (
+from lirs_wct.option import (
+    Options,
+    Slider,
+    Switch,
     choice,
+    declared,
+    documented,
     name_of,
     numbers,
-    read_extent,
-    read_factors,
-    read_pose,
+    one_of,
+    option,
+    positive,
     whole_numbers,
 )
-from lirs_wct.sources.source_kind import SourceKind
+
+
+class SourceKind(Enum):
+    """How a source is read."""
+
+    BUNDLED = "bundled world"
+    FOLDER = "built folder"
+    PICTURE = "picture of a terrain"
+    MAP = "laser map"
+    MAP_PICTURE = "picture of a laser map"
+    MESH = "mesh"
+    CLOUD = "point cloud"
+    LOG = "log of a laser"
+
 
 DEFAULT_SIZE = 50.0
 """Longer side in meters of a picture that brings no scale."""
@@ -49,6 +67,23 @@ _GRAY: dict[str, Any] = {"panel": TERRAIN_PANEL, "kinds": _PICTURES}
 _FILTER: dict[str, Any] = {"panel": FILTER_PANEL, "kinds": _PICTURES}
 _CLOUD: dict[str, Any] = {"panel": "Point clouds", "kinds": {SourceKind.CLOUD}}
 _MAP: dict[str, Any] = {"panel": MAP_PANEL, "kinds": _MAPS}
+
+
+def read_extent(text: str, flag: str) -> float | tuple[float, ...]:
+    """Read a longer side, or width and height."""
+    sides: tuple[float, ...] = numbers("W or W,H in meters", 1, 2)(text, flag)
+    return sides[0] if len(sides) == 1 else sides
+
+
+def read_factors(text: str, flag: str) -> tuple[float, float, float]:
+    """Read one factor for all axes, or one for each."""
+    factors = numbers("S or SX,SY,SZ", 1, 3)(text, flag)
+    return factors[0], factors[len(factors) // 2], factors[-1]
+
+
+def read_pose(text: str, flag: str) -> Pose2:
+    """Read x, y and yaw, which may be left out."""
+    return Pose2(*numbers("X,Y or X,Y,YAW in meters and radians", 2, 3)(text, flag))
 
 
 def _finite(value: float, label: str) -> None:

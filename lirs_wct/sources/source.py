@@ -13,8 +13,7 @@ from lirs_wct.formats.map_server import read_metadata
 from lirs_wct.formats.point_clouds import is_cloud_ply
 from lirs_wct.formats.suffixes import CLOUDS, LOGS, MAPS, MESHES, ZSTD, is_bag_file
 from lirs_wct.sources.bundled import RECIPES
-from lirs_wct.sources.options import BuildOptions, without_effect
-from lirs_wct.sources.source_kind import SourceKind
+from lirs_wct.sources.options import BuildOptions, SourceKind, without_effect
 
 LONGEST_NAME = 200
 """Characters: file systems take 255, and files of a world have endings of up to 40."""

@@ -14,8 +14,7 @@ from lirs_validation.config import RUN_AXES, RunConfig
 from lirs_validation.gui.session.controls import controls
 from lirs_validation.sweep.axes import cross
 from lirs_wct.errors import ConfigError
-from lirs_wct.option import documented, option, within
-from lirs_wct.sources.option_text import read_numbers
+from lirs_wct.option import documented, option, read_numbers, within
 from tests.lirs_validation.records import entry
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from lirs_wct.errors import OutputError
 from lirs_wct.files import atomic_folder, atomic_write, remove_orphans
-from lirs_wct.manifest import MANIFEST
+from lirs_wct.foreign_files import MANIFEST
 
 
 def listing(folder: Path) -> list[str]:

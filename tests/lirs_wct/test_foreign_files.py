@@ -19,7 +19,7 @@ import pytest
 from lirs_wct import files, foreign_files, renames
 from lirs_wct.errors import OutputError
 from lirs_wct.files import atomic_folder
-from lirs_wct.manifest import MANIFEST, read_manifest
+from lirs_wct.foreign_files import MANIFEST, read_manifest
 
 FORK = multiprocessing.get_context("fork")
 STEPS = {"os.rename", "os.remove", "os.rmdir", "os.link", "os.symlink", "os.mkdir"}

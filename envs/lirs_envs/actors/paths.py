@@ -11,7 +11,7 @@ from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.kernels import njit
-from lirs_wct.navigation.areas import largest_area
+from lirs_wct.navigation.spawn_poses import largest_area
 from lirs_wct.world import World
 
 CLEARANCE = 0.45

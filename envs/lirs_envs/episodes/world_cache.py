@@ -16,9 +16,8 @@ import lirs_wct
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.map_server import read_metadata
 from lirs_wct.sources.build import build_world
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.options import BuildOptions, SourceKind
 from lirs_wct.sources.source import find_source
-from lirs_wct.sources.source_kind import SourceKind
 from lirs_wct.world import World
 
 FOLDER_VARIABLE = "LIRS_WCT_CACHE"

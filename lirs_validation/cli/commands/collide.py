@@ -15,7 +15,7 @@ from lirs_validation.cli.progress import progress_bar
 from lirs_validation.cli.typer_options import mujoco_terrain, with_options
 from lirs_validation.config import SourceOptions
 from lirs_wct.errors import WctError
-from lirs_wct.sources.option_text import read_names, read_numbers
+from lirs_wct.option import read_names, read_numbers
 
 if TYPE_CHECKING:
     from lirs_envs.robots.robot import Robot

@@ -29,7 +29,7 @@ def export(
     """Write a finished run as a ROS 2 bag (no ROS needed), CSV, NumPy archive or CARMEN log."""
     from lirs_validation.analysis.recorded_run import export_run
     from lirs_validation.analysis.result_folders import read_run
-    from lirs_wct.sources.option_text import chosen, read_names
+    from lirs_wct.option import chosen, read_names
 
     stored = chosen(storage, "--storage", ("mcap", "sqlite3"))
     formats = read_names(to, "--to")

@@ -11,7 +11,7 @@ import typer
 from lirs_validation.cli.arguments import read_fields
 from lirs_validation.cli.console import RUN_FAILED, err, out
 from lirs_wct.errors import ConfigError
-from lirs_wct.sources.option_text import read_names
+from lirs_wct.option import read_names
 
 CsvFile = Annotated[Path | None, typer.Option("--csv", help="Write the table there as CSV, too.")]
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the table there as JSON, too.")]

@@ -14,7 +14,7 @@ from lirs_validation.cli.progress import progress_bar
 from lirs_validation.cli.typer_options import gazebo_terrain, typer_option, with_options
 from lirs_validation.config import SourceOptions
 from lirs_wct.meshing.export_options import DEFAULT_SHARE, ExportOptions
-from lirs_wct.sources.option_text import read_names
+from lirs_wct.option import read_names
 
 if TYPE_CHECKING:
     from lirs_wct.world import World

@@ -20,9 +20,9 @@ from lirs_wct.sources.build import build_world
 from lirs_wct.sources.clouds.source import read_point_cloud
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
+from lirs_wct.sources.options import SourceKind
 from lirs_wct.sources.pictures.picture import TerrainPicture, decimated, height_field, open_picture
 from lirs_wct.sources.source import Source, find_source
-from lirs_wct.sources.source_kind import SourceKind
 from lirs_wct.sources.window import cut_surface
 from lirs_wct.world import World
 

@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 from lirs_validation.config import RunConfig, SourceOptions
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.option import Option, Options, Slider, declared, defaults
-from lirs_wct.sources.source_kind import SourceKind
+from lirs_wct.sources.options import SourceKind
 
 FIRST_PANEL = "Source"
 """Heading of the options that the command line has without one."""

@@ -16,7 +16,7 @@ from lirs_validation.gui.view.scene import DriveScene
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import Options
 from lirs_wct.progress import Progress
-from lirs_wct.sources.source_kind import SourceKind
+from lirs_wct.sources.options import SourceKind
 
 PATIENCE = 0.4
 """Seconds before a bar appears: what is faster needs none."""

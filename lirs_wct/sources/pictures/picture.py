@@ -18,13 +18,18 @@ from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.bundled import SIZE, bundled_picture
-from lirs_wct.sources.options import DEFAULT_HEIGHT, DEFAULT_SIZE, BuildOptions
-from lirs_wct.sources.pictures.dequantize import dequantize
-from lirs_wct.sources.pictures.elevation import decoded, pixel_of, place_of, tell_slopes, way_out
-from lirs_wct.sources.pictures.filters import apply_filters
-from lirs_wct.sources.pictures.nodata import fill_nodata, tell_border
+from lirs_wct.sources.options import DEFAULT_HEIGHT, DEFAULT_SIZE, BuildOptions, SourceKind
+from lirs_wct.sources.pictures.elevation import (
+    decoded,
+    fill_nodata,
+    pixel_of,
+    place_of,
+    tell_border,
+    tell_slopes,
+    way_out,
+)
+from lirs_wct.sources.pictures.filters import apply_filters, dequantize
 from lirs_wct.sources.source import Source
-from lirs_wct.sources.source_kind import SourceKind
 from lirs_wct.sources.window import cut_surface, leveled
 
 GRAY_TOLERANCE = 2

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from lirs_validation.config import read_drivers
 from lirs_wct.errors import ConfigError
-from lirs_wct.sources.option_text import read_names, read_numbers
+from lirs_wct.option import read_names, read_numbers
 
 
 def test_names_are_read_each_once() -> None:

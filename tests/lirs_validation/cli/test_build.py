@@ -15,11 +15,11 @@ from lirs_validation import cli
 from lirs_validation.metrics.mesh import mesh_error
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.contact.contact_parts import prisms
+from lirs_wct.foreign_files import MANIFEST
 from lirs_wct.formats.meshes.mesh_reader import read_upright
 from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.manifest import MANIFEST
 
 
 @pytest.fixture

@@ -15,10 +15,8 @@ from lirs_validation.config import RunConfig, SourceOptions
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.report.provenance import command_of
 from lirs_wct.errors import ConfigError, LogSourceError
-from lirs_wct.option import Switch, option, positive
-from lirs_wct.sources.option_text import numbers
-from lirs_wct.sources.options import BuildOptions, without_effect
-from lirs_wct.sources.source_kind import SourceKind
+from lirs_wct.option import Switch, numbers, option, positive
+from lirs_wct.sources.options import BuildOptions, SourceKind, without_effect
 
 
 @dataclass(frozen=True, kw_only=True)

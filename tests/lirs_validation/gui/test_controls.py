@@ -9,7 +9,7 @@ from lirs_validation.config import SourceOptions
 from lirs_validation.gui.session.controls import controls, read_controls
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.sources.source_kind import SourceKind
+from lirs_wct.sources.options import SourceKind
 
 MANY = 10**9
 

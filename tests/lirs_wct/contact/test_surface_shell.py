@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from lirs_wct.contact.contact_parts import FEW_FACES, convex_parts
-from lirs_wct.contact.surface_shell import _thickness, shell_parts, touching_volume
+from lirs_wct.contact.contact_parts import FEW_FACES, _thickness, convex_parts, shell_parts, touching_volume
 from lirs_wct.geometry.mesh import TriangleMesh
 
 

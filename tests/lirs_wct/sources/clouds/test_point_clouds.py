@@ -17,9 +17,8 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.clouds.grid import NodeGrid, filled
 from lirs_wct.sources.clouds.smrf import Smrf, ground_points
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.options import BuildOptions, SourceKind
 from lirs_wct.sources.source import find_source
-from lirs_wct.sources.source_kind import SourceKind
 from lirs_wct.world import World
 
 SIDE = 120.0

@@ -6,7 +6,7 @@ import pytest
 
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.meshing.simplify import triangulate
-from lirs_wct.sources.pictures.dequantize import dequantize
+from lirs_wct.sources.pictures.filters import dequantize
 
 
 def hills(n: int = 257) -> np.ndarray:

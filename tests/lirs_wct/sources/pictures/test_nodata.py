@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.pictures.nodata import tell_border
+from lirs_wct.sources.pictures.elevation import tell_border
 from lirs_wct.sources.pictures.picture import read_height_field
 
 HILLS = 3000 + 40 * np.sin(np.arange(40) / 6)[:, None] + 30 * np.cos(np.arange(50) / 5)[None, :]

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from lirs_wct import BuildOptions, build_world
-from lirs_wct.export.mjcf_compat import OLDEST_MUJOCO, readable_by_old
-from lirs_wct.export.mjcf_file import write_mjcf
+from lirs_wct.export.mjcf_file import OLDEST_MUJOCO, readable_by_old, write_mjcf
 from lirs_wct.geometry.pose import Pose2
 
 ROOT = Path(__file__).parents[3]
