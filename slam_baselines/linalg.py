@@ -58,7 +58,7 @@ def moved_covariance(P: Any, dx: float, dy: float, shift: float, turn: float) ->
     return R
 
 
-def inverted(matrices: FloatArray) -> FloatArray:
+def invert(matrices: FloatArray) -> FloatArray:
     """Return the inverses of (..., n, n) matrices."""
     return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
 
@@ -69,7 +69,7 @@ def wrap(angle: FloatArray) -> FloatArray:
     return wrapped
 
 
-def composed(a: FloatArray, b: FloatArray) -> FloatArray:
+def compose_poses(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return `T_a @ T_b` for each pair."""
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     x = a[..., 0] + c * b[..., 0] - s * b[..., 1]

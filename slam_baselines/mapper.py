@@ -254,7 +254,7 @@ def make_mapper(
         raise ConfigError(f"{name} reads point clouds, planar mappers are {', '.join(MAPPERS)}")
     if resolution is not None and name in MAPPERS:
         config[MAPPERS[name].resolution] = resolution
-    mapper: Mapper = _made(name, seed, config)
+    mapper: Mapper = _make(name, seed, config)
     return mapper
 
 
@@ -275,11 +275,11 @@ def make_cloud_mapper(name: str, *, seed: int | None = None, **config: Any) -> C
     method = CLOUD_MAPPERS[name]
     if not method.installed:
         raise ConfigError(f"mapper {name} needs the package {method.distribution}: {method.install}")
-    mapper: CloudMapper = _made(name, seed, config)
+    mapper: CloudMapper = _make(name, seed, config)
     return mapper
 
 
-def _made(name: str, seed: int | None, config: dict[str, Any]) -> Any:
+def _make(name: str, seed: int | None, config: dict[str, Any]) -> Any:
     config_class = _config_class(name)
     method = _METHODS[name]
     if seed is not None and "seed" in config_class.__dataclass_fields__:

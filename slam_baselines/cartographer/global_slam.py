@@ -21,7 +21,7 @@ from slam_baselines.cartographer.loop_closure import (
     LoopEvent,
     LoopVerification,
 )
-from slam_baselines.cartographer.node import NOWHERE, Node, composed
+from slam_baselines.cartographer.node import NOWHERE, Node, compose_estimates
 from slam_baselines.cartographer.pose_graph import (
     ConstraintTable,
     OptimizationProblem,
@@ -32,7 +32,7 @@ from slam_baselines.cartographer.pose_graph import (
     start_optimization,
 )
 from slam_baselines.cartographer.trimmer import Trimmer
-from slam_baselines.linalg import in_axes_of, inverted
+from slam_baselines.linalg import in_axes_of, invert
 
 
 class GlobalSlam:
@@ -93,11 +93,11 @@ class GlobalSlam:
         self._drift.append((self._drift[-1] if index > 0 else 0.0) + step**3)
         for i in node.submaps:
             drift = self._drift_covariance * (self._drift[index] - self._drift[submaps[i].nodes[0]])
-            information = inverted(self._matcher_covariance + drift + node.covariance)
+            information = invert(self._matcher_covariance + drift + node.covariance)
             z = (submaps[i].pose.inverse() @ node.pose).as_array()
             in_submap = in_axes_of(submaps[i].pose, information)
             self._to_nodes.append(PoseConstraint(i, index, z, in_submap, robust=False))
-        self._since_submap = composed(self._since_submap, node.motion)
+        self._since_submap = compose_estimates(self._since_submap, node.motion)
         if node.submaps and submaps[node.submaps[-1]].nodes[0] == index:
             self._add_odometry_constraint(node.submaps[-1])
         if node.localizable:
@@ -107,7 +107,7 @@ class GlobalSlam:
         """Constrain a submap that has just begun to the one before by odometry."""
         odometry, self._since_submap = self._since_submap, NOWHERE
         if index > 0:
-            z, information = odometry.pose.as_array(), inverted(odometry.covariance)
+            z, information = odometry.pose.as_array(), invert(odometry.covariance)
             self._to_submaps.append(PoseConstraint(index - 1, index, z, information, robust=True))
 
     def run_work_share(self) -> None:

@@ -16,7 +16,7 @@ from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu, LaserScan
 from slam_baselines.cartographer.config import LocalConfig
-from slam_baselines.cartographer.node import NOWHERE, Node, composed
+from slam_baselines.cartographer.node import NOWHERE, Node, compose_estimates
 from slam_baselines.cartographer.submap import Submaps
 from slam_baselines.mapping.bootstrap import register_backwards
 from slam_baselines.mapping.ground_filter import IN_FULL, GroundFilter, Limits
@@ -172,11 +172,11 @@ class LocalSlam:
         Returns:
             The same nodes with new poses.
         """
-        self.submaps = self.submaps.restarted(
+        self.submaps = self.submaps.empty_copy(
             replace(self.config.submaps, num_range_data=len(nodes) + 1, max_distance=math.inf)
         )
         found = register_backwards(nodes, partial(self._register, nodes[0]))
-        self.submaps = self.submaps.restarted(self.config.submaps)
+        self.submaps = self.submaps.empty_copy(self.config.submaps)
         drawn = [self._known_walls(node, e.pose) for node, e in zip(nodes, found, strict=True)]
         self.submaps.reserve(found[0].pose, union_of([bounding_box(placed) for placed, _ in drawn]))
         again: list[Node] = []
@@ -195,7 +195,7 @@ class LocalSlam:
             )
         T_new_old = estimate.pose @ nodes[-1].pose.inverse()
         self.estimate = PoseEstimate(T_new_old @ self.estimate.pose, self.estimate.covariance)
-        self._filter.moved(estimate.pose)
+        self._filter.correct_pose(estimate.pose)
         return again
 
     def _register(self, final: Node, node: Node, later: Node | None, last: PoseEstimate) -> PoseEstimate:
@@ -203,7 +203,7 @@ class LocalSlam:
         estimate, wall_slope = last, self.ground_filter.match_wall_slope
         if later is not None:
             back = PoseEstimate(later.motion.pose.inverse(), later.motion.covariance)
-            expected, submap = composed(last, back), self.submaps.matching_submap
+            expected, submap = compose_estimates(last, back), self.submaps.matching_submap
             weights = self.walls(node.scan, expected.pose, node.height, None)
             submap.set_wall_slope(wall_slope)
             estimate, _ = self.registration.register(

@@ -25,7 +25,7 @@ from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.mapper import MapperStats, Stopwatch
 from slam_baselines.mapping.occupancy_map import MapPyramid, OccupancyMap, UpdateConfig
-from slam_baselines.matching.branch_and_bound import BoundGrids, Exclusion, Window, branch_and_bound
+from slam_baselines.matching.branch_and_bound import BoundGrids, Exclusion, SearchWindow, branch_and_bound
 from slam_baselines.matching.gauss_newton import Match, Prior, ScanMatcher
 from slam_baselines.matching.registration import Registration
 from slam_baselines.matching.tracking_monitor import TrackingMonitor
@@ -75,7 +75,7 @@ class KnownMap:
         x, y = grid.origin.apply((width / 2, height / 2)).tolist()
         reach = math.hypot(width, height) / 2 if grid.origin.yaw else max(width, height) / 2
         pyramid = MapPyramid(tuple(_level(grid, size) for size in sizes))
-        bounds = BoundGrids.of(_dilated(_level(grid, search)).grid, DEPTH)
+        bounds = BoundGrids.of(_dilate(_level(grid, search)).grid, DEPTH)
         return KnownMap(grid, pyramid, bounds, (x, y), reach)
 
     @property
@@ -106,7 +106,7 @@ def _fill(
     steps[cells[:, 0] - level.grid.row0, cells[:, 1] - level.grid.col0] = value
 
 
-def _dilated(level: OccupancyMap) -> OccupancyMap:
+def _dilate(level: OccupancyMap) -> OccupancyMap:
     """Let a miss by one cell count half: turns and shifts of the search are as coarse as that."""
     value = level.layers.value
     np.maximum(value, maximum_filter(value, 3) // 2, out=value)
@@ -244,7 +244,7 @@ class CartographerLocalizer:
             return
         self._counts.searches += 1
         self._searched = self._distance_traveled, scan.stamp
-        start, window = np.array((*known.center, 0.0)), Window(known.reach, math.pi)
+        start, window = np.array((*known.center, 0.0)), SearchWindow(known.reach, math.pi)
         found = branch_and_bound(known.bounds, sparse, start, window, c.min_score, c.max_search_nodes)
         if found.score < 0:
             return

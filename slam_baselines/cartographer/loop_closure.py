@@ -18,8 +18,8 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from slam_baselines.cartographer.config import CandidateConfig, ConstraintConfig, LoopVerificationConfig
 from slam_baselines.cartographer.submap import Submap
-from slam_baselines.linalg import inverted
-from slam_baselines.matching.branch_and_bound import Exclusion, Window, branch_and_bound
+from slam_baselines.linalg import invert
+from slam_baselines.matching.branch_and_bound import Exclusion, SearchWindow, branch_and_bound
 from slam_baselines.matching.gauss_newton import Match, Prior, ScanMatcher
 from slam_baselines.scan.interpolation import voxel_filter
 
@@ -169,7 +169,7 @@ class ConstraintBuilder:
             return None
         self.counts.found += 1
         x, y, yaw = match.pose.tolist()
-        information = inverted(inverted(match.information + 1e-3 * np.eye(3)) + self._min_covariance)
+        information = invert(invert(match.information + 1e-3 * np.eye(3)) + self._min_covariance)
         return SubmapMatch(Pose2(x, y, wrap_angle(yaw)), information, match.score * match.known)
 
     def _match_scan(
@@ -185,7 +185,7 @@ class ConstraintBuilder:
         linear = min(c.linear_search_window, c.linear_start + c.linear_drift * distance_traveled)
         angular = min(c.angular_search_window, c.angular_start + c.angular_drift * distance_traveled)
         if linear > c.max_refined_window:
-            found = self._search_window(submap, sparse, start, Window(linear, angular))
+            found = self._search_window(submap, sparse, start, SearchWindow(linear, angular))
             if found is None:
                 return None
             start, linear, angular = found, *c.search_deviation
@@ -197,7 +197,7 @@ class ConstraintBuilder:
         return match
 
     def _search_window(
-        self, submap: Submap, points: FloatArray, start: FloatArray, window: Window
+        self, submap: Submap, points: FloatArray, start: FloatArray, window: SearchWindow
     ) -> FloatArray | None:
         """Search a window; None where nothing fits or, as along a corridor, two places fit equally well."""
         c = self.config

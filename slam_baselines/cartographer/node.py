@@ -59,7 +59,7 @@ class Node(Keyframe[PoseEstimate]):
         return self.scan.hits.nbytes + self.scan.free.nbytes + self.min_slopes.nbytes
 
 
-def composed(first: PoseEstimate, then: PoseEstimate) -> PoseEstimate:
+def compose_estimates(first: PoseEstimate, then: PoseEstimate) -> PoseEstimate:
     """Return `first @ then`; the errors of the two are independent."""
     pose = first.pose @ then.pose
     c, s = math.cos(first.pose.yaw), math.sin(first.pose.yaw)

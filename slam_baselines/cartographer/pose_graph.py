@@ -154,7 +154,7 @@ class OptimizationProblem:
         places = (pattern.order, pattern.node, pattern.pair)
         eliminate_nodes(places, to_nodes[0], cross, (Hn * damped, gn), blocks, gs, inverse)
         ds = -splu(pattern.matrix(blocks)).solve(gs.ravel()).reshape(-1, 3)
-        return _moved(submaps, ds), _moved(nodes, node_steps(to_nodes, cross, ds, gn, inverse))
+        return _apply_steps(submaps, ds), _apply_steps(nodes, node_steps(to_nodes, cross, ds, gn, inverse))
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +220,7 @@ def optimize(problem: OptimizationProblem, start: Solution) -> Solution:
     return start
 
 
-def _moved(poses: FloatArray, step: FloatArray) -> FloatArray:
+def _apply_steps(poses: FloatArray, step: FloatArray) -> FloatArray:
     moved = poses + step
     moved[:, 2] = wrap(moved[:, 2])
     return moved
@@ -351,7 +351,7 @@ def robust_cost(rows: Rows, submaps: FloatArray, targets: FloatArray, scale: flo
     total, c2 = 0.0, scale * scale
     for k in range(len(a)):
         x, y, yaw = pose_error(submaps[a[k]], targets[b[k]], z[k])
-        chi2 = _squared(information[k], x, y, yaw)
+        chi2 = _chi2(information[k], x, y, yaw)
         total += c2 * math.log1p(chi2 / c2) if robust[k] else chi2
     return total
 
@@ -378,7 +378,7 @@ def linearize(
         e[0], e[1], e[2] = pose_error(submaps[i], targets[j], z[k])
         weight = 1.0
         if robust[k]:
-            weight = 1.0 / (1.0 + _squared(information[k], e[0], e[1], e[2]) / c2)
+            weight = 1.0 / (1.0 + _chi2(information[k], e[0], e[1], e[2]) / c2)
         c, s = math.cos(submaps[i, 2]), math.sin(submaps[i, 2])
         J[0, 0], J[0, 1], J[1, 0], J[1, 1] = c, s, -s, c
         M[0, 2], M[1, 2] = submaps[i, 1] - targets[j, 1], targets[j, 0] - submaps[i, 0]
@@ -471,7 +471,7 @@ def pose_error(a: FloatArray, b: FloatArray, z: FloatArray) -> tuple[float, floa
 
 
 @njit(cache=True, nogil=True)
-def _squared(W: FloatArray, x: float, y: float, yaw: float) -> float:
+def _chi2(W: FloatArray, x: float, y: float, yaw: float) -> float:
     """Return e'We."""
     total = x * (W[0, 0] * x + W[0, 1] * y + W[0, 2] * yaw)
     total += y * (W[1, 0] * x + W[1, 1] * y + W[1, 2] * yaw)

@@ -156,7 +156,7 @@ class Submap:
         if self._packed is None:
             return self.pyramid.levels
         if self._unpacked is None:
-            self._unpacked = self._packed.unpacked(self._wall_slope)
+            self._unpacked = self._packed.unpack(self._wall_slope)
         return self._unpacked
 
     @property
@@ -199,7 +199,7 @@ class Submaps:
         self._last, self._distance = Pose2(), 0.0
         self.all: list[Submap] = []
 
-    def restarted(self, config: SubmapConfig) -> Submaps:
+    def empty_copy(self, config: SubmapConfig) -> Submaps:
         """Return none of them, with another configuration of the same levels."""
         return Submaps(config, self._tracers)
 
@@ -292,20 +292,20 @@ class PackedLevel:
         hits = np.flatnonzero(steps > 0)
         frame = level.grid.row0 + box[0].start, level.grid.col0 + box[1].start, level.resolution
         return PackedLevel(
-            _packed(np.packbits(known)),
-            _packed(hits.astype(np.uint32)),
-            _packed(VALUE[steps[hits] + np.int16(128)]),
-            _packed(min_slope[hits]),
+            _pack(np.packbits(known)),
+            _pack(hits.astype(np.uint32)),
+            _pack(VALUE[steps[hits] + np.int16(128)]),
+            _pack(min_slope[hits]),
             known.shape,
             frame,
         )
 
-    def unpacked(self, wall_slope: int) -> ByteArray:
+    def unpack(self, wall_slope: int) -> ByteArray:
         """Return what the matcher sees where hits of a lower minimum slope than `wall_slope` are no walls."""
         value: ByteArray = self._known() * FREE
-        hits = _unpacked(self.hits).view(np.uint32)
-        walls = _unpacked(self.min_slope) >= wall_slope
-        value[hits] = np.where(walls, _unpacked(self.value), np.uint8(UNSEEN))
+        hits = _unpack(self.hits).view(np.uint32)
+        walls = _unpack(self.min_slope) >= wall_slope
+        value[hits] = np.where(walls, _unpack(self.value), np.uint8(UNSEEN))
         return value.reshape(self.shape)
 
     def known_cells(self) -> NDArray[np.int64]:
@@ -316,7 +316,7 @@ class PackedLevel:
 
     def _known(self) -> ByteArray:
         """Return (cells,) 1 for those that beams came to."""
-        return np.unpackbits(_unpacked(self.known), count=math.prod(self.shape))
+        return np.unpackbits(_unpack(self.known), count=math.prod(self.shape))
 
     @property
     def nbytes(self) -> int:
@@ -324,11 +324,11 @@ class PackedLevel:
         return len(self.known) + len(self.hits) + len(self.value) + len(self.min_slope)
 
 
-def _packed(layer: NDArray[Any]) -> bytes:
+def _pack(layer: NDArray[Any]) -> bytes:
     return zlib.compress(layer.data, FASTEST)
 
 
-def _unpacked(packed: bytes) -> ByteArray:
+def _unpack(packed: bytes) -> ByteArray:
     return np.frombuffer(zlib.decompress(packed), np.uint8)
 
 
@@ -343,10 +343,10 @@ class PackedGrids:
         """Pack the grids of a submap."""
         return PackedGrids(tuple(PackedLevel.of(level) for level in pyramid.maps))
 
-    def unpacked(self, wall_slope: int) -> Levels:
-        """Return the levels for matching (see PackedLevel.unpacked)."""
+    def unpack(self, wall_slope: int) -> Levels:
+        """Return the levels for matching (see PackedLevel.unpack)."""
         frames: FloatArray = np.array([level.frame for level in self.levels], dtype=np.float64)
-        return Levels(tuple(level.unpacked(wall_slope) for level in self.levels), frames)
+        return Levels(tuple(level.unpack(wall_slope) for level in self.levels), frames)
 
     @property
     def nbytes(self) -> int:

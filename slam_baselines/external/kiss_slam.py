@@ -78,14 +78,14 @@ class KissSlamMapper:
             self._stamps.append(cloud.stamp)
             self._final = None
         T_map_local = self._slam.local_map_graph.last_keypose
-        pose = self._placed(T_map_local @ self._slam.odometry.last_pose, -1)
+        pose = self._base_pose(T_map_local @ self._slam.odometry.last_pose, -1)
         self._watch.stop(started)
         return pose
 
     def trajectory(self) -> Trajectory:
         """Return all poses after the last local map was closed and the whole graph was optimized."""
         if self._final is None:
-            self._final = self._optimized()
+            self._final = self._optimize()
         return self._final
 
     @property
@@ -98,16 +98,16 @@ class KissSlamMapper:
             received=self._received, used=used, skipped=skipped, counts=counts, **self._watch.summary()
         )
 
-    def _optimized(self) -> Trajectory:
+    def _optimize(self) -> Trajectory:
         if not self._stamps:
             return Trajectory.from_poses([], list[Pose3]())
         with _silent():
             self._slam.generate_new_node()
             matrices, _ = self._slam.fine_grained_optimization()
-        poses = [self._placed(matrix, k) for k, matrix in enumerate(matrices)]
+        poses = [self._base_pose(matrix, k) for k, matrix in enumerate(matrices)]
         return Trajectory.from_poses(self._stamps, poses)
 
-    def _placed(self, T_first_sensor: FloatArray, k: int) -> Pose3:
+    def _base_pose(self, T_first_sensor: FloatArray, k: int) -> Pose3:
         """Return `T_map_base` when sweep k began, of the sensor's pose when it ended."""
         if not self._to_start:
             return Pose3()

@@ -17,14 +17,14 @@ from lirs_wct.arrays import ByteArray
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.proposal import Proposer
-from slam_baselines.gmapping.scan_matching import Beams
+from slam_baselines.gmapping.scan_matching import ScanBeams
 from slam_baselines.linalg import in_axes_of
 from slam_baselines.mapping.bootstrap import register_backwards
 from slam_baselines.mapping.ground_filter import IN_FULL, GroundFilter, Limits
 from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.motion.dead_reckoning import PoseEstimate
 from slam_baselines.motion.gyro_bias import GyroBias, GyroBiasConfig
-from slam_baselines.motion.increment import unbiased
+from slam_baselines.motion.increment import remove_bias
 
 ROUNDS = 2
 """Rounds of each refinement: one sees only the part of the bias that the prior did not pull along."""
@@ -57,25 +57,25 @@ class BiasedRegistration:
         self._proposer = proposer
         self._ground_filter = ground_filter
 
-    def refined(self, keyframes: Sequence[GmappingKeyframe], maps: PatchMaps) -> list[GmappingKeyframe]:
+    def refine(self, keyframes: Sequence[GmappingKeyframe], maps: PatchMaps) -> list[GmappingKeyframe]:
         """Draw keyframes into an empty map where they fit; return them with their poses there.
 
         Backwards, since the first scans know the fewest walls.
         """
         for _ in range(ROUNDS):
-            reckoned = self.reckoned(keyframes)
+            reckoned = self.reckon(keyframes)
             register = partial(self._register, PatchMaps(1, maps.resolution), reckoned[0])
             poses = [estimate.pose for estimate in register_backwards(reckoned, register)]
             self.learn(keyframes, poses)
         found = [replace(k, pose=pose) for k, pose in zip(keyframes, poses, strict=True)]
         return [replace(k, min_slopes=self._draw(maps, k, k.pose, IN_FULL)) for k in found]
 
-    def reckoned(self, keyframes: Sequence[GmappingKeyframe]) -> list[GmappingKeyframe]:
+    def reckon(self, keyframes: Sequence[GmappingKeyframe]) -> list[GmappingKeyframe]:
         """Return keyframes with their poses by odometry and gyro, less the bias."""
         path = [Pose2()]
         for keyframe in keyframes[1:]:
             motion = keyframe.motion
-            path.append(path[-1] @ unbiased(motion.reckoned.pose, self.bias.value, motion.seconds))
+            path.append(path[-1] @ remove_bias(motion.reckoned.pose, self.bias.value, motion.seconds))
         return [replace(k, pose=pose) for k, pose in zip(keyframes, path, strict=True)]
 
     def learn(self, keyframes: Sequence[GmappingKeyframe], poses: Sequence[Pose2]) -> None:
@@ -99,7 +99,7 @@ class BiasedRegistration:
             drawn = maps.min_slope(0, now.scan.transformed(pose, now.height).hits)
             known = np.maximum(now.min_slopes, drawn)
             walls = ground.match_walls(now.scan, pose, now.height, known=known)
-            view, beams = maps.view(0, ground.match_wall_slope), Beams(now.scan.hits, walls)
+            view, beams = maps.view(0, ground.match_wall_slope), ScanBeams(now.scan.hits, walls)
             found = self._proposer.match_scan(view, beams, pose.as_array(), covariance)
             pose = pose if found is None else Pose2(*found.tolist())
         if now is not final:

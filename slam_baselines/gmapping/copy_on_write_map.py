@@ -23,8 +23,8 @@ from slam_baselines.gmapping.patches import (
     PATCH,
     Patches,
     list_free,
-    reserved,
-    resized,
+    reserve_patches,
+    resize,
 )
 from slam_baselines.gmapping.scan_entry import Scratch, Window, enter_scans
 from slam_baselines.mapping.occupancy_map import STEP, UNKNOWN, UpdateConfig
@@ -45,7 +45,7 @@ class PatchMaps:
         self.resolution = resolution
         self.tables: Int32Array = np.empty((particles, 0, 0), np.int32)
         self.corner: IntArray = np.zeros(2, np.int64)
-        self.patches = resized(None, 256, 64)
+        self.patches = resize(None, 256, 64)
         self._scratch = Scratch.of(0, 0)
         self._steps = (update or UpdateConfig()).steps
 
@@ -85,16 +85,16 @@ class PatchMaps:
             )
             if done == len(poses):
                 return
-            self.patches = reserved(self.patches, needed, records)
+            self.patches = reserve_patches(self.patches, needed, records)
 
     @property
     def stack(self) -> MapStack:
         """All maps for the kernels; void after the next change."""
         return MapStack(self.tables, self.corner, self.patches, self.resolution)
 
-    def view(self, particle: int, wall_slope: int) -> MapView:
+    def view(self, particle: int, wall_slope: int) -> PatchMapView:
         """Return one map for the kernels; void after the next change."""
-        return MapView(self.tables[particle], self.corner, self.patches, self.resolution, wall_slope)
+        return PatchMapView(self.tables[particle], self.corner, self.patches, self.resolution, wall_slope)
 
     def min_slope(self, particle: int, points: FloatArray) -> ByteArray:
         """Return (n,) the minimum slopes of the cells under points (n, 2 or more) of the map frame."""
@@ -137,7 +137,7 @@ class PatchMaps:
         return Window(south - int(self.corner[0]), west - int(self.corner[1]), north - south, east - west)
 
 
-class MapView(NamedTuple):
+class PatchMapView(NamedTuple):
     """One particle's map as the kernels see it.
 
     Attributes:

@@ -18,7 +18,7 @@ from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.particle_filter import ParticleFilter
 from slam_baselines.gmapping.proposal import Proposal
-from slam_baselines.gmapping.scan_matching import Beams
+from slam_baselines.gmapping.scan_matching import ScanBeams
 from slam_baselines.mapper import MapperStats, Stopwatch, required_odometry
 from slam_baselines.mapping.bootstrap import Bootstrap
 from slam_baselines.mapping.ground_filter import GroundFilter
@@ -195,7 +195,7 @@ class GmappingMapper:
         yaw = float(proposal.means[self._filter.best, 2])
         self._localizability.observe(hit_ratio, wrap_angle(yaw - self._reckoned_yaw), motion.seconds)
 
-    def _tells(self, beams: Beams, known_ratio: float) -> bool:
+    def _tells(self, beams: ScanBeams, known_ratio: float) -> bool:
         """Return whether enough beams at walls end where the map is known."""
         c = self.config
         return known_ratio >= c.tracking.known_ratio and beams.weights.sum() >= c.min_beams
@@ -208,12 +208,12 @@ class GmappingMapper:
             self._bias = self._bias.learned(wrap_angle(turned), motion.seconds)
             motion.bias = self._bias.value
 
-    def _beams(self, scan: LeveledScan) -> Beams:
+    def _beams(self, scan: LeveledScan) -> ScanBeams:
         """Return the scan's hits, weighted by whether they are known for walls."""
         ground, pose = self._ground_filter, self._pose
         placed = None if ground.flat else scan.transformed(pose, ground.height).hits
         known = None if placed is None else self._filter.known_slopes(placed)
-        return Beams(scan.hits, ground.match_walls(scan, pose, known=known))
+        return ScanBeams(scan.hits, ground.match_walls(scan, pose, known=known))
 
     def _enter(self, scan: LeveledScan, motion: GyroIncrement) -> None:
         """Draw the scan; on uneven ground, refine the start of the trajectory when it is due."""
@@ -228,7 +228,7 @@ class GmappingMapper:
         keyframe: GmappingKeyframe = Keyframe(scan, self._pose, ground.height, min_slopes, motion)
         if bootstrap.add(keyframe, ground.distance_traveled) and not ground.flat:
             maps = PatchMaps(1, self.config.delta)
-            bootstrap.replace(self._registration.refined(bootstrap.keyframes, maps))
+            bootstrap.replace(self._registration.refine(bootstrap.keyframes, maps))
             self._bias = self._registration.bias
             self._increment.bias = self._bias.value
             self._filter.restart([k.pose for k in bootstrap.keyframes], maps)

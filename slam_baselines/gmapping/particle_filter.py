@@ -15,9 +15,9 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
-from slam_baselines.gmapping.proposal import First, Proposal, Proposer, propagated
-from slam_baselines.gmapping.resampling import effective_number, normalized, systematic_resample
-from slam_baselines.gmapping.scan_matching import Beams
+from slam_baselines.gmapping.proposal import First, Proposal, Proposer, propagate
+from slam_baselines.gmapping.resampling import effective_number, normalize, systematic_resample
+from slam_baselines.gmapping.scan_matching import ScanBeams
 from slam_baselines.gmapping.trajectory_tree import TrajectoryTree
 from slam_baselines.motion.increment import MotionIncrement
 from slam_baselines.scan.leveling import ScanPoints
@@ -63,7 +63,7 @@ class ParticleFilter:
         return self.maps.min_slope(self.best, points)
 
     def match_best(
-        self, beams: Beams, increment: MotionIncrement, wall_slope: int, *, wide: bool = False
+        self, beams: ScanBeams, increment: MotionIncrement, wall_slope: int, *, wide: bool = False
     ) -> Pose2 | None:
         """Return `T_processed_now` by matching a scan to the best map; None where it fits nowhere near."""
         view, expected = self.maps.view(self.best, wall_slope), self.pose @ increment.pose
@@ -71,10 +71,10 @@ class ParticleFilter:
         return None if found is None else self.pose.inverse() @ Pose2(*found.tolist())
 
     def propose(
-        self, beams: Beams, increment: MotionIncrement, wall_slope: int, *, wide: bool = False
+        self, beams: ScanBeams, increment: MotionIncrement, wall_slope: int, *, wide: bool = False
     ) -> Proposal:
         """Draw new poses by odometry and scan; they are taken over by `adopt`."""
-        odometry = propagated(self._poses, increment.pose, increment.reckoned.covariance)
+        odometry = propagate(self._poses, increment.pose, increment.reckoned.covariance)
         first = First(self.best, wide)
         return self.proposer.propose(self.maps, beams, wall_slope, odometry, first, self._rng)
 
@@ -89,7 +89,7 @@ class ParticleFilter:
 
     def follow(self, increment: MotionIncrement) -> None:
         """Move all particles by dead reckoning alone; no draw, since nothing would tell a good one."""
-        self._poses = propagated(self._poses, increment.pose, increment.reckoned.covariance).poses
+        self._poses = propagate(self._poses, increment.pose, increment.reckoned.covariance).poses
 
     def add_generation(self, step: Pose2) -> None:
         """Make the poses a generation of the tree, `step` by odometry after the one before."""
@@ -102,7 +102,7 @@ class ParticleFilter:
 
     def resample(self) -> None:
         """Replace the particles by copies of those that live on, if few of them carry the weight."""
-        weights = normalized(self._log_weights)
+        weights = normalize(self._log_weights)
         if effective_number(weights) < self._config.resampleThreshold * len(weights):
             self.resamplings += 1
             self._descend(systematic_resample(weights, self._rng))

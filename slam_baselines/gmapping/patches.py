@@ -54,7 +54,7 @@ class Patches(NamedTuple):
     free_records: Int32Array
 
 
-def resized(old: Patches | None, patches: int, records: int) -> Patches:
+def resize(old: Patches | None, patches: int, records: int) -> Patches:
     """Return so many patches and records of which the first are the old ones."""
     new = Patches(
         np.empty((patches, CELLS), np.int8),
@@ -83,7 +83,7 @@ def _end(taken: BoolArray) -> int:
     return len(taken) - int(taken[::-1].argmax()) if taken.any() else 0
 
 
-def reserved(patches: Patches, needed: int, records: int) -> Patches:
+def reserve_patches(patches: Patches, needed: int, records: int) -> Patches:
     """Return patches of which so many, and so many records, are free; the same where they are."""
     more = [
         0 if int(free[0]) >= wanted else max(wanted - int(free[0]), len(free) - 1)
@@ -91,7 +91,7 @@ def reserved(patches: Patches, needed: int, records: int) -> Patches:
     ]
     if more == [0, 0]:
         return patches
-    return resized(patches, len(patches.owners) + more[0], len(patches.hits) + more[1])
+    return resize(patches, len(patches.owners) + more[0], len(patches.hits) + more[1])
 
 
 def list_free(patches: Patches) -> None:

@@ -22,20 +22,20 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.kernels import njit
-from slam_baselines.gmapping.copy_on_write_map import MapView, PatchMaps
+from slam_baselines.gmapping.copy_on_write_map import PatchMaps, PatchMapView
 from slam_baselines.gmapping.scan_matching import (
     ALWAYS,
     IF_POOR,
     NEVER,
-    Beams,
-    Prior,
+    OdometryPrior,
+    ScanBeams,
     Tuning,
     between,
+    compose,
     find_peak,
     forget,
     log_prior,
     match_one,
-    moved,
     near_beams,
     score,
 )
@@ -143,7 +143,7 @@ class Proposer:
     def propose(
         self,
         maps: PatchMaps,
-        beams: Beams,
+        beams: ScanBeams,
         wall_slope: int,
         odometry: PoseDistributions,
         first: First,
@@ -172,8 +172,8 @@ class Proposer:
 
     def match_scan(
         self,
-        view: MapView,
-        beams: Beams,
+        view: PatchMapView,
+        beams: ScanBeams,
         expected: FloatArray,
         covariance: FloatArray,
         *,
@@ -198,7 +198,7 @@ class Proposer:
         return pose if hit >= max(self.config.search_threshold * known, self.config.min_beams) else None
 
 
-def propagated(poses: FloatArray, step: Pose2, covariance: FloatArray) -> PoseDistributions:
+def propagate(poses: FloatArray, step: Pose2, covariance: FloatArray) -> PoseDistributions:
     """Return where the particles are after a step `T_before_now`.
 
     Args:
@@ -252,8 +252,8 @@ def propose(
             searches += searched
             continue
         before = k
-        view = MapView(maps.tables[k], maps.corner, maps.patches, res, wall_slope)
-        prior = Prior(odometry.poses[k], np.linalg.inv(odometry.covariances[k]))
+        view = PatchMapView(maps.tables[k], maps.corner, maps.patches, res, wall_slope)
+        prior = OdometryPrior(odometry.poses[k], np.linalg.inv(odometry.covariances[k]))
         forget(near)
         start = prior.pose if step == 0 else _better_start(view, near, prior.pose, correction, tuning)
         H = np.empty((3, 3))
@@ -267,7 +267,7 @@ def propose(
             log_eta[k] = score(view, near, prior.pose, tuning)[0]
         else:
             around = np.linalg.inv(H * (2 * tuning.sigma**2 / tuning.lsigma) + prior.information)
-            spread = Spread(peak, value, around, samples.cube)
+            spread = FitPoints(peak, value, around, samples.cube)
             log_eta[k] = fit(view, near, prior, spread, tuning, means[k], sigmas[k])
         hit_ratio[k], known_ratio[k] = hit / max(known, 1e-9), known / total
     _draw(means, sigmas, samples.normals, poses)
@@ -277,7 +277,7 @@ def propose(
 @njit(cache=True, nogil=True)
 def _better_start(view: Any, near: Any, expected: Any, correction: Any, tuning: Any) -> Any:
     """Return where the scan fits better: the (3,) expected pose, or that pose corrected."""
-    other = moved(expected, correction)
+    other = compose(expected, correction)
     return other if score(view, near, other, tuning)[0] > score(view, near, expected, tuning)[0] else expected
 
 
@@ -307,7 +307,7 @@ def _same(maps: Any, odometry: Any, a: int, b: int) -> bool:
     return True
 
 
-class Spread(NamedTuple):
+class FitPoints(NamedTuple):
     """Points to evaluate.
 
     Attributes:

@@ -17,7 +17,7 @@ class UniformSource(Protocol):
         ...
 
 
-def normalized(log_weights: FloatArray) -> FloatArray:
+def normalize(log_weights: FloatArray) -> FloatArray:
     """Return (n,) weights that sum to 1, of logarithms up to a constant."""
     weights: FloatArray = np.exp(log_weights - log_weights.max())
     return weights / weights.sum()  # type: ignore[no-any-return]

@@ -70,7 +70,7 @@ class Scratch(NamedTuple):
         return Scratch.of(places, side)
 
 
-class Site(NamedTuple):
+class ParticleWindow(NamedTuple):
     """The window in one particle's map.
 
     Attributes:
@@ -117,7 +117,7 @@ def enter_scans(
             return k, needed, records
         c, s = np.cos(poses[k, 2]) / res, np.sin(poses[k, 2]) / res
         base = poses[k, 0] / res, poses[k, 1] / res, c, s
-        site = Site(table, patches, (maps.corner[0] + row0, maps.corner[1] + col0), base)
+        site = ParticleWindow(table, patches, (maps.corner[0] + row0, maps.corner[1] + col0), base)
         _raise_hits(site, scratch, hits, min_slopes, steps)
         if wall_slope > 0:
             _mark_walls(site, scratch, wall_slope)

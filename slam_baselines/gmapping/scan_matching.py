@@ -28,7 +28,7 @@ NEVER, IF_POOR, ALWAYS = 0, 1, 2
 """When find_peak searches the wider window."""
 
 
-class Prior(NamedTuple):
+class OdometryPrior(NamedTuple):
     """The pose by odometry.
 
     Attributes:
@@ -145,7 +145,7 @@ def match_one(view: Any, beams: Any, expected: Any, covariance: Any, wider: int,
         wider: when to search a wider window; see find_peak.
         tuning: of the matching.
     """
-    prior, near = Prior(expected, np.linalg.inv(covariance)), near_beams(beams, tuning.kernelSize)
+    prior, near = OdometryPrior(expected, np.linalg.inv(covariance)), near_beams(beams, tuning.kernelSize)
     H = np.empty((3, 3))
     peak, _, hit, known, _ = find_peak(view, beams, near, prior, expected, wider, tuning, H)
     return peak, hit, known
@@ -222,7 +222,7 @@ def _coarse_walls(view: Any, points: Any, pose: Any, cell: float, margin: float)
 
 
 @njit(cache=True, nogil=True)
-def moved(pose: Any, by: Any) -> Any:
+def compose(pose: Any, by: Any) -> Any:
     """Return pose @ by, all (3,)."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return np.array((pose[0] + c * by[0] - s * by[1], pose[1] + s * by[0] + c * by[1], pose[2] + by[2]))
@@ -253,7 +253,7 @@ WIDER = 3
 """The coarse stage of matching looks so many times as far."""
 
 
-class Beams(NamedTuple):
+class ScanBeams(NamedTuple):
     """A scan for the kernels.
 
     Attributes:

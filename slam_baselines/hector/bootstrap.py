@@ -9,13 +9,13 @@ from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.mapping.map_builder import MapBuilder
 from slam_baselines.matching.localizability import LocalizabilityMonitor
 from slam_baselines.matching.registration import Registration
-from slam_baselines.motion.dead_reckoning import DeadReckoning, OdometryIncrement, PoseEstimate
+from slam_baselines.motion.dead_reckoning import DeadReckoning, OdometryStep, PoseEstimate
 
-HectorKeyframe = Keyframe[tuple[OdometryIncrement | None, ...]]
+HectorKeyframe = Keyframe[tuple[OdometryStep | None, ...]]
 """The motion is that by odometry, scan by scan; None where there was no odometry."""
 
 
-def refined(
+def refine(
     keyframes: list[HectorKeyframe],
     builder: MapBuilder,
     registration: Registration,
@@ -38,7 +38,7 @@ def refined(
     found: list[HectorKeyframe] = []
 
     def register(now: HectorKeyframe, before: HectorKeyframe | None, last: PoseEstimate) -> PoseEstimate:
-        estimate = last if before is None else _expected(last, before, now, reckoning)
+        estimate = last if before is None else _predict(last, before, now, reckoning)
         slopes = builder.min_slopes(now.scan, estimate.pose, now.height, now.min_slopes)
         if before is not None:
             weights = builder.weights(slopes)
@@ -58,12 +58,12 @@ def refined(
     return keyframes
 
 
-def _expected(
+def _predict(
     estimate: PoseEstimate, before: HectorKeyframe, now: HectorKeyframe, reckoning: DeadReckoning
 ) -> PoseEstimate:
     """Go from one keyframe to the next by dead reckoning; without odometry as they were found at first."""
     predict, seconds = reckoning.config.predict, now.scan.stamp - before.scan.stamp
     if not now.motion or None in now.motion:
         return predict(estimate, before.pose.inverse() @ now.pose, seconds)
-    steps = [(i.corrected(reckoning.calibration), i.tilt) for i in now.motion if i is not None]
+    steps = [(i.correct(reckoning.calibration), i.tilt) for i in now.motion if i is not None]
     return reckoning.config.predict_all(estimate, steps, seconds / len(steps))

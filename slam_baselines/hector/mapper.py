@@ -18,7 +18,7 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.hector.bootstrap import HectorKeyframe, refined
+from slam_baselines.hector.bootstrap import HectorKeyframe, refine
 from slam_baselines.mapper import MapperStats, Stopwatch
 from slam_baselines.mapping.bootstrap import Bootstrap, BootstrapConfig
 from slam_baselines.mapping.keyframe import Keyframe, KeyframeTrajectory
@@ -28,7 +28,7 @@ from slam_baselines.matching.localizability import LocalizabilityConfig, Localiz
 from slam_baselines.matching.registration import Registration, RegistrationConfig
 from slam_baselines.matching.tracking_monitor import TrackingConfig, TrackingMonitor
 from slam_baselines.motion.calibration import CalibrationConfig
-from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, OdometryIncrement, PoseEstimate
+from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, OdometryStep, PoseEstimate
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
 
 WARM_UP = {"sparse_distance": 0.1}
@@ -98,7 +98,7 @@ class HectorMapper:
         self._estimate = PoseEstimate(Pose2(), np.zeros((3, 3)))
         self._keyframes: list[Pose2] = []
         self._scans = KeyframeTrajectory()
-        self._motion: list[OdometryIncrement | None] = []
+        self._motion: list[OdometryStep | None] = []
         self._received = self._matched = self._unmatched = self._lost_scans = 0
         self._tracking = TrackingMonitor(self.config.tracking)
         self._localizability = LocalizabilityMonitor(self.config.localizability)
@@ -227,9 +227,9 @@ class HectorMapper:
         if bootstrap.add(keyframe, ground.distance_traveled):
             localizability = LocalizabilityMonitor(replace(self.config.localizability, share=REFINED_SHARE))
             bootstrap.replace(
-                refined(bootstrap.keyframes, builder, self._registration, self._reckoning, localizability)
+                refine(bootstrap.keyframes, builder, self._registration, self._reckoning, localizability)
             )
             self._keyframes[: len(bootstrap.keyframes)] = [k.pose for k in bootstrap.keyframes]
             T_new_old = self._keyframes[-1] @ pose.inverse()
             self._estimate = PoseEstimate(T_new_old @ pose, self._estimate.covariance)
-            builder.moved(self._estimate.pose)
+            builder.correct_pose(self._estimate.pose)

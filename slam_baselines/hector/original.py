@@ -262,7 +262,7 @@ def _match(probability: Any, middle: int, resolution: float, ends: Any, pose: An
         H, g = np.zeros((3, 3)), np.zeros(3)
         for k in range(len(ends)):
             u, v = ends[k, 0] * scale, ends[k, 1] * scale
-            value, dx, dy = _interpolated(probability, c * u - s * v + x, s * u + c * v + y)
+            value, dx, dy = _interpolate(probability, c * u - s * v + x, s * u + c * v + y)
             turn = (-s * u - c * v) * dx + (c * u - s * v) * dy
             J = (dx, dy, turn)
             for i in range(3):
@@ -280,7 +280,7 @@ def _match(probability: Any, middle: int, resolution: float, ends: Any, pose: An
 
 
 @njit(cache=True, nogil=True)
-def _interpolated(probability: Any, x: float, y: float) -> Any:
+def _interpolate(probability: Any, x: float, y: float) -> Any:
     """Return probability and its derivatives at a point in cells (Eqs. 4-6); zeros outside.
 
     The derivatives' weights are those of the original's code: both by the place along x and y of the

@@ -246,7 +246,7 @@ class GroundFilter:
         lower_along_beams(self._upper_bound, scan.origin, scan.hits, True, near, far)
         lower_along_beams(self._upper_bound, scan.origin, scan.free, False, near, far)
         self._stand(base)
-        return self._raised(self.no_min_slope(len(scan.hits)), scan.origin, scan.hits, IN_MAP, base)
+        return self._raise_slopes(self.no_min_slope(len(scan.hits)), scan.origin, scan.hits, IN_MAP, base)
 
     def min_slopes(
         self,
@@ -274,7 +274,7 @@ class GroundFilter:
         height = self.height if height is None else height
         cells = NOT_DRAWN if drawn is None else _drawn_slopes(drawn)
         T = pose.x, pose.y, pose.yaw, height
-        return self._raised(slopes, scan.origin, scan.hits, T, pose, limits, cells)
+        return self._raise_slopes(slopes, scan.origin, scan.hits, T, pose, limits, cells)
 
     def match_walls(
         self,
@@ -311,7 +311,7 @@ class GroundFilter:
         limits = limits_for_weights(wall_slope, self.config.full_weight_slope)
         slopes, T = self.no_min_slope(len(scan.hits)), (pose.x, pose.y, pose.yaw, self.height)
         weights: FloatArray = self._weights[1].take(
-            self._raised(slopes, scan.origin, scan.hits, T, pose, limits, _drawn_slopes(drawn))
+            self._raise_slopes(slopes, scan.origin, scan.hits, T, pose, limits, _drawn_slopes(drawn))
         )
         return weights
 
@@ -321,7 +321,7 @@ class GroundFilter:
         weights: FloatArray = np.minimum(1.0, (min_slopes / full) ** 2) * (min_slopes >= wall_slope)
         return weights
 
-    def _raised(
+    def _raise_slopes(
         self, slopes: ByteArray, origin: FloatArray, hits: FloatArray, T: _Place, base: Pose2,
         limits: Limits = IN_FULL, drawn: DrawnSlopes = NOT_DRAWN,
     ) -> ByteArray:  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 from lirs_wct.arrays import ByteArray, FloatArray, IntArray
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.linalg import composed, relative_poses, wrap
+from slam_baselines.linalg import compose_poses, relative_poses, wrap
 from slam_baselines.scan.leveling import LeveledScan
 
 Motion = TypeVar("Motion")
@@ -80,11 +80,11 @@ class KeyframeTrajectory:
         stamps, last, scans = self._by_stamp()
         if T_map_start is None:
             T_map_start = keyframes[0] @ measured[0].inverse() if measured and keyframes else Pose2()
-        poses = composed(T_map_start.as_array(), scans)
+        poses = compose_poses(T_map_start.as_array(), scans)
         at = last >= 0
         if at.any():
             final = np.array([p.as_array() for p in keyframes])
-            poses[at] = composed(final[last[at]], scans[at])
+            poses[at] = compose_poses(final[last[at]], scans[at])
             if measured is not None:
                 by_motion = np.array([p.as_array() for p in measured])
                 poses[at] = _spread(poses[at], scans[at], last[at], final, by_motion)
@@ -104,8 +104,8 @@ def _spread(
 ) -> FloatArray:
     """Return poses between those seen from the keyframe before and from the one after, by the distance."""
     after = np.clip(last + 1, 0, len(final) - 1)
-    ahead = relative_poses(measured[after], composed(measured[last], scans))
+    ahead = relative_poses(measured[after], compose_poses(measured[last], scans))
     near, far = (np.hypot(d[:, 0], d[:, 1]) + LEVER * abs(wrap(d[:, 2])) for d in (scans, ahead))
-    delta = composed(final[after], ahead) - poses
+    delta = compose_poses(final[after], ahead) - poses
     delta[:, 2] = wrap(delta[:, 2])
     return np.asarray(poses + (near / np.maximum(near + far, 1e-12))[:, None] * delta)

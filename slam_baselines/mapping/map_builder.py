@@ -68,7 +68,7 @@ class MapBuilder:
     def restart(self) -> MapPyramid:
         """Forget the occupancy, but not the ground; return the pyramid that was."""
         before = self.pyramid
-        self.pyramid = MapPyramid(tuple(level.emptied() for level in before.maps))
+        self.pyramid = MapPyramid(tuple(level.empty_copy() for level in before.maps))
         self._wall_slope = self.ground_filter.match_wall_slope
         return before
 
@@ -134,7 +134,7 @@ class MapBuilder:
         if any(grew):
             self.pyramid.refresh()
 
-    def moved(self, pose: Pose2) -> None:
+    def correct_pose(self, pose: Pose2) -> None:
         """Take note that the last keyframe's pose was corrected; the base has not moved."""
         self._last = pose
         if self._entered is not None:

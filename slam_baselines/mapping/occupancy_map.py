@@ -84,7 +84,7 @@ class OccupancyMap:
         self._tracer = tracer or RayTracer(resolution)
         self._take_over()
 
-    def emptied(self) -> OccupancyMap:
+    def empty_copy(self) -> OccupancyMap:
         """Return an empty map over the same lattice that shares the room for tracing."""
         return OccupancyMap(self.resolution, self._config, self._tracer)
 
@@ -217,7 +217,7 @@ def enter_trace(
     # Nearly all cells that beams pass are without hits: their log-odds are read from a table.
     lowered = np.empty(256, np.int8)
     for before in range(-128, 128):
-        lowered[before + 128] = _added(before, steps[0], steps[2])
+        lowered[before + 128] = _add_step(before, steps[0], steps[2])
     first = np.uintp(0)
     for b in range(len(trace.ends)):
         end = np.uintp(trace.ends[b])
@@ -239,7 +239,7 @@ def enter_trace(
 @njit(cache=True, nogil=True, inline="always")
 def _change(layers: Any, r: int, c: int, step: int, wall_slope: int, limit: int) -> None:
     """Add to the log-odds of a cell and renew what the matcher sees of it."""
-    after = _added(np.int64(layers.log_odds[r, c]), step, limit)
+    after = _add_step(np.int64(layers.log_odds[r, c]), step, limit)
     layers.log_odds[r, c] = after
     layers.value[r, c] = (
         UNSEEN if after > 0 and layers.min_slope[r, c] < wall_slope else VALUE[np.uintp(after + 128)]
@@ -247,7 +247,7 @@ def _change(layers: Any, r: int, c: int, step: int, wall_slope: int, limit: int)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _added(before: int, step: int, limit: int) -> int:
+def _add_step(before: int, step: int, limit: int) -> int:
     """Return the log-odds of a cell after a step."""
     return min(limit, max(-limit, (0 if before == UNKNOWN else before) + step))
 

@@ -70,7 +70,7 @@ def _pool(level: ByteArray, step: int, out: ByteArray) -> None:
     np.maximum(out[:-step], wide[step:], out=out[:-step])
 
 
-class Window(NamedTuple):
+class SearchWindow(NamedTuple):
     """Poses around a start.
 
     Attributes:
@@ -144,7 +144,7 @@ def angular_step(points: FloatArray, resolution: float) -> float:
 
 
 def branch_and_bound(
-    grids: BoundGrids, points: FloatArray, start: FloatArray, window: Window, min_score: float,
+    grids: BoundGrids, points: FloatArray, start: FloatArray, window: SearchWindow, min_score: float,
     max_nodes: int = 1 << 20, excluded: Exclusion | None = None,
 ) -> SearchResult:  # fmt: skip
     """Find the pose of the best score around `start`.

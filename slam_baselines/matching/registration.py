@@ -119,7 +119,7 @@ class Registration:
             return expected, None
         if match.known >= c.known_ratio and match.score < c.search_threshold:
             wider = self._search(pyramid, hits, weights, share, prior, _coasting(before, earlier))
-            if uneven and self._rejected(match, wider, prior):
+            if uneven and self._is_rejected(match, wider, prior):
                 return expected, match
             if wider.score > match.score + c.min_gain:
                 match = wider
@@ -166,7 +166,7 @@ class Registration:
         ]
         return max(matches, key=lambda match: match.score)
 
-    def _rejected(self, match: Match, wider: Match, prior: Prior) -> bool:
+    def _is_rejected(self, match: Match, wider: Match, prior: Prior) -> bool:
         """Whether nothing fits near or far, or only where dead reckoning cannot have led."""
         c = self.config
         if c.reject_poor and max(match.score, wider.score) < c.search_threshold:

@@ -80,7 +80,7 @@ class Calibration:
         determinant = p * r - q * q
         return r / determinant, -q / determinant, p / determinant
 
-    def corrected(self, step: Pose2, down: Slope = LEVEL) -> Pose2:
+    def correct(self, step: Pose2, down: Slope = LEVEL) -> Pose2:
         """Return the step `T_before_now` to expect when odometry says `step`, on ground that falls `down`."""
         xx, xt, yx, yt, tx, tt = self.gain
         d, a = step.x, step.yaw
@@ -94,7 +94,7 @@ class Calibration:
     def learn(self, step: Pose2, true: Pose2, down: Slope = LEVEL) -> None:
         """Take note that what odometry called `step` was `true`, on ground that falls `down`."""
         d, a = step.x, step.yaw
-        c = self.corrected(step, down)
+        c = self.correct(step, down)
         x, y, t = error = true.x - c.x, true.y - c.y, wrap_angle(true.yaw - c.yaw)
         self._observe(d, a)
         p, q, r = self.covariance

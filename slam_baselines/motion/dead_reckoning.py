@@ -147,7 +147,7 @@ class MotionConfig:
         for delta, tilt in steps:
             shift, turn = self._variances(delta, seconds, tilt)
             rows.append((delta.x, delta.y, delta.yaw, shift, min(turn, gyro)))
-        pose, covariance = propagated(before.pose.as_array(), before.covariance, np.array(rows))
+        pose, covariance = propagate_steps(before.pose.as_array(), before.covariance, np.array(rows))
         return PoseEstimate(Pose2(*pose.tolist()), covariance)
 
     def _variances(self, delta: Pose2, seconds: float, tilt: float) -> tuple[float, float]:
@@ -175,7 +175,7 @@ class MotionConfig:
 
 
 @njit(cache=True, nogil=True)
-def propagated(pose: Any, covariance: Any, steps: Any) -> Any:
+def propagate_steps(pose: Any, covariance: Any, steps: Any) -> Any:
     """Return pose (3,) and covariance (3, 3) after steps.
 
     Args:
@@ -197,7 +197,7 @@ def propagated(pose: Any, covariance: Any, steps: Any) -> Any:
     return pose, covariance
 
 
-class OdometryIncrement(NamedTuple):
+class OdometryStep(NamedTuple):
     """A step by odometry and the ground it was done on.
 
     Attributes:
@@ -210,9 +210,9 @@ class OdometryIncrement(NamedTuple):
     down: Slope
     tilt: float
 
-    def corrected(self, calibration: Calibration) -> Pose2:
+    def correct(self, calibration: Calibration) -> Pose2:
         """Return the step to expect, by what is known of the odometry."""
-        return calibration.corrected(self.step, self.down)
+        return calibration.correct(self.step, self.down)
 
 
 class DeadReckoning:
@@ -228,7 +228,7 @@ class DeadReckoning:
     def __init__(self, config: MotionConfig, calibration: CalibrationConfig | None = None) -> None:
         self.config = config
         self.calibration = Calibration(calibration or CalibrationConfig())
-        self.increment: OdometryIncrement | None = None
+        self.increment: OdometryStep | None = None
         self.calibrated = True
         self.learned = 0
         self._odometry: Pose2 | None = None
@@ -257,15 +257,15 @@ class DeadReckoning:
         if before is None or odometry is None:
             self.increment = None
         else:
-            self.increment = OdometryIncrement(_between(before, odometry), *_downhill(imu))
+            self.increment = OdometryStep(_between(before, odometry), *_downhill(imu))
         if then is None:
             return None
-        delta = None if self.increment is None else self._corrected(self.increment)
+        delta = None if self.increment is None else self._correct(self.increment)
         turned = None if rate is None or self._rate is None else (rate + self._rate) / 2 * (stamp - then)
         return self.config.step(delta, stamp - then, turned, self.increment.tilt if self.increment else 0.0)
 
-    def _corrected(self, increment: OdometryIncrement) -> Pose2:
-        return increment.corrected(self.calibration) if self.calibrated else increment.step
+    def _correct(self, increment: OdometryStep) -> Pose2:
+        return increment.correct(self.calibration) if self.calibrated else increment.step
 
     def learn(self, before: Pose2, now: Pose2) -> None:
         """Take note of where the last step truly led: from `before` to `now` in the map."""

@@ -58,10 +58,10 @@ class MotionIncrement:
         self.newest, seconds = now.covariance, 0.0
         self.reckoned = PoseEstimate(self.reckoned.pose @ delta, self.reckoned.covariance + now.covariance)
         # While it stands the wheels hold the heading, whatever the gyro says.
-        if before is not None and self._reading is not None and _moved(delta):
+        if before is not None and self._reading is not None and _is_moving(delta):
             seconds = stamp - before[0]
             self._compare(delta.yaw, (before[1] + self._reading[1]) / 2, seconds)
-        delta = unbiased(delta, self.bias, seconds)
+        delta = remove_bias(delta, self.bias, seconds)
         self.pose = self.pose @ delta
         self.distance += math.hypot(delta.x, delta.y)
         self.turn += abs(delta.yaw)
@@ -72,7 +72,7 @@ class MotionIncrement:
 
         The poses at which the step begins and ends are those of registered scans, with their own errors.
         """
-        off = unbiased(self.reckoned.pose, self.bias, self.seconds).inverse() @ pose
+        off = remove_bias(self.reckoned.pose, self.bias, self.seconds).inverse() @ pose
         d = np.array((off.x, off.y, off.yaw))
         return math.sqrt(float(d @ solve3(self.reckoned.covariance + REGISTERED, d)))
 
@@ -88,11 +88,11 @@ class MotionIncrement:
         newest[2, 2], whole[2, 2] = variance * seconds / self.seconds, variance
 
 
-def _moved(step: Pose2) -> bool:
+def _is_moving(step: Pose2) -> bool:
     return max(abs(step.x), abs(step.y), abs(step.yaw)) > STILL
 
 
-def unbiased(step: Pose2, bias: float, seconds: float) -> Pose2:
+def remove_bias(step: Pose2, bias: float, seconds: float) -> Pose2:
     """Return a step less what a gyro's bias (rad/s) has turned it in its course."""
     half = Pose2(yaw=-bias * seconds / 2)
     return half @ step @ half

@@ -46,7 +46,7 @@ class MotionFilter:
         """Take note of a node."""
         self._pose, self._slope, self._stamp = pose, scan.ground_slope, scan.stamp
 
-    def moved(self, pose: Pose2) -> None:
+    def correct_pose(self, pose: Pose2) -> None:
         """Take note that the last node's pose was corrected."""
         self._pose = pose
 

@@ -12,7 +12,7 @@ from slam_baselines.mapping.growing_grid import GrowingGrid
 from slam_baselines.matching.branch_and_bound import (
     BoundGrids,
     Exclusion,
-    Window,
+    SearchWindow,
     angular_step,
     branch_and_bound,
 )
@@ -61,10 +61,10 @@ def test_it_equals_the_exhaustive_search(seed, share, beams, depth, linear, angu
     grid = random_grid(rng, share)
     points, start = rng.uniform(-4, 4, (beams, 2)), rng.uniform(-1, 1, 3)
     bounds = BoundGrids.of(grid, depth)
-    found = branch_and_bound(bounds, points, start, Window(linear, angular), 0.0)
+    found = branch_and_bound(bounds, points, start, SearchWindow(linear, angular), 0.0)
     assert found.complete
     assert found.score == np.float64(exhaustive(grid, points, start, linear, angular))
-    again = branch_and_bound(bounds, points, start, Window(linear, angular), found.score + 1e-3)
+    again = branch_and_bound(bounds, points, start, SearchWindow(linear, angular), found.score + 1e-3)
     assert again.score < 0
 
 
@@ -74,9 +74,9 @@ def test_a_neighborhood_is_left_out(seed):
     grid = random_grid(rng, 0.05)
     points, start = rng.uniform(-3, 3, (15, 2)), rng.uniform(-1, 1, 3)
     bounds = BoundGrids.of(grid, 3)
-    best = branch_and_bound(bounds, points, start, Window(0.6, 0.1), 0.0)
+    best = branch_and_bound(bounds, points, start, SearchWindow(0.6, 0.1), 0.0)
     second = branch_and_bound(
-        bounds, points, start, Window(0.6, 0.1), 0.0, excluded=Exclusion(best.pose, 0.35)
+        bounds, points, start, SearchWindow(0.6, 0.1), 0.0, excluded=Exclusion(best.pose, 0.35)
     )
     assert second.score == np.float64(exhaustive(grid, points, start, 0.6, 0.1, best.pose[:2], 0.35))
 
@@ -98,7 +98,7 @@ def test_a_search_is_given_up_at_its_limit():
     rng = np.random.default_rng(0)
     grid = random_grid(rng, 0.3)
     found = branch_and_bound(
-        BoundGrids.of(grid, 4), rng.uniform(-4, 4, (20, 2)), np.zeros(3), Window(2.0, 0.5), 0.0, 500
+        BoundGrids.of(grid, 4), rng.uniform(-4, 4, (20, 2)), np.zeros(3), SearchWindow(2.0, 0.5), 0.0, 500
     )
     assert not found.complete
     assert found.nodes < 1500

@@ -22,7 +22,7 @@ ABSENT = -1
 """Marks, in a table, a patch that no beam ended in."""
 
 
-class Patches(NamedTuple):
+class HitPatches(NamedTuple):
     """All patches of all maps, cells in row order.
 
     Attributes:
@@ -50,7 +50,7 @@ class HitMap(NamedTuple):
 
     table: Int32Array
     corner: IntArray
-    patches: Patches
+    patches: HitPatches
     delta: float
 
 
@@ -62,7 +62,7 @@ class HitMaps:
         self._delta = delta
         self._tables: Int32Array = np.empty((particles, 0, 0), np.int32)
         self._corner: IntArray = np.zeros(2, np.int64)
-        self._patches = _resized(None, 256)
+        self._patches = _resize(None, 256)
 
     def __getitem__(self, particle: int) -> HitMap:
         """Return one map for the kernels."""
@@ -98,7 +98,7 @@ class HitMaps:
         while done < len(poses):
             if self._patches.free[0] < len(ends):
                 size = len(self._patches.owners)
-                self._patches = _resized(self._patches, size + max(len(ends), size // 4))
+                self._patches = _resize(self._patches, size + max(len(ends), size // 4))
             done = _register(self._tables, self._corner, self._patches, self._delta, poses, ends, done)
 
     def _cover(self, low: FloatArray, high: FloatArray) -> None:
@@ -118,10 +118,10 @@ class HitMaps:
         self._tables, self._corner = new, first.astype(np.int64)
 
 
-def _resized(old: Patches | None, size: int) -> Patches:
+def _resize(old: HitPatches | None, size: int) -> HitPatches:
     """Return `size` patches of which the first are the old ones."""
     cells = PATCH * PATCH
-    new = Patches(
+    new = HitPatches(
         np.empty((size, cells), np.int32),
         np.empty((size, cells, 2), np.float32),
         np.zeros(size, np.int32),
@@ -134,7 +134,7 @@ def _resized(old: Patches | None, size: int) -> Patches:
     return new
 
 
-def _list_free(patches: Patches) -> None:
+def _list_free(patches: HitPatches) -> None:
     """Note which patches nobody owns, the lowest to be taken first."""
     unowned = np.flatnonzero(patches.owners == 0)[::-1]
     patches.free[0] = len(unowned)

@@ -10,9 +10,9 @@ from slam_baselines.gmapping.original.config import GmappingOriginalConfig
 from slam_baselines.gmapping.original.drand48 import Drand48
 from slam_baselines.gmapping.original.hit_maps import HitMaps
 from slam_baselines.gmapping.original.scan_matcher import match_scan
-from slam_baselines.gmapping.resampling import effective_number, normalized, systematic_resample
+from slam_baselines.gmapping.resampling import effective_number, normalize, systematic_resample
 from slam_baselines.gmapping.trajectory_tree import TrajectoryTree
-from slam_baselines.linalg import composed
+from slam_baselines.linalg import compose_poses
 
 
 class OriginalParticles:
@@ -64,7 +64,7 @@ class OriginalParticles:
         # The original draws no number where there is nothing to scatter.
         scattered = sigma > 0
         noise[:, scattered] = self._rng.standard_normal((len(noise), int(scattered.sum()))) * sigma[scattered]
-        self._poses = composed(self._poses, delta.as_array() + noise)
+        self._poses = compose_poses(self._poses, delta.as_array() + noise)
 
     def process_scan(self, ends: FloatArray, increment: Pose2) -> None:
         """Match and weigh, resample where due, and register the scan.
@@ -77,7 +77,7 @@ class OriginalParticles:
         if self.tree.generations:
             self._match(ends)
             gain = 1 / (self._config.ogain * len(self._poses))
-            weights = normalized(gain * self._log_weights)
+            weights = normalize(gain * self._log_weights)
             if effective_number(weights) < self._config.resampleThreshold * len(weights):
                 parents = systematic_resample(weights, self._rng)
                 self.maps.descend(parents)

@@ -26,7 +26,7 @@ class MatchingParameters(NamedTuple):
     lsigma: float
 
 
-class Match(NamedTuple):
+class HillClimbMatch(NamedTuple):
     """A matched scan.
 
     Attributes:
@@ -38,7 +38,9 @@ class Match(NamedTuple):
     log_likelihood: float
 
 
-def match_scan(hits: HitMap, expected: FloatArray, ends: FloatArray, parameters: MatchingParameters) -> Match:
+def match_scan(
+    hits: HitMap, expected: FloatArray, ends: FloatArray, parameters: MatchingParameters
+) -> HillClimbMatch:
     """Match a scan to a map.
 
     Args:
@@ -49,7 +51,7 @@ def match_scan(hits: HitMap, expected: FloatArray, ends: FloatArray, parameters:
     """
     found, score = _climb(hits, expected, ends, parameters)
     pose = found if score > 0 else expected
-    return Match(pose, float(_score(hits, pose, ends, parameters)[1]))
+    return HillClimbMatch(pose, float(_score(hits, pose, ends, parameters)[1]))
 
 
 @njit(cache=True, nogil=True)

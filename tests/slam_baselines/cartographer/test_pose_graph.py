@@ -19,7 +19,7 @@ from slam_baselines.cartographer.pose_graph import (
     robust_cost,
     start_optimization,
 )
-from slam_baselines.linalg import composed, relative_poses, wrap
+from slam_baselines.linalg import compose_poses, relative_poses, wrap
 
 TIGHT = np.diag((0.02**-2, 0.02**-2, 0.004**-2))
 LOCAL = np.diag((0.03**-2, 0.03**-2, 0.01**-2))
@@ -33,7 +33,7 @@ def square(side=10.0, per_side=20, per_submap=10):
     steps[per_side - 1 :: per_side, 2] = np.pi / 2
     nodes = [np.zeros(3)]
     for step in steps[:-1]:
-        nodes.append(composed(nodes[-1], step))
+        nodes.append(compose_poses(nodes[-1], step))
     nodes = np.array(nodes)
     return nodes, nodes[::per_submap].copy(), per_submap
 
@@ -61,7 +61,7 @@ def drifted(nodes, rng):
     steps = relative_poses(nodes[:-1], nodes[1:]) + wrong
     poses = [nodes[0]]
     for step in steps:
-        poses.append(composed(poses[-1], step))
+        poses.append(compose_poses(poses[-1], step))
     return np.array(poses)
 
 
@@ -136,7 +136,7 @@ def wrap_yaw(difference):
 def test_errors_vanish_at_the_measured_poses_and_yaw_wraps():
     a = np.array([[1.0, 2.0, 3.0]])
     z = np.array([[0.5, -0.2, 3.1]])
-    np.testing.assert_allclose(errors(a, composed(a, z), z), 0, atol=1e-12)
+    np.testing.assert_allclose(errors(a, compose_poses(a, z), z), 0, atol=1e-12)
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.05])

@@ -40,7 +40,7 @@ def test_room_made_at_once_holds_the_same_as_room_made_scan_by_scan():
     hits = [rng.uniform((-9, -7, -0.3), (8, 6, 1), (90, 3)) + shift for shift in away]
     scans = [ScanPoints(o, ends, np.empty((0, 3))) for o, ends in zip(away, hits, strict=True)]
     slopes = rng.integers(0, 256, (6, 90)).astype(np.uint8)
-    growing, reserved = Submaps(config), Submaps(config).restarted(config)
+    growing, reserved = Submaps(config), Submaps(config).empty_copy(config)
     reserved.reserve(Pose2(), union_of([bounding_box(scan) for scan in scans]))
     frames = [reserved.all[0].levels.frames.copy()]
     for k, scan in enumerate(scans):

@@ -15,7 +15,7 @@ from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.motion.dead_reckoning import PoseEstimate
 from slam_baselines.motion.gyro_bias import GyroBiasConfig
-from slam_baselines.motion.increment import unbiased
+from slam_baselines.motion.increment import remove_bias
 from slam_baselines.scan.leveling import LeveledScan
 
 BIAS = math.radians(0.03)
@@ -37,7 +37,7 @@ def test_the_bias_is_learnt_from_where_the_walls_put_the_scans(bias: float) -> N
     for _ in range(30):
         step = Pose2(1.0, 0, float(rng.normal(0, 0.3)))
         truth.append(truth[-1] @ step)
-        keyframes.append(keyframe(unbiased(step, -bias, 1.2), 1.2))
+        keyframes.append(keyframe(remove_bias(step, -bias, 1.2), 1.2))
     noisy = [Pose2(p.x, p.y, p.yaw + float(rng.normal(0, math.radians(0.2)))) for p in truth]
     registration.learn(keyframes, noisy)
     assert registration.bias.value == pytest.approx(bias, abs=math.radians(0.008))

@@ -9,7 +9,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.proposal import First, PoseDistributions, Proposal, ProposalConfig, Proposer
-from slam_baselines.gmapping.scan_matching import Beams, log_likelihood, near_beams
+from slam_baselines.gmapping.scan_matching import ScanBeams, log_likelihood, near_beams
 from slam_baselines.scan.leveling import ScanPoints
 
 ALONE = First(0, False)
@@ -45,7 +45,7 @@ def proposed(
     maps: PatchMaps, points: np.ndarray, expected: np.ndarray, seed: int = 0, first: First = ALONE
 ) -> Proposal:
     odometry = PoseDistributions(expected, np.tile(np.diag((0.01, 0.01, 0.01)), (len(expected), 1, 1)))
-    beams = Beams(points, np.ones(len(points)))
+    beams = ScanBeams(points, np.ones(len(points)))
     return Proposer(ProposalConfig()).propose(maps, beams, 0, odometry, first, np.random.default_rng(seed))
 
 
@@ -142,8 +142,8 @@ def test_walls_that_were_looked_up_before_are_those_of_the_place() -> None:
     view = mapped(1, *room).view(0, 0)
     points = ends(Pose2(0.2, 0.1, 0.3), *room)
     counted = rng.random(len(points)) < 0.5
-    beams = Beams(points, counted.astype(np.float64))
-    few = Beams(points[counted].copy(), np.ones(int(counted.sum())))
+    beams = ScanBeams(points, counted.astype(np.float64))
+    few = ScanBeams(points[counted].copy(), np.ones(int(counted.sum())))
     near = near_beams(beams, 1)
     for pose in np.array((0.2, 0.1, 0.3)) + rng.normal(0.0, (0.06, 0.06, 0.02), (60, 3)):
         found = log_likelihood(view, near.fine, pose, 0.005, 1.0)

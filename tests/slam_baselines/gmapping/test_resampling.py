@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam_baselines.gmapping.resampling import effective_number, normalized, systematic_resample
+from slam_baselines.gmapping.resampling import effective_number, normalize, systematic_resample
 
 
 def test_effective_number_of_equal_and_of_one() -> None:
@@ -14,7 +14,7 @@ def test_effective_number_of_equal_and_of_one() -> None:
 
 
 def test_weights_survive_huge_differences_of_logarithms() -> None:
-    weights = normalized(np.array([-5000.0, -5001.0, -9000.0]))
+    weights = normalize(np.array([-5000.0, -5001.0, -9000.0]))
     np.testing.assert_allclose(weights, [1 / (1 + np.exp(-1)), 1 / (1 + np.e), 0], atol=1e-12)
 
 
@@ -47,9 +47,9 @@ def test_posterior_of_a_line_is_that_of_the_kalman_filter() -> None:
         mean, variance = mean + 1, variance + q**2
         gain = variance / (variance + r**2)
         mean, variance = mean + gain * (z - mean), (1 - gain) * variance
-        weights = normalized(log_weights)
+        weights = normalize(log_weights)
         if effective_number(weights) < n / 2:
             x, log_weights = x[systematic_resample(weights, rng)], np.zeros(n)
-    weights = normalized(log_weights)
+    weights = normalize(log_weights)
     assert weights @ x == pytest.approx(mean, abs=0.02)
     assert weights @ (x - weights @ x) ** 2 == pytest.approx(variance, rel=0.05)

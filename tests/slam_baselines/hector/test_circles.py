@@ -32,7 +32,7 @@ def test_five_minutes_of_circles_teach_nothing_wrong(rate: float, speed: float) 
         p, q, r = calibration.covariance
         assert p > 0
         assert p * r > q * q
-    straight = calibration.corrected(Pose2(1.0))
+    straight = calibration.correct(Pose2(1.0))
     assert straight.distance(Pose2(1.0)) < 0.05
 
 

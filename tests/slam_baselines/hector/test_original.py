@@ -17,7 +17,7 @@ from slam_baselines.hector.original import (
     HectorOriginalConfig,
     HectorOriginalMapper,
     OriginalMap,
-    _interpolated,
+    _interpolate,
 )
 from slam_baselines.mapper import make_mapper
 from tests.slam_baselines.synthetic import drive_room, loop, room_scan
@@ -89,9 +89,9 @@ def test_interpolation_is_exact_at_the_cells_centers() -> None:
     field = np.random.default_rng(1).random((6, 7)).astype(np.float32)
     for row in range(5):
         for col in range(6):
-            assert _interpolated(field, float(col), float(row))[0] == pytest.approx(field[row, col])
-    assert _interpolated(field, 6.0, 2.0) == (0.0, 0.0, 0.0)
-    assert _interpolated(field, -0.1, 2.0) == (0.0, 0.0, 0.0)
+            assert _interpolate(field, float(col), float(row))[0] == pytest.approx(field[row, col])
+    assert _interpolate(field, 6.0, 2.0) == (0.0, 0.0, 0.0)
+    assert _interpolate(field, -0.1, 2.0) == (0.0, 0.0, 0.0)
 
 
 def test_a_hit_wins_over_a_beam_that_passes() -> None:

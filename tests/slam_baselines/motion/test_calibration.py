@@ -38,7 +38,7 @@ def test_constant_errors_are_learnt(
         )
         calibration.learn(step, true, down)
     step, down = Pose2(0.05, 0.0, 0.04), (0.2, -0.1)
-    got = calibration.corrected(step, down)
+    got = calibration.correct(step, down)
     expected = (
         0.05 * (1 + meter) + slide * 0.04 * 0.2,
         lateral * 0.04 - slide * 0.04 * 0.1,
@@ -93,7 +93,7 @@ def test_circles_do_not_unlearn_the_straight() -> None:
     for _ in range(20_000):
         drive(0.1, 0.1)
         assert eigenvalues(calibration)[0] > 0
-    straight = calibration.corrected(Pose2(1.0, 0.0, 0.0))
+    straight = calibration.correct(Pose2(1.0, 0.0, 0.0))
     np.testing.assert_allclose(straight.as_array(), (1.03, 0.0, 0.02), atol=0.01)
     assert max(map(abs, calibration.gain)) < 0.05
 

@@ -10,7 +10,7 @@ import pytest
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
 from slam_baselines.motion.dead_reckoning import MotionConfig
-from slam_baselines.motion.increment import GYRO, MotionIncrement, unbiased
+from slam_baselines.motion.increment import GYRO, MotionIncrement, remove_bias
 
 BIAS = math.radians(0.03)
 
@@ -63,7 +63,7 @@ def test_unbiased_undoes_a_constant_turn() -> None:
     bent = Pose2()
     for _ in range(1000):
         bent = bent @ Pose2(0.001, 0, 0.05 * 0.002)
-    np.testing.assert_allclose(unbiased(bent, 0.05, 2.0).as_array(), (1, 0, 0), atol=1e-3)
+    np.testing.assert_allclose(remove_bias(bent, 0.05, 2.0).as_array(), (1, 0, 0), atol=1e-3)
 
 
 def test_the_distance_from_dead_reckoning_is_in_standard_deviations() -> None:
