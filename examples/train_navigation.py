@@ -21,7 +21,7 @@ import gymnasium as gym
 import numpy as np
 
 import lirs_envs  # noqa: F401  registers LIRS/...
-from lirs_envs.policies.policy import PolicyContext
+from lirs_envs.policies import PolicyContext
 from lirs_envs.sb3 import as_vec_env
 from lirs_validation.bench.task_worlds import WorldSpec
 from lirs_validation.bench.tasks import SETS, task_set

@@ -115,7 +115,7 @@ def _lidars() -> Collection[str]:
 
 
 def _ray_casters() -> Collection[str]:
-    from lirs_envs.lidar.casters import RAYS
+    from lirs_envs.lidar.ray_casting import RAYS
 
     return RAYS
 

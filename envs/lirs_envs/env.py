@@ -9,7 +9,7 @@ import numpy as np
 
 from lirs_envs.episodes.config import EnvConfig
 from lirs_envs.episodes.episodes import Episodes, EpisodeView
-from lirs_envs.rendering.snapshot import Snapshot
+from lirs_envs.rendering.scene import Snapshot
 from lirs_envs.rendering.views import RENDER_MODES, Views, check_render_mode
 from lirs_wct.arrays import ByteArray, Float32Array
 from lirs_wct.errors import ConfigError

@@ -10,10 +10,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from lirs_envs.actors.walkers import Walkers, add_walkers
 from lirs_envs.collisions import check_divergence
 from lirs_envs.props import STATIC_ROBOT, Prop, StaticRobot, add_props
 from lirs_envs.robots.robot import Robot
+from lirs_envs.walkers import Walkers, add_walkers
 from lirs_wct.arrays import FloatArray, Vector3
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.contact.contact_grid import ContactGrid, contact_grid, surface_itself
@@ -70,7 +70,7 @@ class RobotModel:
         props: what else stands there.
         contact_geometry: what is touched (see `lirs_wct.contact.contact_geometry.CONTACT_GEOMETRIES`).
         mujoco_rays: whether MuJoCo's own rays are to meet the surface, where something else is touched.
-        actors: number of walkers that have a body (see `lirs_envs.actors.walkers`).
+        actors: number of walkers that have a body (see `lirs_envs.walkers`).
         height_range: lowest and highest height that `replace_surface` may write, meters; the ground that is
             touched is then the surface itself. None = the ground stays.
         contact_sensors: whether to add sensors of the robot's contacts.

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import math
 import time
+from array import array
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lirs_envs.actors.walkers import TOUCHABLE, WALKER_STREAM, Walkers
 from lirs_envs.collisions import Collisions, ContactMonitor, check_divergence
-from lirs_envs.lidar.casters import WalkerCaster, make_caster
+from lirs_envs.lidar.ray_casting import WalkerCaster, make_caster
 from lirs_envs.placement import MAX_SETTLING_DISTANCE, check_fit, resolve_start, standing_pose
 from lirs_envs.props import footprint
 from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.command import Twist, Waypoint, check_command
-from lirs_envs.robots.controller import make_controller
+from lirs_envs.robots.drive import make_controller
 from lirs_envs.sensing.sensors import Observation, Sensors
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_envs.timing import PhysicsReplay, Timing
+from lirs_envs.walkers import TOUCHABLE, WALKER_STREAM, Walkers
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.contact.contact_grid import ContactGrid
 from lirs_wct.errors import ConfigError, SimulationError
@@ -29,6 +29,34 @@ from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.rows import Rows
 from lirs_wct.ground import Terrain
 from lirs_wct.world import World
+
+
+@dataclass
+class Timing:
+    """Wall-clock seconds of each `advance`: in MuJoCo's step, and in all sensors."""
+
+    physics: array[float] = field(default_factory=lambda: array("d"))
+    sensors: array[float] = field(default_factory=lambda: array("d"))
+
+
+@dataclass(frozen=True)
+class PhysicsReplay:
+    """The recorded controls through MuJoCo's step alone.
+
+    Attributes:
+        seconds: wall-clock time.
+        simulated: simulated time, seconds.
+        T_world_base: last pose.
+    """
+
+    seconds: float
+    simulated: float
+    T_world_base: Pose3
+
+    @property
+    def rtf(self) -> float:
+        """Simulated seconds over wall-clock seconds."""
+        return self.simulated / self.seconds
 
 
 class Simulation:

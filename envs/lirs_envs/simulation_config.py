@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from lirs_envs.lidar.casters import Rays, resolve_rays
 from lirs_envs.lidar.presets import LidarPreset, make_lidar_preset
+from lirs_envs.lidar.ray_casting import Rays, resolve_rays
 from lirs_envs.placement import check_start
 from lirs_envs.props import Prop, StaticRobot
 from lirs_envs.robots.robot import Robot
@@ -30,7 +30,7 @@ class SimulationConfig:
         contact_geometry: what MuJoCo touches: `hfield`, `mesh` (the same, and its rays meet the mesh),
             `prisms` or `convex`.
         props: bodies and static robots that stand in the world; touched, and seen by the lidar.
-        actors: number of walkers on seeded paths (see `lirs_envs.actors.walkers`); touched, and seen by the
+        actors: number of walkers on seeded paths (see `lirs_envs.walkers`); touched, and seen by the
             lidar.
         start: pose where a reset sets the robot down; None = the world's first start pose.
         height_range: lowest and highest height that `Simulation.replace_terrain` may write, meters; wheels

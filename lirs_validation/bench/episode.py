@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from lirs_envs.env import Observed, RobotEnv
-from lirs_envs.policies.policy import Policy
+from lirs_envs.policies import Policy
 from lirs_validation.bench.policies import PolicyChoice
 from lirs_validation.bench.scores import coverage_area, distance_share, success_by_path_length
 from lirs_validation.bench.tasks import BenchTask

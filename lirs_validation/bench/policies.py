@@ -14,9 +14,7 @@ import cv2
 import numpy as np
 
 from lirs_envs.env import RobotEnv
-from lirs_envs.policies.blind import RandomActions, StraightAhead
-from lirs_envs.policies.go_to_goal import GoToGoal
-from lirs_envs.policies.policy import Policy, PolicyContext
+from lirs_envs.policies import GoToGoal, Policy, PolicyContext, RandomActions, StraightAhead
 from lirs_envs.tasks.site import SEEN_CELL
 from lirs_validation.bench.tasks import TASKS, BenchTask
 from lirs_validation.driving.choice import MARGIN

@@ -14,7 +14,7 @@ from lirs_envs.collisions import check_divergence
 from lirs_envs.placement import standing_pose
 from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.command import Twist
-from lirs_envs.robots.controller import make_controller
+from lirs_envs.robots.drive import make_controller
 from lirs_envs.robots.robot import Robot
 from lirs_validation.collision.contact_log import ContactLog, ContactRecorder
 from lirs_validation.driving.room import no_room

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import dataclass, replace
 
-from lirs_envs.lidar.casters import resolve_rays
+from lirs_envs.lidar.ray_casting import resolve_rays
 from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig

@@ -81,7 +81,7 @@ def test_train_navigation(tmp_path: Path) -> None:
     """One update of the policy, whose weights then drive."""
     pytest.importorskip("stable_baselines3", reason="Stable-Baselines3 is not installed (extra [rl])")
     from lirs_envs.env import RobotEnv
-    from lirs_envs.policies.policy import PolicyContext
+    from lirs_envs.policies import PolicyContext
 
     shown = run("train_navigation", "--steps", "1", "-o", tmp_path, cwd=tmp_path)
     assert re.search(r"\d{4} steps in", shown)

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from lirs_envs.env import RobotEnv
-from lirs_envs.wrappers.curriculum import Curriculum
-from lirs_envs.wrappers.map_observation import FREE, OCCUPIED, UNKNOWN, MapObservation, local_map
+from lirs_envs.wrappers import FREE, OCCUPIED, UNKNOWN, Curriculum, MapObservation, local_map
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2

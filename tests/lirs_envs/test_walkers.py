@@ -13,17 +13,26 @@ import mujoco
 import numpy as np
 import pytest
 
-from lirs_envs.actors.paths import draw_paths, walkable_ground
-from lirs_envs.actors.walker_rays import meet_walkers
-from lirs_envs.actors.walkers import GAP, HALF_LENGTH, HEIGHT, RADIUS, TOUCHABLE, WALKER_GROUP, Walkers
 from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
 from lirs_envs.lidar.ray_casting import mujoco_ranges
+from lirs_envs.lidar.walker_rays import meet_walkers
 from lirs_envs.props import Prop
 from lirs_envs.robots.command import Twist
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.walkers import (
+    GAP,
+    HALF_LENGTH,
+    HEIGHT,
+    RADIUS,
+    TOUCHABLE,
+    WALKER_GROUP,
+    Walkers,
+    draw_paths,
+    walkable_ground,
+)
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2

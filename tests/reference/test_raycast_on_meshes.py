@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from lirs_envs.lidar.casters import Rays
 from lirs_envs.lidar.lidar import BaseVelocity, Lidar
 from lirs_envs.lidar.mesh_rays import MeshCaster
 from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.lidar.presets import LidarPreset
-from lirs_envs.lidar.ray_casting import mujoco_ranges
+from lirs_envs.lidar.ray_casting import Rays, mujoco_ranges
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation

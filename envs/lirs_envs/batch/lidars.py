@@ -1,4 +1,7 @@
-"""Scans of N lidars: the kernels of one, row by row."""
+"""Lidar scans of N robots.
+
+Robots that share a caster are scanned in one kernel call.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,9 @@ from collections.abc import Callable
 import numpy as np
 
 from lirs_envs.lidar.lidar import BaseVelocity, Lidar, transform_rays
-from lirs_envs.lidar.mipmap import TerrainMipmap
 from lirs_envs.lidar.noise import LidarNoise, NoiseParameters, measure
 from lirs_envs.lidar.ray_casting import Caster, RayCaster, cast_rays
+from lirs_envs.lidar.terrain_rays import TerrainMipmap
 from lirs_envs.lidar.wall_rays import WallCells
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.arrays import Float32Array, FloatArray, IntArray
@@ -18,13 +21,13 @@ from lirs_wct.kernels import njit
 
 
 class Lidars:
-    """Lidars of N robots, each with noise and a random stream of its own (see `lidar.lidar.Lidar`).
+    """Lidars of N robots, each with its own noise and random stream.
 
-    Of a lidar with rings there is the planar scan alone.
+    Only the planar scan of a lidar with rings is simulated (see `lidar.lidar.Lidar`).
 
     Attributes:
         ranges: (N, beams) float32 of the last scans (see `LaserScan`).
-        time_increment: between two beams of a rolling scan, seconds; else 0.
+        time_increment: time between two beams of a rolling scan, seconds; otherwise 0.
     """
 
     def __init__(self, config: SimulationConfig, count: int) -> None:
@@ -42,7 +45,7 @@ class Lidars:
         self.ranges: Float32Array = np.zeros((count, preset.beams), np.float32)
 
     def begin(self, i: int, caster: Caster, noise: LidarNoise, rng: np.random.Generator) -> None:
-        """Begin with lidar `i`, whose beams meet what `caster` knows."""
+        """Start lidar `i` with its caster, noise and random stream."""
         config = self._config
         lidar = Lidar(
             config.preset.planar,
@@ -58,7 +61,13 @@ class Lidars:
             self._uniforms = np.zeros((*self.ranges.shape, 2))
 
     def scan(self, rows: IntArray, T_world_base: FloatArray, velocity: Callable[[int], BaseVelocity]) -> None:
-        """Scan from the poses (N, 7) of robots `rows`; rolling scans ask for a robot's velocity."""
+        """Scan from the poses (N, 7) of robots `rows`.
+
+        Args:
+            rows: indices of the robots.
+            T_world_base: (N, 7) x, y, z, qw, qx, qy, qz.
+            velocity: returns the velocity of robot `i`; called for rolling scans only.
+        """
         for caster, group in self._by_caster(rows):
             if isinstance(caster, RayCaster) and not self.time_increment:
                 self._scan_together(caster, np.array(group), T_world_base)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from lirs_envs.actors.walkers import Walkers
 from lirs_envs.batch.bodies import Bodies
 from lirs_envs.batch.control import DifferentialDrives, WheelActuators
 from lirs_envs.batch.imu import ImuReadings
@@ -12,6 +11,7 @@ from lirs_envs.batch.odometry import WheelJoints, WheelOdometries
 from lirs_envs.batch.per_robot import FlightControllers, Odometries
 from lirs_envs.robot_model import RobotModel
 from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.walkers import Walkers
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.world import World

@@ -9,19 +9,18 @@ from functools import partial
 import mujoco
 import numpy as np
 
-from lirs_envs.actors.walkers import TOUCHABLE, WALKER_STREAM, Walkers
 from lirs_envs.batch.lidars import Lidars
 from lirs_envs.batch.robot_group import RobotGroup, make_groups
 from lirs_envs.batch.work_threads import Work, WorkThreads
-from lirs_envs.lidar.casters import make_caster
 from lirs_envs.lidar.lidar import BaseVelocity
 from lirs_envs.lidar.noise import LidarNoise, lidar_noise
-from lirs_envs.lidar.ray_casting import Caster
+from lirs_envs.lidar.ray_casting import Caster, make_caster
 from lirs_envs.placement import MAX_SETTLING_DISTANCE, standing_pose
 from lirs_envs.props import footprint
 from lirs_envs.robot_model import TIPPED, RobotModel, is_tipped
 from lirs_envs.sensing.sensors import IMU_STREAM, LIDAR_STREAM, ODOMETRY_STREAM, Observation
 from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.walkers import TOUCHABLE, WALKER_STREAM, Walkers
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.export.mjcf import write_heights

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from lirs_envs.lidar.casters import resolve_rays
 from lirs_envs.lidar.noise import NoiseLevel
+from lirs_envs.lidar.ray_casting import resolve_rays
 from lirs_envs.props import Prop
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.robot import Robot
@@ -52,7 +52,7 @@ class EnvConfig:
             `terrain`: a new course in each episode; `sensor`: deviations of the lidar.
         rays: whose rays meet the world: `builtin` or `mujoco` (see `SimulationConfig`).
         props: what stands in the world: a `Prop`, or a mapping of its fields with `place` as x, y, yaw.
-        actors: number of walkers (see `lirs_envs.actors.walkers`).
+        actors: number of walkers (see `lirs_envs.walkers`).
         difficulty: 0 to 1, where the task has one.
         time_limit: seconds until an episode is truncated; None = the task's own.
 

@@ -6,13 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from lirs_envs.lidar.deskew import moved_frames
 from lirs_envs.lidar.noise import LidarNoise, draw_noise, lidar_noise, measure
 from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.lidar.ray_casting import Caster
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
-from lirs_wct.errors import SimulationError
+from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import LaserScan
@@ -128,6 +128,39 @@ class Lidar:
         directions = np.einsum("nij,rnj->rni", R, self._beams.reshape(rings, columns, 3)).reshape(-1, 3)
         transform_rays(quaternion, position, origins, directions, origins, directions)
         return origins, directions
+
+
+def moved_frames(times: ArrayLike, velocity: ArrayLike, rates: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Return rotations (n, 3, 3) and positions (n, 3) of a moving frame, relative to time 0.
+
+    With constant velocity v and rates w in its own axes, the frame is at exp(t [v, w]) after a time t:
+    rotation by Rodrigues' formula, translation by its integral (Lynch and Park, "Modern Robotics",
+    eqs. 3.51 and 3.88).
+
+    Args:
+        times: (n,) seconds.
+        velocity: (3,) along the frame's own axes, m/s, constant there.
+        rates: (3,) about the frame's own axes, rad/s, constant.
+
+    Raises:
+        ConfigError: an array has the wrong shape or a value that is not finite.
+    """
+    t, v, w = (np.asarray(a, dtype=np.float64) for a in (times, velocity, rates))
+    if t.ndim != 1 or v.shape != (3,) or w.shape != (3,):
+        raise ConfigError(
+            f"a motion needs times (n,), velocity (3,), rates (3,), got {t.shape, v.shape, w.shape}"
+        )
+    if not (np.isfinite(v).all() and np.isfinite(w).all()):
+        raise ConfigError(f"velocity and rates of a motion must be finite, got {v} and {w}")
+    rate = float(np.linalg.norm(w))
+    if rate < 1e-9:
+        return np.broadcast_to(np.eye(3), (len(t), 3, 3)), t[:, None] * v
+    x, y, z = w / rate
+    K = np.array(((0, -z, y), (z, 0, -x), (-y, x, 0)))
+    angle = (rate * t)[:, None, None]
+    R = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * (K @ K)
+    G = angle * np.eye(3) + (1 - np.cos(angle)) * K + (angle - np.sin(angle)) * (K @ K)
+    return R, (G @ v) / rate
 
 
 @njit(cache=True, nogil=True)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import distance_transform_cdt
 
-from lirs_envs.lidar.clipping import FAR, clip, inverse
+from lirs_envs.lidar.terrain_rays import FAR, clip, inverse
 from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.kernels import njit

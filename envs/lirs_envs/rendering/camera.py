@@ -5,8 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from lirs_envs.rendering.scene import Scene, scene_options
-from lirs_envs.rendering.snapshot import Snapshot
+from lirs_envs.rendering.scene import Scene, Snapshot, scene_options
 from lirs_wct.arrays import ByteArray, Float32Array
 from lirs_wct.errors import SimulationError
 

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_envs.actors.walkers import RADIUS
-from lirs_envs.rendering.snapshot import Snapshot
+from lirs_envs.rendering.scene import Snapshot
+from lirs_envs.walkers import RADIUS
 from lirs_wct.arrays import ByteArray, FloatArray, Int32Array
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import LaserScan

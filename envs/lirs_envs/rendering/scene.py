@@ -1,12 +1,14 @@
-"""The model that cameras see: the robot on an error-bounded mesh of the ground in the height field's place.
+"""Scene that cameras render: robot, props and walkers on a simplified ground mesh.
 
-Software OpenGL draws the height field that wheels touch in the world `medium` (513 x 513 nodes) in 0.3 s, and
-the mesh of the finer one that the lidar sees in 0.04 s.
+The mesh, whose vertical error is bounded, replaces the height field: software OpenGL renders it faster.
+In the world `medium` the height field of the wheels (513 x 513 nodes) takes 0.3 s, the mesh of the finer
+lidar surface 0.04 s.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from zlib import crc32
 
 import cv2
@@ -14,16 +16,55 @@ import mujoco
 import numpy as np
 import trimesh
 
-from lirs_envs.actors.walkers import add_walkers
 from lirs_envs.props import add_props
-from lirs_envs.rendering.snapshot import Snapshot
+from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_wct.arrays import ByteArray
+from lirs_envs.walkers import add_walkers
+from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.export.appearance import world_parts
 from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.meshing.simplify import simplified_solid
 from lirs_wct.meshing.tiles import MUJOCO_FACES, split_tiles
 from lirs_wct.world import World
+
+
+@dataclass(frozen=True, kw_only=True)
+class Snapshot:
+    """A moment of a simulation.
+
+    Attributes:
+        world: around the robot.
+        config: robot, props and number of walkers.
+        qpos: (nq,) MuJoCo's positions of robot and props.
+        walkers: (n, 3) middles of the walkers, meters.
+        goal: that is marked; None = none.
+    """
+
+    world: World
+    config: SimulationConfig
+    qpos: FloatArray
+    walkers: FloatArray
+    goal: Pose2 | None = None
+
+    @staticmethod
+    def of(simulation: Simulation, goal: Pose2 | None = None) -> Snapshot:
+        """Return what a simulation is like now."""
+        walkers = simulation.walkers
+        return Snapshot(
+            world=simulation.world,
+            config=simulation.config,
+            qpos=simulation.body.data.qpos.copy(),
+            walkers=np.zeros((0, 3)) if walkers is None else walkers.centers.copy(),
+            goal=goal,
+        )
+
+    @property
+    def T_world_base(self) -> Pose3:  # noqa: N802  a frame pair
+        """Pose of base_link."""
+        x, y, z, qw, qx, qy, qz = self.qpos[:7].tolist()
+        return Pose3(x, y, z, qw, qx, qy, qz)
+
 
 MAX_ERROR = 0.02
 """Vertical deviation of the drawn ground from the true one, meters."""

@@ -1,15 +1,18 @@
-"""Control of a robot with driven wheels: from a commanded twist to wheel speeds."""
+"""Controllers of robots; control of driven wheels from a commanded twist."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from lirs_envs.robots.command import Twist, Waypoint
+from lirs_envs.robots.flight import FlyingBody, QuadrotorController
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import FloatArray, RecordArray
 from lirs_wct.field_validators import require_at_least
+from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.kernels import njit
 
 
@@ -109,3 +112,21 @@ def wheel_speeds(
 @njit(cache=True, inline="always")
 def _limited(value: float, limit: float) -> float:
     return max(-limit, min(limit, value))
+
+
+class Controller(Protocol):
+    """Actuator controls from commands."""
+
+    def update(self, command: Twist | Waypoint, yaw_rate: float, dt: float) -> tuple[float, ...]:
+        """Return the controls to hold for `dt` seconds: wheel speeds, rad/s, or rotor thrusts, newtons.
+
+        Args:
+            command: beyond the robot's limits it is clipped.
+            yaw_rate: measured by the gyro, rad/s.
+            dt: seconds.
+        """
+
+
+def make_controller(robot: Robot, body: FlyingBody, surface: HeightField) -> Controller:
+    """Return the controller of a robot; `body` and `surface` are what a flying one senses."""
+    return QuadrotorController(robot, body, surface) if robot.flies else DifferentialDrive(robot)

@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 
-from lirs_envs.lidar.clipping import FAR, inverse
 from lirs_envs.lidar.lidar import transform_rays
-from lirs_envs.lidar.terrain_rays import FUSED
+from lirs_envs.lidar.terrain_rays import FAR, FUSED, inverse
 from lirs_envs.tasks.site import SEEN_CELL, SeenFrame
 from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from lirs_wct.kernels import njit

@@ -11,7 +11,7 @@ import pytest
 
 from lirs_envs.batch.simulation import BatchSimulation
 from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
-from lirs_envs.lidar.casters import Rays
+from lirs_envs.lidar.ray_casting import Rays
 from lirs_envs.props import Prop
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist

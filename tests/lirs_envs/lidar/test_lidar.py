@@ -6,11 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lirs_envs.lidar.casters import NearestCaster
 from lirs_envs.lidar.lidar import Lidar
-from lirs_envs.lidar.mipmap import EDGE, LEAF, ROW, build_terrain_mipmap
 from lirs_envs.lidar.presets import LIDARS, LidarPreset, make_lidar_preset
-from lirs_envs.lidar.ray_casting import RayCaster
+from lirs_envs.lidar.ray_casting import NearestCaster, RayCaster
+from lirs_envs.lidar.terrain_rays import EDGE, LEAF, ROW, build_terrain_mipmap
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3

@@ -7,8 +7,8 @@ import pytest
 
 from lirs_envs.lidar.pattern import rings
 from lirs_envs.lidar.presets import ring_directions
-from lirs_envs.lidar.ray_bundles import BUNDLE, SMALLEST_FIELD, safe_distance
 from lirs_envs.lidar.ray_casting import RayCaster
+from lirs_envs.lidar.terrain_rays import BUNDLE, SMALLEST_FIELD, safe_distance
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.heightfield import HeightField
 

@@ -9,8 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from lirs_envs.lidar.deskew import moved_frames
-from lirs_envs.lidar.lidar import BaseVelocity, Lidar
+from lirs_envs.lidar.lidar import BaseVelocity, Lidar, moved_frames
 from lirs_envs.lidar.noise import LidarNoise, lidar_noise
 from lirs_envs.lidar.pattern import BeamPattern, PatternLidar, rings
 from lirs_envs.lidar.presets import LIDARS, RING_LIDARS, LidarPreset

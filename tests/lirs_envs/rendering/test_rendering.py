@@ -14,8 +14,7 @@ import pytest
 from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
 from lirs_envs.rendering.camera import CHASE, Camera
 from lirs_envs.rendering.map_view import GOAL, PATH, ROBOT, SCAN, WALKER, MapView
-from lirs_envs.rendering.scene import MAX_ERROR, Scene
-from lirs_envs.rendering.snapshot import Snapshot
+from lirs_envs.rendering.scene import MAX_ERROR, Scene, Snapshot
 from lirs_envs.rendering.views import RENDER_MODES, Views
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.robot import Robot

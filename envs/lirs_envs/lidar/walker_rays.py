@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from lirs_envs.actors.walkers import HALF_LENGTH, RADIUS
+from lirs_envs.walkers import HALF_LENGTH, RADIUS
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.kernels import njit
 

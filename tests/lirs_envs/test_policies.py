@@ -11,9 +11,7 @@ import pytest
 
 import lirs_envs  # noqa: F401  registers
 from lirs_envs.episodes.config import EnvConfig
-from lirs_envs.policies.blind import RandomActions, StraightAhead
-from lirs_envs.policies.go_to_goal import BACK_OFF, PATIENCE, GoToGoal
-from lirs_envs.policies.policy import PolicyContext
+from lirs_envs.policies import BACK_OFF, PATIENCE, GoToGoal, PolicyContext, RandomActions, StraightAhead
 
 CONTEXT = PolicyContext.of(EnvConfig())
 Array = np.ndarray[Any, np.dtype[Any]]

@@ -1,20 +1,99 @@
-"""Go to the goal around what the scan shows: a reactive baseline without a map.
-
-Of a fan of headings the robot takes one near the goal's bearing along which a disc as large as the robot can
-go far, as in the vector field histogram (Borenstein and Koren 1991) with that way in place of a histogram.
-Where it makes no progress for a while it backs off.
-"""
+"""Policies without learning, as baselines, and the interface of a policy."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
-from lirs_envs.policies.policy import PolicyContext
+from lirs_envs.episodes.config import EnvConfig
+from lirs_envs.lidar.presets import LidarPreset
+from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import Float32Array, FloatArray
+
+
+class Policy(Protocol):
+    """Actions from observations, episode by episode."""
+
+    def reset(self, info: Mapping[str, Any]) -> None:
+        """Begin an episode; `info` is what the environment's reset said."""
+
+    def act(self, observation: Mapping[str, Any]) -> Float32Array:
+        """Return the action of the next step."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyContext:
+    """The robot that a policy is to drive; a policy's factory takes it.
+
+    Attributes:
+        robot: figures of the robot.
+        lidar: specification of its lidar.
+        period: seconds a step.
+        seed: of a policy that draws at random.
+    """
+
+    robot: Robot
+    lidar: LidarPreset
+    period: float
+    seed: int = 0
+
+    @staticmethod
+    def of(config: EnvConfig, seed: int = 0) -> PolicyContext:
+        """Return what the options of an environment mean for its policies."""
+        simulation = config.simulation
+        return PolicyContext(
+            robot=simulation.robot, lidar=simulation.preset, period=1 / config.control_hz, seed=seed
+        )
+
+    @property
+    def action_size(self) -> int:
+        """Numbers of an action: speed ahead, turn rate, and climb of a robot that flies."""
+        return 3 if self.robot.flies else 2
+
+
+HOLD = 1.0
+"""Seconds for which a random action is held: drawn anew each step it would go nowhere."""
+
+
+class StraightAhead:
+    """Full speed ahead."""
+
+    def __init__(self, context: PolicyContext) -> None:
+        self._action = np.zeros(context.action_size, np.float32)
+        self._action[0] = 1.0
+
+    def reset(self, info: Mapping[str, Any]) -> None:
+        """Begin an episode."""
+
+    def act(self, observation: Mapping[str, Any]) -> Float32Array:
+        """Return the one action."""
+        return self._action.copy()
+
+
+class RandomActions:
+    """Actions drawn evenly, each held for a second."""
+
+    def __init__(self, context: PolicyContext) -> None:
+        self._rng = np.random.default_rng(context.seed)
+        self._size, self._hold = context.action_size, max(1, round(HOLD / context.period))
+        self._left, self._action = 0, np.zeros(self._size, np.float32)
+
+    def reset(self, info: Mapping[str, Any]) -> None:
+        """Begin an episode."""
+        self._left = 0
+
+    def act(self, observation: Mapping[str, Any]) -> Float32Array:
+        """Return the action that is held, or another."""
+        if self._left == 0:
+            self._action = self._rng.uniform(-1, 1, self._size).astype(np.float32)
+            self._left = self._hold
+        self._left -= 1
+        return self._action.copy()
+
 
 MARGIN = 0.15
 """Meters that are kept beside the robot."""
@@ -33,7 +112,12 @@ PROGRESS = 0.3
 
 
 class GoToGoal:
-    """Speed and turn rate from scan and goal; of a robot that flies the height stays."""
+    """Reactive baseline without a map: drive to the goal around obstacles in the scan.
+
+    From a set of headings the robot takes one near the goal's bearing with a long free distance for a disc of
+    its size. It is the vector field histogram (Borenstein and Koren 1991) with this distance instead of the
+    histogram. Without progress for a while the robot backs off. A flying robot keeps its height.
+    """
 
     def __init__(self, context: PolicyContext) -> None:
         robot, lidar = context.robot, context.lidar

@@ -1,1 +1,0 @@
-"""Policies that need no learning: what a learnt one is compared with."""
