@@ -31,7 +31,7 @@ from lirs_validation.experiment.recording import Recording
 from lirs_wct.formats.rosbag.library import Storage
 from lirs_wct.formats.rosbag.reader import read_bag
 from lirs_wct.formats.rosbag.topics import Topics
-from lirs_wct.formats.rosbag.writer import BagWriter, Tick
+from lirs_wct.formats.rosbag.writer import BagTick, BagWriter
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 
@@ -142,12 +142,12 @@ def written(path: Path, storage: Storage, scans: int) -> dict[str, Any]:
     return {"storage": storage, "scans": scans, "peak_mb": peak, "growth_mb": peak - early, "file_mb": size}
 
 
-def tick(k: int, ranges: np.ndarray[Any, np.dtype[np.float32]]) -> Tick:
+def tick(k: int, ranges: np.ndarray[Any, np.dtype[np.float32]]) -> BagTick:
     """Return the k-th scan of a drive in a circle, and what belongs to it."""
     t, yaw = PERIOD * k, 0.002 * k
     pose = Pose2(5 * math.sin(yaw), 5 - 5 * math.cos(yaw), math.remainder(yaw, math.tau))
     angle = math.radians(270)
-    return Tick(
+    return BagTick(
         scan=LaserScan(ranges, -angle / 2, angle / (BEAMS - 1), 0.5, 20.0, t, Pose3(0.2, 0.0, 0.3)),
         odometry=pose,
         imu=Imu(0.01, 0.02, stamp=t),

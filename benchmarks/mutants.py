@@ -36,7 +36,7 @@ from rich.console import Console
 from rich.table import Table
 
 ROOT = Path(__file__).resolve().parents[1]
-CARMEN = ("lines", "laser", "odometry", "stamps", "log")
+CARMEN = ("lines", "laser", "repairs", "log")
 READERS = (
     "lirs_wct/formats/images/*.py",
     *(f"lirs_wct/formats/carmen/{name}.py" for name in CARMEN),

@@ -34,7 +34,7 @@ from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.mapping.known_pose import KnownPoseMapper
 
 if TYPE_CHECKING:
-    from lirs_wct.formats.rosbag.writer import Drive
+    from lirs_wct.formats.rosbag.writer import BagDrive
 
 SAME_STAMP = 1e-4
 """Stamps of the same scan in two files differ by no more, seconds."""
@@ -157,7 +157,7 @@ def export_run(
     return [exporters[name](run, out) for name in formats]
 
 
-def recorded_drive(run: RunFolder, *, slam: bool = True) -> Drive:
+def recorded_drive(run: RunFolder, *, slam: bool = True) -> BagDrive:
     """Return what a run recorded, in the map frame: the first base pose.
 
     Ranges are in the millimeters' steps of `scans.clf.gz`; the estimates are the mapper's final ones.
@@ -165,7 +165,7 @@ def recorded_drive(run: RunFolder, *, slam: bool = True) -> Drive:
     Raises:
         SourceError: scans, poses or inertial readings are missing, damaged, or not of one drive.
     """
-    from lirs_wct.formats.rosbag.writer import Drive, Tick
+    from lirs_wct.formats.rosbag.writer import BagDrive, BagTick
 
     truth, log = recorded_truth(run.folder), read_carmen(run.folder / "scans.clf.gz")
     imu, estimate = read_imu(run.folder / "imu.csv.gz"), read_tum(run.folder / "estimate.tum")
@@ -180,7 +180,7 @@ def recorded_drive(run: RunFolder, *, slam: bool = True) -> Drive:
     in_map, estimate = truth.moved(T_map_world), estimate.moved(T_map_world)
     estimates = [Pose2(*row) for row in estimate.planar_at(log.stamps).tolist()]
     ticks = [
-        Tick(
+        BagTick(
             scan=replace(scan, T_base_laser=robot.T_base_laser, range_min=range_min),
             odometry=log.odometry[k] or Pose2(),
             imu=imu[k],
@@ -190,7 +190,9 @@ def recorded_drive(run: RunFolder, *, slam: bool = True) -> Drive:
         for k, scan in enumerate(log.scans)
     ]
     mapped = slam and not maps_clouds(run.entry)
-    return Drive(ticks=ticks, grid=read_map(run.folder / "map.yaml").moved(T_map_world) if mapped else None)
+    return BagDrive(
+        ticks=ticks, grid=read_map(run.folder / "map.yaml").moved(T_map_world) if mapped else None
+    )
 
 
 def _export_bag(run: RunFolder, out: Path, *, storage: Storage, slam: bool) -> Path:

@@ -44,11 +44,11 @@ class Recording:
         """
         if self._writer is None:
             return
-        from lirs_wct.formats.rosbag.writer import Tick
+        from lirs_wct.formats.rosbag.writer import BagTick
 
         if self._T_map_world is None:
             self._T_map_world = Pose3.from_pose2(T_world_base.to_pose2().inverse())
-        tick = Tick(
+        tick = BagTick(
             scan=observation.scan,
             odometry=observation.odometry,
             imu=observation.imu,

@@ -48,7 +48,7 @@ from lirs_wct.drawing.style import (
     plain_axes,
     title,
 )
-from lirs_wct.geometry.grid_sampling import resized
+from lirs_wct.geometry.grid_sampling import resample
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh
@@ -160,7 +160,7 @@ def _block(world: World) -> TriangleMesh:
     surface = world.surface
     rows, cols = (min(n, BLOCK_NODES) for n in surface.shape)
     width, depth = surface.size
-    z = resized(surface.z, cols, rows) * np.float32(_exaggeration(world))
+    z = resample(surface.z, cols, rows) * np.float32(_exaggeration(world))
     return solid_mesh(HeightField(z, (width / (cols - 1), depth / (rows - 1)), surface.origin))
 
 

@@ -18,8 +18,8 @@ from lirs_wct.formats.images.gdal import DRIVERS, rasterio_there, read_gdal
 from lirs_wct.formats.images.geotiff import (
     DEGREES,
     RasterInfo,
+    georeference_raster,
     height_unit,
-    located,
     looks_geographic,
     raster_info,
     tell_turn,
@@ -101,7 +101,9 @@ def _read_by_gdal(path: Path, max_pixels: int) -> tuple[NDArray[Any], RasterInfo
     if found.transform is not None:
         affine = middle_of_pixels(found.transform)
         try:
-            info = replace(info, georeference=located(path, system_of(found.crs), affine, found.pixels.shape))
+            info = replace(
+                info, georeference=georeference_raster(path, system_of(found.crs), affine, found.pixels.shape)
+            )
         except ConfigError as error:
             raise SourceError(f"{path}: {error}") from error
     return found.pixels, info
@@ -154,7 +156,7 @@ def read_ascii_grid(path: Path, max_pixels: int) -> tuple[FloatArray, RasterInfo
         raise SourceError(f"{path}: holds {values.size} heights, {cols} x {rows} are announced")
     affine = _affine(path, header, rows)
     try:
-        georeference = located(path, _system(path, affine), affine, (rows, cols))
+        georeference = georeference_raster(path, _system(path, affine), affine, (rows, cols))
     except ConfigError as error:
         raise SourceError(f"{path}: {error}") from error
     nodata = header.get("nodata_value")

@@ -15,7 +15,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above, require_at_least
 from lirs_wct.formats.images.picture import write_image
 from lirs_wct.geometry.geodesy import Place
-from lirs_wct.geometry.grid_sampling import resized
+from lirs_wct.geometry.grid_sampling import resample
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.viewpoint import Viewpoint
@@ -304,7 +304,7 @@ def heightmap_pixels(surface: HeightField, side: int | None = None) -> ByteArray
     if side not in SIDES:
         raise ConfigError(f"a heightmap has 2^n + 1 pixels a side, got {side}; legal: {SIDES}")
     above = surface.z - surface.z.min()
-    levels = resized(above, side, side) * np.float32(255 / max(surface.relief, 1e-9))
+    levels = resample(above, side, side) * np.float32(255 / max(surface.relief, 1e-9))
     pixels: ByteArray = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
     return pixels
 

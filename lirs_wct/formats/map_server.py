@@ -83,7 +83,7 @@ def read_metadata(path: Path) -> MapMetadata:
         missing = [key for key in ("image", "resolution", "origin") if key not in entry]
         if missing:
             raise ValueError(f"a map needs image, resolution and origin, this has no {', '.join(missing)}")
-        return _checked(
+        return _check_metadata(
             MapMetadata(
                 image=path.parent / str(entry["image"]),
                 resolution=_number(entry, "resolution", math.nan),
@@ -156,7 +156,7 @@ def _probability(pixels: NDArray[Any], metadata: MapMetadata) -> FloatArray:
     return np.where(clear, np.nan, np.where(occupied, 1.0, np.where(free, 0.0, between)))
 
 
-def _checked(metadata: MapMetadata) -> MapMetadata:
+def _check_metadata(metadata: MapMetadata) -> MapMetadata:
     if not 0 < metadata.resolution <= MAX_RESOLUTION:
         raise ValueError(
             f"resolution must be a finite number above 0, at most {MAX_RESOLUTION:g} m, "

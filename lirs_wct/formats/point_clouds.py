@@ -15,7 +15,7 @@ from lirs_wct.errors import SourceError
 from lirs_wct.formats.images.geotiff import system_of_keys
 from lirs_wct.formats.images.tiff import METERS
 from lirs_wct.formats.limited import run_limited
-from lirs_wct.formats.meshes.ply_header import ply_elements, require_positions, require_xyz
+from lirs_wct.formats.meshes.mesh_reader import ply_elements, require_positions, require_xyz
 from lirs_wct.geometry.geodesy import CoordinateSystem, system_of_text, units_of_text
 
 VERTICAL_UNITS = 4099

@@ -161,8 +161,8 @@ def read_world(folder: Path) -> WorldFile:
                 spawn_poses=tuple(Pose2(*pose) for pose in entry["starts"]),
                 spawn_for=str(entry.get("starts_for", "")),
                 start=Pose2(*entry["start"]) if "start" in entry else None,
-                walls=walls and WallGrid(arrays["walls"], *_placed(walls), walls["height"], hole),
-                truth=truth and OccupancyGrid(arrays["truth"], *_placed(truth)),
+                walls=walls and WallGrid(arrays["walls"], *_grid_placement(walls), walls["height"], hole),
+                truth=truth and OccupancyGrid(arrays["truth"], *_grid_placement(truth)),
                 solid=TriangleMesh(arrays["vertices"], arrays["faces"]) if "faces" in arrays else None,
                 overhangs=bool(entry.get("overhangs", False)),
                 no_ground=arrays.get("bare"),
@@ -224,7 +224,7 @@ def _grid_entry(grid: WallGrid | OccupancyGrid) -> dict[str, Any]:
     return {"resolution": grid.resolution, "origin": astuple(grid.origin)}
 
 
-def _placed(entry: dict[str, Any]) -> tuple[float, Pose2]:
+def _grid_placement(entry: dict[str, Any]) -> tuple[float, Pose2]:
     return entry["resolution"], Pose2(*entry["origin"])
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from lirs_wct.arrays import Float32Array
 
 
-def resized(values: Float32Array, width: int, height: int) -> Float32Array:
+def resample(values: Float32Array, width: int, height: int) -> Float32Array:
     """Return values sampled on another grid over the same ground: corners stay corners.
 
     Shrinking blurs first, so that nothing finer than the new grid is folded into it.
@@ -22,10 +22,10 @@ def resized(values: Float32Array, width: int, height: int) -> Float32Array:
             dtype=np.float32,
         )
     # One axis after the other: the maps stay small whatever the size.
-    return _sampled(_sampled(values, width).T, height).T.copy()
+    return _sample_columns(_sample_columns(values, width).T, height).T.copy()
 
 
-def _sampled(values: Float32Array, n: int) -> Float32Array:
+def _sample_columns(values: Float32Array, n: int) -> Float32Array:
     """Return (rows, n) values at n columns from the first to the last, linearly between pixels."""
     at = np.linspace(0, values.shape[1] - 1, n)
     left = np.minimum(at.astype(np.int64), values.shape[1] - 2)

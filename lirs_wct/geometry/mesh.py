@@ -75,7 +75,7 @@ class TriangleMesh:
     def is_watertight_as_written(self) -> bool:
         """`is_watertight` of what a reader makes of an STL: float32 positions, equal ones merged."""
         written = self.vertices.astype(np.float32).astype(np.float64)
-        return welded(TriangleMesh(written, self.faces)).is_watertight
+        return weld(TriangleMesh(written, self.faces)).is_watertight
 
     def rotated_x(self, degrees: float) -> TriangleMesh:
         """Return the mesh turned about the x axis, from y towards z; normals turn with it."""
@@ -85,7 +85,7 @@ class TriangleMesh:
         return replace(self, vertices=self.vertices @ turn, normals=normals)
 
 
-def welded(mesh: TriangleMesh) -> TriangleMesh:
+def weld(mesh: TriangleMesh) -> TriangleMesh:
     """Return the mesh with one vertex a place; all triangles stay, texture coordinates and normals do not."""
     # Adding 0 makes -0.0 and 0.0 the same place.
     vertices = np.ascontiguousarray(mesh.vertices + 0.0)

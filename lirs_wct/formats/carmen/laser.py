@@ -1,11 +1,16 @@
-"""What a CARMEN log does not say outright about its laser: field of view, codes for "nothing", mount."""
+"""The laser of a CARMEN log: field of view, codes for no return, and mount."""
 
 from __future__ import annotations
 
+import gzip
 import math
+import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import takewhile
+from pathlib import Path
 
 import numpy as np
 
@@ -87,7 +92,7 @@ def scans_of(
         repaired[f"readings of {limit:.2f} m or more, a code for no return"] = codes
     mount = _mount(name, messages, parameters, repaired)
     field = None if facts.fov is None else _config(n, facts.fov)
-    decoded = _decoded(ranges)
+    decoded = _decode_ranges(ranges)
     code = _usual_reading(decoded[decoded >= max(found, limit)])
     scans = []
     for message, meant in zip(messages, decoded, strict=True):
@@ -137,7 +142,7 @@ def _usual_reading(ranges: Float32Array) -> float | None:
     return float(readings[np.argmax(counts)]) if len(readings) else None
 
 
-def _decoded(ranges: Float32Array) -> Float32Array:
+def _decode_ranges(ranges: Float32Array) -> Float32Array:
     """Return ranges as REP 117 has them, but for what lies beyond the largest."""
     invalid = np.zeros(ranges.shape, np.bool_)
     for code in SICK_INVALID:
@@ -195,3 +200,28 @@ def _steady(mounts: Sequence[Pose2]) -> Pose2 | None:
     off = [max(math.hypot(m.x - x, m.y - y), abs(math.remainder(m.yaw - yaw, math.tau))) for m in mounts]
     steady = float(np.median(off)) <= MOUNT_SPREAD and math.hypot(x, y) <= MOUNT_REACH
     return Pose2(x, y, yaw) if steady else None
+
+
+LABEL = "# laser on base_link, x y z roll pitch yaw:"
+"""Meters and radians follow."""
+
+
+def mount_comment(T_base_laser: Pose3) -> str:
+    """Return the line that says where the laser is."""
+    x, y, z = T_base_laser.position.tolist()
+    angles = f"{T_base_laser.roll:.6f} {T_base_laser.pitch:.6f} {T_base_laser.yaw:.6f}"
+    return f"{LABEL} {x:.6f} {y:.6f} {z:.6f} {angles}\n"
+
+
+def read_mount(path: Path) -> Pose3 | None:
+    """Return `T_base_laser` as the comments before the first message say it; None where they do not."""
+    with suppress(OSError, EOFError, zlib.error, UnicodeDecodeError, ValueError):
+        with path.open("rb") as raw:
+            zipped = raw.read(2) == b"\x1f\x8b"
+        opened = gzip.open if zipped else open
+        with opened(path, "rt", encoding="ascii") as lines:
+            for line in takewhile(lambda text: text.startswith("#"), lines):
+                if line.startswith(LABEL):
+                    x, y, z, roll, pitch, yaw = map(float, line.removeprefix(LABEL).split())
+                    return Pose3.from_rpy(x, y, z, roll, pitch, yaw)
+    return None

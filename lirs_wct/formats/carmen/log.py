@@ -17,8 +17,7 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import REAR, LaserFacts, scans_of
 from lirs_wct.formats.carmen.lines import PARSERS, Lines, Message, messages_of, parameters_of, read_lines
-from lirs_wct.formats.carmen.odometry import odometry_of
-from lirs_wct.formats.carmen.stamps import in_file_order
+from lirs_wct.formats.carmen.repairs import in_file_order, odometry_of
 from lirs_wct.formats.laser_log import LaserLog
 
 DAY = 86_400.0
@@ -51,7 +50,7 @@ def read_carmen(path: Path, facts: LaserFacts | None = None) -> LaserLog:
     laser, read = _lasers(lines, skipped)
     if not read:
         raise SourceError(
-            f"{path}: no usable laser scan (FLASER, ROBOTLASER1, ...) in this CARMEN log{_formatted(skipped)}"
+            f"{path}: no usable laser scan (FLASER, ROBOTLASER1, ...) in this CARMEN log{_reasons(skipped)}"
         )
     read, odoms = _in_time(_without_repeats(read, skipped), skipped), _in_time(odoms, skipped)
     scans, odoms, stamps = in_file_order(read, odoms)
@@ -128,7 +127,7 @@ def _without_repeats(messages: Sequence[Message], skipped: Counter[str]) -> list
     return list(first.values())
 
 
-def _formatted(skipped: Counter[str]) -> str:
+def _reasons(skipped: Counter[str]) -> str:
     if not skipped:
         return ""
     listed = ", ".join(f"{n} x {why}" for why, n in skipped.most_common(REASONS))

@@ -17,7 +17,7 @@ import numpy as np
 
 from lirs_wct.arrays import Float32Array, IntArray
 from lirs_wct.files import atomic_write
-from lirs_wct.formats.carmen.mount import mount_comment
+from lirs_wct.formats.carmen.laser import mount_comment
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import LaserScan
 

@@ -90,7 +90,9 @@ def height_unit(path: Path, name: str, tags: tiff.Tags | None = None) -> float:
     return VERTICAL_FEET.get(int(keys.get(tiff.VERTICAL, 0)), 1.0)
 
 
-def located(path: Path, system: CoordinateSystem, affine: Affine, shape: tuple[int, int]) -> Georeference:
+def georeference_raster(
+    path: Path, system: CoordinateSystem, affine: Affine, shape: tuple[int, int]
+) -> Georeference:
     """Return where pixels lie; where PROJ is needed and not there, their units are ground meters, and told.
 
     Raises:
@@ -134,7 +136,7 @@ def _georeference(path: Path, tags: tiff.Tags) -> Georeference | None:
         if system.form == "geographic":
             raise ValueError("has a pixel scale in degrees but no tie point: its latitude is unknown")
         return Georeference.on_grid(system, affine, located=False)
-    return located(path, system, affine, (rows, cols))
+    return georeference_raster(path, system, affine, (rows, cols))
 
 
 def affine_of(tags: tiff.Tags) -> tuple[Affine, bool] | None:

@@ -37,7 +37,7 @@ _LOST = re.compile(r"(?!.*extraneous bytes)(?:Corrupt JPEG data|Premature end)")
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class DecodedPicture:
     """A decoded picture, orientation applied.
 
     Attributes:
@@ -49,7 +49,7 @@ class Picture:
     tags: tiff.Tags
 
 
-def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = False) -> Picture:
+def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = False) -> DecodedPicture:
     """Decode the first page of a picture file; warns when there are more pages or bands.
 
     With `alpha` a transparent picture keeps its fourth channel, and EXIF orientation is not applied.
@@ -70,7 +70,7 @@ def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = Fals
     pixels, notes = _decode(
         np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED if alpha else _AS_STORED
     )
-    if header.tags and (pixels is None or header.masked or not _typed(pixels, header.tags)):
+    if header.tags and (pixels is None or header.masked or not _has_declared_type(pixels, header.tags)):
         pixels = _by_gdal(path, pixels, header)
     if pixels is None:
         said = f" ({notes[-1]})" if notes else ""
@@ -84,10 +84,10 @@ def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = Fals
     bands = int(header.tags[tiff.SAMPLES][0]) if tiff.SAMPLES in header.tags else 1
     if bands > 2 and pixels.ndim == 2:
         warnings.warn(f"{path}: has {bands} bands, the first is taken", stacklevel=3)
-    return Picture(pixels, header.tags)
+    return DecodedPicture(pixels, header.tags)
 
 
-def _typed(pixels: NDArray[Any], tags: tiff.Tags) -> bool:
+def _has_declared_type(pixels: NDArray[Any], tags: tiff.Tags) -> bool:
     """Whether pixels have the type that a TIFF says; some versions of OpenCV take 32 bits for others."""
     bits, form = (
         int((tiff.floats(tags, tag) or (other,))[0]) for tag, other in ((tiff.BITS, 1), (tiff.FORMAT, 1))

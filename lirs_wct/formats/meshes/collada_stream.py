@@ -168,7 +168,7 @@ def _write_faces(
     passed: Callable[[int], None],
 ) -> None:
     """Write the faces of a part whose vertices stand behind so many others."""
-    quads, triangles = _joined(part.mesh.faces) if brief else (part.mesh.faces[:0], part.mesh.faces)
+    quads, triangles = _join_quads(part.mesh.faces) if brief else (part.mesh.faces[:0], part.mesh.faces)
     kind, count = ("polylist" if len(quads) else "triangles"), len(quads) + len(triangles)
     file.write(_FACES.format(kind=kind, count=count, name=part.name).encode())
     if len(quads):
@@ -183,7 +183,7 @@ def _write_faces(
     file.write(f"</p></{kind}>\n".encode())
 
 
-def _joined(faces: Int32Array) -> tuple[Int32Array, Int32Array]:
+def _join_quads(faces: Int32Array) -> tuple[Int32Array, Int32Array]:
     """Return quads (n, 4) for triangles a b c, b d c that follow each other, and the other triangles."""
     pairs = faces[: len(faces) // 2 * 2].reshape(-1, 2, 3)
     first, second = pairs[:, 0], pairs[:, 1]

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import logging
 import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lirs_wct.errors import SourceError
-from lirs_wct.formats.meshes.stl import read_mesh
+from lirs_wct.errors import SourceError, reason_of
+from lirs_wct.formats.references import referenced_file
 from lirs_wct.formats.suffixes import MESHES
-from lirs_wct.geometry.mesh import TriangleMesh, welded
+from lirs_wct.geometry.mesh import TriangleMesh, weld
 
+if TYPE_CHECKING:
+    import trimesh
+
+logging.getLogger("trimesh").addHandler(logging.NullHandler())
+"""Without a handler, trimesh prints a traceback for each texture that it cannot read."""
 _HEAD = 1 << 16
 """Bytes of a COLLADA file in which its <asset> stands."""
 _UPRIGHT = {
@@ -35,7 +43,7 @@ def read_upright(path: Path) -> TriangleMesh:
     """
     if path.suffix.lower() not in MESHES:
         raise SourceError(f"{path}: not a mesh that is read; legal: {', '.join(MESHES)}")
-    return upright(path, _merged(read_mesh(path)))
+    return upright(path, _merge_vertices(read_mesh(path)))
 
 
 def upright(path: Path, mesh: TriangleMesh) -> TriangleMesh:
@@ -53,9 +61,9 @@ def upright(path: Path, mesh: TriangleMesh) -> TriangleMesh:
     return mesh
 
 
-def _merged(mesh: TriangleMesh) -> TriangleMesh:
+def _merge_vertices(mesh: TriangleMesh) -> TriangleMesh:
     """Return the mesh with one vertex a place, and without triangles that have two corners there."""
-    whole = welded(mesh)
+    whole = weld(mesh)
     a, b, c = whole.faces.T
     return TriangleMesh(whole.vertices, whole.faces[(a != b) & (b != c) & (c != a)])
 
@@ -73,3 +81,124 @@ def _collada_frame(path: Path) -> tuple[str, float]:
     if not 0 < meters < float("inf"):
         raise SourceError(f"{path}: its unit must be above 0 m, got {meters:g}")
     return (up[1] if up else "Y"), meters
+
+
+def read_mesh(path: Path) -> TriangleMesh:
+    """Read a mesh in any format that trimesh knows, equal vertices merged, as it stands in the file.
+
+    Raises:
+        SourceError: the file is missing, damaged, of an unknown format, or holds no triangles.
+    """
+    loaded = load_mesh(path)
+    return TriangleMesh(np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int32))
+
+
+def load_mesh(path: Path) -> trimesh.Trimesh:
+    """Load a mesh in any format that trimesh knows; warns of files outside its folder or Gazebo package.
+
+    Raises:
+        SourceError: as `read_mesh` says.
+    """
+    import trimesh
+
+    if not path.is_file():
+        raise SourceError(f"{path}: no such file")
+    if path.suffix.lower() == ".ply":
+        require_positions(path)
+    files = _referenced_files(path)
+    try:
+        loaded = trimesh.load_mesh(path, resolver=files)
+    except SourceError:
+        raise
+    except Exception as error:  # every loader of trimesh has errors of its own
+        raise SourceError(f"{path}: cannot be read as a mesh: {reason_of(error)}") from error
+    if len(getattr(loaded, "faces", ())) == 0:
+        raise SourceError(f"{path}: holds no triangles, at least one is needed")
+    if not np.isfinite(loaded.vertices).all():
+        raise SourceError(f"{path}: has vertices that are not finite")
+    for reason in files.refused:
+        warnings.warn(f"{reason}; left out", stacklevel=3)
+    return loaded
+
+
+def _referenced_files(path: Path) -> Any:
+    """Return trimesh's resolver of the files that a mesh names, with the list `refused` of messages."""
+    from trimesh.resolvers import Resolver
+
+    class References(Resolver):  # type: ignore[misc,unused-ignore]  # trimesh is loaded late
+        def __init__(self) -> None:
+            self.refused: list[str] = []
+
+        def get(self, name: str) -> bytes:
+            try:
+                return referenced_file(path, name).read_bytes()
+            except SourceError as error:
+                self.refused += [] if str(error) in self.refused else [str(error)]
+                raise
+
+        def keys(self) -> list[str]:
+            return []
+
+        def write(self, name: str, data: bytes) -> None:
+            raise NotImplementedError
+
+        def namespaced(self, namespace: str) -> Resolver:
+            raise NotImplementedError
+
+    return References()
+
+
+_HEADER = 1 << 16
+"""Bytes of a file in which its header stands."""
+
+
+def ply_elements(path: Path) -> dict[str, tuple[int, tuple[str, ...]]] | None:
+    """Return each element's count and the names of its properties; None where it is no PLY header."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEADER)
+    except OSError:
+        return None
+    text, end, _ = head.partition(b"end_header")
+    if not (head.startswith(b"ply") and end):
+        return None
+    found: dict[str, tuple[int, tuple[str, ...]]] = {}
+    for line in text.decode("ascii", errors="replace").splitlines():
+        match line.split():
+            case ["element", name, count] if count.isdecimal():
+                found[name] = (int(count), ())
+            case ["property", *_, name] if found:
+                element = next(reversed(found))
+                found[element] = (found[element][0], (*found[element][1], name))
+    return found
+
+
+def require_positions(path: Path) -> None:
+    """Check that the vertices of a PLY file have x, y and z, and that its elements fit into the file.
+
+    Raises:
+        SourceError: it has no vertices, or these have other properties, or it is too short for its counts.
+    """
+    elements = ply_elements(path)
+    if elements is None:
+        return  # the reader says what is wrong with it
+    if "vertex" not in elements:
+        got = ", ".join(elements) or "none"
+        raise SourceError(f"{path}: needs an element 'vertex' with x, y and z; its elements are: {got}")
+    require_xyz(path, elements["vertex"][1])
+    # Each value takes a byte at least, of a number or of its text.
+    need, size = sum(n * len(names) for n, names in elements.values()), path.stat().st_size
+    if need > size:
+        counts = ", ".join(f"{n} of {name}" for name, (n, _) in elements.items())
+        raise SourceError(f"{path}: is damaged or cut off: {counts} need {need} bytes or more, it has {size}")
+
+
+def require_xyz(path: Path, fields: tuple[str, ...]) -> None:
+    """Check that the fields of points hold x, y and z.
+
+    Raises:
+        SourceError: one of them is missing.
+    """
+    if missing := [axis for axis in "xyz" if axis not in fields]:
+        got = ", ".join(fields) or "none"
+        raise SourceError(f"{path}: points need x, y and z; missing: {', '.join(missing)}; got: {got}")

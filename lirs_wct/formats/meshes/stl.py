@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
-import logging
 import struct
-import warnings
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lirs_wct.arrays import Float32Array, FloatArray
-from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_write
-from lirs_wct.formats.meshes.ply_header import require_positions
-from lirs_wct.formats.references import referenced_file
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.kernels import njit
 from lirs_wct.progress import Progress, no_progress, tracked
 
-if TYPE_CHECKING:
-    import trimesh
-
-logging.getLogger("trimesh").addHandler(logging.NullHandler())
-"""Else a texture that is not read prints a traceback."""
 _CHUNK = 1 << 14
 _RECORD = np.dtype([("floats", "<f4", 12), ("attribute", "<u2")])
 
@@ -78,68 +67,3 @@ def _facets(corners: FloatArray) -> Float32Array:
         for k in range(3):
             out[i, 3 + k], out[i, 6 + k], out[i, 9 + k] = a[k], b[k], c[k]
     return out
-
-
-def read_mesh(path: Path) -> TriangleMesh:
-    """Read a mesh in any format that trimesh knows, equal vertices merged, as it stands in the file.
-
-    Raises:
-        SourceError: the file is missing, damaged, of an unknown format, or holds no triangles.
-    """
-    loaded = load_mesh(path)
-    return TriangleMesh(np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int32))
-
-
-def load_mesh(path: Path) -> trimesh.Trimesh:
-    """Load a mesh in any format that trimesh knows; warns of files outside its folder or Gazebo package.
-
-    Raises:
-        SourceError: as `read_mesh` says.
-    """
-    import trimesh
-
-    if not path.is_file():
-        raise SourceError(f"{path}: no such file")
-    if path.suffix.lower() == ".ply":
-        require_positions(path)
-    files = _referenced_files(path)
-    try:
-        loaded = trimesh.load_mesh(path, resolver=files)
-    except SourceError:
-        raise
-    except Exception as error:  # every loader of trimesh has errors of its own
-        raise SourceError(f"{path}: cannot be read as a mesh: {reason_of(error)}") from error
-    if len(getattr(loaded, "faces", ())) == 0:
-        raise SourceError(f"{path}: holds no triangles, at least one is needed")
-    if not np.isfinite(loaded.vertices).all():
-        raise SourceError(f"{path}: has vertices that are not finite")
-    for reason in files.refused:
-        warnings.warn(f"{reason}; left out", stacklevel=3)
-    return loaded
-
-
-def _referenced_files(path: Path) -> Any:
-    """Return trimesh's resolver of the files that a mesh names, with the list `refused` of messages."""
-    from trimesh.resolvers import Resolver
-
-    class References(Resolver):  # type: ignore[misc,unused-ignore]  # trimesh is loaded late
-        def __init__(self) -> None:
-            self.refused: list[str] = []
-
-        def get(self, name: str) -> bytes:
-            try:
-                return referenced_file(path, name).read_bytes()
-            except SourceError as error:
-                self.refused += [] if str(error) in self.refused else [str(error)]
-                raise
-
-        def keys(self) -> list[str]:
-            return []
-
-        def write(self, name: str, data: bytes) -> None:
-            raise NotImplementedError
-
-        def namespaced(self, namespace: str) -> Resolver:
-            raise NotImplementedError
-
-    return References()

@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from lirs_wct.files import atomic_write
-from lirs_wct.formats.meshes.stl import load_mesh
+from lirs_wct.formats.meshes.mesh_reader import load_mesh
 from lirs_wct.geometry.mesh import TriangleMesh
 
 if TYPE_CHECKING:

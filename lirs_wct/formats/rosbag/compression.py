@@ -19,7 +19,7 @@ MAGIC = b"\x28\xb5\x2f\xfd"
 PIECE = 1 << 20
 
 
-def inflated_message(data: bytes | memoryview) -> bytes | memoryview:
+def decompress_message(data: bytes | memoryview) -> bytes | memoryview:
     """Return a message, decompressed where its recorder compressed messages."""
     return zstd.decompress(data) if data[: len(MAGIC)] == MAGIC else data
 
@@ -35,7 +35,7 @@ class ZstdStream(zstd.ZstdFile):
             raise OSError(str(error)) from error
 
 
-def inflated_file(path: Path, target: Path) -> str:
+def decompress_file(path: Path, target: Path) -> str:
     """Decompress a file as far as it goes; return what is wrong with it, empty = nothing."""
     inflater = zstd.ZstdDecompressor()
     with path.open("rb") as source, target.open("wb") as sink:
@@ -47,7 +47,7 @@ def inflated_file(path: Path, target: Path) -> str:
     return "" if inflater.eof else "its end is missing"
 
 
-def inflated(data: bytes, compression: str) -> bytes:
+def decompress_chunk(data: bytes, compression: str) -> bytes:
     """Return a chunk's records, as far as its data go; nothing of a compression that is not known."""
     inflaters: dict[str, Any] = {
         "zstd": zstd.ZstdDecompressor,

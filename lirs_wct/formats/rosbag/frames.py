@@ -68,8 +68,8 @@ class Frames:
 
     def mount(self, base: str, frame: str) -> Pose3 | None:
         """Return `T_base_frame` along transforms that never change; None where they do not lead there."""
-        top_of_base, T_top_base = self._climbed(base)
-        top, T_top_frame = self._climbed(frame.lstrip("/"))
+        top_of_base, T_top_base = self._climb(base)
+        top, T_top_frame = self._climb(frame.lstrip("/"))
         return T_top_base.inverse() @ T_top_frame if top == top_of_base else None
 
     def chain(self, frame: str) -> list[str]:
@@ -95,7 +95,7 @@ class Frames:
         for t in stamps.tolist():
             T = Pose3()
             for held, steps in edges:
-                T = _interpolated(held, steps, t) @ T
+                T = _interpolate(held, steps, t) @ T
             poses.append(T)
         return Trajectory.from_poses(stamps.tolist(), poses)
 
@@ -110,7 +110,7 @@ class Frames:
     def _above(self, name: str) -> str:
         return self._parents.get(name) or self._fixed.get(name, ("",))[0]
 
-    def _climbed(self, name: str) -> tuple[str, Pose3]:
+    def _climb(self, name: str) -> tuple[str, Pose3]:
         """Return the topmost frame that transforms without change lead to, and the pose in it."""
         T, seen = Pose3(), {name}
         while True:
@@ -134,7 +134,7 @@ class Frames:
         return bool((np.ptp(values, axis=0) <= SAME).all())
 
 
-def _interpolated(stamps: np.ndarray[Any, np.dtype[np.float64]], poses: list[Pose3], t: float) -> Pose3:
+def _interpolate(stamps: np.ndarray[Any, np.dtype[np.float64]], poses: list[Pose3], t: float) -> Pose3:
     """Return the pose at a stamp between two of them: position and quaternion linearly."""
     k = int(np.searchsorted(stamps, t))
     if k == len(poses) or stamps[k] == t or k == 0:

@@ -22,9 +22,9 @@ from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionF
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.rosbag.compression import inflated_file, inflated_message
+from lirs_wct.formats.rosbag.compression import decompress_file, decompress_message
 from lirs_wct.formats.rosbag.library import METADATA
-from lirs_wct.formats.rosbag.salvage.files import fault_of, salvaged
+from lirs_wct.formats.rosbag.salvage.files import fault_of, salvage_file
 from lirs_wct.formats.rosbag.salvage.ros1 import MAGIC
 from lirs_wct.formats.suffixes import BAGS, ZSTD, is_bag_file
 
@@ -72,7 +72,9 @@ class Bag:
                     self.faults.append(reason)
                 return
             try:
-                message = _decoder(connection.msgdef, connection.msgtype, self._ros1)(inflated_message(data))
+                message = _decoder(connection.msgdef, connection.msgtype, self._ros1)(
+                    decompress_message(data)
+                )
             except Exception:
                 self.undecoded[connection.topic] += 1
                 continue
@@ -162,13 +164,13 @@ def _readable(file: Path, folder: Path, faults: list[str]) -> Path:
     folder.mkdir()
     if file.name.endswith(ZSTD):
         whole, file = file, folder / file.name.removesuffix(ZSTD)
-        fault = inflated_file(whole, file)
+        fault = decompress_file(whole, file)
         faults += [f"{whole.name}: {fault}"] if fault else []
     broken = fault_of(file)
     if broken is None:
         return file
     faults += [f"{file.name}: {broken}"] if broken else []
-    return salvaged(file, folder / "salvaged")
+    return salvage_file(file, folder / "salvaged")
 
 
 def _missing(path: Path) -> list[str]:

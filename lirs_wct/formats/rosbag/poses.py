@@ -10,7 +10,7 @@ from lirs_wct.errors import SourceError
 from lirs_wct.formats.rosbag.frames import Frames, pose_of, seconds
 from lirs_wct.formats.rosbag.messages import BASE, MAP
 from lirs_wct.formats.rosbag.opened import Bag, open_bag
-from lirs_wct.formats.rosbag.topics import PATH, POSES, TRANSFORMS, checked, listed, of_kinds
+from lirs_wct.formats.rosbag.topics import PATH, POSES, TRANSFORMS, list_topics, of_kinds, require_topic
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.trajectory import Trajectory
 
@@ -42,20 +42,20 @@ def read_poses(path: Path, topic: str | None = None, flag: str = "--topic") -> T
 
 def _poses(bag: Bag, topic: str | None, flag: str) -> Trajectory:
     if topic is not None:
-        checked(bag.path, flag, topic, (*POSES, *TRANSFORMS), bag.kinds)
+        require_topic(bag.path, flag, topic, (*POSES, *TRANSFORMS), bag.kinds)
         if bag.kinds[topic] in TRANSFORMS:
-            return _transformed(bag, required=True) or _nothing()
-        return _published(bag, topic)
+            return _follow_transforms(bag, required=True) or _nothing()
+        return _read_topic(bag, topic)
     found = of_kinds(bag.kinds, POSES)
-    in_map = _transformed(bag, required=not found)
+    in_map = _follow_transforms(bag, required=not found)
     if in_map is not None:
         return in_map
     if len(found) != 1:
-        raise SourceError(f"{bag.path}: {flag} must say where its poses are; {listed(bag.kinds)}")
-    return _published(bag, found[0])
+        raise SourceError(f"{bag.path}: {flag} must say where its poses are; {list_topics(bag.kinds)}")
+    return _read_topic(bag, found[0])
 
 
-def _transformed(bag: Bag, *, required: bool) -> Trajectory | None:
+def _follow_transforms(bag: Bag, *, required: bool) -> Trajectory | None:
     """Return `T_map_base` along the bag's transforms; None where they do not lead there.
 
     Raises:
@@ -72,7 +72,7 @@ def _transformed(bag: Bag, *, required: bool) -> Trajectory | None:
         held = ", ".join(sorted(frames.names)) or "none"
         raise SourceError(
             f"{bag.path}: its transforms do not lead from {MAP} to {' or '.join(BASES)}: its frames are "
-            f"{held}; {listed(bag.kinds)}"
+            f"{held}; {list_topics(bag.kinds)}"
         )
     return None
 
@@ -82,7 +82,7 @@ def _is(frame: str, wanted: str) -> bool:
     return frame.rpartition("/")[2] == wanted
 
 
-def _published(bag: Bag, topic: str) -> Trajectory:
+def _read_topic(bag: Bag, topic: str) -> Trajectory:
     """Return the poses of a topic by stamp; of two with one stamp the later."""
     found: dict[float, Pose3] = {}
     for _, _, message in bag.messages((topic,)):

@@ -14,13 +14,19 @@ import numpy as np
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen.lines import Message
-from lirs_wct.formats.carmen.odometry import odometry_of
-from lirs_wct.formats.carmen.stamps import in_file_order
+from lirs_wct.formats.carmen.repairs import in_file_order, odometry_of
 from lirs_wct.formats.laser_log import LaserLog
-from lirs_wct.formats.rosbag.cloud_messages import BagClouds, records_of, start_of
 from lirs_wct.formats.rosbag.frames import Frames, pose_of, seconds
 from lirs_wct.formats.rosbag.opened import Bag, open_bag
-from lirs_wct.formats.rosbag.scan_messages import Beams, beams_of, geometry, ranges_of
+from lirs_wct.formats.rosbag.sensor_messages import (
+    BagClouds,
+    BeamGeometry,
+    beams_of,
+    geometry,
+    ranges_of,
+    records_of,
+    start_of,
+)
 from lirs_wct.formats.rosbag.topics import TRANSFORMS, Topics, of_kinds
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
@@ -54,7 +60,7 @@ class _Contents:
     clouds: bool
     laser: str = ""
     scans: list[Message] = field(default_factory=list)
-    beams: list[Beams] = field(default_factory=list)
+    beams: list[BeamGeometry] = field(default_factory=list)
     odometry: list[Message] = field(default_factory=list)
     base: str = ""
     imu: list[_Reading] = field(default_factory=list)
@@ -110,7 +116,7 @@ def _contents(bag: Bag, topics: Topics, *, by_header: bool) -> _Contents:
         topics: as the user says them.
         by_header: whether stamps are those of the headers; else all are the times of reception.
     """
-    scan, odometry, imu = topics.found(bag.path, bag.kinds)
+    scan, odometry, imu = topics.choose(bag.path, bag.kinds)
     contents = _Contents(scan, topics.clouds)
     transforms = of_kinds(bag.kinds, TRANSFORMS)
     static = {name for name in transforms if name.endswith("tf_static")}
@@ -150,7 +156,7 @@ def _log(path: Path, c: _Contents) -> LaserLog:
         Message(line, stamp, T.to_pose2()) for line, stamp, T in c.frames.odometry(base)
     ]
     repaired, skipped = c.repaired, c.skipped
-    scans, odoms, stamps = in_file_order(*_merged(c.scans, odometry))
+    scans, odoms, stamps = in_file_order(*_number_by_stamp(c.scans, odometry))
     if stamps.moved:
         warnings.warn(f"{path}: {stamps.summary()}", stacklevel=3)
     poses, track = odometry_of([m.stamp for m in scans], scans, odoms, repaired)
@@ -228,7 +234,7 @@ def _odometry(line: int, message: Any, stamp: float | None) -> Message:
     return Message(line, time, pose_of(pose.position, pose.orientation).to_pose2())
 
 
-def _merged(scans: list[Message], odoms: list[Message]) -> tuple[list[Message], list[Message]]:
+def _number_by_stamp(scans: list[Message], odoms: list[Message]) -> tuple[list[Message], list[Message]]:
     """Number messages by stamp where those of each topic rise: topics come with different delays."""
 
     def rises(found: list[Message]) -> bool:
@@ -241,7 +247,7 @@ def _merged(scans: list[Message], odoms: list[Message]) -> tuple[list[Message], 
     return [m for m in numbered if len(m.ranges)], [m for m in numbered if not len(m.ranges)]
 
 
-def _scan(beams: Beams, message: Message, mount: Pose3) -> LaserScan:
+def _scan(beams: BeamGeometry, message: Message, mount: Pose3) -> LaserScan:
     first, step, range_min, range_max = geometry(beams, len(message.ranges))
     return LaserScan(
         message.ranges,
@@ -261,7 +267,7 @@ def _imu(reading: _Reading, mounted: Pose3) -> Imu:
     if mounted.qw != 1.0:
         unmounted = Pose3(0, 0, 0, mounted.qw, mounted.qx, mounted.qy, mounted.qz).inverse()
         attitude = attitude @ unmounted
-        rates, force = _turned(mounted, rates), _turned(mounted, force)
+        rates, force = _rotate(mounted, rates), _rotate(mounted, force)
     return Imu(attitude.roll, attitude.pitch, rates, force, reading.stamp)
 
 
@@ -270,6 +276,6 @@ def _unit(q: tuple[float, float, float, float]) -> Pose3:
     return Pose3(0.0, 0.0, 0.0, q[0] / n, q[1] / n, q[2] / n, q[3] / n)
 
 
-def _turned(mounted: Pose3, vector: Vector) -> Vector:
+def _rotate(mounted: Pose3, vector: Vector) -> Vector:
     x, y, z = (mounted.rotation @ vector).tolist()
     return x, y, z

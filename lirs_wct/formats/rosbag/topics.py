@@ -43,7 +43,7 @@ class Topics:
     clouds: bool = False
     others: str = ""
 
-    def found(self, path: Path, kinds: Mapping[str, str]) -> tuple[str, str | None, str | None]:
+    def choose(self, path: Path, kinds: Mapping[str, str]) -> tuple[str, str | None, str | None]:
         """Return the topics of scans, odometry (None = /tf) and inertial readings (None = none).
 
         Args:
@@ -60,16 +60,16 @@ class Topics:
         if self.scan is None and not scans:
             wanted, held = NAMES[self.clouds], NAMES[not self.clouds]
             fitting = f"; --mapper {self.others} read its {held}" if others and self.others else ""
-            raise SourceError(f"{path}: holds no topic of {wanted}{fitting}; {listed(kinds)}")
+            raise SourceError(f"{path}: holds no topic of {wanted}{fitting}; {list_topics(kinds)}")
         if self.scan is None and len(scans) > 1:
-            raise SourceError(f"{path}: --scan-topic must say which; {listed(kinds)}")
+            raise SourceError(f"{path}: --scan-topic must say which; {list_topics(kinds)}")
         legal = (CLOUD,) if self.clouds else (SCAN, MULTI_ECHO)
-        scan = checked(path, "--scan-topic", self.scan or scans[0], legal, kinds)
+        scan = require_topic(path, "--scan-topic", self.scan or scans[0], legal, kinds)
         given = self.odometry or (odometry[0] if len(odometry) == 1 else None)
         return (
             scan,
-            None if given is None else checked(path, "--odom-topic", given, (ODOMETRY,), kinds),
-            None if self.imu is None else checked(path, "--imu-topic", self.imu, (IMU,), kinds),
+            None if given is None else require_topic(path, "--odom-topic", given, (ODOMETRY,), kinds),
+            None if self.imu is None else require_topic(path, "--imu-topic", self.imu, (IMU,), kinds),
         )
 
 
@@ -78,7 +78,7 @@ def of_kinds(kinds: Mapping[str, str], wanted: Collection[str]) -> list[str]:
     return [name for name, held in kinds.items() if held in wanted]
 
 
-def checked(path: Path, flag: str, name: str, wanted: Collection[str], kinds: Mapping[str, str]) -> str:
+def require_topic(path: Path, flag: str, name: str, wanted: Collection[str], kinds: Mapping[str, str]) -> str:
     """Return a topic's name.
 
     Raises:
@@ -86,11 +86,11 @@ def checked(path: Path, flag: str, name: str, wanted: Collection[str], kinds: Ma
     """
     if kinds.get(name) not in wanted:
         types = " or ".join(wanted)
-        raise SourceError(f"{path}: {flag} {name}: no topic of {types} has that name; {listed(kinds)}")
+        raise SourceError(f"{path}: {flag} {name}: no topic of {types} has that name; {list_topics(kinds)}")
     return name
 
 
-def listed(kinds: Mapping[str, str]) -> str:
+def list_topics(kinds: Mapping[str, str]) -> str:
     """Return what a bag holds, to be read."""
     found = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items()))
     return f"there are: {found}" if found else "it holds no message"

@@ -62,7 +62,7 @@ FAILURES = (OSError, sqlite3.Error)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Tick:
+class BagTick:
     """What belongs to one scan.
 
     Attributes:
@@ -83,7 +83,7 @@ class Tick:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drive:
+class BagDrive:
     """What a bag is written of.
 
     Attributes:
@@ -91,7 +91,7 @@ class Drive:
         grid: the mapper's map, in the map frame; None = none.
     """
 
-    ticks: Sequence[Tick]
+    ticks: Sequence[BagTick]
     grid: OccupancyGrid | None = None
 
     @property
@@ -122,14 +122,14 @@ class BagWriter:
         self._store = get_typestore(Stores.ROS2_JAZZY)
         self._period = period
         self._connections: dict[str, Connection] = {}
-        self._last: Tick | None = None
-        self._waiting: list[Tick] = []
+        self._last: BagTick | None = None
+        self._waiting: list[BagTick] = []
         try:
             self._writer.open()
         except FAILURES as error:
-            raise self._failed(error) from error
+            raise self._output_error(error) from error
 
-    def add(self, tick: Tick) -> None:
+    def add(self, tick: BagTick) -> None:
         """Write what belongs to a scan, sooner or later.
 
         Raises:
@@ -141,7 +141,7 @@ class BagWriter:
         try:
             self._write_waiting()
         except FAILURES as error:
-            raise self._failed(error) from error
+            raise self._output_error(error) from error
 
     def close(self, grid: OccupancyGrid | None = None) -> None:
         """Write the map, in the map frame, if there is one, and the end of the bag.
@@ -156,7 +156,7 @@ class BagWriter:
                 self._write(MAP_TOPIC, stamp, messages.occupancy_grid(stamp, grid))
             self._writer.close()
         except FAILURES as error:
-            raise self._failed(error) from error
+            raise self._output_error(error) from error
 
     def abort(self) -> None:
         """Close the files of a bag that was not closed: it has no end."""
@@ -178,7 +178,7 @@ class BagWriter:
             self._last = tick
         self._waiting.clear()
 
-    def _write_tick(self, tick: Tick) -> None:
+    def _write_tick(self, tick: BagTick) -> None:
         """Write what belongs to a scan; the frames come before what is measured in them."""
         scan, odometry = tick.scan, tick.odometry
         t = scan.stamp
@@ -196,18 +196,18 @@ class BagWriter:
     def _write(self, topic: str, stamp: float, message: bytearray) -> None:
         self._writer.write(self._connection(topic), nanoseconds(stamp), memoryview(message))
 
-    def _velocity(self, tick: Tick) -> tuple[float, float, float]:
+    def _velocity(self, tick: BagTick) -> tuple[float, float, float]:
         """Return the velocity of the base since the scan before, by odometry; at first it stands."""
         if self._last is None:
             return 0.0, 0.0, 0.0
         seconds = tick.scan.stamp - self._last.scan.stamp
         return messages.body_velocity(self._last.odometry, tick.odometry, seconds)
 
-    def _failed(self, error: Exception) -> OutputError:
+    def _output_error(self, error: Exception) -> OutputError:
         return OutputError(f"{self._folder}: cannot be written: {getattr(error, 'strerror', None) or error}")
 
 
-def write_bag(folder: Path, drive: Drive, storage: Storage = "mcap") -> None:
+def write_bag(folder: Path, drive: BagDrive, storage: Storage = "mcap") -> None:
     """Write a drive as a bag folder, whole or not at all, in place of an older one.
 
     Raises:
@@ -230,7 +230,7 @@ def write_bag(folder: Path, drive: Drive, storage: Storage = "mcap") -> None:
             file.rename(temporary / file.name[1:])
 
 
-def _frames(tick: Tick) -> bytearray:
+def _frames(tick: BagTick) -> bytearray:
     """Return the transforms at a scan: odom -> base_link, and map -> odom where there is an estimate."""
     T_odom_base = Pose3.from_pose2(tick.odometry)
     if tick.estimate is None:

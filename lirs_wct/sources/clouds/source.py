@@ -10,7 +10,7 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.images.geotiff import located
+from lirs_wct.formats.images.geotiff import georeference_raster
 from lirs_wct.formats.point_clouds import PointFile, read_points
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField
@@ -82,7 +82,7 @@ def _in_meters(path: Path, found: PointFile) -> tuple[FloatArray, tuple[float, f
     x, y = middle
     sx, sy = system.unit, system.unit
     if system.form != "unknown":
-        sx, sy = located(path, system, (1.0, 0.0, x, 0.0, -1.0, y), (1, 1)).pixel
+        sx, sy = georeference_raster(path, system, (1.0, 0.0, x, 0.0, -1.0, y), (1, 1)).pixel
     return (xyz - (x, y, 0.0)) * (sx, sy, found.height_unit), (x, y), (sx, sy)
 
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from lirs_wct.arrays import Float32Array
-from lirs_wct.geometry.grid_sampling import resized
+from lirs_wct.geometry.grid_sampling import resample
 from lirs_wct.sources.options import BuildOptions
 
 MEDIAN_WINDOW = 5
@@ -34,7 +34,7 @@ def apply_filters(values: Float32Array, options: BuildOptions) -> Float32Array:
     if options.sharpness is not None:
         values = sharpened(values, options.sharpness, max(options.smoothing or 0.0, 1.0))
     if options.resize is not None:
-        values = resized(values, *options.resize)
+        values = resample(values, *options.resize)
     return values
 
 

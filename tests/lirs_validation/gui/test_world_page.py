@@ -94,13 +94,13 @@ def test_a_map_and_its_picture_are_dropped_together(open_page: Open, tmp_path: P
 def test_logs_and_compressed_bags_are_dropped(open_page: Open, tmp_path: Path) -> None:
     pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
     from lirs_wct.formats.rosbag.compression import zstd
-    from lirs_wct.formats.rosbag.writer import Drive, write_bag
+    from lirs_wct.formats.rosbag.writer import BagDrive, write_bag
     from tests.lirs_wct.formats.rosbag import drives
 
     ticks = drives.drive(40).ticks
     log, bag = tmp_path / "office.clf.gz", tmp_path / "walls_0.mcap.zstd"
     write_log(log, [(tick.scan, tick.odometry) for tick in ticks])
-    write_bag(tmp_path / "walls", Drive(ticks=ticks))
+    write_bag(tmp_path / "walls", BagDrive(ticks=ticks))
     bag.write_bytes(zstd.compress((tmp_path / "walls" / "walls.mcap").read_bytes()))
     page = open_page()
     for path in (log, bag):

@@ -13,7 +13,7 @@ from lirs_validation import map_log
 from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import folder_name
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.carmen.mount import read_mount
+from lirs_wct.formats.carmen.laser import read_mount
 from lirs_wct.formats.carmen.writer import write_log
 from lirs_wct.formats.imu_csv import write_imu
 from lirs_wct.geometry.pose import Pose2, Pose3

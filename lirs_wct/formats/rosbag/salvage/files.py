@@ -36,7 +36,7 @@ def fault_of(path: Path) -> str | None:
     return None
 
 
-def salvaged(path: Path, target: Path) -> Path:
+def salvage_file(path: Path, target: Path) -> Path:
     """Write the whole messages of a file as a bag, and return its file.
 
     Args:

@@ -9,7 +9,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
-from lirs_wct.formats.rosbag.compression import inflated
+from lirs_wct.formats.rosbag.compression import decompress_chunk
 from lirs_wct.formats.rosbag.salvage.message import SalvagedMessage, Topic
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -40,7 +40,7 @@ def _messages_of(stream: BinaryIO, names: _Names) -> Iterator[SalvagedMessage]:
         if kind == CHUNK and len(body) > 40:
             (n,) = struct.unpack_from("<I", body, 28)
             compression = body[32 : 32 + n].decode()
-            yield from _messages_of(BytesIO(inflated(body[40 + n :], compression)), names)
+            yield from _messages_of(BytesIO(decompress_chunk(body[40 + n :], compression)), names)
         elif len(body) < length:
             return
         elif kind == SCHEMA:

@@ -8,7 +8,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
-from lirs_wct.formats.rosbag.compression import inflated
+from lirs_wct.formats.rosbag.compression import decompress_chunk
 from lirs_wct.formats.rosbag.salvage.message import SalvagedMessage, Topic
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -38,7 +38,7 @@ def _messages_of(stream: BinaryIO, topics: dict[bytes, Topic]) -> Iterator[Salva
         kind = int.from_bytes(fields.get("op", b"\0"), "little")
         if kind == CHUNK:
             compression = fields.get("compression", b"none").decode()
-            yield from _messages_of(BytesIO(inflated(data, compression)), topics)
+            yield from _messages_of(BytesIO(decompress_chunk(data, compression)), topics)
         elif kind == CONNECTION:
             topics.setdefault(fields["conn"], _topic(fields["topic"].decode(), data))
         elif kind == MESSAGE and fields.get("conn") in topics:
@@ -55,7 +55,7 @@ def _topic(name: str, data: bytes) -> Topic:
 def _records(stream: BinaryIO) -> Iterator[tuple[Fields, bytes]]:
     """Yield records, of fields and data; of the last one, if it is a chunk that is cut off, what there is."""
     while True:
-        header = _sized(stream)
+        header = _read_sized(stream)
         if header is None:
             return
         fields = _fields(header)
@@ -70,7 +70,7 @@ def _records(stream: BinaryIO) -> Iterator[tuple[Fields, bytes]]:
             return
 
 
-def _sized(stream: BinaryIO) -> bytes | None:
+def _read_sized(stream: BinaryIO) -> bytes | None:
     """Return bytes behind their number; None where some are missing."""
     length = stream.read(4)
     if len(length) < 4:
@@ -81,7 +81,7 @@ def _sized(stream: BinaryIO) -> bytes | None:
 
 def _fields(header: bytes) -> Fields:
     stream, fields = BytesIO(header), Fields()
-    while (field := _sized(stream)) is not None:
+    while (field := _read_sized(stream)) is not None:
         name, _, value = field.partition(b"=")
         fields[name.decode()] = value
     return fields

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lirs_wct.formats.carmen.lines import Message
-from lirs_wct.formats.carmen.odometry import odometry_of, without_jumps
+from lirs_wct.formats.carmen.repairs import odometry_of, without_jumps
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from lirs_wct.arrays import FloatArray
 from lirs_wct.formats.carmen.lines import Message
 from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.formats.carmen.stamps import LEAST_STEP, in_file_order
+from lirs_wct.formats.carmen.repairs import LEAST_STEP, in_file_order
 from lirs_wct.formats.laser_log import LaserLog, LineStamps
 from lirs_wct.geometry.pose import Pose2
 from tests.lirs_wct.formats.carmen.carmen_room import PERIOD, START, room_lines, write_log

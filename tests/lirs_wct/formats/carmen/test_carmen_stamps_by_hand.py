@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lirs_wct.formats.carmen.lines import Message
-from lirs_wct.formats.carmen.stamps import in_file_order
+from lirs_wct.formats.carmen.repairs import in_file_order
 from lirs_wct.formats.laser_log import LineStamps
 from lirs_wct.geometry.pose import Pose2
 

@@ -8,7 +8,8 @@ import trimesh
 
 from lirs_wct.errors import OutputError, SourceError
 from lirs_wct.formats.meshes import stl
-from lirs_wct.formats.meshes.stl import read_mesh, write_stl
+from lirs_wct.formats.meshes.mesh_reader import read_mesh
+from lirs_wct.formats.meshes.stl import write_stl
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh

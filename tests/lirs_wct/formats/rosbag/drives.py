@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lirs_wct.formats.rosbag.writer import Drive, Tick
+from lirs_wct.formats.rosbag.writer import BagDrive, BagTick
 from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
@@ -13,7 +13,7 @@ from lirs_wct.geometry.scan import Imu, LaserScan
 MOUNT = Pose3.from_rpy(0.22, -0.01, 0.32, 0.0, 0.02, 0.1)
 
 
-def drive(scans: int = 5) -> Drive:
+def drive(scans: int = 5) -> BagDrive:
     rng = np.random.default_rng(3)
     stamps = [1.0 + 0.02 * k for k in range(scans)]
     ranges = rng.uniform(0.2, 20.0, (scans, 31)).astype(np.float32)
@@ -24,7 +24,7 @@ def drive(scans: int = 5) -> Drive:
     p = rng.uniform(0, 1, (1100, 1000))
     p[0, :10] = np.nan
     ticks = [
-        Tick(
+        BagTick(
             scan=LaserScan(ranges[k], -1.5, 0.1, 0.1, 30.0, t, MOUNT),
             odometry=Pose2(0.01 * k, -0.002 * k, 0.005 * k),
             imu=Imu(0.001 * k, -0.002 * k, (0.1, 0.2, 0.25), (0.3, 0.4, 9.7), t),
@@ -34,4 +34,4 @@ def drive(scans: int = 5) -> Drive:
         )
         for k, t in enumerate(stamps)
     ]
-    return Drive(ticks=ticks, grid=OccupancyGrid.from_probability(p, 0.05, Pose2(-20, -21, 0.1)))
+    return BagDrive(ticks=ticks, grid=OccupancyGrid.from_probability(p, 0.05, Pose2(-20, -21, 0.1)))

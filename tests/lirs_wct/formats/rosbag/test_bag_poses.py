@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.rosbag.poses import read_poses
-from lirs_wct.formats.rosbag.writer import Drive, Tick, write_bag
+from lirs_wct.formats.rosbag.writer import BagDrive, BagTick, write_bag
 from lirs_wct.geometry.pose import Pose2, Pose3
 from tests.lirs_wct.formats.rosbag import drives
 
@@ -23,12 +23,12 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
 @pytest.fixture(scope="module")
-def given() -> Drive:
+def given() -> BagDrive:
     return drives.drive(50)
 
 
 @pytest.fixture(scope="module")
-def bag(given: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bag(given: BagDrive, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bags") / "run"
     write_bag(folder, given)
     return folder
@@ -77,7 +77,7 @@ def written(folder: Path, messages: list[tuple[str, float, Any]]) -> Path:
     return folder
 
 
-def test_the_estimate_is_what_the_transforms_say(bag: Path, given: Drive) -> None:
+def test_the_estimate_is_what_the_transforms_say(bag: Path, given: BagDrive) -> None:
     for topic in (None, "/tf"):
         found = read_poses(bag, topic)
         assert len(found) == len(given.ticks)
@@ -87,7 +87,7 @@ def test_the_estimate_is_what_the_transforms_say(bag: Path, given: Drive) -> Non
             np.testing.assert_allclose(found.pose2(k).as_array(), tick.estimate.as_array(), atol=1e-12)
 
 
-def test_topics_of_poses(bag: Path, given: Drive) -> None:
+def test_topics_of_poses(bag: Path, given: BagDrive) -> None:
     truth, odometry = read_poses(bag, "/ground_truth"), read_poses(bag, "/odom")
     for k, tick in enumerate(given.ticks):
         np.testing.assert_allclose(truth.positions[k], tick.truth.position, atol=1e-12)
@@ -133,13 +133,15 @@ def test_corrections_at_other_times_are_interpolated(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.positions[:, 1], 0.1 * (at - 4), atol=1e-9)
 
 
-def test_missing_topics_and_frames_list_those_that_are_there(given: Drive, bag: Path, tmp_path: Path) -> None:
+def test_missing_topics_and_frames_list_those_that_are_there(
+    given: BagDrive, bag: Path, tmp_path: Path
+) -> None:
     with pytest.raises(SourceError, match=r"--topic /pose: no topic of .*; there are: /clock .*, /tf "):
         read_poses(bag, "/pose")
     with pytest.raises(SourceError, match=r"--topic /scan: no topic of nav_msgs/msg/Odometry or "):
         read_poses(bag, "/scan")
-    ticks = [Tick(scan=t.scan, odometry=t.odometry, imu=t.imu, truth=t.truth) for t in given.ticks]
-    write_bag(tmp_path / "sensors", Drive(ticks=ticks))
+    ticks = [BagTick(scan=t.scan, odometry=t.odometry, imu=t.imu, truth=t.truth) for t in given.ticks]
+    write_bag(tmp_path / "sensors", BagDrive(ticks=ticks))
     with pytest.raises(SourceError, match=r"--topic must say where its poses are; there are: .*/odom"):
         read_poses(tmp_path / "sensors")
     with pytest.raises(

@@ -23,7 +23,7 @@ from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.rosbag.library import STORAGES, Storage
 from lirs_wct.formats.rosbag.reader import read_bag
 from lirs_wct.formats.rosbag.topics import Topics
-from lirs_wct.formats.rosbag.writer import Drive, write_bag
+from lirs_wct.formats.rosbag.writer import BagDrive, write_bag
 from lirs_wct.sources.source import is_log
 from tests.lirs_wct.formats.rosbag import drives
 
@@ -31,18 +31,18 @@ IMU = Topics(imu="/imu")
 
 
 @pytest.fixture(scope="module")
-def given() -> Drive:
+def given() -> BagDrive:
     return drives.drive(400)
 
 
 @pytest.fixture(scope="module")
-def bag(given: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bag(given: BagDrive, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bags") / "run"
     write_bag(folder, given)
     return folder
 
 
-def check(log: LaserLog, given: Drive) -> None:
+def check(log: LaserLog, given: BagDrive) -> None:
     assert len(log.scans) == len(given.ticks)
     for scan, tick in zip(log.scans, given.ticks, strict=True):
         wanted = tick.scan
@@ -58,7 +58,7 @@ def check(log: LaserLog, given: Drive) -> None:
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_what_was_written_comes_back(given: Drive, tmp_path: Path, storage: Storage) -> None:
+def test_what_was_written_comes_back(given: BagDrive, tmp_path: Path, storage: Storage) -> None:
     write_bag(tmp_path / "run", given, storage)
     assert is_log(tmp_path / "run")
     (file,) = (p for p in (tmp_path / "run").iterdir() if p.suffix in (".mcap", ".db3"))
@@ -71,7 +71,7 @@ def test_what_was_written_comes_back(given: Drive, tmp_path: Path, storage: Stor
             assert reading.linear_acceleration == pytest.approx(wanted.linear_acceleration)
 
 
-def test_ros_1_bags_are_read(bag: Path, given: Drive, tmp_path: Path) -> None:
+def test_ros_1_bags_are_read(bag: Path, given: BagDrive, tmp_path: Path) -> None:
     from rosbags.convert.converter import convert
     from rosbags.typesys import Stores, get_typestore
 
@@ -80,7 +80,7 @@ def test_ros_1_bags_are_read(bag: Path, given: Drive, tmp_path: Path) -> None:
     check(read_bag(tmp_path / "run.bag", IMU), given)
 
 
-def test_a_bag_without_metadata_is_read_from_its_files(bag: Path, given: Drive, tmp_path: Path) -> None:
+def test_a_bag_without_metadata_is_read_from_its_files(bag: Path, given: BagDrive, tmp_path: Path) -> None:
     shutil.copytree(bag, tmp_path / "run")
     (tmp_path / "run" / "metadata.yaml").unlink()
     check(read_bag(tmp_path / "run", IMU), given)
@@ -129,7 +129,7 @@ def rewritten(
     return target
 
 
-def test_odometry_comes_from_the_frames_where_no_topic_is(bag: Path, given: Drive, tmp_path: Path) -> None:
+def test_odometry_comes_from_the_frames_where_no_topic_is(bag: Path, given: BagDrive, tmp_path: Path) -> None:
     check(read_bag(rewritten(bag, tmp_path / "run", without=("/odom",)), IMU), given)
 
 
@@ -141,7 +141,7 @@ def test_without_odometry_and_frames_the_laser_is_at_the_base(bag: Path, tmp_pat
     assert "the laser is taken to be at the base" in repair
 
 
-def test_each_scan_has_its_own_beams(bag: Path, given: Drive, tmp_path: Path) -> None:
+def test_each_scan_has_its_own_beams(bag: Path, given: BagDrive, tmp_path: Path) -> None:
     def shorten(k: int, topic: str, m: Any) -> None:
         if topic == "/scan" and k % 5:
             m.angle_min, m.ranges = m.angle_min + 10 * m.angle_increment, m.ranges[10:]
@@ -155,7 +155,7 @@ def test_each_scan_has_its_own_beams(bag: Path, given: Drive, tmp_path: Path) ->
         np.testing.assert_allclose(scan.angles, tick.scan.angles[first:], atol=1e-6)
 
 
-def test_an_increment_of_0_comes_from_the_limits(bag: Path, given: Drive, tmp_path: Path) -> None:
+def test_an_increment_of_0_comes_from_the_limits(bag: Path, given: BagDrive, tmp_path: Path) -> None:
     def zero(k: int, topic: str, m: Any) -> None:
         if topic == "/scan":
             m.angle_increment = 0.0
@@ -179,7 +179,7 @@ def test_scans_without_geometry_are_left_out_and_counted(bag: Path, tmp_path: Pa
         read_bag(every, Topics())
 
 
-def test_times_of_reception_replace_stamps_of_0(bag: Path, given: Drive, tmp_path: Path) -> None:
+def test_times_of_reception_replace_stamps_of_0(bag: Path, given: BagDrive, tmp_path: Path) -> None:
     def zero(k: int, topic: str, m: Any) -> None:
         if topic in ("/scan", "/imu"):
             m.header.stamp.sec = m.header.stamp.nanosec = 0
@@ -190,7 +190,7 @@ def test_times_of_reception_replace_stamps_of_0(bag: Path, given: Drive, tmp_pat
     assert log.repaired == {"header stamps all the same: times of reception are taken": 400}
 
 
-def test_stamps_that_go_back_are_repaired_and_said(bag: Path, given: Drive, tmp_path: Path) -> None:
+def test_stamps_that_go_back_are_repaired_and_said(bag: Path, given: BagDrive, tmp_path: Path) -> None:
     def advance(k: int, topic: str, m: Any) -> None:
         if (k, topic) == (200, "/scan"):
             m.header.stamp.sec -= 1
@@ -222,7 +222,7 @@ def test_the_first_echo_of_each_beam_counts(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("fault", ["definition", "hash"])
-def test_another_type_harms_no_scan(bag: Path, given: Drive, tmp_path: Path, fault: str) -> None:
+def test_another_type_harms_no_scan(bag: Path, given: BagDrive, tmp_path: Path, fault: str) -> None:
     target = tmp_path / "run"
     with (
         AnyReader([bag]) as reader,

@@ -12,18 +12,18 @@ import yaml
 pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
 
 from lirs_wct.formats.rosbag.messages import body_velocity
-from lirs_wct.formats.rosbag.writer import LATCHED, TOPICS, Drive, write_bag
+from lirs_wct.formats.rosbag.writer import LATCHED, TOPICS, BagDrive, write_bag
 from lirs_wct.geometry.pose import Pose2, Pose3
 from tests.lirs_wct.formats.rosbag import drives
 
 
 @pytest.fixture(scope="module")
-def given() -> Drive:
+def given() -> BagDrive:
     return drives.drive()
 
 
 @pytest.fixture(scope="module")
-def bag(given: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bag(given: BagDrive, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bags") / "run"
     write_bag(folder, given)
     return folder
@@ -61,13 +61,13 @@ def test_messages_are_encoded_as_the_library_encodes_them(bag: Path) -> None:
     assert found == set(TOPICS)
 
 
-def test_every_topic_has_a_message_for_every_scan(read: dict[str, list[Any]], given: Drive) -> None:
+def test_every_topic_has_a_message_for_every_scan(read: dict[str, list[Any]], given: BagDrive) -> None:
     assert {topic: len(found) for topic, found in read.items()} == {
         topic: 1 if topic in LATCHED else len(given.ticks) for topic in TOPICS
     }
 
 
-def test_scans_are_those_given(read: dict[str, list[Any]], given: Drive) -> None:
+def test_scans_are_those_given(read: dict[str, list[Any]], given: BagDrive) -> None:
     for message, scan in zip(read["/scan"], [tick.scan for tick in given.ticks], strict=True):
         assert message.header.frame_id == "laser"
         assert seconds(message.header.stamp) == pytest.approx(scan.stamp, abs=1e-9)
@@ -81,7 +81,7 @@ def test_scans_are_those_given(read: dict[str, list[Any]], given: Drive) -> None
         assert len(message.intensities) == 0
 
 
-def test_clouds_are_those_given(read: dict[str, list[Any]], given: Drive) -> None:
+def test_clouds_are_those_given(read: dict[str, list[Any]], given: BagDrive) -> None:
     # What KISS-ICP and the tools of ROS make of the fields.
     types = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
     for message, tick in zip(read["/points"], given.ticks, strict=True):
@@ -107,7 +107,7 @@ def test_clouds_are_those_given(read: dict[str, list[Any]], given: Drive) -> Non
         np.testing.assert_array_equal(points["time"], cloud.time)
 
 
-def test_frames_are_those_of_rep_105(read: dict[str, list[Any]], given: Drive) -> None:
+def test_frames_are_those_of_rep_105(read: dict[str, list[Any]], given: BagDrive) -> None:
     (static,) = read["/tf_static"][0].transforms
     assert (static.header.frame_id, static.child_frame_id) == ("base_link", "laser")
     assert pose_of(static.transform.translation, static.transform.rotation) == drives.MOUNT
@@ -123,7 +123,7 @@ def test_frames_are_those_of_rep_105(read: dict[str, list[Any]], given: Drive) -
         np.testing.assert_allclose(found.as_array(), wanted.as_array(), atol=1e-12)
 
 
-def test_odometry_imu_and_truth(read: dict[str, list[Any]], given: Drive) -> None:
+def test_odometry_imu_and_truth(read: dict[str, list[Any]], given: BagDrive) -> None:
     for k in range(len(given.ticks)):
         odom, imu, truth = read["/odom"][k], read["/imu"][k], read["/ground_truth"][k]
         assert (odom.header.frame_id, odom.child_frame_id) == ("odom", "base_link")
@@ -141,7 +141,7 @@ def test_odometry_imu_and_truth(read: dict[str, list[Any]], given: Drive) -> Non
         assert pose_of(truth.pose.position, truth.pose.orientation) == given.ticks[k].truth
 
 
-def test_a_map_larger_than_a_chunk_is_whole(read: dict[str, list[Any]], given: Drive) -> None:
+def test_a_map_larger_than_a_chunk_is_whole(read: dict[str, list[Any]], given: BagDrive) -> None:
     (message,) = read["/map"]
     assert given.grid is not None
     cells = np.array(message.data, np.int8).reshape(message.info.height, message.info.width)
@@ -171,7 +171,7 @@ def test_no_message_is_larger_than_its_chunk(bag: Path) -> None:
     assert all(largest < size for size, largest in inside)
 
 
-def test_metadata_has_the_quality_of_service(bag: Path, given: Drive) -> None:
+def test_metadata_has_the_quality_of_service(bag: Path, given: BagDrive) -> None:
     info = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     offered = {
         topic["topic_metadata"]["name"]: yaml.safe_load(topic["topic_metadata"]["offered_qos_profiles"])[0]
@@ -186,7 +186,7 @@ def test_metadata_has_the_quality_of_service(bag: Path, given: Drive) -> None:
     assert info["duration"]["nanoseconds"] == 80_000_000
 
 
-def test_sqlite3_holds_the_same_messages(bag: Path, given: Drive, tmp_path: Path) -> None:
+def test_sqlite3_holds_the_same_messages(bag: Path, given: BagDrive, tmp_path: Path) -> None:
     from rosbags.rosbag2 import Reader
 
     write_bag(tmp_path / "run", given, "sqlite3")
@@ -199,7 +199,7 @@ def test_sqlite3_holds_the_same_messages(bag: Path, given: Drive, tmp_path: Path
     assert messages(tmp_path / "run") == messages(bag)
 
 
-def test_a_bag_replaces_an_older_one_and_leaves_nothing_else(given: Drive, tmp_path: Path) -> None:
+def test_a_bag_replaces_an_older_one_and_leaves_nothing_else(given: BagDrive, tmp_path: Path) -> None:
     for _ in range(2):
         write_bag(tmp_path / "run", given)
     assert [p.name for p in tmp_path.iterdir()] == ["run"]

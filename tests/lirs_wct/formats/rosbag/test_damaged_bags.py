@@ -26,7 +26,7 @@ from lirs_wct.errors import SourceError
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.rosbag.reader import read_bag
 from lirs_wct.formats.rosbag.topics import Topics
-from lirs_wct.formats.rosbag.writer import Drive, write_bag
+from lirs_wct.formats.rosbag.writer import BagDrive, write_bag
 from lirs_wct.sources.source import is_bag
 from tests.lirs_wct.formats.rosbag import drives
 
@@ -35,18 +35,18 @@ IMU = Topics(imu="/imu")
 
 
 @pytest.fixture(scope="module")
-def given() -> Drive:
+def given() -> BagDrive:
     return drives.drive(SCANS)
 
 
 @pytest.fixture(scope="module")
-def bag(given: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bag(given: BagDrive, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bags") / "run"
     write_bag(folder, given)
     return folder
 
 
-def check(log: LaserLog, given: Drive, count: int = SCANS, first: int = 0) -> None:
+def check(log: LaserLog, given: BagDrive, count: int = SCANS, first: int = 0) -> None:
     assert len(log.scans) == count
     for scan, tick in zip(log.scans, given.ticks[first : first + count], strict=True):
         np.testing.assert_array_equal(scan.ranges, tick.scan.ranges)
@@ -70,7 +70,7 @@ def copied(bag: Path, writer: Any, keep: Callable[[int], bool] = lambda _: True)
 @pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 @pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE, CompressionMode.STORAGE])
 def test_what_zstd_compressed_is_read(
-    bag: Path, given: Drive, tmp_path: Path, plugin: StoragePlugin, mode: CompressionMode
+    bag: Path, given: BagDrive, tmp_path: Path, plugin: StoragePlugin, mode: CompressionMode
 ) -> None:
     if (plugin, mode) == (StoragePlugin.SQLITE3, CompressionMode.STORAGE):
         return  # databases have no chunks
@@ -84,7 +84,7 @@ def test_what_zstd_compressed_is_read(
         check(read_bag(path, IMU), given)
 
 
-def test_chunks_of_lz4_are_read(bag: Path, given: Drive, tmp_path: Path) -> None:
+def test_chunks_of_lz4_are_read(bag: Path, given: BagDrive, tmp_path: Path) -> None:
     mcap = pytest.importorskip("mcap.writer", reason="mcap is not installed")
     with (tmp_path / "run.mcap").open("wb") as file:
         writer = mcap.Writer(file, compression=mcap.CompressionType.LZ4)
@@ -108,14 +108,14 @@ def unindexed(bag: Path) -> bytes:
     return end + b"\x02" + struct.pack("<QQQI", 20, 0, 0, 0) + data[-8:]
 
 
-def test_a_file_without_index_is_whole(bag: Path, given: Drive, tmp_path: Path, recwarn: Any) -> None:
+def test_a_file_without_index_is_whole(bag: Path, given: BagDrive, tmp_path: Path, recwarn: Any) -> None:
     (tmp_path / "run.mcap").write_bytes(unindexed(bag))
     check(read_bag(tmp_path / "run.mcap", IMU), given)
     assert not recwarn.list
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.97])
-def test_the_scans_before_a_crash_are_read(bag: Path, given: Drive, tmp_path: Path, share: float) -> None:
+def test_the_scans_before_a_crash_are_read(bag: Path, given: BagDrive, tmp_path: Path, share: float) -> None:
     whole = unindexed(bag)
     data = whole[: round(share * len(whole))]
     (tmp_path / "cut.mcap").write_bytes(data)
@@ -131,12 +131,12 @@ def test_the_scans_before_a_crash_are_read(bag: Path, given: Drive, tmp_path: Pa
 
 
 @pytest.fixture
-def database(given: Drive, tmp_path: Path) -> bytes:
-    write_bag(tmp_path / "whole", Drive(ticks=given.ticks), "sqlite3")
+def database(given: BagDrive, tmp_path: Path) -> bytes:
+    write_bag(tmp_path / "whole", BagDrive(ticks=given.ticks), "sqlite3")
     return (tmp_path / "whole" / "whole.db3").read_bytes()
 
 
-def test_a_database_is_read_up_to_where_it_is_cut(database: bytes, given: Drive, tmp_path: Path) -> None:
+def test_a_database_is_read_up_to_where_it_is_cut(database: bytes, given: BagDrive, tmp_path: Path) -> None:
     (tmp_path / "cut.db3").write_bytes(database[: round(0.9 * len(database))])
     with pytest.warns(UserWarning, match=r"cut\.db3: its end is missing\): \d+ scans could be read"):
         log = read_bag(tmp_path / "cut.db3", IMU)
@@ -146,7 +146,7 @@ def test_a_database_is_read_up_to_where_it_is_cut(database: bytes, given: Drive,
 
 @pytest.mark.parametrize("share", [0.1, 0.33])
 def test_a_database_cut_before_its_tree_of_rows_gives_its_first_scans(
-    database: bytes, given: Drive, tmp_path: Path, share: float
+    database: bytes, given: BagDrive, tmp_path: Path, share: float
 ) -> None:
     (tmp_path / "cut.db3").write_bytes(database[: round(share * len(database))])
     with pytest.warns(UserWarning, match=r"cut\.db3: its end is missing\): \d+ scans could be read"):
@@ -164,7 +164,7 @@ def test_of_a_database_cut_before_its_first_row_it_is_said(database: bytes, tmp_
 @pytest.mark.parametrize("compression", [None, Writer1.CompressionFormat.BZ2, Writer1.CompressionFormat.LZ4])
 @pytest.mark.parametrize("share", [0.4, 0.99])
 def test_a_ros_1_bag_is_read_up_to_where_it_is_cut(
-    bag: Path, given: Drive, tmp_path: Path, share: float, compression: Any
+    bag: Path, given: BagDrive, tmp_path: Path, share: float, compression: Any
 ) -> None:
     store = get_typestore(Stores.ROS1_NOETIC)
     plain = tmp_path / "plain.bag"
@@ -204,11 +204,11 @@ def split(bag: Path, tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_split_bag_is_one_log(split: Path, given: Drive) -> None:
+def test_a_split_bag_is_one_log(split: Path, given: BagDrive) -> None:
     check(read_bag(split, IMU), given)
 
 
-def test_of_a_split_bag_a_missing_file_is_said(split: Path, given: Drive) -> None:
+def test_of_a_split_bag_a_missing_file_is_said(split: Path, given: BagDrive) -> None:
     (split / "run_1.mcap").unlink()
     with pytest.warns(UserWarning, match=r"damaged \(run_1\.mcap is missing\): 1000 scans could be read"):
         log = read_bag(split, IMU)
@@ -217,7 +217,7 @@ def test_of_a_split_bag_a_missing_file_is_said(split: Path, given: Drive) -> Non
     )
 
 
-def test_of_a_split_bag_the_last_file_may_be_cut(split: Path, given: Drive) -> None:
+def test_of_a_split_bag_the_last_file_may_be_cut(split: Path, given: BagDrive) -> None:
     data = (split / "run_2.mcap").read_bytes()
     (split / "run_2.mcap").write_bytes(data[:300_000])
     (split / "metadata.yaml").unlink()  # the recorder writes it last
@@ -233,7 +233,7 @@ def test_a_bag_cut_in_its_first_messages_is_said_to_be_damaged(bag: Path, tmp_pa
 
 
 def test_a_message_that_cannot_be_decoded_is_left_out_and_counted(
-    bag: Path, given: Drive, tmp_path: Path
+    bag: Path, given: BagDrive, tmp_path: Path
 ) -> None:
     scans = 0
     with (

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.geometry.grid_sampling import resized
+from lirs_wct.geometry.grid_sampling import resample
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.options import BuildOptions
@@ -61,17 +61,17 @@ PLANE = RAMP + np.arange(30, dtype=np.float32)[:, None]
 @pytest.mark.parametrize("size", [(79, 59), (41, 30), (400, 31)])
 def test_enlarged_keeps_a_plane_to_its_corners(size: tuple[int, int]) -> None:
     expected = np.linspace(0, 39, size[0]) + np.linspace(0, 29, size[1])[:, None]
-    np.testing.assert_allclose(resized(PLANE, *size), expected, atol=1e-4)
-    np.testing.assert_array_equal(resized(PLANE, 40, 30), PLANE)
+    np.testing.assert_allclose(resample(PLANE, *size), expected, atol=1e-4)
+    np.testing.assert_array_equal(resample(PLANE, 40, 30), PLANE)
 
 
 def test_shrunk_folds_nothing_fine_into_the_coarse() -> None:
-    small = resized(PLANE, 14, 30)
+    small = resample(PLANE, 14, 30)
     # The blur is level beyond the border: a plane bends there and nowhere else.
     np.testing.assert_allclose(small[5, 2:-2], PLANE[5, ::3][2:-2], atol=1e-2)
     stripes = np.tile(np.float32([0, 1]), (30, 60))
-    assert np.ptp(resized(stripes, 20, 30)[:, 2:-2]) < 0.2
-    assert resized(PLANE, 2, 2).shape == (2, 2)
+    assert np.ptp(resample(stripes, 20, 30)[:, 2:-2]) < 0.2
+    assert resample(PLANE, 2, 2).shape == (2, 2)
 
 
 def test_crop_is_the_same_ground(tmp_path: Path) -> None:

@@ -1,15 +1,20 @@
-"""Stamps of a log's lines, made to rise in the order of the file.
+"""Repairs of a CARMEN log: stamps that rise in the order of the file, and odometry without jumps.
 
-A line is stamped when its message passes the log's network: messages wait there and come in bursts, so the
-stamps of real logs go back and repeat while the robot moves on. The order of the lines is right. Stamps that
-cannot be right are replaced by those nearest to them, in the least squares' sense, that rise with the lines
-and between which the robot drives no faster than over many lines of the log: an isotonic regression (Barlow
-et al., Statistical Inference under Order Restrictions, 1972) of the stamps less the least time between lines.
-A burst is thereby spread over the gap around it. Stamps that rise as they should stay as logged.
+A line is stamped when its message passes the log's network. Messages wait there and come in bursts, so the
+stamps of real logs go back and repeat while the robot moves on. The order of the lines is right.
+
+Wrong stamps are replaced by the nearest stamps, in the least squares' sense, that rise with the lines and
+keep the log's usual speed limit between them. This is an isotonic regression (Barlow et al., Statistical
+Inference under Order Restrictions, 1972) of the stamps less the least time between lines. A burst is thereby
+spread over the gap around it. Stamps that already rise stay as logged.
+
+The odometry is that of the laser's own messages, else that of ODOM lines, else none.
 """
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -20,10 +25,11 @@ from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.formats.carmen.lines import Message
 from lirs_wct.formats.laser_log import LineStamps
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.trajectory import Trajectory
 
 LEAP = 10.0
 """Stamps that go back by more are no delay: a damaged line, or a clock that was set, seconds."""
-LOOK = 5
+LEAP_LOOK = 5
 """Lines after a leap among which the stamps may have come back."""
 WINDOW = 20
 """Lines over which a log's pace and speed are measured: delays average out over so many."""
@@ -136,7 +142,7 @@ def _one_clock(stamps: FloatArray) -> FloatArray:
     """Return stamps without leaps: a damaged one comes between its neighbors, a clock set back runs on."""
     if not (np.diff(stamps) < -LEAP).any():
         return stamps
-    damaged, set_anew = _leaps(stamps)
+    damaged, set_anew = _stamp_leaps(stamps)
     lines = np.arange(len(stamps))
     kept = np.setdiff1d(lines, damaged)
     bounds = [0, *set_anew, len(stamps)]
@@ -152,13 +158,13 @@ def _one_clock(stamps: FloatArray) -> FloatArray:
     return np.interp(lines, kept, np.concatenate(parts) - shifts[longest])
 
 
-def _leaps(stamps: FloatArray) -> tuple[list[int], list[int]]:
+def _stamp_leaps(stamps: FloatArray) -> tuple[list[int], list[int]]:
     """Return which lines have stamps far from those before and after, and at which a clock was set back."""
     damaged: list[int] = []
     set_anew: list[int] = []
     last = 0
     for k in range(1, len(stamps)):
-        following = stamps[k + 1 : k + 1 + LOOK]
+        following = stamps[k + 1 : k + 1 + LEAP_LOOK]
         on = following >= stamps[last] - LEAP
         if stamps[k] < stamps[last] - LEAP:
             if on.any():
@@ -170,3 +176,115 @@ def _leaps(stamps: FloatArray) -> tuple[list[int], list[int]]:
             continue
         last = k
     return damaged, set_anew
+
+
+JUMP, JUMP_SPEED = 5.0, 30.0
+"""A step of more meters, and more meters a second, is no motion of a robot."""
+JUMP_LOOK = 5
+"""Poses after a leap among which the track may have come back."""
+AGREEMENT = 1.0
+"""Meters within which two sources share one frame."""
+
+
+def odometry_of(
+    stamps: Sequence[float], lasers: Sequence[Message], odoms: Sequence[Message], repaired: Counter[str]
+) -> tuple[list[Pose2 | None], Trajectory]:
+    """Return `T_odom_base` of each scan, and every pose that the odometry gives.
+
+    Odometry that never changes says nothing, so it is taken for none: the robot may have moved or not.
+
+    Args:
+        stamps: of the scans, increasing.
+        lasers: the scans' messages.
+        odoms: ODOM messages.
+        repaired: receives what was put right, and how often.
+    """
+    own, wheels = _track(lasers), _track(odoms)
+    if _moves(own) or (len(lasers) == 1 and len(own)):
+        steady = without_jumps(own, repaired)
+        if steady is own:
+            return [m.base for m in lasers], _add_wheel_poses(own, wheels)
+        return [steady.pose2(i) for i in range(len(steady))], steady
+    if _moves(wheels):
+        steady = without_jumps(wheels, repaired)
+        at = steady.planar_at(np.asarray(stamps))
+        return [Pose2(*row) for row in at.tolist()], steady
+    return [None] * len(stamps), Trajectory.from_poses([], [])
+
+
+def without_jumps(track: Trajectory, repaired: Counter[str]) -> Trajectory:
+    """Return a track that no robot is too slow for; where it is sound, itself.
+
+    A few poses far from those before and after are replaced by poses between these. Where the track does
+    not come back, the odometry was set anew: it stands still for that step.
+    """
+    wrong, anew = _position_leaps(track)
+    if not wrong and not anew:
+        return track
+    sound = np.setdiff1d(np.arange(len(track)), wrong)
+    poses, last = [track.pose2(0)], 0
+    for k in sound[1:].tolist():
+        motion = Pose2() if k in anew else track.pose2(last).inverse() @ track.pose2(k)
+        poses.append(poses[-1] @ motion)
+        last = k
+    kept = Trajectory.from_poses(track.stamps[sound].tolist(), poses)
+    if wrong:
+        repaired["odometry far from that before and after, taken from between"] = len(wrong)
+    if anew:
+        repaired["jumps of the odometry, taken for standing still"] = len(anew)
+    filled = [Pose2(*row) for row in kept.planar_at(track.stamps).tolist()]
+    return Trajectory.from_poses(track.stamps.tolist(), filled)
+
+
+def _position_leaps(track: Trajectory) -> tuple[list[int], set[int]]:
+    """Return which poses are far from those before and after, and at which the track goes on elsewhere."""
+    xy, stamps = track.xy, track.stamps
+    wrong: list[int] = []
+    anew: set[int] = set()
+
+    def can_reach(a: int, b: int) -> bool:
+        meters = math.hypot(*(xy[b] - xy[a]))
+        return meters <= max(JUMP, JUMP_SPEED * float(stamps[b] - stamps[a]))
+
+    steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
+    if not (steps > JUMP).any():
+        return wrong, anew
+    last = 0
+    for k in range(1, len(track)):
+        if not can_reach(last, k):
+            if any(can_reach(last, m) for m in range(k + 1, min(k + 1 + JUMP_LOOK, len(track)))):
+                wrong.append(k)
+                continue
+            anew.add(k)
+        last = k
+    return wrong, anew
+
+
+def _track(messages: Sequence[Message]) -> Trajectory:
+    """Return the poses by stamp; of two with one stamp, the later line's."""
+    poses = {m.stamp: m.base for m in messages if m.base is not None}
+    stamps = sorted(poses)
+    return Trajectory.from_poses(stamps, [poses[t] for t in stamps])
+
+
+def _moves(track: Trajectory) -> bool:
+    if len(track) < 2:
+        return False
+    return bool(np.ptp(track.xy, axis=0).any() or np.ptp(track.quaternions, axis=0).any())
+
+
+def _add_wheel_poses(own: Trajectory, wheels: Trajectory) -> Trajectory:
+    """Add the poses between scans, where ODOM lines are of the same frame."""
+    if len(wheels) == 0:
+        return own
+    far = np.linalg.norm(wheels.planar_at(own.stamps)[:, :2] - own.xy, axis=1)
+    if len(own) > 1 and float(np.median(far)) > AGREEMENT:
+        return own
+    fresh = ~np.isin(wheels.stamps, own.stamps)
+    stamps = np.concatenate((own.stamps, wheels.stamps[fresh]))
+    order = np.argsort(stamps)
+    return Trajectory(
+        stamps[order],
+        np.concatenate((own.positions, wheels.positions[fresh]))[order],
+        np.concatenate((own.quaternions, wheels.quaternions[fresh]))[order],
+    )
