@@ -1,6 +1,6 @@
-"""LIRS-WCT: a picture or a laser map becomes a World.
+"""LIRS-WCT: build a World from a picture or a laser map.
 
-The names below load on first use, so that reading a value type does not load every format's library.
+The names below are imported on first use, so that a value type does not load every format's library.
 """
 
 from importlib import import_module

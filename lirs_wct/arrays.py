@@ -1,4 +1,4 @@
-"""Array types by element, one name each; shapes, units and frames stand in the docstrings."""
+"""Array types by element type; docstrings state shapes, units and frames."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Int32Array = NDArray[np.int32]
 ByteArray = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
 RecordArray = NDArray[np.void]
-"""Of a structured type: fields with names."""
+"""Array of a structured type, with named fields."""
 
 Vector3 = tuple[float, float, float]
-"""x, y, z as plain numbers: in a hot loop a small array costs more than the arithmetic."""
+"""x, y, z as Python numbers; in a hot loop a small array costs more than the arithmetic."""

@@ -1,4 +1,4 @@
-"""How values show themselves in Jupyter: as a picture or a table, and in one line of text."""
+"""Jupyter display of values: as a picture or as a table."""
 
 from __future__ import annotations
 
@@ -9,33 +9,33 @@ from typing import Any, ClassVar
 
 
 class ShownAsPicture:
-    """A value that Jupyter shows as a picture.
+    """Base of value types that Jupyter shows as a picture.
 
     Attributes:
-        _painter: `module:function` that makes the picture's `Figure` from the value; loaded when the value is
-            first shown, since a value type need not load matplotlib.
+        _painter: `module:function` that draws the value as a `Figure`; loaded when the value is first shown,
+            so that a value type does not load matplotlib.
     """
 
     __slots__ = ()
     _painter: ClassVar[str] = "lirs_wct.drawing.pictures:figure_of"
 
     def _repr_png_(self) -> bytes:
-        picture: bytes = _loaded(self._painter)(self)._repr_png_()
+        picture: bytes = _load(self._painter)(self)._repr_png_()
         return picture
 
 
 class ShownAsTable:
-    """A value that Jupyter shows as a table of two columns.
+    """Base of value types that Jupyter shows as a table of two columns.
 
     Attributes:
-        _rows: `module:function` that makes names and formatted values from the value.
+        _rows: `module:function` that returns names and formatted values.
     """
 
     __slots__ = ()
     _rows: ClassVar[str]
 
     def _repr_html_(self) -> str:
-        return html_table(_loaded(self._rows)(self))
+        return html_table(_load(self._rows)(self))
 
 
 def html_table(rows: Sequence[tuple[str, str]]) -> str:
@@ -47,6 +47,6 @@ def html_table(rows: Sequence[tuple[str, str]]) -> str:
     return f"<table>{cells}</table>"
 
 
-def _loaded(place: str) -> Any:
-    module, name = place.split(":")
+def _load(path: str) -> Any:
+    module, name = path.split(":")
     return getattr(import_module(module), name)

@@ -1,4 +1,4 @@
-"""The errors that a user can cause and mend: one clear sentence each, exit code 2 at the command line."""
+"""Errors that a user can cause and correct: one sentence each, exit code 2."""
 
 from __future__ import annotations
 
@@ -8,39 +8,39 @@ from collections.abc import Iterable
 
 
 class WctError(Exception):
-    """Base of every error that names something the caller can change."""
+    """Base of all errors that the caller can correct."""
 
 
 class SourceError(WctError):
-    """A source (picture, map, mesh, folder, log) cannot be used; the message begins with its path."""
+    """An unusable source: picture, map, mesh, folder or log; the message begins with its path."""
 
 
 class LogSourceError(SourceError):
-    """A source is a laser log, where a world is needed: it is mapped first."""
+    """A laser log as source where a world is needed; it must be mapped first."""
 
 
 class ConfigError(WctError, ValueError):
-    """An option has a value that is not legal."""
+    """An option with an illegal value."""
 
 
 class OutputError(WctError):
-    """A result cannot be written; the message begins with its path."""
+    """A result that cannot be written; the message begins with its path."""
 
 
 class SimulationError(WctError):
-    """The simulation cannot go on (it diverged, or the robot cannot be placed)."""
+    """A simulation that cannot continue: it diverged, or the robot cannot be placed."""
 
 
 class MapperError(WctError):
-    """A mapper gave something that no mapper may give."""
+    """An illegal result of a mapper."""
 
 
 _CLASS = re.compile(r"^(?:\w+\.)*\w*(?:Error|Exception|Warning):\s*")
-"""Name of a Python class at the start of a message that a library built of another error."""
+"""Python class name at the start of a library's error message."""
 
 
 def reason_of(error: BaseException) -> str:
-    """Return the cause of an error in plain words: one line, without the name of a Python class.
+    """Return the cause of an error as one line without Python class names.
 
     >>> reason_of(KeyError("schema"))
     "'schema' is missing"
@@ -71,7 +71,7 @@ _REASONS: dict[type[BaseException], str] = {
 
 
 def unknown_name(kind: str, name: str, legal: Iterable[str]) -> ConfigError:
-    """Return the error for a name that is none of the legal ones, which it lists.
+    """Return the error for an unknown name; it lists the legal names.
 
     >>> str(unknown_name("robot", "huksy", ["husky", "jackal"]))
     "unknown robot 'huksy'; legal: husky, jackal"

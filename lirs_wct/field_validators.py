@@ -1,4 +1,4 @@
-"""Validators of a configuration's fields: one rule, one sentence (name, legal values, what came)."""
+"""Validators of configuration fields; an error states name, legal values and given value."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ NUMBERS = (float, int, np.floating, np.integer)
 def require_above(
     config: Any, low: float, *names: str, of: str = "", unit: str = "", finite: bool = False
 ) -> None:
-    """Raise ConfigError unless every named field is above `low` (and finite); NaN never is.
+    """Raise ConfigError unless every named field is above `low` (and finite); NaN is illegal.
 
     Args:
         config: the dataclass.
-        low: largest value that is not legal.
+        low: exclusive lower bound.
         *names: its fields.
-        of: what the fields belong to, in words: "the motion filter".
+        of: name of the owner in messages, such as "the motion filter".
         unit: of the values.
-        finite: whether infinity is refused.
+        finite: whether infinity is illegal.
     """
     _require(config, names, of, f"above {low:g}{_space(unit)}", finite, lambda value: value > low)
 
@@ -32,12 +32,15 @@ def require_above(
 def require_at_least(
     config: Any, low: float, *names: str, of: str = "", unit: str = "", finite: bool = False
 ) -> None:
-    """Raise ConfigError unless every named field is at least `low` (and finite); NaN never is."""
+    """Raise ConfigError unless every named field is at least `low` (and finite); NaN is illegal."""
     _require(config, names, of, f"at least {low:g}{_space(unit)}", finite, lambda value: value >= low)
 
 
 def require_within(config: Any, legal: str, *names: str, of: str = "", unit: str = "") -> None:
-    """Raise ConfigError unless every named field lies in an interval, written as "(0, 1]"; NaN never does."""
+    """Raise ConfigError unless every named field lies in an interval such as "(0, 1]".
+
+    NaN is illegal.
+    """
     low, high = (float(bound) for bound in legal[1:-1].split(","))
 
     def inside(value: float) -> bool:
@@ -48,7 +51,7 @@ def require_within(config: Any, legal: str, *names: str, of: str = "", unit: str
 
 
 def require_type(config: Any, kind: type | UnionType, *names: str, of: str = "") -> None:
-    """Raise ConfigError unless every named field is of a type."""
+    """Raise ConfigError unless every named field has a type."""
     for name in names:
         value = getattr(config, name)
         if not isinstance(value, kind):
@@ -58,7 +61,7 @@ def require_type(config: Any, kind: type | UnionType, *names: str, of: str = "")
 
 
 def require_seed(seed: Any) -> None:
-    """Raise ConfigError unless a seed is a whole number from 0 up."""
+    """Raise ConfigError unless a seed is an integer of at least 0."""
     if not isinstance(seed, int | np.integer) or isinstance(seed, bool):
         raise ConfigError(f"seed must be a whole number, got {seed!r}")
     if seed < 0:
@@ -66,12 +69,12 @@ def require_seed(seed: Any) -> None:
 
 
 def is_finite(value: object) -> bool:
-    """Whether a value is a number, and finite."""
+    """Whether a value is a finite number."""
     return is_number(value) and math.isfinite(value)
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Whether a value is a number; a bool is none."""
+    """Whether a value is a number and not a bool."""
     return isinstance(value, NUMBERS) and not isinstance(value, bool)
 
 

@@ -1,4 +1,4 @@
-"""The ground of a world: the terrain of a picture, a laser map, or a closed mesh."""
+"""Types of ground: terrain of a picture, laser map, closed mesh."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from lirs_wct.meshing.wall_solid import wall_mesh
 
 @dataclass(frozen=True)
 class Terrain:
-    """Ground that is its heights: of a picture, or of an open mesh from above.
+    """Ground given by its heights: from a picture, or from an open mesh seen from above.
 
     Attributes:
         surface: heights.
-        no_ground: (rows, cols) nodes of the surface without ground; None = no such node.
+        no_ground: (rows, cols) whether a node of the surface has no ground; None = every node has.
     """
 
     kind: ClassVar[Literal["terrain"]] = "terrain"
@@ -31,7 +31,7 @@ class Terrain:
 
     def mesh(self, settings: ExportOptions) -> TriangleMesh:
         """Return surface, skirt and base as a closed solid within the settings' budget."""
-        return _simplified(self.surface, settings) if settings.limited else solid_mesh(self.surface)
+        return _simplify(self.surface, settings) if settings.limited else solid_mesh(self.surface)
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class LaserMap:
 
     Attributes:
         surface: the floor.
-        walls: cells that stand on it.
-        truth: the map that they were taken from; None = it is not known.
+        walls: wall cells on the floor.
+        truth: the input map of the walls; None = not known.
     """
 
     kind: ClassVar[Literal["map"]] = "map"
@@ -50,19 +50,19 @@ class LaserMap:
     truth: OccupancyGrid | None = None
 
     def mesh(self, _: ExportOptions) -> TriangleMesh:
-        """Return walls, floor and slab as a closed solid, which no budget makes simpler."""
+        """Return walls, floor and slab as a closed solid, never simplified."""
         return wall_mesh(self.walls)
 
 
 @dataclass(frozen=True)
 class ClosedMesh:
-    """A closed mesh, with its heights from above.
+    """A closed mesh and its heights from above.
 
     Attributes:
-        surface: highest points.
+        surface: heights of the mesh's highest points.
         solid: the mesh itself.
-        overhangs: whether it is more than its heights from above.
-        no_ground: (rows, cols) nodes of the surface where it has no ground; None = no such node.
+        overhangs: whether the mesh has more than one surface on a vertical line.
+        no_ground: (rows, cols) whether a node of the surface has no ground; None = every node has.
     """
 
     kind: ClassVar[Literal["mesh"]] = "mesh"
@@ -72,12 +72,12 @@ class ClosedMesh:
     no_ground: BoolArray | None = None
 
     def mesh(self, settings: ExportOptions) -> TriangleMesh:
-        """Return the mesh, or without overhangs its heights as a solid within the settings' budget."""
-        return _simplified(self.surface, settings) if settings.limited and not self.overhangs else self.solid
+        """Return the mesh; with a budget and without overhangs, its simplified heights."""
+        return _simplify(self.surface, settings) if settings.limited and not self.overhangs else self.solid
 
 
 Ground = Terrain | LaserMap | ClosedMesh
 
 
-def _simplified(surface: HeightField, settings: ExportOptions) -> TriangleMesh:
+def _simplify(surface: HeightField, settings: ExportOptions) -> TriangleMesh:
     return simplified_solid(surface, max_error=settings.max_error, max_triangles=settings.max_triangles)

@@ -1,4 +1,4 @@
-"""Numba's decorator as all kernels here use it."""
+"""Numba decorator of all kernels."""
 
 from __future__ import annotations
 
@@ -7,4 +7,4 @@ from functools import partial
 import numba
 
 njit = partial(numba.njit, no_cfunc_wrapper=True)
-"""numba.njit without an entry for C callbacks: nothing here calls it, and it takes 8 % of a compilation."""
+"""numba.njit without the entry for C callbacks, which is unused and takes 8 % of a compilation."""

@@ -1,4 +1,4 @@
-"""Progress of a long piece of work: one callback, which every builder, writer, run and sweep takes."""
+"""Progress callback of builders, writers, runs and sweeps."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import TypeVar
 
 T = TypeVar("T")
 Progress = Callable[[str, float], None]
-"""Called with the name of the current step and the share of the whole work that is done, 0 to 1."""
+"""Function of the current step's name and the completed share of all work, 0 to 1."""
 
 
 def no_progress(step: str, share: float) -> None:
-    """Progress that nobody follows."""
+    """Ignore progress."""
 
 
 def tracked(

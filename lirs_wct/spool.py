@@ -1,4 +1,4 @@
-"""Arrays that come one after the other and are too many for memory."""
+"""Sequence of equal arrays, stored in a temporary file if it is too large for memory."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from numpy.typing import NDArray
 from lirs_wct.errors import OutputError
 
 IN_MEMORY = 1 << 18
-"""Bytes up to which a spool has no file; they are written at once, while somebody waits."""
+"""Bytes up to which a spool stays in memory."""
 BUFFER = 1 << 16
-"""Bytes that are written to the file at a time."""
+"""Bytes per write to the file."""
 AT_ONCE = 1 << 19
-"""Bytes that are read at a time where all arrays are gone through."""
+"""Bytes per read during iteration over all arrays."""
 
 Element = TypeVar("Element", bound=np.generic)
 
 
 class ArraySpool(Sequence[NDArray[Element]]):
-    """A growing sequence of equal arrays: a few lie in memory, many in a file that has no name.
+    """A growing sequence of arrays of one shape and type, in memory or in an unnamed file.
 
-    Such a file is gone with the process, however that ends. What comes out is a copy.
+    The operating system removes such a file when the process ends, for any reason. Access returns copies.
 
     Args:
-        folder: where the file lies; None = the system's folder for temporary files.
+        folder: folder of the file; None = the system's folder for temporary files.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
@@ -40,17 +40,17 @@ class ArraySpool(Sequence[NDArray[Element]]):
         self._read_since = False
 
     def append(self, values: NDArray[Element]) -> None:
-        """Add an array of the first one's shape and type.
+        """Append an array of the first array's shape and type.
 
         Raises:
-            ValueError: it has another shape or type.
+            ValueError: the array has another shape or type.
             OutputError: the file cannot be written.
         """
         if self._dtype is None:
             self._dtype, self._shape, self._bytes = values.dtype, values.shape, values.nbytes
         if (values.dtype, values.shape) != (self._dtype, self._shape):
             raise ValueError(
-                f"a spool of {self._dtype} {self._shape} was given {values.dtype} {values.shape}"
+                f"arrays of a spool must be {self._dtype} {self._shape}, got {values.dtype} {values.shape}"
             )
         try:
             if self._read_since:
@@ -79,7 +79,7 @@ class ArraySpool(Sequence[NDArray[Element]]):
             yield from self._read(first, min(some, len(self) - first))
 
     def _read(self, first: int, count: int) -> Iterator[NDArray[Element]]:
-        """Yield so many arrays from an index on."""
+        """Yield `count` arrays from index `first` on."""
         self._file.seek(first * self._bytes)
         self._read_since = True
         read = np.frombuffer(self._file.read(count * self._bytes), self._dtype)

@@ -190,7 +190,7 @@ def _built(
     picture = canvas.grid_picture(built)
     for asked, other, color in ((true_pose, built, BLUE), (built, true_pose, VERMILLION)):
         wrong = contradicted(asked, other)
-        marked = canvas.marked(wrong, asked.resolution, asked.origin)
+        marked = canvas.mark_pixels(wrong, asked.resolution, asked.origin)
         picture[binary_dilation(marked)] = rgb(color)  # a wall is a pixel wide
     map_axes(axes, canvas, picture)
     title(axes, "Built map")

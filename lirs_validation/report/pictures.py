@@ -96,7 +96,7 @@ class Painter:
         if isinstance(built, OccupancyGrid):
             made = canvas.grid_picture(built)
             wrong = contradicted(built, true_pose)
-            made[canvas.marked(wrong, built.resolution, built.origin)] = rgb(VERMILLION)
+            made[canvas.mark_pixels(wrong, built.resolution, built.origin)] = rgb(VERMILLION)
             panels.append(made)
         elif built is not None and world is not None:
             panels.append(error_picture(canvas, world, built))

@@ -1,1 +1,1 @@
-"""What a physics engine touches: contact grid, prisms, convex parts."""
+"""Contact geometry for physics engines: contact grid, prisms, convex parts."""

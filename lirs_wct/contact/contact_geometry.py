@@ -1,4 +1,4 @@
-"""What a physics engine can touch of a world, and which world fits which."""
+"""Names of the contact geometries, and the check that one fits a world."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ if TYPE_CHECKING:
 
 ContactGeometry = Literal["hfield", "mesh", "prisms", "convex"]
 CONTACT_GEOMETRIES: tuple[ContactGeometry, ...] = get_args(ContactGeometry)
-"""What a physics engine touches: a height field; the same, the mesh is seen; prisms; convex parts."""
+"""Contact as a height field; as a height field with a visible mesh; as prisms; as convex parts."""
 
 
 def check_contact_geometry(geometry: str, world: World) -> None:
-    """Check that a world can have a contact geometry.
+    """Check that a contact geometry fits a world.
 
     Raises:
-        ConfigError: there is no such geometry, or it does not fit the world.
+        ConfigError: the geometry is unknown or does not fit the world.
     """
     if geometry not in CONTACT_GEOMETRIES:
         raise unknown_name("terrain for MuJoCo", geometry, CONTACT_GEOMETRIES)

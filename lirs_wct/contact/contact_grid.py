@@ -1,7 +1,7 @@
-"""How coarse the ground may be that wheels touch, and by how much it then differs from the surface.
+"""Contact grid: the coarsest height field for wheels whose deviation from the surface is bounded.
 
-MuJoCo tests every prism of a height field under a geom's bounding box, so that half the spacing costs up to
-four times as much. The laser still sees the surface itself; this file bounds what the two differ by.
+MuJoCo tests every prism of a height field under a geom's bounding box. Half the spacing therefore costs up to
+four times as much. The laser still sees the surface itself. This file bounds the deviation between the two.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from lirs_wct.kernels import njit
 
 @dataclass(frozen=True, kw_only=True)
 class ContactBudget:
-    """What a contact grid may differ from the surface by.
+    """Limits on the deviation of a contact grid from the surface.
 
     Attributes:
-        vertical: meters, at nodes where no adjacent triangle is as steep as `steep`.
-        horizontal: contact cells along each axis, at the other nodes: within this distance the contact
-            grid must have the node's height.
-        match: meters to which it must have it: at the foot of a wall the ground itself rises by so much.
-        steep: radians.
-        max_cell: no contact cell is made larger than this, meters: there is nothing left to gain.
+        vertical: largest vertical deviation at nodes that touch no triangle as steep as `steep`, meters.
+        horizontal: distance, contact cells along each axis, within which the contact grid must reach the
+            height of a steep node.
+        match: tolerance of that height, meters; at the foot of a wall the ground itself rises by so much.
+        steep: slope from which a triangle counts as steep, radians.
+        max_cell: largest contact cell, meters; larger cells save no time.
 
     Raises:
         ConfigError: a value is not above 0.
@@ -47,7 +47,9 @@ class ContactBudget:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactGrid:
-    """A contact grid in figures: spacing, budget, and the deviation measured at every node of the surface.
+    """Spacing, budget and measured deviation of a contact grid.
+
+    The deviation is measured at every node of the surface.
 
     Attributes:
         stride: cells of the surface in a contact cell, along each axis; 1 = the surface itself.
@@ -70,10 +72,10 @@ class ContactGrid:
     nodes: int
 
     def heights(self, surface: HeightField) -> HeightField:
-        """Return the contact grid of the surface that it was made for; it begins at the south-west node.
+        """Return the heights of the contact grid of its surface.
 
-        Where the stride does not divide the surface's cells, the last row and column lie beyond the border,
-        on the straight line through the border's node.
+        The grid begins at the south-west node. If the stride does not divide the surface's cells, the last
+        row and column lie beyond the border, on the straight line through the border's node.
         """
         return HeightField(
             np.ascontiguousarray(_coarse(surface.south_up, self.stride)[::-1]), self.cell, surface.origin
@@ -81,25 +83,28 @@ class ContactGrid:
 
 
 def contact_grid(surface: HeightField, budget: ContactBudget | None = None) -> ContactGrid:
-    """Return the coarsest grid, by whole cells of the surface, whose deviation is within the budget."""
+    """Return the coarsest grid within the budget, by whole cells of the surface."""
     budget = budget or ContactBudget()
     z = surface.south_up
     steep = steep_nodes(z, surface.cell, budget.steep)
     largest = min(int(budget.max_cell / max(surface.cell)), min(z.shape) - 1)
     for stride in range(max(largest, 1), 1, -1):
-        found = _measured(z, steep, stride, budget)
+        found = _measure_deviation(z, steep, stride, budget)
         if found is not None:
             return _figures(surface, stride, budget, *found)
     return surface_itself(surface)
 
 
 def surface_itself(surface: HeightField) -> ContactGrid:
-    """Return the contact grid that is the surface, node by node."""
+    """Return the contact grid that equals the surface, node by node."""
     return _figures(surface, 1, ContactBudget(), 0.0, 0.0)
 
 
 def steep_nodes(z: Float32Array, cell: tuple[float, float], steep: float) -> BoolArray:
-    """Return (rows, cols) the nodes (row 0 = south) of triangles that are at least as steep as an angle."""
+    """Return (rows, cols) whether a node, row 0 = south, belongs to a steep triangle.
+
+    A triangle is steep from the angle `steep`, radians.
+    """
     sw, se, nw, ne = z[:-1, :-1], z[:-1, 1:], z[1:, :-1], z[1:, 1:]
     limit = math.tan(steep)
     below = np.hypot((se - sw) / cell[0], (ne - se) / cell[1]) >= limit
@@ -128,16 +133,16 @@ def _figures(
     )
 
 
-def _measured(
+def _measure_deviation(
     z: Float32Array, steep: BoolArray, stride: int, budget: ContactBudget
 ) -> tuple[float, float] | None:
-    """Return the deviation, vertical in meters and horizontal in cells; None where it breaks the budget."""
+    """Return the vertical (meters) and horizontal (cells) deviation; None if above the budget."""
     contact = np.empty_like(z)
-    vertical = float(_resampled(_coarse(z, stride), stride, z, steep, budget.vertical, contact))
+    vertical = float(_resample(_coarse(z, stride), stride, z, steep, budget.vertical, contact))
     if vertical > budget.vertical:
         return None
-    # Along a path from one node to another a continuous surface has every height between the two: the
-    # node's height is reached in its window when it lies between the window's lowest and highest.
+    # On a path between two nodes a continuous surface has every height between theirs. Thus it reaches the
+    # node's height in its window if that lies between the window's lowest and highest height.
     far = (np.abs(contact - z) > budget.vertical).astype(np.uint8)
     for cells in range(int(budget.horizontal * stride) + 1):
         window = np.ones((2 * cells + 1, 2 * cells + 1), np.uint8)
@@ -149,7 +154,10 @@ def _measured(
 
 
 def _coarse(z: Float32Array, stride: int) -> Float32Array:
-    """Return every stride-th node from the south-west; a last one beyond the border where it takes one."""
+    """Return every stride-th node from the south-west.
+
+    If the stride does not divide the cells, a last node lies beyond the border.
+    """
     for axis in (0, 1):
         z = np.moveaxis(z, axis, 0)
         whole, rest = divmod(len(z) - 1, stride)
@@ -162,12 +170,12 @@ def _coarse(z: Float32Array, stride: int) -> Float32Array:
 
 
 @njit(cache=True)
-def _resampled(
+def _resample(
     coarse: Float32Array, stride: int, z: Float32Array, steep: BoolArray, limit: float, contact: Float32Array
 ) -> float:
-    """Fill `contact` with the coarse grid at every node; return the largest deviation at gentle ones.
+    """Fill `contact` with the coarse grid at every node; return the largest deviation.
 
-    Stops at the first gentle node that deviates by more than `limit`.
+    The deviation counts at nodes that are not steep. The kernel stops at the first one above `limit`.
     """
     worst = 0.0
     for r in range(z.shape[0]):

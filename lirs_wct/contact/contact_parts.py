@@ -1,4 +1,4 @@
-"""Convex parts of the ground for contact without a height field: prisms, hulls or a thin shell.
+"""Convex parts of the ground for contact: prisms, hulls or a thin shell.
 
 A shell (`shell_parts`) has one part for each triangle of a closed body, so that contacts are exact on its
 triangles. A part is the hull of its triangle and of the same triangle moved inward along the normals of its
@@ -25,24 +25,24 @@ from lirs_wct.meshing.simplify import simplified_solid
 from lirs_wct.world import World
 
 MAX_PRISMS = 20_000
-"""A step costs about 1.7 us for each thousand: with these, no robot's takes more than 60 us (measured: 46 to
-48 us at 16,447, 59 to 65 us at 26,981)."""
+"""Each thousand prisms cost about 1.7 us per step. With this limit, no robot's step takes more than 60 us
+(measured: 46 to 48 us at 16,447 prisms, 59 to 65 us at 26,981)."""
 PRISM_ERROR = 0.01
-"""Vertical deviation of prisms from the ground where the world has no budget of its own, meters."""
+"""Vertical deviation of prisms from the ground if the world has no budget, meters."""
 DEPTH = 1.0
-"""Meters that a prism reaches below the lowest ground; contacts push out the shorter way: up."""
+"""Meters that a prism reaches below the lowest ground; contacts push along the shorter direction, up."""
 FEW_FACES = 200
 """Faces of a body that CoACD cuts into fewer parts than there are faces, within a second or so."""
 MAX_CONVEX = 5000
-"""Faces of a body above which nobody asks whether it is convex."""
+"""Faces of a body above which it counts as not convex, without a test."""
 CONCAVITY = 0.01
-"""How far a part's hull may be from the part, as CoACD measures it (Wei et al. 2022)."""
+"""Largest distance of a part's hull from the part, as CoACD measures it (Wei et al. 2022)."""
 SHELL_DEPTH = 0.1
-"""Meters that a part reaches inward: contacts push out the shorter way, at 3 m/s one goes 1 to 2 cm deep."""
+"""Meters that a part reaches inward; contacts push the shorter way and are 1 to 2 cm deep at 3 m/s."""
 SHARE = 0.45
-"""Of the body's thickness at a corner that a part reaches inward, at most: two sides do not meet."""
+"""Largest share of the body's thickness that a part reaches inward at a corner: two sides do not meet."""
 LEAST_AREA = 1e-10
-"""Square meters below which a triangle is nothing that is touched."""
+"""Square meters below which a triangle has no contact."""
 GRAZING = 0.2
 """Cosine of the angle between a corner's normal and a triangle's below which the triangle takes its own."""
 
@@ -57,7 +57,7 @@ def contact_parts(world: World, geometry: ContactGeometry) -> Iterator[FloatArra
 
 
 def prisms(world: World) -> Iterator[FloatArray]:
-    """Yield one prism for each triangle of the simplified mesh that is seen from above.
+    """Yield one prism for each upward triangle of the simplified mesh.
 
     Raises:
         ConfigError: there are more than `MAX_PRISMS`.
@@ -79,15 +79,15 @@ def prisms(world: World) -> Iterator[FloatArray]:
 
 
 def convex_parts(mesh: TriangleMesh) -> Iterator[FloatArray]:
-    """Yield the convex parts of closed bodies, each body on its own.
+    """Yield the convex parts of closed bodies, body by body.
 
-    One that is convex is a part. One of few faces is cut up by CoACD, one of up to `MAX_PRISMS` is touched on
-    its very triangles (`shell_parts`): CoACD takes minutes for thousands of faces, and its parts bulge by
-    1 % of the body. Larger ones are left to CoACD.
+    A convex body is one part. CoACD cuts a body of few faces. A body of up to `MAX_PRISMS` faces becomes a
+    shell with contact on its triangles (`shell_parts`): CoACD takes minutes for thousands of faces, and its
+    parts bulge by 1 % of the body. CoACD also cuts larger bodies.
 
     Wei et al. 2022, "Approximate convex decomposition for 3D meshes with collision-aware concavity and
-    tree search" (CoACD); the same mesh gives the same parts. Each closed body is cut on its own: where bodies
-    overlap, CoACD does not come to an end with all of them at once.
+    tree search" (CoACD); the same mesh gives the same parts. Each closed body is cut separately, because
+    CoACD does not terminate on several overlapping bodies.
 
     Raises:
         ConfigError: coacd is not installed.
@@ -106,8 +106,8 @@ def convex_parts(mesh: TriangleMesh) -> Iterator[FloatArray]:
             continue
         if len(body.faces) > MAX_PRISMS:
             warnings.warn(
-                f"convex parts: CoACD cuts a body of {len(body.faces)} faces, which takes minutes; one of "
-                f"up to {MAX_PRISMS} is touched on its faces at once",
+                f"convex parts: CoACD cuts a body of {len(body.faces)} faces, which takes minutes; a body of "
+                f"up to {MAX_PRISMS} faces needs no cutting",
                 stacklevel=2,
             )
         parts = coacd.run_coacd(
@@ -118,7 +118,7 @@ def convex_parts(mesh: TriangleMesh) -> Iterator[FloatArray]:
 
 
 def _is_convex(body: TriangleMesh) -> bool:
-    """Whether no vertex lies before the plane of a face, to rounding."""
+    """Whether no vertex lies outside the plane of a face, within rounding."""
     if len(body.faces) > MAX_CONVEX:
         return False
     size = float(np.ptp(body.bounds, axis=0).max())
@@ -128,7 +128,7 @@ def _is_convex(body: TriangleMesh) -> bool:
 
 
 def bodies(mesh: TriangleMesh) -> Iterator[TriangleMesh]:
-    """Yield the pieces of a mesh that share no vertex with each other, in the order of their vertices."""
+    """Yield the connected components of a mesh, in the order of their vertices."""
     a, b, c = mesh.faces.T
     n = len(mesh.vertices)
     edges = coo_array((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, c])), shape=(n, n))
@@ -140,7 +140,7 @@ def bodies(mesh: TriangleMesh) -> Iterator[TriangleMesh]:
 
 
 def shell_parts(body: TriangleMesh) -> Iterator[FloatArray]:
-    """Yield (6, 3) the corners of each part of a closed body whose faces look outward."""
+    """Yield the (6, 3) corners of each shell part of a closed body with outward faces."""
     normals = body.face_normals
     corner = _corner_normals(body, normals)
     size = float(np.ptp(body.bounds, axis=0).max())
@@ -162,7 +162,7 @@ def touching_volume(body: TriangleMesh, points: FloatArray) -> BoolArray:
 
 
 def _corner_normals(body: TriangleMesh, normals: FloatArray) -> FloatArray:
-    """Return (n, 3) unit normals of the vertices: those of their faces, weighted by their angles there."""
+    """Return (n, 3) unit normals of the vertices, from face normals weighted by angle."""
     total = np.zeros_like(body.vertices)
     for k in range(3):
         here, left, right = (body.vertices[body.faces[:, (k + j) % 3]] for j in range(3))
@@ -177,7 +177,10 @@ def _corner_normals(body: TriangleMesh, normals: FloatArray) -> FloatArray:
 
 @njit(cache=True)
 def _thickness(vertices: FloatArray, faces: Int32Array, normals: FloatArray, least: float) -> FloatArray:
-    """Return (n,) how far each vertex's inward normal goes to the next face (Moeller and Trumbore 1997)."""
+    """Return (n,) distances from each vertex along its inward normal to the next face.
+
+    Ray-triangle test: Moeller and Trumbore 1997.
+    """
     found = np.full(len(vertices), np.inf)
     for f in range(len(faces)):
         i, j, k = faces[f]
@@ -194,7 +197,7 @@ def _thickness(vertices: FloatArray, faces: Int32Array, normals: FloatArray, lea
             t = (sx * nx + sy * ny + sz * nz) / det
             if not least < t < found[v]:
                 continue
-            # d x s, whose products with the edges are the barycentric coordinates.
+            # d x s: its products with the edges are the barycentric coordinates.
             mx, my, mz = dy * sz - dz * sy, dz * sx - dx * sz, dx * sy - dy * sx
             u = -(gx * mx + gy * my + gz * mz) / det
             w = (ex * mx + ey * my + ez * mz) / det
@@ -205,7 +208,7 @@ def _thickness(vertices: FloatArray, faces: Int32Array, normals: FloatArray, lea
 
 @njit(cache=True)
 def _winding(vertices: FloatArray, faces: Int32Array, points: FloatArray) -> Int32Array:
-    """Return (n,) in how many bodies each point is: tops above it less bottoms above it."""
+    """Return (n,) numbers of bodies around each point: tops above it minus bottoms above it."""
     count = np.zeros(len(points), np.int32)
     for f in range(len(faces)):
         a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]

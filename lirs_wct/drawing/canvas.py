@@ -1,4 +1,4 @@
-"""The common canvas of all pictures: the same square meters in the same pixels."""
+"""Canvas of a top-view picture: square pixels over a rectangle of the world."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.geometry.walls import WallGrid
 
 MARGIN = 1.0
-"""Meters shown around paths and what maps know."""
+"""Margin around paths and known cells, meters."""
 BAND = 64
-"""Rows of pixels that are looked up at a time: what is made on the way is large."""
+"""Rows of pixels per step; it limits the memory of intermediate arrays."""
 FREE_SHADE, UNKNOWN_SHADE = 1.0, 0.80
-"""Gray of what is known to be free, and of what nobody knows."""
+"""Gray of free cells and of unknown cells."""
 
 
 @dataclass(frozen=True)
 class Canvas:
-    """A picture's place in the world; row 0 = north, so that it shows as it lies on the map.
+    """Placement of a picture in the world; row 0 = north.
 
     Attributes:
         bounds: west, south, east, north in meters.
@@ -49,7 +49,7 @@ class Canvas:
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """West, east, south, north: what matplotlib's `imshow` wants."""
+        """West, east, south, north, as matplotlib's `imshow` expects."""
         west, south, east, north = self.bounds
         return west, east, south, north
 
@@ -76,8 +76,11 @@ class Canvas:
             heights[band] = surface.height_at(xy[..., 0], xy[..., 1])
         return heights
 
-    def marked(self, mask: BoolArray, resolution: float, origin: Pose2) -> BoolArray:
-        """Return the pixels that hold a marked cell of a grid, however thin: row 0 of `mask` is south."""
+    def mark_pixels(self, mask: BoolArray, resolution: float, origin: Pose2) -> BoolArray:
+        """Return the pixels that contain a marked cell of a grid, also of cells smaller than a pixel.
+
+        Row 0 of `mask` is south.
+        """
         seen, to_grid = np.empty(self.shape, np.bool_), origin.inverse()
         for band in self._bands():
             local = np.floor(to_grid.apply(self._centers(band)) / resolution).astype(np.int64)
@@ -96,19 +99,19 @@ class Canvas:
         pixels[row[inside], col[inside]] = True
 
     def walls(self, walls: WallGrid) -> BoolArray:
-        """Return the pixels that hold a wall cell."""
-        return self.marked(walls.solid, walls.resolution, walls.origin)
+        """Return the pixels that contain a wall cell."""
+        return self.mark_pixels(walls.solid, walls.resolution, walls.origin)
 
     def known(self, grid: OccupancyGrid) -> BoolArray:
-        """Return the pixels that hold a known cell of a map."""
-        return self.marked(grid.known, grid.resolution, grid.origin)
+        """Return the pixels that contain a known cell of a map."""
+        return self.mark_pixels(grid.known, grid.resolution, grid.origin)
 
     def occupied(self, grid: OccupancyGrid) -> BoolArray:
-        """Return the pixels that hold an occupied cell of a map."""
-        return self.marked(grid.occupied, grid.resolution, grid.origin)
+        """Return the pixels that contain an occupied cell of a map."""
+        return self.mark_pixels(grid.occupied, grid.resolution, grid.origin)
 
     def grid_picture(self, grid: OccupancyGrid) -> FloatArray:
-        """Return (rows, cols, 3) a map as ROS shows it: black occupied, white free, gray unknown."""
+        """Return the (rows, cols, 3) picture of a map: black occupied, white free, gray unknown."""
         shade = np.full(self.shape, UNKNOWN_SHADE)
         shade[self.known(grid)] = FREE_SHADE
         shade[self.occupied(grid)] = 0.0
@@ -116,7 +119,10 @@ class Canvas:
 
 
 def bounds_shown(path: Trajectory, grid: OccupancyGrid) -> tuple[float, float, float, float]:
-    """Return west, south, east, north of a path and of what a map knows, with a margin, meters."""
+    """Return west, south, east, north of a path and a map's known cells.
+
+    Meters, with a margin.
+    """
     boxes = [(*path.xy.min(axis=0).tolist(), *path.xy.max(axis=0).tolist())]
     known = bounds_of(grid)
     if known is not None:
@@ -128,7 +134,7 @@ def bounds_shown(path: Trajectory, grid: OccupancyGrid) -> tuple[float, float, f
 
 
 def bounds_of(grid: OccupancyGrid) -> tuple[float, float, float, float] | None:
-    """Return west, south, east, north of what a map knows, meters; None where it knows nothing."""
+    """Return west, south, east, north of a map's known cells, meters; None without any."""
     rows, cols = (np.flatnonzero(grid.known.any(axis=axis)) for axis in (1, 0))
     if len(rows) == 0:
         return None

@@ -1,4 +1,4 @@
-"""Heights in a picture: hillshade, walls, heights in color."""
+"""Hillshade of a world: shaded heights, walls, color scale of heights."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.world import World
 
 AZIMUTH, ALTITUDE = math.radians(315), math.radians(45)
-"""Where the light comes from: north-west, as on printed maps since the Swiss Dufour map."""
+"""Direction of the light: north-west, as on printed maps since the Swiss Dufour map."""
 WALL = (0.16, 0.16, 0.20)
 FLOOR, BEYOND = (0.97, 0.97, 0.96), (0.84, 0.84, 0.85)
-"""A laser map's free floor, and what it does not know."""
+"""Colors of a laser map's known cells and of its unknown cells."""
 
 
 def height_colors() -> Colormap:
-    """Return a light scale from low (slate) to high (sand); brightness rises with it, for every eye."""
+    """Return a color scale from low (slate) to high (sand) with rising brightness."""
     return LinearSegmentedColormap.from_list("relief", ["#7d97a5", "#a9b5ac", "#d3cfb4", "#f6e8c6"])
 
 
 def shaded_heights(world: World, canvas: Canvas) -> FloatArray:
-    """Return (rows, cols, 3) a hillshade tinted by height; of a laser map, its floor and what is unknown."""
+    """Return a (rows, cols, 3) hillshade tinted by height; for a laser map, floor and walls."""
     if world.truth is not None:
         rgb = np.where(canvas.known(world.truth)[..., None], FLOOR, BEYOND)
     else:
@@ -36,10 +36,10 @@ def shaded_heights(world: World, canvas: Canvas) -> FloatArray:
 
 
 def shaded_surface(surface: HeightField, canvas: Canvas) -> FloatArray:
-    """Return (rows, cols, 3) a hillshade in [0, 1] tinted by height, row 0 = north.
+    """Return a (rows, cols, 3) hillshade in [0, 1] tinted by height.
 
-    Lambertian shading (Horn, "Hill shading and the reflectance map", Proc. IEEE 1981); heights are
-    exaggerated until the ground's typical slope is visible.
+    Row 0 = north. Lambertian shading (Horn, "Hill shading and the reflectance map", Proc. IEEE 1981).
+    Heights are exaggerated until the ground's typical slope is visible.
     """
     z = canvas.heights(surface)
     low, high = float(surface.z.min()), float(surface.z.max())
@@ -53,7 +53,10 @@ def shaded_surface(surface: HeightField, canvas: Canvas) -> FloatArray:
 
 
 def shading(z: FloatArray, pixel: float) -> FloatArray:
-    """Return (rows, cols) brightness in [0, 1] of heights in meters, row 0 = north; level: 0.7."""
+    """Return (rows, cols) brightness in [0, 1] of heights in meters.
+
+    Row 0 = north. Level ground has 0.7.
+    """
     height = np.where(np.isnan(z), np.nanmin(z) if np.isfinite(z).any() else 0.0, z)
     if min(height.shape) < 2:
         return np.full(height.shape, math.sin(ALTITUDE))

@@ -1,4 +1,4 @@
-"""A mesh seen at an angle, overhangs and all, drawn with a depth buffer; needs no OpenGL."""
+"""Oblique view of a mesh with overhangs, drawn with a depth buffer, without OpenGL."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ import numpy as np
 
 from lirs_wct.arrays import FloatArray, Int32Array
 from lirs_wct.drawing.hillshade import height_colors
-from lirs_wct.drawing.oblique import TILT, turned
+from lirs_wct.drawing.oblique import TILT, rotate_to_view
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.kernels import njit
 
 LIGHT = np.array((-0.62, -0.34, 0.71))
-"""Unit vector towards the light: what faces the viewer is lit from the left."""
+"""Unit vector towards the light, which comes from the viewer's left."""
 TINTS = 256
 MOST_ROWS = 1600
-"""Pixels of a picture's height; of what is taller, the picture is narrower."""
+"""Limit of a picture's height, pixels; the picture of a taller mesh is narrower."""
 
 
 def mesh_view(mesh: TriangleMesh, *, tilt: float = TILT, width: int = 1100) -> FloatArray:
-    """Return (rows, width or less, 4) an orthographic view in true proportions; transparent around it.
+    """Return a (rows, <= width, 4) orthographic view in true proportions, transparent outside.
 
     Args:
-        mesh: to be seen; tinted by height.
+        mesh: drawn mesh, tinted by height.
         tilt: angle by which the viewer looks down, radians.
-        width: of the picture in pixels, at most.
+        width: largest width of the picture, pixels.
     """
-    right, depth = turned(mesh.vertices[:, :2] - mesh.bounds[:, :2].mean(axis=0))
+    right, depth = rotate_to_view(mesh.vertices[:, :2] - mesh.bounds[:, :2].mean(axis=0))
     z = mesh.vertices[:, 2]
     up, away = depth * math.sin(tilt) + z * math.cos(tilt), depth * math.cos(tilt) - z * math.sin(tilt)
     unit = max(float(np.ptp(right)) / (width - 1), float(np.ptp(up)) / MOST_ROWS)
@@ -51,9 +51,9 @@ def _draw(
     light: FloatArray,
     table: FloatArray,
 ) -> None:
-    """Paint each triangle where it is nearer than what was painted before.
+    """Paint the pixels where each triangle is nearer than the earlier ones.
 
-    Points are column, row, depth and row of the table of colors; light is that of each triangle.
+    Points are column, row, depth and row of the color table; `light` has one value per triangle.
     """
     rows, cols = nearest.shape
     for k in range(len(faces)):

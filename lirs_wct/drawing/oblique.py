@@ -1,4 +1,4 @@
-"""A world seen at an angle, drawn column by column from front to back; needs no OpenGL."""
+"""Oblique view of a height block, drawn column by column from front to back, without OpenGL."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from lirs_wct.drawing.canvas import Canvas
 from lirs_wct.kernels import njit
 
 TURN, TILT = math.radians(-28), math.radians(35)
-"""The viewer stands to the south and a little to the west, and looks down by so much."""
+"""Azimuth of the viewer, south and slightly west, and angle by which the viewer looks down, radians."""
 CUT = (0.62, 0.60, 0.57)
 """Color of the block's cut faces."""
 
 
 class _Screen(NamedTuple):
-    """Where the picture's rows and columns lie; lengths in meters about the block's middle.
+    """Position of the picture's rows and columns; lengths in meters from the block's center.
 
     Attributes:
         left: rightward coordinate of the picture's left edge.
@@ -51,20 +51,20 @@ def oblique_view(
     tilt: float = TILT,
     width: int = 1100,
 ) -> FloatArray:
-    """Return (rows, width, 4) an orthographic view of a block of ground; transparent around it.
+    """Return a (rows, width, 4) orthographic view of a block of ground, transparent outside.
 
     Args:
         z: (rows, cols) meters, row 0 = north; NaN where there is no ground.
-        tops: (rows, cols, 3) colors of what lies about level.
+        tops: (rows, cols, 3) colors of nearly level faces.
         sides: (rows, cols, 3) colors of faces that rise towards the north.
-        canvas: where these pixels lie.
-        exaggeration: of the heights.
+        canvas: placement of these pixels.
+        exaggeration: factor of the heights.
         tilt: angle by which the viewer looks down, radians.
-        width: of the picture in pixels.
+        width: width of the picture, pixels.
     """
     w, s, e, n = canvas.bounds
     corners = np.array([(x - (w + e) / 2, y - (s + n) / 2) for x in (w, e) for y in (s, n)])
-    right, depth = turned(corners)
+    right, depth = rotate_to_view(corners)
     low = float(np.nanmin(z))
     heights = (z - low) * exaggeration
     base = 0.04 * max(e - w, n - s)
@@ -87,15 +87,18 @@ def oblique_view(
     return picture[::-1]
 
 
-def turned(xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return rightward and depthward coordinates of points (n, 2) about the middle."""
+def rotate_to_view(xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return rightward and depth coordinates of points (n, 2) relative to the center."""
     c, s = math.cos(TURN), math.sin(TURN)
     return c * xy[:, 0] + s * xy[:, 1], -s * xy[:, 0] + c * xy[:, 1]
 
 
 @njit(cache=True)
 def _draw(picture: FloatArray, z: FloatArray, tops: FloatArray, sides: Any, screen: _Screen) -> None:
-    """Go from front to back in each column and paint what rises above all before it; row 0 = bottom."""
+    """Paint each column from front to back where the ground rises above the nearer ground.
+
+    Row 0 = bottom.
+    """
     rows, cols = z.shape
     height, width = picture.shape[0], picture.shape[1]
     left, near, far, lowest, unit, base, pixel, tilt = screen

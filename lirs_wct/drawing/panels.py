@@ -1,4 +1,4 @@
-"""Panels of a figure: headline, value list, path ends, and axes of a given size in inches.
+"""Panels of a figure: headline, value list, path ends, axes of a given size.
 
 Panels of any aspect ratio are placed by the inch. Matplotlib's constrained layout first gives axes of equal
 aspect a box and then shrinks them in it, so that text below them may leave the figure.
@@ -18,24 +18,24 @@ from lirs_wct.drawing.style import BLACK, GRAY, TEXT, TITLE
 from lirs_wct.geometry.trajectory import Trajectory
 
 LINE = 0.19
-"""Inches of a line of a panel's title."""
+"""Height of a line of a panel's title, inches."""
 LETTERS = 11.0
-"""Letters of a panel's title an inch."""
+"""Letters per inch of a panel's title."""
 LEFT, BELOW, GAP, RIM = 0.9, 0.6, 0.35, 0.12
-"""Inches left of a map and below it for its ticks and labels, between panels, and at the figure's rim."""
+"""Space left of a map and below it (ticks and labels), between panels, and at the figure's rim, inches."""
 SCALE = 0.95
-"""Inches right of a panel for the color scale of its heights."""
+"""Space right of a panel for its color scale of heights, inches."""
 NARROW = 2.6
-"""Inches of a panel's width below which its legend does not fit above its right end."""
+"""Panel width below which the legend does not fit above the right end, inches."""
 
 
 def headline(figure: Figure, text: str, **place: float) -> None:
-    """Set the title of the whole picture; its upper edge is `y`, a share of the height."""
+    """Set the title of the figure; keyword `y` is its upper edge, a share of the height."""
     figure.suptitle(text, fontsize=TITLE + 1.5, x=0.012, ha="left", color=BLACK, **place)
 
 
 def value_list(axes: Axes, lines: Sequence[tuple[str, str]]) -> None:
-    """Write names to the left and values to the right, a line each."""
+    """Write a table with names on the left and values on the right."""
     axes.set_axis_off()
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1)
@@ -64,14 +64,14 @@ class Size(NamedTuple):
     height: float
 
 
-def fitted(ratio: float, most: Size) -> Size:
-    """Return the largest size of a ratio of width to height that fits."""
+def fit_size(ratio: float, most: Size) -> Size:
+    """Return the largest size with a ratio of width to height that fits into another size."""
     width = min(most.width, most.height * ratio)
     return Size(width, width / ratio)
 
 
-def placed(figure: Figure, left: float, top: float, size: Size) -> Axes:
-    """Add axes of a size whose left upper corner lies so far from the figure's, inches."""
+def add_axes(figure: Figure, left: float, top: float, size: Size) -> Axes:
+    """Add axes of a size; `left` and `top` are distances from the figure's upper left corner, inches."""
     width, height = figure.get_size_inches()
     return figure.add_axes(
         (left / width, 1 - (top + size.height) / height, size.width / width, size.height / height)
@@ -79,7 +79,7 @@ def placed(figure: Figure, left: float, top: float, size: Size) -> Axes:
 
 
 def fewer_ticks(axes: Axes, size: Size) -> None:
-    """Keep no more ticks of a map than have room along its sides."""
+    """Limit the ticks of a map to those that fit along its sides."""
     for axis, room in ((axes.xaxis, size.width / 0.7), (axes.yaxis, size.height / 0.4)):
         if room < 1:
             axis.set_ticks([axis.get_view_interval()[0]])

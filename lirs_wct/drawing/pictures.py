@@ -1,4 +1,4 @@
-"""One picture for each type of value: what Jupyter shows."""
+"""Pictures of value types for Jupyter."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def figure_of(value: object) -> Drawing:
     """Return the picture of a value.
 
     Raises:
-        TypeError: there is none for its type.
+        TypeError: the type has no picture.
     """
     raise TypeError(f"a {type(value).__name__} has no picture")
 
@@ -61,7 +61,7 @@ def surface_figure(surface: HeightField) -> Drawing:
 
 @figure_of.register
 def grid_figure(grid: OccupancyGrid) -> Drawing:
-    """Draw what a map knows: black occupied, white free, gray unknown."""
+    """Draw a map: black occupied, white free, gray unknown."""
     rows, cols = grid.shape
     corners = grid.origin.apply(np.array([(c, r) for r in (0, rows) for c in (0, cols)]) * grid.resolution)
     (west, south), (east, north) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
@@ -73,7 +73,7 @@ def grid_figure(grid: OccupancyGrid) -> Drawing:
 
 @figure_of.register
 def scan_figure(scan: LaserScan) -> Drawing:
-    """Draw the points of a scan around the sensor, and its field of view as far as its farthest point."""
+    """Draw the points of a scan and the field of view up to the farthest point."""
     figure = new_figure(EDGE, EDGE)
     axes = figure.subplots()
     hits = scan.hits

@@ -1,4 +1,4 @@
-"""One look for all pictures: fonts, colors that color-blind readers distinguish, axes in meters."""
+"""Common style of all pictures: fonts, colors for color-blind readers, axes in meters."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.drawing.canvas import BAND, Canvas
 
 DPI, SCREEN_DPI = 150, 72
-"""Of files, and in Jupyter."""
+"""Resolution of files and in Jupyter, dots per inch."""
 COMPRESSION = 3
-"""Of PNG files, by zlib: level 6, which is usual, takes twice the time for 4 % fewer bytes."""
+"""zlib level of PNG files; the usual level 6 takes twice the time for 4 % fewer bytes."""
 TITLE, TEXT, SMALL = 10.5, 9.0, 8.0
 """Font sizes, points."""
 
 BLUE, VERMILLION, GREEN, BLACK, GRAY = "#0072B2", "#D55E00", "#009E73", "#1a1a1a", "#6b6b6b"
-"""Okabe and Ito's colors: distinct with every kind of color blindness, and in gray."""
+"""Okabe and Ito's colors: distinct with every kind of color blindness and in gray."""
 
 
 def rgb(color: str) -> tuple[float, float, float]:
@@ -33,18 +33,18 @@ def rgb(color: str) -> tuple[float, float, float]:
 
 
 def title(axes: Axes, text: str, *, above_legend: bool = False) -> None:
-    """Set a panel's title, left-aligned as in a paper; above a legend it has a line of its own."""
+    """Set a panel's title, left-aligned; above a legend it takes a separate line."""
     pad = 5 + (SMALL + 8 if above_legend else 0)
     axes.set_title(text, fontsize=TITLE, loc="left", color=BLACK, pad=pad)
 
 
 def length(meters: float) -> str:
-    """Return a length to three or four figures, as a title has it."""
+    """Format a length for a title, with three or four significant digits."""
     return f"{meters:,.0f} m" if meters >= 1000 else f"{meters:.4g} m" if meters >= 100 else f"{meters:.3g} m"
 
 
 def plain_axes(axes: Axes, x: str, y: str) -> None:
-    """Label axes, make ticks small, take away the frame's upper and right side."""
+    """Label axes, shrink ticks, hide the frame's upper and right side."""
     axes.set_xlabel(x, fontsize=TEXT, color=BLACK)
     axes.set_ylabel(y, fontsize=TEXT, color=BLACK)
     axes.tick_params(labelsize=SMALL, length=3, width=0.6, colors=BLACK)
@@ -54,8 +54,8 @@ def plain_axes(axes: Axes, x: str, y: str) -> None:
 
 
 def map_axes(axes: Axes, canvas: Canvas, picture: FloatArray) -> None:
-    """Show a picture (rows, cols, 3) in [0, 1] in meters, both axes alike."""
-    # Of bytes, matplotlib makes float32; where it has to add the alpha itself, float64.
+    """Show a picture (rows, cols, 3) in [0, 1] with equal axes in meters."""
+    # matplotlib converts bytes with alpha to float32, without alpha to float64.
     levels = np.full((*picture.shape[:2], 4), 255, np.uint8)
     for first in range(0, len(picture), BAND):
         levels[first : first + BAND, :, :3] = np.rint(picture[first : first + BAND] * 255)
@@ -71,7 +71,7 @@ def map_axes(axes: Axes, canvas: Canvas, picture: FloatArray) -> None:
 
 
 def legend(axes: Axes, handles: Sequence[Any], *, side: Literal["left", "right"] = "right") -> None:
-    """Put a small legend above an end of a panel, where it hides nothing."""
+    """Put a small legend above the left or right end of a panel."""
     axes.legend(
         handles=handles,
         loc="lower left" if side == "left" else "lower right",
@@ -88,10 +88,10 @@ def legend(axes: Axes, handles: Sequence[Any], *, side: Literal["left", "right"]
 
 
 class Drawing(Figure):
-    """A figure that is laid out and drawn once, and shows itself in Jupyter, which shows pyplot's alone."""
+    """A figure that is drawn once and has a Jupyter picture without pyplot."""
 
     def savefig(self, fname: Any, *, dpi: float | None = None, **options: Any) -> None:
-        """Lay the panels out, then draw them once: Matplotlib by itself draws all for the layout, too."""
+        """Lay out the panels, then draw them once; Matplotlib would also draw them for the layout."""
         kind = options.get("format") or (Path(fname).suffix[1:] if isinstance(fname, (str, Path)) else "png")
         if kind == "png":
             options = {"pil_kwargs": {"compress_level": COMPRESSION}} | options
@@ -109,18 +109,18 @@ class Drawing(Figure):
     def _repr_png_(self) -> bytes:
         drawn, small = BytesIO(), BytesIO()
         self.savefig(drawn, dpi=SCREEN_DPI)
-        # With 256 colors a notebook is a third as large, and nobody sees it.
+        # With 256 colors a notebook is a third as large, without a visible difference.
         Image.open(drawn).convert("RGB").quantize(256).save(small, "png", optimize=True)
         return small.getvalue()
 
 
 def bare_figure(width: float, height: float) -> Drawing:
-    """Return a white figure in inches; its panels are placed by whoever draws them."""
+    """Return a white figure in inches without a layout engine."""
     return Drawing(figsize=(width, height), dpi=DPI, facecolor="white")
 
 
 def new_figure(width: float, height: float) -> Drawing:
-    """Return a white figure in inches that lays its panels out by itself."""
+    """Return a white figure in inches with a constrained layout."""
     figure = bare_figure(width, height)
     figure.set_layout_engine("constrained")
     engine = figure.get_layout_engine()

@@ -1,4 +1,4 @@
-"""The picture of a world: from above with its start poses, and at an angle."""
+"""Picture of a world: top view with start poses, and oblique view."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from lirs_wct.drawing.panels import (
     RIM,
     SCALE,
     Size,
+    add_axes,
     fewer_ticks,
-    fitted,
+    fit_size,
     headline,
-    placed,
 )
 from lirs_wct.drawing.style import (
     BLACK,
@@ -55,28 +55,28 @@ from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.world import World
 
 WIDTH, HALF, TALL = 12.0, 4.9, 9.0
-"""Inches at most: of the picture's width, of a panel's where two stand side by side, of a panel's height."""
+"""Limits in inches: picture width, width of each of two panels side by side, panel height."""
 TITLE_WIDTH, LEAST = 3.6, 1.2
-"""Inches that a panel's title has at least, and of the color scale's height at least."""
+"""Smallest width of a panel's title and smallest height of the color scale, inches."""
 WIDE = 2.5
-"""Ratio of width to depth from which on the panels stand one above the other."""
+"""Ratio of width to depth above which the panels are stacked vertically."""
 BLOCK_NODES = 700
-"""Nodes along each side of the terrain that is shown at an angle, at most."""
+"""Limit of nodes along each side of the terrain in the oblique view."""
 WALL_TOP, WALL_SIDE = (0.47, 0.50, 0.56), (0.30, 0.32, 0.38)
 
 
 def view_figure(world: World) -> Drawing:
-    """Draw a world from above and at an angle, with its start poses; no OpenGL, no pyplot."""
+    """Draw a world from above with start poses, and at an angle, without OpenGL or pyplot."""
     canvas = Canvas.over(world.surface.bounds)
     block = block_picture(world, canvas)
     rows, cols = canvas.shape
     stacked = cols > WIDE * rows
     above, oblique = (
-        fitted(ratio, Size(WIDTH - LEFT - SCALE if stacked else HALF, TALL))
+        fit_size(ratio, Size(WIDTH - LEFT - SCALE if stacked else HALF, TALL))
         for ratio in (cols / rows, block.shape[1] / block.shape[0])
     )
     boxes = [max(size.width, TITLE_WIDTH) for size in (above, oblique)]
-    titles = [_wrapped(world_title(world), boxes[0]), _wrapped(_seen_from(world), boxes[1])]
+    titles = [_wrap(world_title(world), boxes[0]), _wrap(_seen_from(world), boxes[1])]
     head = RIM + LINE * max(text.count("\n") + 2 for text in titles) + 0.2
     if stacked:
         left, top = LEFT, head + above.height + BELOW + head
@@ -85,11 +85,11 @@ def view_figure(world: World) -> Drawing:
         left, top = LEFT + boxes[0] + GAP, head
         width, height = left + boxes[1] + SCALE, head + max(above.height + BELOW, oblique.height + RIM)
     figure = bare_figure(width, height)
-    axes = placed(figure, LEFT, head, above)
+    axes = add_axes(figure, LEFT, head, above)
     map_axes(axes, canvas, shaded_heights(world, canvas))
     fewer_ticks(axes, above)
     title(axes, titles[0], above_legend=_starts(axes, world, above))
-    axes = placed(figure, left, top, oblique)
+    axes = add_axes(figure, left, top, oblique)
     _show_block(axes, block)
     title(axes, titles[1], above_legend=not stacked)
     _height_scale_beside(figure, world.surface, left + oblique.width, top, oblique.height)
@@ -97,15 +97,15 @@ def view_figure(world: World) -> Drawing:
 
 
 def oblique_figure(world: World) -> Drawing:
-    """Draw a world at an angle alone, large."""
+    """Draw a large oblique view of a world."""
     block = block_picture(world, Canvas.over(world.surface.bounds, 1400), width=1700)
-    size = fitted(block.shape[1] / block.shape[0], Size(WIDTH - RIM - SCALE, TALL))
+    size = fit_size(block.shape[1] / block.shape[0], Size(WIDTH - RIM - SCALE, TALL))
     width = max(size.width + RIM + SCALE, WIDTH / 2)
-    text = f"{_wrapped(world_title(world), width)}\n{_wrapped(_seen_from(world), width)}"
+    text = f"{_wrap(world_title(world), width)}\n{_wrap(_seen_from(world), width)}"
     head = 2 * RIM + 1.2 * LINE * (text.count("\n") + 1)
     figure = bare_figure(width, head + max(size.height, LEAST) + RIM)
     headline(figure, text, y=1 - RIM / figure.get_figheight())
-    _show_block(placed(figure, RIM, head, size), block)
+    _show_block(add_axes(figure, RIM, head, size), block)
     _height_scale_beside(figure, world.surface, RIM + size.width, head, max(size.height, LEAST))
     return figure
 
@@ -116,10 +116,10 @@ def _show_block(axes: Axes, block: FloatArray) -> None:
 
 
 def _height_scale_beside(figure: Figure, surface: HeightField, x: float, top: float, height: float) -> None:
-    """Add the color scale right of a panel, over two thirds of its height, where there are heights."""
+    """Add the color scale of heights right of a panel, unless the ground is flat."""
     if surface.relief > 0:
         size = Size(0.13, max(2 * height / 3, LEAST))
-        bar = placed(figure, x + RIM, top + (height - size.height) / 2, size)
+        bar = add_axes(figure, x + RIM, top + (height - size.height) / 2, size)
         height_scale(figure, surface, cax=bar)
 
 
@@ -130,7 +130,7 @@ def world_title(world: World) -> str:
     return extent if world.walls is not None else f"{extent}, relief {length(world.surface.relief)}"
 
 
-def _wrapped(text: str, width: float) -> str:
+def _wrap(text: str, width: float) -> str:
     return "\n".join(textwrap.wrap(text, int(LETTERS * width)))
 
 
@@ -141,9 +141,9 @@ def _seen_from(world: World) -> str:
 
 
 def block_picture(world: World, canvas: Canvas, width: int = 1100) -> FloatArray:
-    """Return (rows, cols, 4) the world as a block seen at an angle; transparent around it.
+    """Return a (rows, cols, 4) oblique view of the world as a block, transparent outside.
 
-    A mesh is shown itself, with its overhangs and in its own proportions.
+    A mesh is drawn with its overhangs and in its own proportions.
     """
     if world.solid is not None:
         return mesh_view(world.solid, width=width)
@@ -156,7 +156,7 @@ def block_picture(world: World, canvas: Canvas, width: int = 1100) -> FloatArray
 
 
 def _block(world: World) -> TriangleMesh:
-    """Return the terrain as a solid, on a grid as fine as pixels show, its heights stretched."""
+    """Return the terrain as a solid with exaggerated heights, on a grid of pixel resolution."""
     surface = world.surface
     rows, cols = (min(n, BLOCK_NODES) for n in surface.shape)
     width, depth = surface.size
@@ -168,7 +168,7 @@ def _starts(axes: Axes, world: World, size: Size) -> bool:
     """Draw an arrow at each spawn pose, numbered as in `World.spawn_poses`.
 
     Returns:
-        Whether there is a legend.
+        Whether the panel has a legend.
     """
     west, _, east, _ = world.surface.bounds
     length = 0.035 * (east - west)
@@ -177,7 +177,7 @@ def _starts(axes: Axes, world: World, size: Size) -> bool:
         arrow = {"arrowstyle": "-|>", "color": VERMILLION, "linewidth": 1.5, "shrinkA": 0, "shrinkB": 0}
         axes.annotate("", tip, (pose.x, pose.y), arrowprops=arrow, zorder=6)
         axes.plot(pose.x, pose.y, "o", color=VERMILLION, markersize=4.5, markeredgecolor="white", zorder=7)
-        # Beside the arrow: behind it lies the border where a start is in a corner.
+        # Next to the arrow: behind it, the border of the panel would hide the number of a start in a corner.
         beside = (-9 * math.sin(pose.yaw), 9 * math.cos(pose.yaw))
         label = axes.annotate(str(number), (pose.x, pose.y), beside, textcoords="offset points", zorder=7)
         label.set(fontsize=SMALL, color=BLACK, ha="center", va="center")
@@ -193,7 +193,7 @@ def _starts(axes: Axes, world: World, size: Size) -> bool:
 
 
 def _standing(world: World, canvas: Canvas) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Return (rows, cols) meters of the ground and of the walls' tops."""
+    """Return (rows, cols) heights of the ground and of wall tops, meters."""
     z = canvas.heights(world.surface)
     if world.walls is not None:
         z = np.where(canvas.walls(world.walls), np.fmax(z, world.walls.height), z)
@@ -201,7 +201,7 @@ def _standing(world: World, canvas: Canvas) -> np.ndarray[tuple[int, int], np.dt
 
 
 def _exaggeration(world: World) -> float:
-    """Return how much to stretch heights so that the relief is a tenth of the width, at most 3 times."""
+    """Return the factor of heights, 1 to 3, that makes the relief a tenth of the width."""
     relief = world.surface.relief
     if world.walls is not None or world.solid is not None or relief <= 0:
         return 1.0
@@ -209,7 +209,7 @@ def _exaggeration(world: World) -> float:
 
 
 def height_scale(figure: Figure, surface: HeightField, **where: Any) -> None:
-    """Add the color scale of the heights, where there are heights; see `Figure.colorbar`."""
+    """Add the color scale of heights unless the ground is flat; see `Figure.colorbar`."""
     if surface.relief <= 0:
         return
     limits = Normalize(float(surface.z.min()), float(surface.z.max()))

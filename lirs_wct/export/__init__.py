@@ -1,1 +1,1 @@
-"""A world becomes files: MJCF, Gazebo package."""
+"""Files of a world: MJCF, Gazebo package, meshes."""

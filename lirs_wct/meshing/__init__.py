@@ -1,1 +1,1 @@
-"""A height field or walls become a closed mesh: solid, triangulation, tiles, texture."""
+"""Closed meshes of height fields and walls: solid, triangulation, tiles, texture."""

@@ -1,1 +1,1 @@
-"""Where a robot can be: traversability and spawn poses."""
+"""Traversability and spawn poses of robots."""

@@ -1,4 +1,4 @@
-"""How large the robots are that start poses are looked for."""
+"""Footprints and slope limits of the robots for which start poses are searched."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import math
 from dataclasses import dataclass
 
 MARGIN = 0.22
-"""Meters of free ground beyond a robot's radius that a roomy start has."""
+"""Free ground beyond a robot's radius at a roomy start, meters."""
 TIGHT_MARGIN = 0.15
-"""The same where there is no roomy one: what a plan keeps."""
+"""The same without a roomy start, meters; path planning keeps this margin."""
 GENTLE = math.radians(12)
-"""Steepest ground of a roomy start, radians, where the robot drives steeper ones."""
+"""Steepest ground of a roomy start, radians, even if the robot can drive steeper ground."""
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """What a robot needs of the ground.
+    """Size and slope limit of a robot.
 
     Attributes:
-        robot: its name.
-        radius: of the circle that holds it, meters.
+        robot: name of the robot.
+        radius: radius of its enclosing circle, meters.
         max_slope: steepest ground that it drives, radians.
     """
 
@@ -29,7 +29,7 @@ class Footprint:
 
     @property
     def limits(self) -> tuple[tuple[float, float], ...]:
-        """Clearance (meters) and slope (radians) of a roomy start, then of any."""
+        """Clearance (meters) and slope (radians) of a roomy start, then of any start."""
         return (
             (round(self.radius + MARGIN, 6), min(self.max_slope, GENTLE)),
             (round(self.radius + TIGHT_MARGIN, 6), self.max_slope),
@@ -43,4 +43,4 @@ FOOTPRINTS = (
     Footprint("turtlebot2", 0.18, math.radians(10)),
     Footprint("turtlebot3_burger", 0.14, math.radians(10)),
 )
-"""Robots on wheels, the largest first; the figures are those of the robots' catalog."""
+"""Wheeled robots, the largest first, with the values of the robot catalog."""

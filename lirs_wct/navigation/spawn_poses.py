@@ -1,4 +1,4 @@
-"""Spawn poses spread over the free ground, and the area of a map where robots are meant to drive."""
+"""Spawn poses on free ground, and the mapped area of a laser map."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.navigation.traversability import distance_to
 
 EDGE = 0.15
-"""Share of the free area's extent, on each side, where no robot starts."""
+"""Share of the free area's extent on each side without start poses."""
 VIEW = 1.0
-"""Meters that are to be free ahead of a robot's center where it starts."""
+"""Free distance ahead of a robot's center at its start, meters."""
 FAR, DIRECTIONS = 20.0, 24
-"""How far it looks for the longest view, and in how many directions."""
+"""Range (meters) and number of directions of the search for the longest view."""
 LEAST = 0.05
-"""Share of the largest enclosed extent below which an area is a closet or a gap in the scans."""
+"""Share of the largest enclosed extent below which an area counts as closet or scan gap."""
 NEAR = 1.0
-"""Meters from the origin of a map's frame within which an area lies at it."""
+"""Distance from the origin of a map's frame within which an area counts as being at the origin, meters."""
 
 
 def spawn_poses(free: OccupancyGrid, count: int = 8, *, corridors: bool = False) -> tuple[Pose2, ...]:
-    """Return up to `count` poses spread over the largest connected free area, the roomiest first.
+    """Return up to `count` poses on the largest connected free area, the roomiest first.
 
-    Each faces the middle of that area and lies in its inner part: at the edge of the world a robot
-    sees little of it. Farthest-point sampling, so the same grid gives the same poses.
+    Each pose faces the center of that area and lies in its inner part, because a robot at the edge of the
+    world sees little of it. The method is farthest-point sampling: the same grid gives the same poses.
 
     Args:
-        free: where a robot's center may be.
-        count: most poses.
-        corridors: whether one that would face a wall faces where its view is longest instead.
+        free: grid whose free cells are legal positions of a robot's center.
+        count: largest number of poses.
+        corridors: whether a pose that would face a wall turns to its longest view instead.
     """
     area = _inner(largest_area(free.free))
     points = free.centers(np.argwhere(area))
@@ -47,7 +47,7 @@ def spawn_poses(free: OccupancyGrid, count: int = 8, *, corridors: bool = False)
 
 
 def _inner(area: BoolArray) -> BoolArray:
-    """Return the part of an area that keeps off the ends of its extent, or all of it where none does."""
+    """Return the part of an area away from the ends of its extent; all of it if that is empty."""
     inner = area.copy()
     for axis in (0, 1):
         filled = np.flatnonzero(area.any(axis=1 - axis))
@@ -61,7 +61,7 @@ def _inner(area: BoolArray) -> BoolArray:
 
 
 def _farthest(points: FloatArray, bonus: FloatArray, first: int, count: int) -> list[int]:
-    """Return indices: each next point has the largest distance to those before, plus its bonus."""
+    """Return indices; each next point maximizes its distance to the earlier ones plus its bonus."""
     chosen = [first]
     gap = np.full(len(points), np.inf)
     while len(chosen) < count:
@@ -71,7 +71,7 @@ def _farthest(points: FloatArray, bonus: FloatArray, first: int, count: int) -> 
 
 
 def _facing(free: OccupancyGrid | None, point: FloatArray, target: FloatArray) -> Pose2:
-    """Return the pose at a point that faces a target, or the longest view where something is in that way."""
+    """Return the pose at a point that faces a target, or the longest view if the target is hidden."""
     dx, dy = (target - point).tolist()
     yaw = math.atan2(dy, dx) if math.hypot(dx, dy) > 1e-9 else 0.0
     if free is not None and min(VIEW, math.hypot(dx, dy)) > _view(free, point, yaw, VIEW):
@@ -81,7 +81,7 @@ def _facing(free: OccupancyGrid | None, point: FloatArray, target: FloatArray) -
 
 
 def _view(free: OccupancyGrid, point: FloatArray, yaw: float, reach: float) -> float:
-    """Return how many meters ahead of a point are free, at most `reach`."""
+    """Return the free distance ahead of a point, at most `reach`, meters."""
     steps = np.arange(0.0, reach + free.resolution / 2, free.resolution / 2)
     ahead = point + steps[:, None] * np.array((math.cos(yaw), math.sin(yaw)))
     rows, cols = free.cells(ahead).T
@@ -92,7 +92,7 @@ def _view(free: OccupancyGrid, point: FloatArray, yaw: float, reach: float) -> f
 
 
 def largest_area(mask: BoolArray) -> BoolArray:
-    """Return the largest 4-connected area of a mask (all False where there is none)."""
+    """Return the largest 4-connected area of a mask; all False if the mask is empty."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     sizes = stats[1:, cv2.CC_STAT_AREA]
     if len(sizes) == 0:
@@ -102,15 +102,15 @@ def largest_area(mask: BoolArray) -> BoolArray:
 
 
 def mapped_area(free: OccupancyGrid, border: float) -> BoolArray:
-    """Return the area of a laser map that it was made in: (rows, cols), all False where none is free.
+    """Return (rows, cols) whether a cell is in the area where the map was recorded.
 
-    It is the area at the origin of the map's frame, which is where the robot that made the map began. Where
-    nothing is free there, it is the one that reaches around most, its islands included, of those that walls
-    part from the border of the map: a race track, and neither its infield nor the paper around it.
+    This is the free area at the origin of the map's frame, where the mapping robot started. If nothing is
+    free there, it is the area with the largest extent, islands included, that walls separate from the map's
+    border: a race track, not its infield and not the space outside. All False if no cell is free.
 
     Args:
-        free: where a small robot can be.
-        border: meters from the border that such a robot keeps by itself.
+        free: grid whose free cells are legal positions of a small robot's center.
+        border: distance that such a robot keeps from the border, meters.
     """
     mask = free.free
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
@@ -133,7 +133,10 @@ def mapped_area(free: OccupancyGrid, border: float) -> BoolArray:
 
 
 def _extents(labels: IntArray, stats: IntArray) -> Float32Array:
-    """Return the cells within the outer contour of each area; of small ones those of their bounding box."""
+    """Return the number of cells within each area's outer contour.
+
+    Small areas count the cells of their bounding box.
+    """
     extents = (stats[1:, cv2.CC_STAT_WIDTH] * stats[1:, cv2.CC_STAT_HEIGHT]).astype(np.float32)
     for k in np.flatnonzero(extents >= LEAST * extents.max()):
         left, top, width, height = stats[1 + k, :4].tolist()
@@ -144,7 +147,7 @@ def _extents(labels: IntArray, stats: IntArray) -> Float32Array:
 
 
 def _label_at_origin(free: OccupancyGrid, labels: IntArray, mask: BoolArray) -> int:
-    """Return the label of the free cell nearest to the origin of the frame, 0 if there is none near it."""
+    """Return the label of the free cell nearest to the frame's origin; 0 if none is near."""
     row, col = free.cells((0.0, 0.0)).tolist()
     reach = round(NEAR / free.resolution)
     r0, c0 = max(0, row - reach), max(0, col - reach)

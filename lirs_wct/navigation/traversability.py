@@ -1,4 +1,4 @@
-"""Traversability: cells where a robot's center may be, and the cause where it may not."""
+"""Traversability: legal cells of a robot's center, and causes of illegal ones."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.kernels import njit
 
 BASELINE = 0.3
-"""Meters over which a slope counts: about a wheel. Shorter steps are roughness, not slope."""
+"""Baseline of a slope, meters: about a wheel. Shorter steps are roughness, not slope."""
 
 MOST_CELLS = 400_000_000
-"""Of a grid: 1.6 GB, the square of 2 km at 0.1 m."""
+"""Limit of a grid's cells: 1.6 GB, the square of 2 km at 0.1 m."""
 COARSE = 1.0
-"""Meters between nodes above which the slope of each triangle counts: there are no short steps to find."""
+"""Node spacing above which the slope of each triangle counts, meters: short steps cannot be found."""
 STEEP, WALLS = "steep ground", "a wall or a hole"
 """Causes of blocked cells (see `blocked_ground`)."""
 _STRIP = 512
-"""Rows of nodes looked at together: a large surface would else stand four times in the memory."""
+"""Rows of nodes per step; without strips, a large surface would need four times its memory."""
 EDGE = "the border of the world"
 
 
@@ -40,16 +40,16 @@ def traversable(
     max_slope: float,
     resolution: float = 0.1,
 ) -> OccupancyGrid:
-    """Return a grid whose free cells are where a robot's center may be; all others are occupied.
+    """Return a grid whose free cells are legal positions of a robot's center; others are occupied.
 
     Args:
         surface: the ground.
-        walls: what stands on it.
-        truth: the input laser map; where given, only its free cells can be driven.
-        no_ground: (rows, cols) nodes of the surface under which there is no ground.
+        walls: walls on the ground.
+        truth: the input laser map; if given, only its free cells can be driven.
+        no_ground: (rows, cols) whether a node of the surface has no ground.
         clearance: distance that the center keeps from steep ground, walls and the border, meters.
         max_slope: steepest ground that the robot drives, radians, over a baseline of 0.3 m.
-        resolution: meters a cell.
+        resolution: cell size, meters.
 
     Raises:
         SourceError: the surface is too large for a grid of this resolution.
@@ -77,7 +77,7 @@ def blocked_ground(
     max_slope: float,
     grid: OccupancyGrid,
 ) -> dict[str, BoolArray]:
-    """Return the cells of a grid on which no wheel may be, by cause (arguments: see `traversable`)."""
+    """Return the blocked cells of a grid by cause (arguments: see `traversable`)."""
     found = {STEEP: _steep_cells(surface, max_slope, grid)}
     if no_ground is not None:
         found["a place without ground"] = _nodes_cells(surface, no_ground, grid) | _without_ground(
@@ -93,14 +93,14 @@ def blocked_ground(
 
 
 def steepness(surface: HeightField, place: FloatArray, resolution: float) -> float:
-    """Return the slope at the cell around a place, radians, measured as `traversable` does.
+    """Return the slope of the cell around a position, radians, measured as in `traversable`.
 
-    It is the largest limit that the cell exceeds, by bisection.
+    Bisection finds the largest limit that the cell exceeds.
 
     Args:
         surface: the ground.
-        place: (2,) center of the cell, world frame.
-        resolution: meters a cell.
+        place: (2,) center of the cell, world frame, meters.
+        resolution: cell size, meters.
     """
     x, y = place.tolist()
     half = BASELINE + 2 * max(surface.cell) + 2 * resolution
@@ -116,7 +116,7 @@ def steepness(surface: HeightField, place: FloatArray, resolution: float) -> flo
 
 
 def _nodes_around(surface: HeightField, x: float, y: float, half: float) -> HeightField:
-    """Return the part of a surface within `half` meters of a place, rounded outward to nodes."""
+    """Return the part of a surface within `half` meters of a position, rounded outward."""
     (west, south), (dx, dy), (rows, cols) = surface.origin, surface.cell, surface.shape
     left = min(max(math.floor((x - half - west) / dx), 0), cols - 2)
     low = min(max(math.floor((y - half - south) / dy), 0), rows - 2)
@@ -127,18 +127,18 @@ def _nodes_around(surface: HeightField, x: float, y: float, half: float) -> Heig
 
 
 def _steep_cells(surface: HeightField, max_slope: float, grid: OccupancyGrid) -> BoolArray:
-    """Mark cells of the grid that hold ground whose relief over the baseline exceeds the slope."""
+    """Mark the grid's cells whose relief over the baseline exceeds the slope."""
     if surface.relief == 0:
         return np.zeros(grid.shape, np.bool_)
     if min(surface.cell) > COARSE:
         return _on_steep_triangles(surface, max_slope, grid)
-    fine = surface if max(surface.cell) <= grid.resolution else _sampled(surface, grid.resolution)
+    fine = surface if max(surface.cell) <= grid.resolution else _resample(surface, grid.resolution)
     reach = [max(1, round(BASELINE / 2 / c)) for c in fine.cell]
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach[0] + 1, 2 * reach[1] + 1))
     baseline = 2 * max(r * c for r, c in zip(reach, fine.cell, strict=True))
     steep = np.empty(fine.shape, np.bool_)
     for start in range(0, len(steep), _STRIP):
-        # A strip needs what lies within reach of it.
+        # A strip needs the rows within reach of it.
         above = min(start, reach[1])
         z = fine.z[start - above : start + _STRIP + reach[1]]
         relief = cv2.dilate(z, kernel) - cv2.erode(z, kernel)
@@ -148,7 +148,10 @@ def _steep_cells(surface: HeightField, max_slope: float, grid: OccupancyGrid) ->
 
 
 def _nodes_cells(surface: HeightField, chosen: BoolArray, grid: OccupancyGrid) -> BoolArray:
-    """Mark the cells of an upright grid that hold chosen nodes: a row of nodes is in one row of cells."""
+    """Mark the cells that contain chosen nodes; the grid is axis-parallel.
+
+    Each row of nodes lies in one row of cells.
+    """
     (west, south), (n_rows, n_cols) = surface.origin, surface.shape
     x = west + np.arange(n_cols) * surface.cell[0]
     y = south + np.arange(n_rows)[::-1] * surface.cell[1]
@@ -161,7 +164,10 @@ def _nodes_cells(surface: HeightField, chosen: BoolArray, grid: OccupancyGrid) -
 
 
 def _without_ground(surface: HeightField, no_ground: BoolArray, grid: OccupancyGrid) -> BoolArray:
-    """Mark cells of the grid whose nearest node has no ground: nodes may be farther apart than cells."""
+    """Mark the grid's cells whose nearest node has no ground.
+
+    Nodes may be farther apart than cells.
+    """
     at = _centers(grid)
     col = np.rint((at[..., 0] - surface.origin[0]) / surface.cell[0]).astype(np.int64)
     row = (
@@ -174,7 +180,7 @@ def _without_ground(surface: HeightField, no_ground: BoolArray, grid: OccupancyG
 
 
 def _on_steep_triangles(surface: HeightField, max_slope: float, grid: OccupancyGrid) -> BoolArray:
-    """Mark cells of the grid whose center lies on a triangle steeper than the slope."""
+    """Mark the grid's cells whose center lies on a triangle steeper than the slope."""
     shift = (grid.origin.x - surface.origin[0], grid.origin.y - surface.origin[1])
     marked: BoolArray = _triangles_steeper(
         surface.z, surface.cell, shift, grid.resolution, *grid.shape, math.tan(max_slope) ** 2
@@ -192,7 +198,10 @@ def _triangles_steeper(
     cols: int,
     limit: float,
 ) -> BoolArray:
-    """Return (rows, cols) whether the squared slope exceeds the limit at cell centers `step` meters apart."""
+    """Return (rows, cols) whether the squared slope exceeds the limit at the cell centers.
+
+    The centers are `step` meters apart.
+    """
     marked = np.zeros((rows, cols), np.bool_)
     last, right = z.shape[0] - 1, z.shape[1] - 2
     for row in range(rows):
@@ -211,7 +220,7 @@ def _triangles_steeper(
     return marked
 
 
-def _sampled(surface: HeightField, spacing: float) -> HeightField:
+def _resample(surface: HeightField, spacing: float) -> HeightField:
     """Return the same surface with nodes at most `spacing` apart."""
     west, south, east, north = surface.bounds
     cols, rows = math.ceil((east - west) / spacing) + 1, math.ceil((north - south) / spacing) + 1
@@ -225,7 +234,10 @@ def _sampled(surface: HeightField, spacing: float) -> HeightField:
 
 
 def _wall_cells(walls: WallGrid, grid: OccupancyGrid) -> BoolArray:
-    """Mark cells of the grid that touch a wall or hole: both grids' centers are looked up in the other."""
+    """Mark the grid's cells that touch a wall or hole.
+
+    Each grid's centers are looked up in the other grid.
+    """
     barred = ~walls.floor
     local = (np.argwhere(barred)[:, ::-1] + 0.5) * walls.resolution
     inside = _lookup(barred, walls.resolution, walls.origin, grid)
@@ -238,14 +250,14 @@ def _centers(grid: OccupancyGrid) -> FloatArray:
 
 
 def overlaid(mask: BoolArray, of: OccupancyGrid, grid: OccupancyGrid) -> BoolArray:
-    """Return a mask of one grid's cells at the centers of another's; False outside."""
+    """Sample the mask of one grid at the cell centers of another; False outside."""
     if (of.shape, of.resolution, of.origin) == (grid.shape, grid.resolution, grid.origin):
         return mask
     return _lookup(mask, of.resolution, of.origin, grid)
 
 
 def _lookup(mask: BoolArray, resolution: float, origin: Pose2, grid: OccupancyGrid) -> BoolArray:
-    """Return the mask's value at the centers of a grid's cells; False outside."""
+    """Return the mask's values at the cell centers of a grid; False outside."""
     T_mask_grid = origin.inverse() @ grid.origin
     found: BoolArray = _values_at(mask, resolution, T_mask_grid.as_array(), grid.resolution, *grid.shape)
     return found
@@ -282,7 +294,10 @@ def _clipped_cells(points: FloatArray, grid: OccupancyGrid) -> IntArray:
 
 
 def distance_to(blocked: BoolArray, resolution: float) -> FloatArray:
-    """Return meters from each cell to the nearest blocked one; beyond the border all is blocked."""
+    """Return the distance from each cell to the nearest blocked one, meters.
+
+    Everything beyond the border is blocked.
+    """
     padded = np.pad(~blocked, 1).view(np.uint8)
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     meters: FloatArray = distance[1:-1, 1:-1].astype(np.float64)
@@ -299,14 +314,14 @@ def cause_of_refusal(
     clearance: float,
     max_slope: float,
 ) -> str:
-    """Return the cause why a robot cannot stand at a place, with the amount and the limit.
+    """Return the cause why a robot cannot stand at a position, with amount and limit.
 
     Args:
         surface: the ground.
-        blocked: cells of the grid that are blocked, by cause (see `blocked_ground`).
+        blocked: blocked cells of the grid by cause (see `blocked_ground`).
         grid: geometry of the cells.
         place: x and y in the world frame, meters.
-        clearance: meters that the robot's center keeps from what is blocked.
+        clearance: distance of the robot's center from blocked cells, meters.
         max_slope: steepest ground that the robot drives, radians.
     """
     x, y = place
@@ -321,17 +336,17 @@ def cause_of_refusal(
             k = int(np.argmin(away))
             distances[cause], nearest[cause] = float(away[k]), grid.centers(cells[k])
     cause = min(distances, key=distances.__getitem__)
-    away, what = distances[cause], cause
+    away, obstacle = distances[cause], cause
     if cause == STEEP:
         slope = math.degrees(steepness(surface, nearest[cause], grid.resolution))
-        what = f"ground of {slope:.3g} deg (limit {math.degrees(max_slope):.3g})"
+        obstacle = f"ground of {slope:.3g} deg (limit {math.degrees(max_slope):.3g})"
     if away > 0:
-        return f"it is {away:.2f} m from {what}, its center needs {clearance:.2f} m"
-    return f"it is {'in' if cause == WALLS else 'on'} {what}"
+        return f"it is {away:.2f} m from {obstacle}, its center needs {clearance:.2f} m"
+    return f"it is {'in' if cause == WALLS else 'on'} {obstacle}"
 
 
 def nearest_place(free: OccupancyGrid, place: tuple[float, float]) -> str | None:
-    """Return the free cell nearest to a place as `x,y`; None where no cell is free."""
+    """Return the free cell nearest to a position as `x,y`; None if no cell is free."""
     cells = np.argwhere(free.free)
     if len(cells) == 0:
         return None

@@ -1,1 +1,1 @@
-"""What a source is, and how each kind is read: picture, laser map, mesh, bundled world."""
+"""Sources of worlds and their readers: picture, laser map, mesh, point cloud."""

@@ -60,7 +60,7 @@ def test_indices_are_those_of_a_sequence() -> None:
 def test_another_shape_or_type_is_refused() -> None:
     spool, _ = filled(1, 4)
     for wrong in (np.zeros(5, np.float32), np.zeros(4, np.float64)):
-        with pytest.raises(ValueError, match=r"float32 \(4,\) was given"):
+        with pytest.raises(ValueError, match=r"must be float32 \(4,\), got"):
             spool.append(wrong)  # type: ignore[arg-type]
 
 

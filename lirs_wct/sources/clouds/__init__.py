@@ -1,1 +1,1 @@
-"""A point cloud as a source: its ground as a surface."""
+"""Point clouds as sources: ground extraction and surface."""

@@ -1,1 +1,1 @@
-"""A picture as a source: its gray or its meters as the heights of a terrain."""
+"""Pictures as sources: gray levels or meters as heights of a terrain."""

@@ -74,7 +74,7 @@ def test_thin_walls_survive_in_coarse_pixels() -> None:
     solid = np.zeros((400, 400), np.bool_)
     solid[:, 133] = True
     canvas = Canvas.over((0.0, 0.0, 20.0, 20.0), 50)
-    assert canvas.marked(solid, 0.05, Pose2()).any(axis=1).all()
+    assert canvas.mark_pixels(solid, 0.05, Pose2()).any(axis=1).all()
 
 
 def test_a_turned_map_lies_where_its_points_lie() -> None:
