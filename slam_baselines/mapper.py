@@ -21,14 +21,14 @@ from lirs_wct.geometry.trajectory import Trajectory
 
 
 class Method(NamedTuple):
-    """A SLAM method, by name and not by import: one method must not drag in the others.
+    """SLAM method by name, so that one method does not import the others.
 
     Attributes:
         module: of its mapper.
         config: name of the class of its configuration.
-        factory: name of what makes a mapper of a configuration.
+        factory: name of the callable that makes a mapper of a configuration.
         resolution: field of the configuration that is the edge of the map's cell, meters; empty = none.
-        package: that it needs and only an extra installs, as it is imported.
+        package: import name of a needed package that only an extra installs.
         extra: of this package that installs it.
     """
 
@@ -41,7 +41,7 @@ class Method(NamedTuple):
 
     @property
     def install(self) -> str:
-        """The command that installs what it needs."""
+        """Command that installs the needed package."""
         return f"pip install 'lirs-wct[{self.extra}]'"
 
     @property
@@ -51,7 +51,7 @@ class Method(NamedTuple):
 
     @property
     def installed(self) -> bool:
-        """Whether what it needs is there."""
+        """Whether the needed package is installed."""
         return not self.package or find_spec(self.package) is not None
 
 
@@ -91,12 +91,12 @@ CLOUD_MAPPERS: Mapping[str, Method] = {
         extra="slam-loop",
     ),
 }
-"""Other people's systems that read point clouds, by name; none of them is among our dependencies."""
+"""Third-party systems that read point clouds, by name; none of them is among our dependencies."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapperStats:
-    """What a mapper has done so far.
+    """Counts, times and memory of a mapper so far.
 
     Attributes:
         received: scans given to it.
@@ -107,7 +107,7 @@ class MapperStats:
         ms_p95: its 95th percentile.
         ms_max: the longest.
         memory: bytes of its maps.
-        counts: what else the method counts (searches, map updates, particles, constraints).
+        counts: other counts of the method (searches, map updates, particles, constraints).
     """
 
     received: int = 0
@@ -124,8 +124,8 @@ class MapperStats:
 class PoseEstimator(Protocol):
     """Estimator of a robot's pose, one scan after the other.
 
-    Attitude and odometry help where they are given. An optional attribute `requires_odometry` says that scans
-    without odometry are refused.
+    Attitude and odometry are used where they are given. The optional attribute `requires_odometry` says that
+    scans without odometry are refused.
     """
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
@@ -144,7 +144,7 @@ class PoseEstimator(Protocol):
 
     @property
     def stats(self) -> MapperStats:
-        """What was done so far."""
+        """Counts, times and memory so far."""
         ...
 
     @property
@@ -166,15 +166,15 @@ class Localizer(PoseEstimator, Protocol):
 
     @property
     def known_map(self) -> OccupancyGrid:
-        """The known map, which stays as it is."""
+        """Known map, never changed."""
         ...
 
 
 class CloudMapper(Protocol):
     """Localization and mapping in space from the clouds of a lidar with rings.
 
-    The map frame is the first base pose, tilted as the robot stood. What it maps is what its trajectory makes
-    of the clouds: it need not have a map.
+    The map frame is the first base pose, tilted as the robot stood. The mapper needs no map: it is made from
+    the clouds at the poses of the trajectory.
     """
 
     @property
@@ -197,7 +197,7 @@ class CloudMapper(Protocol):
 
     @property
     def stats(self) -> MapperStats:
-        """What was done so far; a cloud counts as a scan."""
+        """Counts, times and memory so far; a cloud counts as a scan."""
         ...
 
     @property
@@ -207,12 +207,12 @@ class CloudMapper(Protocol):
 
 
 def reads_clouds(mapper: object) -> TypeGuard[CloudMapper]:
-    """Return whether a mapper takes point clouds; False where it does not say."""
+    """Return whether a mapper takes point clouds; False without the attribute."""
     return bool(getattr(mapper, "reads_clouds", False))
 
 
 def requires_odometry(mapper: PoseEstimator) -> bool:
-    """Return whether a mapper refuses scans without odometry; False where it does not say."""
+    """Return whether a mapper refuses scans without odometry; False without the attribute."""
     return bool(getattr(mapper, "requires_odometry", False))
 
 
@@ -239,12 +239,14 @@ def parameters(name: str) -> tuple[str, ...]:
 def make_mapper(
     name: str, *, seed: int | None = None, resolution: float | None = None, **config: Any
 ) -> Mapper:
-    """Make a planar mapper by its name; a `map` in cartographer's configuration makes it a Localizer as well.
+    """Make a planar mapper by its name.
+
+    A `map` in cartographer's configuration makes it a Localizer as well.
 
     Args:
         name: one of MAPPERS.
         seed: of the random numbers, for a method that draws any.
-        resolution: edge of the map's cell, meters, whatever the method calls it.
+        resolution: edge of the map's cell, meters, under any method's name for it.
         **config: fields of the method's configuration.
 
     Raises:
@@ -267,7 +269,7 @@ def make_cloud_mapper(name: str, *, seed: int | None = None, **config: Any) -> C
         **config: fields of the method's configuration.
 
     Raises:
-        ConfigError: no such mapper has that name, what it needs is not installed, or its configuration has no
+        ConfigError: no such mapper has that name, its package is not installed, or its configuration has no
             such field or not that value.
     """
     if name not in CLOUD_MAPPERS:
@@ -309,7 +311,7 @@ def _config_class(name: str) -> Any:
 
 
 class Times(TypedDict, total=False):
-    """The times of MapperStats; empty before the first update."""
+    """Times of MapperStats; empty before the first update."""
 
     ms_p50: float
     ms_p95: float
@@ -327,7 +329,7 @@ class Stopwatch:
         return time.perf_counter_ns()
 
     def stop(self, started: int) -> None:
-        """Note how long ago `started` was."""
+        """Record the time since `started`."""
         self._ms.append((time.perf_counter_ns() - started) * 1e-6)
 
     def summary(self) -> Times:

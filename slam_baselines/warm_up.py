@@ -1,7 +1,7 @@
-"""A mapper's warm-up: a short made-up drive that compiles its kernels before the clock starts.
+"""Warm-up of a mapper: a short synthetic drive that compiles its kernels.
 
-A room is driven around until a known place comes again, tilting a little; then the robot is moved by
-hand, so that the rarely used parts (wider search, loop closure) are compiled too.
+The robot circles a room, tilting a little, until it comes back to a known place. Then it is displaced, so
+that the rarely used parts (wider search, loop closure) are compiled too.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ RADIUS, STEP = 2.2, 0.12
 
 
 def warm_up(name: str, **config: Any) -> None:
-    """Run a mapper through the warm-up, on a floor and on uneven ground, and forget what it mapped.
+    """Run a new mapper through the warm-up, on a floor and on uneven ground.
 
     A method's module may name in `WARM_UP` the configuration with which the warm-up reaches all kernels.
 
@@ -63,7 +63,7 @@ def _on_circle(angle: float) -> Pose2:
 
 
 def _scan(T_room_base: Pose2, stamp: float) -> LaserScan:
-    """Return what a scanner on the base sees of the room's outline."""
+    """Return the scan of the room's outline by a scanner on the base."""
     T_room_laser = T_room_base @ Pose2(MOUNT.x, MOUNT.y)
     angles = -FOV / 2 + FOV / (BEAMS - 1) * np.arange(BEAMS)
     heading = T_room_laser.yaw + angles

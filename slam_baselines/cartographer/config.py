@@ -52,7 +52,7 @@ class CandidateConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ConstraintConfig:
-    """Window of the loop search, and the scores that a loop needs; names as in constraint_builder.
+    """Window and scores of the loop search; names as in Cartographer's constraint_builder.
 
     Attributes:
         min_score: mean occupancy at the ends of the beams that a loop needs in the narrowest search; unknown
@@ -109,7 +109,7 @@ class ConstraintConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class LoopVerificationConfig:
-    """Loops that need a second one, and what agreement is.
+    """Limits above which a loop needs a second one, and tolerances of their agreement.
 
     Attributes:
         max_translation: correction of a node above which a loop needs a second one, meters.
@@ -146,7 +146,7 @@ SUBMAP_REGISTRATION = RegistrationConfig(
     reject_poor=False,
     mahalanobis_gate=math.inf,
 )
-"""Registration in a submap: the pose graph corrects what a wrong match of local SLAM costs."""
+"""Registration in a submap: permissive, because the pose graph corrects wrong matches of local SLAM."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -264,7 +264,7 @@ class TrimmingConfig:
         fresh_submaps_count: number of the newest finished submaps that are kept of each place.
         min_covered_area: smallest area that a submap is kept for, square meters.
         min_added_submaps_count: number of newly finished submaps after which trimming is due.
-        cell: edge of what counts as one place, meters.
+        cell: edge of a square that counts as one place, meters.
 
     Raises:
         ConfigError: a value that is not above 0.

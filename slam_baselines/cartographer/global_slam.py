@@ -1,4 +1,4 @@
-"""Global SLAM: the pose graph of submaps and nodes, grown and optimized a bit at a time.
+"""Global SLAM: pose graph of submaps and nodes, optimized in small steps.
 
 Hess et al. 2016, section V. Constraints come from local SLAM (a node in the submaps that it entered),
 from odometry (from one submap to the next) and from loops. Each update does a bounded share of the
@@ -83,7 +83,7 @@ class GlobalSlam:
         self._drift_covariance = np.diag((t**2, t**2, r**2))
 
     def add_node(self, node: Node) -> None:
-        """Add a node with its constraints to the submaps that it entered, and its candidates for loops."""
+        """Add a node, its constraints to the submaps that it entered, and its loop candidates."""
         index, submaps = len(self.nodes), self._local.submaps.all
         self.nodes.append(node)
         self.poses.append(self.T_map_local @ node.pose)
@@ -111,7 +111,7 @@ class GlobalSlam:
             self._to_submaps.append(PoseConstraint(index - 1, index, z, information, robust=True))
 
     def run_work_share(self) -> None:
-        """Do a bounded share of the searches, and of the optimization that is running or due."""
+        """Do a bounded share of the loop searches and of the optimization."""
         for _ in range(self.config.searches_per_update):
             candidate = self.candidates.next_candidate()
             if candidate is not None:
@@ -130,9 +130,10 @@ class GlobalSlam:
                     self._trim_submaps()
 
     def optimized_poses(self) -> tuple[list[Pose2], Pose2]:
-        """Return the nodes' poses and `T_map_local` as if the drive ended here; changes nothing.
+        """Return the nodes' poses and `T_map_local` as if the drive ended here.
 
-        That is after all searches that wait, and after optimizing to the end.
+        These are the poses after all waiting searches and an optimization to convergence. The graph itself
+        stays.
         """
         state = len(self.nodes), self.builder.counts.searched, self.optimizations, self._running is None
         if self._ended is None or self._ended[0] != state:
@@ -142,7 +143,7 @@ class GlobalSlam:
         return self._ended[1], self._ended[2]
 
     def _copy(self) -> GlobalSlam:
-        """Return a graph over the same nodes and submaps that is searched and optimized on its own."""
+        """Return an independent graph over the same nodes and submaps."""
         same = copy(self)
         same.nodes, same.loops, same.events = self.nodes.copy(), self.loops.copy(), self.events.copy()
         same._to_nodes, same._finished = self._to_nodes.copy(), self._finished.copy()
@@ -152,7 +153,7 @@ class GlobalSlam:
         return same
 
     def _finish(self) -> None:
-        """Do all searches that wait, optimize whenever a share of them has found loops, and once more."""
+        """Do all waiting searches; optimize after each share that found loops."""
         while True:
             for _ in range(self.config.optimize_every_n_nodes):
                 candidate = self.candidates.next_candidate()
@@ -189,7 +190,7 @@ class GlobalSlam:
                     self._add_candidate_if_near(j, first, new_node=False)
 
     def _samples(self, node: int) -> float:
-        """Return the number of nodes, up to 1, that are to be searched for because a node was added."""
+        """Return the sampling rate of loop searches at a node, up to 1."""
         c, before = self.config.candidates, self.nodes[max(0, node - 1)]
         step = self.nodes[node].distance_traveled - before.distance_traveled
         return max(c.sampling_ratio, min(1.0, step / c.sampling_distance))
@@ -201,7 +202,7 @@ class GlobalSlam:
             self.candidates.add_candidate(node, self.nodes[node].submaps[-1], submap, new_node=new_node)
 
     def _search_loop(self, index: int, submap_index: int) -> None:
-        """Search for a node in a submap; where it is found and verified, add the constraint."""
+        """Search for a node in a submap; add the constraint if it is verified."""
         node, submap = self.nodes[index], self._local.submaps.all[submap_index]
         if node.trimmed or submap_index not in self._finished:
             return
@@ -229,7 +230,7 @@ class GlobalSlam:
             self.events.append(self._loop_event(accepted))
 
     def _traveled_between(self, node: Node, submap: int) -> float:
-        """Return the distance traveled between a node and the nearest one with a constraint to a submap."""
+        """Return the distance traveled from a node to the nearest one constrained to a submap."""
         members = self._local.submaps.all[submap].nodes
         known = self._constrained_at.setdefault(submap, [self.nodes[i].distance_traveled for i in members])
         return min(abs(node.distance_traveled - distance_traveled) for distance_traveled in known)
@@ -241,7 +242,7 @@ class GlobalSlam:
         return LoopEvent(*stamps, self.poses[loop.node], after, loop.score)
 
     def _trim_submaps(self) -> None:
-        """Empty redundant submaps, and the scans that are in no other."""
+        """Drop the grids of redundant submaps, and the points of scans in no other submap."""
         submaps = self._local.submaps.all
         for index in self.trimmer.pop_redundant(self.submap_poses):
             self.trimmed += 1
@@ -256,7 +257,7 @@ class GlobalSlam:
         return len(self.loops) > loops and len(self.nodes) - nodes >= self.config.optimize_every_n_nodes
 
     def _start_optimization(self) -> tuple[OptimizationProblem, Solution]:
-        """Return the problem as it is now, and its start."""
+        """Return the problem of the present graph, and its start."""
         problem = OptimizationProblem(
             self.config.optimization,
             self._to_nodes.constraints(),
@@ -268,7 +269,7 @@ class GlobalSlam:
         return problem, start_optimization(problem, submaps, nodes, self._rows_optimized)
 
     def _apply_solution(self, solution: Solution) -> None:
-        """Take the poses of a solution; what was added since moves along with the last node in it."""
+        """Take the poses of a solution; later nodes and submaps follow its last node."""
         self.optimizations += 1
         self.version += 1
         loops = self._optimized_at[1]

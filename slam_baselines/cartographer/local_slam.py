@@ -1,4 +1,4 @@
-"""Local SLAM: each scan is matched to the matching submap; drift is left to the pose graph.
+"""Local SLAM: registration of each scan in a submap; the pose graph corrects the drift.
 
 Hess et al. 2016, section IV. The local frame is continuous: nothing that was added to it moves again.
 """
@@ -38,7 +38,7 @@ class LocalSlam:
         submaps: all of them.
         ground_filter: in the local frame.
         registration: of scans in the matching submap.
-        localizability: whether matches to walls are to be believed; observes scans whose attitude is known.
+        localizability: monitor of the matches to walls; observes scans whose attitude is known.
         estimate: `T_local_base`.
         received: scans so far.
         matched: of these, registered in a submap.
@@ -47,7 +47,7 @@ class LocalSlam:
     """
 
     def __init__(self, config: LocalConfig, clear_range: float, max_range: float) -> None:
-        """Use what ScanLeveler takes of ranges, meters."""
+        """Take the range limits of ScanLeveler, meters."""
         self.config = config
         self.submaps = Submaps(config.submaps)
         self.ground_filter = GroundFilter(config.ground_filter)
@@ -66,7 +66,7 @@ class LocalSlam:
 
     @property
     def lost(self) -> bool:
-        """Whether so many scans in a row contradict the map that the pose is not to be trusted."""
+        """Whether too many scans in a row contradict the map."""
         return self._tracking.lost
 
     def add_range_data(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Node | None:
@@ -86,7 +86,7 @@ class LocalSlam:
         return self._insert_into_submaps(level) if due else None
 
     def walls(self, scan: LeveledScan, pose: Pose2, height: float, known: ByteArray | None) -> FloatArray:
-        """Return (n,) weights of hits by the ground known by now: 1 for walls, 0 for possible ground.
+        """Return (n,) weights of hits: 1 for walls, 0 for possible ground.
 
         Args:
             scan: leveled.
@@ -98,7 +98,7 @@ class LocalSlam:
         return self.ground_filter.match_walls(scan, pose, height, known=known, drawn=drawn)
 
     def _match(self, scan: LeveledScan, expected: PoseEstimate, seconds: float) -> Match | None:
-        """Move the estimate to where the scan fits; to the expected one, if there is nothing to fit."""
+        """Set the estimate to the registered pose, or to the expected one without a match."""
         before, self.estimate = self.estimate.pose, expected
         self.received += 1
         self._reckoned_yaw += wrap_angle(expected.pose.yaw - before.yaw)
@@ -120,9 +120,9 @@ class LocalSlam:
         return match
 
     def _plausible(self, expected: PoseEstimate, pose: Pose2, seconds: float) -> bool:
-        """Return whether the robot can be at `pose`, by odometry and what wheels may slip.
+        """Return whether odometry and wheel slip allow `pose`.
 
-        Checked on uneven ground only: a hill taken for a wall pulls a scan away at once, and no wheel does.
+        Checked on uneven ground only: a hill taken for a wall displaces a scan faster than wheels can slip.
         """
         c, (x, y, yaw) = self.config, expected.covariance.diagonal().tolist()
         slip, turn = pose.distance(expected.pose), abs(wrap_angle(pose.yaw - expected.pose.yaw))
@@ -132,7 +132,7 @@ class LocalSlam:
         ) and turn <= reach + c.slip_deviations * math.sqrt(yaw)
 
     def _fits(self, match: Match | None) -> bool:
-        """Return whether the scan may enter the submaps: until walls are proven, a match says nothing."""
+        """Return whether the scan may enter the submaps; before walls are proven, any may."""
         if match is None or (self.localizability.scans and not self.localizability.proven):
             fits = self._tracking.observe(None)
         else:
@@ -160,11 +160,11 @@ class LocalSlam:
         )  # fmt: skip
 
     def refine(self, nodes: Sequence[Node]) -> list[Node]:
-        """Draw the submaps again from the start with what is known by now about ground and walls.
+        """Draw the submaps again from the start with the present knowledge of ground and walls.
 
-        On uneven ground nothing is known to be a wall at first: the robot begins on odometry alone, and the
-        first scans would stand where it put them for ever. So they are matched from the last to the first, to
-        a map that grows from where walls are known, and drawn where they fit.
+        On uneven ground no wall is known at first: the robot starts on odometry alone, and the first scans
+        would keep its errors. So the scans are matched from the last to the first, in a map that grows from
+        known walls, and drawn at the registered poses.
 
         Args:
             nodes: all so far.
@@ -199,7 +199,7 @@ class LocalSlam:
         return again
 
     def _register(self, final: Node, node: Node, later: Node | None, last: PoseEstimate) -> PoseEstimate:
-        """Return where a node fits into the submap so far, and draw it there; nobody needs the final one."""
+        """Return a node's estimate in the submap so far; draw it there unless it is the final one."""
         estimate, wall_slope = last, self.ground_filter.match_wall_slope
         if later is not None:
             back = PoseEstimate(later.motion.pose.inverse(), later.motion.covariance)
@@ -210,13 +210,13 @@ class LocalSlam:
                 submap.pyramid, node.scan.hits, weights, expected, expected.pose
             )
         if node is not final:
-            # Matching asks only what is a wall.
+            # Matching only distinguishes walls from the rest.
             drawn = self._known_walls(node, estimate.pose, (float(wall_slope), float(wall_slope)))
             self.submaps.insert_range_data(0, estimate.pose, *drawn, wall_slope)
         return estimate
 
     def _known_walls(self, node: Node, pose: Pose2, limits: Limits = IN_FULL) -> tuple[ScanPoints, ByteArray]:
-        """Return a node's scan in the local frame, and the minimum slopes of its hits as known by now."""
+        """Return a node's scan in the local frame and the present minimum slopes of its hits."""
         known = node.min_slopes
         slopes = self.ground_filter.min_slopes(node.scan, pose, node.height, known=known, limits=limits)
         return node.scan.transformed(pose, node.height), slopes

@@ -1,8 +1,8 @@
-"""Localization: the pose of a robot in a map that is given and stays as it is.
+"""Localization: the pose of a robot in a known map that does not change.
 
-Hess et al. 2016 with the map in the place of the submaps: branch and bound over the whole map finds the
-robot, then each scan is matched from where dead reckoning puts it. A pose that another one equals is
-ambiguous; the search is repeated when the robot has moved on.
+Hess et al. 2016 with the known map instead of submaps: branch and bound over the whole map finds the robot,
+then each scan is matched from the pose by dead reckoning. The search is ambiguous if another pose fits about
+as well; it is repeated when the robot has moved on.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class KnownMap:
 
 
 def _level(grid: OccupancyGrid, resolution: float) -> OccupancyMap:
-    """Return the grid on a lattice of its frame; a cell that holds a wall is wall."""
+    """Resample the grid on a lattice of its frame; walls win."""
     level, limit = OccupancyMap(resolution), UpdateConfig().steps[2]
     rows, cols = grid.shape
     corners = grid.origin.apply(np.array(((0, 0), (cols, 0), (0, rows), (cols, rows))) * grid.resolution)
@@ -107,7 +107,7 @@ def _fill(
 
 
 def _dilate(level: OccupancyMap) -> OccupancyMap:
-    """Let a miss by one cell count half: turns and shifts of the search are as coarse as that."""
+    """Give the neighbors of walls half their value, since the search's steps are that coarse."""
     value = level.layers.value
     np.maximum(value, maximum_filter(value, 3) // 2, out=value)
     return level
@@ -124,7 +124,7 @@ class _Counts:
 
 @dataclass
 class _Track:
-    """Poses of all scans; those before the first fix are in a frame of their own until it comes."""
+    """Poses of all scans; before the first fix they are in the odometry's frame."""
 
     scans: dict[float, Pose2] = field(default_factory=dict)
 
@@ -133,7 +133,7 @@ class _Track:
 
 
 class CartographerLocalizer:
-    """Localizer in a known map; `T_map_base` is in the map's own frame, not from the first base pose."""
+    """Localizer in a known map; `T_map_base` is in the frame of that map."""
 
     requires_odometry = False
 
@@ -165,9 +165,9 @@ class CartographerLocalizer:
         return self._known.grid
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        """Match the scan to the map, or search for the pose where it is unknown; return `T_map_base`.
+        """Match the scan to the map, or search for an unknown pose; return `T_map_base`.
 
-        While `lost`, the answer is dead reckoning from the last known pose, at first from the map's origin.
+        While `lost`, this is dead reckoning from the last known pose, at first from the map's origin.
         """
         started, counts = self._stopwatch.start(), self._counts
         counts.received += 1
@@ -189,7 +189,7 @@ class CartographerLocalizer:
         return self._known.grid
 
     def trajectory(self) -> Trajectory:
-        """Return the pose of every scan; those before the first fix are led back from it by odometry."""
+        """Return the pose of every scan; odometry extends the first fix backward."""
         stamps = sorted(self._track.scans)
         return Trajectory.from_poses(stamps, [self._track.scans[t] for t in stamps])
 
@@ -200,7 +200,7 @@ class CartographerLocalizer:
 
     @property
     def stats(self) -> MapperStats:
-        """What was done so far."""
+        """Counts, times and memory so far."""
         c = self._counts
         return MapperStats(
             received=c.received,
@@ -228,7 +228,7 @@ class CartographerLocalizer:
         self._located = not self._tracking.lost
 
     def _search_due(self, stamp: float) -> bool:
-        """Whether there is something new to search with since the last search."""
+        """Whether the robot has moved, or time has passed, enough since the last search."""
         c, last = self.config, self._searched
         return (
             last is None

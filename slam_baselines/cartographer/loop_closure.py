@@ -63,7 +63,7 @@ class CandidateQueue:
             self.dropped += 1
 
     def next_candidate(self) -> Candidate | None:
-        """Take the next candidate out of the queue; None where none is worth a search."""
+        """Take the next candidate out of the queue; None if no search is left."""
         c = self.config
         while self._new_nodes or self._old_nodes:
             node, submap = self._new_nodes.pop() if self._new_nodes else self._old_nodes.popleft()
@@ -81,7 +81,7 @@ class CandidateQueue:
 
 @dataclass(frozen=True, slots=True)
 class LoopConstraint:
-    """Pose of a node in the frame of a submap that it was not inserted into.
+    """Pose of a node in the frame of a submap that it did not enter.
 
     Attributes:
         submap: index.
@@ -180,7 +180,7 @@ class ConstraintBuilder:
         start: FloatArray,
         distance_traveled: float,
     ) -> Match | None:
-        """Match from the expected pose, if that is well known; else from the best pose of a window."""
+        """Match from a well-known expected pose, else from the best pose of a window."""
         c = self.config
         linear = min(c.linear_search_window, c.linear_start + c.linear_drift * distance_traveled)
         angular = min(c.angular_search_window, c.angular_start + c.angular_drift * distance_traveled)
@@ -199,7 +199,7 @@ class ConstraintBuilder:
     def _search_window(
         self, submap: Submap, points: FloatArray, start: FloatArray, window: SearchWindow
     ) -> FloatArray | None:
-        """Search a window; None where nothing fits or, as along a corridor, two places fit equally well."""
+        """Search a window; None if no pose fits or, as in a corridor, two fit equally well."""
         c = self.config
         min_score = c.min_score + (c.global_min_score - c.min_score) * window.linear / c.linear_search_window
         best = branch_and_bound(submap.bounds, points, start, window, min_score, c.max_search_nodes)
@@ -230,7 +230,7 @@ class LoopVerification:
     def verify_loop(
         self, loop: LoopConstraint, distance_traveled: float, submaps: Sequence[Pose2], nodes: Sequence[Pose2]
     ) -> list[LoopConstraint]:
-        """Return the loops that are accepted now: none, the given one, or it and those that agree with it.
+        """Return the loops accepted now: none, the given one, or it with agreeing ones.
 
         Args:
             loop: new.

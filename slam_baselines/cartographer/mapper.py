@@ -47,7 +47,7 @@ def make_cartographer(config: CartographerConfig) -> Mapper:
 
 
 class CartographerMapper:
-    """Local SLAM on submaps, and a pose graph that corrects their drift when a loop closes."""
+    """Local SLAM on submaps; a pose graph corrects their drift at loops."""
 
     requires_odometry = True
 
@@ -66,7 +66,7 @@ class CartographerMapper:
         return self.config.map_resolution
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        """Match the scan to its submap, do a share of the work on the graph, return `T_map_base`.
+        """Match the scan to its submap and work on the graph; return `T_map_base`.
 
         Raises:
             ConfigError: there is no odometry.
@@ -85,7 +85,7 @@ class CartographerMapper:
         return self._graph.T_map_local @ self._local.estimate.pose
 
     def _refine_start(self) -> None:
-        """Begin again with what is known by now about the ground, as long as no submap is finished."""
+        """Rebuild submaps and graph with the present knowledge of the ground, while no submap is finished."""
         local = self._local
         if local.ground_filter.match_wall_slope == 0 or local.submaps.all[0].finished:
             self._bootstrap.close()
@@ -96,7 +96,7 @@ class CartographerMapper:
             self._graph.add_node(node)
 
     def map(self) -> OccupancyGrid:
-        """Return the map, drawn from all nodes at their optimized poses (see LocalizabilityMonitor.draws)."""
+        """Return the map of all nodes at their optimized poses (see LocalizabilityMonitor.draws)."""
         poses, _ = self._graph.optimized_poses()
         draws = self._local.localizability.draws(self._local.ground_filter.distance_traveled)
         return self._map.render(self._graph.nodes, poses, walls=draws)
@@ -109,17 +109,17 @@ class CartographerMapper:
 
     @property
     def loops(self) -> list[LoopEvent]:
-        """The loops closed so far, in the order in which they were accepted."""
+        """Loops closed so far, in the order of acceptance."""
         return list(self._graph.events)
 
     @property
     def lost(self) -> bool:
-        """Whether so many scans in a row contradict the map that the pose is not to be trusted."""
+        """Whether too many scans in a row contradict the map."""
         return self._local.lost
 
     @property
     def stats(self) -> MapperStats:
-        """What was done so far."""
+        """Counts, times and memory so far."""
         local, graph = self._local, self._graph
         counts = graph.builder.counts
         return MapperStats(

@@ -17,16 +17,16 @@ from slam_baselines.mapping.occupancy_map import NO_WALL, OccupancyMap, UpdateCo
 from slam_baselines.motion.dead_reckoning import PoseEstimate
 
 NOWHERE = PoseEstimate(Pose2(), np.zeros((3, 3)))
-"""Dead reckoning that has just begun."""
+"""Dead reckoning without any motion."""
 
 
 @dataclass(frozen=True, slots=True)
 class Node(Keyframe[PoseEstimate]):
-    """A keyframe that entered submaps; its pose is `T_local_base`, its motion that by dead reckoning.
+    """Keyframe that entered submaps; pose `T_local_base`, motion by dead reckoning.
 
     Attributes:
         covariance: (3, 3) of x, y, yaw in the local frame, given the matching submap.
-        localizable: whether its match was to be believed: loops are searched for with such nodes only.
+        localizable: whether its match was believed: only such nodes are searched for loops.
         submaps: indices of the submaps that it entered.
         leveled_distance: traveled with known attitude until then, as the ground filter counts it, meters.
         drift: largest that the robot's height may have drifted until then, meters.
@@ -74,7 +74,7 @@ MAX_KEPT_BYTES = 64_000_000
 
 
 class NodeMap:
-    """Draws nodes; keeps a small drawing as long as the nodes stay where they were."""
+    """Map drawn from nodes; a small one is kept while the nodes' poses stay."""
 
     def __init__(self, resolution: float, update: UpdateConfig, ground_filter: GroundFilterConfig) -> None:
         self._resolution = resolution
@@ -84,7 +84,7 @@ class NodeMap:
         self._clear()
 
     def render(self, nodes: Sequence[Node], poses: Sequence[Pose2], *, walls: bool = True) -> OccupancyGrid:
-        """Return the map of nodes at their poses `T_map_base`; without walls, theirs are unknown cells."""
+        """Return the map of nodes at poses `T_map_base`; without walls, their cells are unknown."""
         state = [(pose, node.trimmed) for node, pose in zip(nodes, poses, strict=True)]
         if state[: len(self._drawn)] != self._drawn:
             self._clear()
@@ -99,7 +99,7 @@ class NodeMap:
 
     @property
     def nbytes(self) -> int:
-        """Memory of what is kept."""
+        """Memory of the kept map."""
         return self._map.grid.nbytes + self._ground_filter.grid.nbytes
 
     def _clear(self) -> None:

@@ -1,11 +1,11 @@
-"""Cartographer with the behavior and the defaults of its original in the plane.
+"""Planar Cartographer with the behavior and the defaults of its original.
 
-The mechanisms are those of `cartographer`; taken away is what it adds: attitude, ground filter, refined
-start, wider search of local SLAM, tracking monitor, second opinions on loops, trimming. Set are the
-defaults of the original's trajectory_builder_2d.lua and pose_graph.lua. What stays ours: bilinear instead
-of bicubic interpolation of the submap, all beams instead of the adaptive voxel filter's 200, Cauchy's loss
-instead of Huber's, and the weights of the graph. It was never compared with runs of the original: there is
-no reference for it here.
+The mechanisms are those of `cartographer` without its additions: attitude, ground filter, refined start,
+wider search of local SLAM, tracking monitor, verification of loops, trimming. The defaults are those of the
+original's trajectory_builder_2d.lua and pose_graph.lua. Differences from the original remain: bilinear
+instead of bicubic interpolation of the submap, all beams instead of the adaptive voxel filter's 200, Cauchy's
+loss instead of Huber's, and the weights of the graph. It was never compared with runs of the original, since
+none are available.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class CartographerOriginalConfig(CartographerConfig):
     """Parameters as of CartographerConfig, with the original's defaults.
 
     Raises:
-        ConfigError: a map to localize in, or what CartographerConfig refuses.
+        ConfigError: a map to localize in, or a value that CartographerConfig refuses.
     """
 
     local: LocalConfig = field(default_factory=lambda: LOCAL)
@@ -120,7 +120,7 @@ class CartographerOriginalMapper(CartographerMapper):
         super().__init__(config or CartographerOriginalConfig())
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        """Take in a scan as if the base were level; return `T_map_base`.
+        """Process a scan as if the base were level; return `T_map_base`.
 
         Raises:
             ConfigError: there is no odometry.

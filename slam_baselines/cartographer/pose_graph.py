@@ -103,15 +103,15 @@ class OptimizationProblem:
 
     @cached_property
     def pattern(self) -> BlockPattern:
-        """Where the submaps' matrix has blocks: the same in every step."""
+        """Block pattern of the submaps' matrix, the same in every step."""
         indices = (self.to_nodes.a, self.to_submaps.a, self.to_submaps.b)
         submaps = 1 + max(int(index.max(initial=-1)) for index in indices)
         return BlockPattern.of(self.to_nodes.rows, self.to_submaps.rows, submaps)
 
     def cost(self, submaps: FloatArray, nodes: FloatArray, width: float) -> float:
-        """Return half the sum of the robust squared errors of (s, 3) submaps and (n, 3) nodes.
+        """Return half the sum of robust squared errors at given poses.
 
-        Cauchy's scale is `width` times the configured one.
+        Submaps are (s, 3), nodes (n, 3). Cauchy's scale is `width` times the configured one.
         """
         scale = width * self.config.cauchy_scale
         total: float = robust_cost(self.to_nodes.rows, submaps, nodes, scale)
@@ -121,7 +121,7 @@ class OptimizationProblem:
         return 0.5 * (total + self.config.gauge_information * float(gauge @ gauge))
 
     def initial_width(self, submaps: FloatArray, nodes: FloatArray, since: int) -> float:
-        """Return the width of the loss at which every loop from row `since` on is within its scale."""
+        """Return the loss width that holds the errors of all loops from row `since` on."""
         late = slice(since, None)
         robust = self.to_nodes.robust[late]
         if not robust.any():
@@ -194,7 +194,7 @@ def start_optimization(
 
 
 def iterate(problem: OptimizationProblem, now: Solution) -> Solution:
-    """Try one Levenberg-Marquardt step; a step that does not lower the cost is rejected."""
+    """Try one Levenberg-Marquardt step; reject it if it does not lower the cost."""
     c = problem.config
     submaps, nodes = problem.solve_normal_equations(now.submaps, now.nodes, now.damping, now.width)
     cost, count = problem.cost(submaps, nodes, now.width), now.iterations + 1
@@ -227,7 +227,7 @@ def _apply_steps(poses: FloatArray, step: FloatArray) -> FloatArray:
 
 
 def errors(a: FloatArray, b: FloatArray, z: FloatArray) -> FloatArray:
-    """Return (m, 3) the estimated minus the measured pose of b in the frame of a (eq. 6)."""
+    """Return (m, 3) errors: estimated minus measured pose of b in the frame of a (eq. 6)."""
     e = relative_poses(a, b) - z
     e[:, 2] = wrap(e[:, 2])
     return e
@@ -237,7 +237,7 @@ FIRST_ROWS = 256
 
 
 class ConstraintTable:
-    """Constraints in the order in which they were added; a row that was added does not change."""
+    """Growing table of constraints in the order of addition; rows never change."""
 
     def __init__(self) -> None:
         self._rows = _empty(FIRST_ROWS)
@@ -259,12 +259,12 @@ class ConstraintTable:
         self._count += 1
 
     def constraints(self) -> PoseConstraints:
-        """Return all constraints so far; what is added later is not among them."""
+        """Return all constraints so far; later ones do not appear in it."""
         n, r = self._count, self._rows
         return PoseConstraints(r.a[:n], r.b[:n], r.z[:n], r.information[:n], r.robust[:n])
 
     def copy(self) -> ConstraintTable:
-        """Return a table that goes on alone."""
+        """Return an independent table."""
         same = copy(self)
         same._rows = deepcopy(self._rows)
         return same
@@ -286,7 +286,7 @@ Rows = tuple[IntArray, IntArray, FloatArray, FloatArray, BoolArray]
 
 @dataclass(frozen=True, slots=True)
 class BlockPattern:
-    """Where the matrix over the submaps has (3, 3) blocks that are not 0.
+    """Nonzero (3, 3) blocks of the matrix over the submaps.
 
     Attributes:
         order: (m,) constraints to nodes, by node.
@@ -329,7 +329,10 @@ class BlockPattern:
 
 @njit(cache=True, nogil=True)
 def _pairs(first: IntArray, submap: IntArray, submaps: int) -> IntArray:
-    """Return row * submaps + column of each two constraints of a node, whose constraints begin at `first`."""
+    """Return row * submaps + column for each pair of constraints of a node.
+
+    The constraints of node n begin at `first[n]`.
+    """
     total = 0
     for n in range(len(first)):
         count = (first[n + 1] if n + 1 < len(first) else len(submap)) - first[n]
@@ -366,9 +369,11 @@ def linearize(
     of_targets: tuple[FloatArray, FloatArray],
     cross: FloatArray,
 ) -> None:
-    """Add Ja'WJa and Ja'We to those of the submaps, (s, 3, 3) and (s, 3), Jb'WJb and Jb'We to the targets'.
+    """Add the constraints to the normal equations of submaps and targets.
 
-    `cross` (m, 3, 3) is filled with Ja'WJb. A robust constraint weighs as the derivative of its loss.
+    Ja'WJa and Ja'We are added to those of the submaps, (s, 3, 3) and (s, 3), Jb'WJb and Jb'We to those of the
+    targets. `cross` (m, 3, 3) is filled with Ja'WJb. A robust constraint weighs as the derivative of its
+    loss.
     """
     a, b, z, information, robust = rows
     M, J, e, c2 = np.eye(3), np.eye(3), np.zeros(3), scale * scale
@@ -407,15 +412,15 @@ def eliminate_nodes(
     gradient: FloatArray,
     inverse: FloatArray,
 ) -> None:
-    """Take the nodes out of the equations of the submaps (Schur complement), block by block.
+    """Eliminate the nodes from the equations of the submaps (Schur complement) by blocks.
 
     Args:
         pattern: order, node and pair of the `BlockPattern`.
         submap: (m,) of each constraint to a node.
         cross: (m, 3, 3) Ja'WJb of each.
         of_nodes: damped blocks (n, 3, 3) and gradients (n, 3).
-        blocks: (k, 3, 3) of the submaps' matrix; goes on.
-        gradient: (s, 3) of the submaps; goes on.
+        blocks: (k, 3, 3) of the submaps' matrix; updated in place.
+        gradient: (s, 3) of the submaps; updated in place.
         inverse: (n, 3, 3) is filled with the inverses of the nodes' blocks.
     """
     order, node, pair = pattern
@@ -448,7 +453,7 @@ def eliminate_nodes(
 def node_steps(
     rows: Rows, cross: FloatArray, submap_steps: FloatArray, gradient: FloatArray, inverse: FloatArray
 ) -> FloatArray:
-    """Return (n, 3) the steps of the nodes that follow from those of the submaps."""
+    """Return the (n, 3) steps of the nodes given those of the submaps."""
     a, b = rows[0], rows[1]
     rest, steps = gradient.copy(), np.zeros(gradient.shape)
     for k in range(len(a)):
@@ -464,7 +469,7 @@ def node_steps(
 
 @njit(cache=True, nogil=True)
 def pose_error(a: FloatArray, b: FloatArray, z: FloatArray) -> tuple[float, float, float]:
-    """Return the estimated minus the measured pose of b in the frame of a (eq. 6), each pose (3,)."""
+    """Return the error: estimated minus measured pose of b in the frame of a (eq. 6)."""
     c, s, dx, dy = math.cos(a[2]), math.sin(a[2]), b[0] - a[0], b[1] - a[1]
     yaw = (b[2] - a[2] - z[2] + math.pi) % math.tau - math.pi
     return c * dx + s * dy - z[0], c * dy - s * dx - z[1], yaw

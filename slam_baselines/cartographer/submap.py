@@ -1,4 +1,4 @@
-"""Submaps: pieces of the map, each drawn from a stretch of scans and rigid from then on.
+"""Submaps: rigid pieces of the map, each drawn from a sequence of scans.
 
 Hess et al. 2016, "Real-time loop closure in 2D LIDAR SLAM", section IV: a scan enters two submaps, the
 older of which is matched against; it has seen enough to match well, and when it is finished the
@@ -36,7 +36,7 @@ from slam_baselines.scan.leveling import ScanPoints
 
 
 class TracedScan(NamedTuple):
-    """Traces of a scan on all levels, and (4,) west, south, east, north of it, meters."""
+    """Traces of a scan on all levels, and its (4,) box: west, south, east, north, meters."""
 
     traces: Sequence[Trace]
     box: FloatArray
@@ -49,7 +49,7 @@ class Tracers:
         self._levels = [RayTracer(config.resolution * 2**level) for level in range(config.levels)]
 
     def trace(self, scan: ScanPoints) -> TracedScan:
-        """Return what a scan in the local frame meets on each level; void after the next."""
+        """Return the traces of a scan in the local frame on each level; void after the next."""
         box = bounding_box(scan)
         return TracedScan([level.trace(scan, box) for level in self._levels], box)
 
@@ -81,12 +81,12 @@ class Submap:
         return self._packed is not None
 
     def finish(self) -> None:
-        """Take no more scans, and keep what matching needs."""
+        """Finish the submap: pack the layers that matching needs, drop the others."""
         self._packed = PackedGrids.of(self.pyramid)
         self._drop_layers()
 
     def drop_grids(self) -> None:
-        """Drop what was drawn; pose and nodes stay."""
+        """Drop the grids; pose and nodes stay."""
         self._packed = PackedGrids(())
         self._drop_layers()
 
@@ -95,12 +95,12 @@ class Submap:
         self.release()
 
     def release(self) -> None:
-        """Drop what can be unpacked or computed again."""
+        """Drop unpacked levels and bounds, which can be computed again."""
         self._unpacked = self._bounds = None
 
     @property
     def known_points(self) -> FloatArray:
-        """(n, 2) centers of the cells of the coarsest level that beams came to, in the local frame."""
+        """Centers (n, 2) of the known cells of the coarsest level, in the local frame."""
         level = self.coarsest
         if self._packed is None:
             cells = np.argwhere(level.layers.log_odds != UNKNOWN)[:, ::-1] + (
@@ -121,7 +121,7 @@ class Submap:
         wall_slope: int,
         traced: TracedScan | None = None,
     ) -> None:
-        """Draw a scan, given in the local frame (see OccupancyMap.update), that may be traced before."""
+        """Draw a scan in the local frame (see OccupancyMap.update); `traced` saves tracing it."""
         self.set_wall_slope(wall_slope)
         self.nodes.append(node)
         traces, box = traced or Tracers(self._config).trace(scan)
@@ -131,7 +131,7 @@ class Submap:
             self.pyramid.refresh()
 
     def set_wall_slope(self, wall_slope: int) -> None:
-        """Let matchers see as walls only what has a minimum slope of `wall_slope`."""
+        """Show to matchers only hits of at least the minimum slope `wall_slope` as walls."""
         if wall_slope == self._wall_slope:
             return
         self._wall_slope = wall_slope
@@ -141,18 +141,18 @@ class Submap:
 
     @property
     def coarsest(self) -> OccupancyMap:
-        """The coarsest level that is being drawn; empty when it is finished."""
+        """Coarsest level of an unfinished submap; empty when it is finished."""
         return self.pyramid.maps[-1]
 
     def reserve(self, box: FloatArray) -> None:
-        """Make room for scans in a box (4,) west, south, east, north, meters, instead of growing to it."""
+        """Allocate the grids for scans in a box (4,): west, south, east, north, meters."""
         for level in self.pyramid.maps:
             level.reserve(box)
         self.pyramid.refresh()
 
     @property
     def levels(self) -> Levels:
-        """What the matcher sees; of a finished submap unpacked when first needed."""
+        """Levels for matching; a finished submap unpacks them when first needed."""
         if self._packed is None:
             return self.pyramid.levels
         if self._unpacked is None:
@@ -161,7 +161,7 @@ class Submap:
 
     @property
     def bounds(self) -> BoundGrids:
-        """Upper bounds for the search for loops; of a finished submap computed when first needed."""
+        """Upper bounds for the loop search; a finished submap computes them when first needed."""
         if self._bounds is not None:
             return self._bounds
         c, levels = self._config, self.levels
@@ -177,7 +177,7 @@ class Submap:
 
     @property
     def unpacked_nbytes(self) -> int:
-        """Memory of what `release` would drop."""
+        """Memory that `release` would free."""
         unpacked = 0 if self._unpacked is None else sum(value.nbytes for value in self._unpacked.values)
         return unpacked + (0 if self._bounds is None else self._bounds.nbytes)
 
@@ -192,7 +192,7 @@ class Submaps:
     """All submaps; the last two are being drawn."""
 
     def __init__(self, config: SubmapConfig, tracers: Tracers | None = None) -> None:
-        """Start without any; `tracers` are those of submaps of the same levels, which are drawn no more."""
+        """Start without any; `tracers` may be reused from submaps of the same levels."""
         self._config = config
         self._searched: OrderedDict[int, Submap] = OrderedDict()
         self._tracers = tracers or Tracers(config)
@@ -200,7 +200,7 @@ class Submaps:
         self.all: list[Submap] = []
 
     def empty_copy(self, config: SubmapConfig) -> Submaps:
-        """Return none of them, with another configuration of the same levels."""
+        """Return an empty set with another configuration of the same levels."""
         return Submaps(config, self._tracers)
 
     @property
@@ -219,7 +219,7 @@ class Submaps:
     def insert_range_data(
         self, node: int, pose: Pose2, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int
     ) -> range:
-        """Draw a scan taken at `pose`; return the submaps it entered."""
+        """Draw a scan at `pose`; return the indices of the submaps that it entered."""
         if not self.all or self._newest_full:
             self._begin(pose)
         self._distance += pose.distance(self._last)
@@ -242,12 +242,12 @@ class Submaps:
 
     @property
     def _newest_full(self) -> bool:
-        """Whether the newest submap holds enough scans, or they lead far enough, for the next to begin."""
+        """Whether the newest submap has enough scans or distance for the next to begin."""
         c = self._config
         return len(self.all[-1].nodes) >= c.num_range_data or self._distance >= c.max_distance
 
     def note_search(self, index: int) -> None:
-        """Take note that a finished submap was searched in; release those searched in longest ago."""
+        """Record a search in a finished submap; release those searched longest ago."""
         self._searched[index] = self.all[index]
         self._searched.move_to_end(index)
         held = sum(submap.unpacked_nbytes for submap in self._searched.values())
@@ -266,9 +266,9 @@ class PackedLevel:
     """One level, cropped to its known cells with a margin of one cell.
 
     Attributes:
-        known: zlib, one bit a cell: whether beams came to it.
+        known: zlib, one bit a cell.
         hits: zlib, (n,) uint32 numbers of the cells that are more likely occupied than not.
-        value: zlib, (n,) what the matcher sees of these where every hit is a wall.
+        value: zlib, (n,) their layer `value` where every hit is a wall.
         min_slope: zlib, (n,) their minimum slopes.
         shape: rows, columns.
         frame: lattice row and column of cell (0, 0), resolution in meters.
@@ -301,7 +301,7 @@ class PackedLevel:
         )
 
     def unpack(self, wall_slope: int) -> ByteArray:
-        """Return what the matcher sees where hits of a lower minimum slope than `wall_slope` are no walls."""
+        """Return the layer `value` for matching; hits below `wall_slope` are no walls."""
         value: ByteArray = self._known() * FREE
         hits = _unpack(self.hits).view(np.uint32)
         walls = _unpack(self.min_slope) >= wall_slope
@@ -309,13 +309,13 @@ class PackedLevel:
         return value.reshape(self.shape)
 
     def known_cells(self) -> NDArray[np.int64]:
-        """Return (n, 2) the lattice columns and rows of the cells that beams came to."""
+        """Return (n, 2) lattice columns and rows of the known cells."""
         cells: NDArray[np.int64] = np.argwhere(self._known().reshape(self.shape))[:, ::-1]
         cells += np.array((self.frame[1], self.frame[0]))
         return cells
 
     def _known(self) -> ByteArray:
-        """Return (cells,) 1 for those that beams came to."""
+        """Return (cells,) 1 for known cells."""
         return np.unpackbits(_unpack(self.known), count=math.prod(self.shape))
 
     @property

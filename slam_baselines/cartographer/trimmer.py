@@ -1,8 +1,7 @@
-"""Redundant submaps: those of places that have been seen often enough since.
+"""Trimming of redundant submaps, whose places newer submaps cover.
 
-A robot that drives the same path again and again sees nothing new; without trimming its memory would grow
-with time and not with the area. After Cartographer's trimmer of overlapping submaps: of each place, the
-freshest submaps are kept.
+A robot that repeats a path sees nothing new; without trimming, its memory would grow with time and not with
+the area. After Cartographer's trimmer of overlapping submaps: of each place, the newest submaps are kept.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from slam_baselines.cartographer.submap import Submap
 
 @dataclass(frozen=True, slots=True)
 class _Covered:
-    """Squares that a submap covers, in its own frame, one bit each.
+    """Bit mask of the squares that a submap covers, in its own frame.
 
     Attributes:
         bits: packed rows.
@@ -43,13 +42,13 @@ class _Covered:
         return _Covered(np.packbits(mask, axis=1), cols, corner)
 
     def centers(self, square: float) -> FloatArray:
-        """Return (n, 2) the middles of the squares."""
+        """Return (n, 2) centers of the squares."""
         mask = np.unpackbits(self.bits, axis=1, count=self.cols)
         cells = np.argwhere(mask)[:, ::-1] + self.corner
         return np.asarray((cells + 0.5) * square, dtype=np.float64)
 
     def corners(self, square: float) -> FloatArray:
-        """Return (4, 2) the corners of the box around all squares."""
+        """Return (4, 2) corners of the box around all squares."""
         (x0, y0), (rows, cols) = self.corner, (len(self.bits), self.cols)
         box = ((x0, y0), (x0 + cols, y0), (x0, y0 + rows), (x0 + cols, y0 + rows))
         return np.asarray(box, dtype=np.float64) * square
@@ -71,7 +70,7 @@ class Trimmer:
         return sum(covered.bits.nbytes for covered in self._covered.values())
 
     def add_finished_submap(self, index: int, submap: Submap) -> None:
-        """Record the area of a submap that no scan will enter any more."""
+        """Record the area of a finished submap."""
         self._finished += 1
         self._covered[index] = _Covered.by(submap.pose.inverse().apply(submap.known_points), self._square)
 
@@ -80,7 +79,7 @@ class Trimmer:
         return self._finished - self._trimmed_at >= self._config.min_added_submaps_count
 
     def pop_redundant(self, poses: Sequence[Pose2]) -> list[int]:
-        """Return the redundant finished submaps, and forget their areas.
+        """Return the redundant finished submaps, and drop their areas.
 
         Args:
             poses: `T_map_submap` of all submaps.
