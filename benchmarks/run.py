@@ -30,7 +30,7 @@ from rich.table import Table
 
 from lirs_validation import validate
 from lirs_validation.experiment.evaluation import evaluate_trajectory
-from lirs_validation.experiment.mappers.loading import mapper_named
+from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_validation.experiment.run import Run
 from lirs_wct.option import read_numbers
 

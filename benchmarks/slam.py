@@ -31,7 +31,7 @@ from rich.table import Table
 from lirs_validation.experiment.cost import heap_at_rest
 from lirs_validation.logs.reference import read_reference
 from lirs_validation.metrics.log_accuracy import reference_errors
-from lirs_validation.metrics.relative_pose_constraints import (
+from lirs_validation.metrics.relative_pose_error import (
     RelativePoseConstraint,
     constraint_errors,
     read_constraints,

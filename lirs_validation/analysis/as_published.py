@@ -14,7 +14,7 @@ from typing import Literal
 
 from lirs_validation.analysis.groups import RunGroup, by_group
 from lirs_validation.record.formatting import Entry, value_at
-from lirs_validation.record.odometry import ATE, ODOMETRY_ATE
+from lirs_validation.record.metric_catalog import ATE, ODOMETRY_ATE
 from lirs_validation.record.run_record import Status, succeeded
 
 SUFFIX = "_original"

@@ -16,8 +16,7 @@ import numpy as np
 from lirs_validation.analysis.groups import FIELDS, RunGroup, by_group
 from lirs_validation.analysis.statistics import Test, holm, paired_test
 from lirs_validation.record.formatting import Entry
-from lirs_validation.record.metric_catalog import Metric
-from lirs_validation.record.odometry import worse_than_odometry
+from lirs_validation.record.metric_catalog import Metric, worse_than_odometry
 from lirs_validation.record.run_record import succeeded
 from lirs_wct.errors import ConfigError, unknown_name
 

@@ -15,8 +15,8 @@ from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.config import RunConfig, SourceOptions
-from lirs_validation.record.result_files import maps_clouds
-from lirs_validation.record.source_files import with_recorded_source
+from lirs_validation.record.provenance import with_recorded_source
+from lirs_validation.record.run_record import maps_clouds
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SourceError, unknown_name
 from lirs_wct.files import atomic_write

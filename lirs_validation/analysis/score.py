@@ -15,8 +15,8 @@ from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.logs.reference import read_trajectory
 from lirs_validation.metrics import StartAlignment, map_scores, start_alignment, trajectory_errors
 from lirs_validation.metrics.agreement import agreement, decided, sampled
-from lirs_validation.metrics.association import MAX_GAP, associated
-from lirs_validation.record.verdict import incompleteness
+from lirs_validation.metrics.alignment import MAX_GAP, associated
+from lirs_validation.metrics.verdict import incompleteness
 from lirs_wct.errors import SourceError, unknown_name
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum

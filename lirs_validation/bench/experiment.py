@@ -17,9 +17,8 @@ from lirs_validation.bench.policies import PolicyChoice
 from lirs_validation.bench.tasks import BenchTask
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.record.provenance import versions
+from lirs_validation.record.provenance import is_stale, versions
 from lirs_validation.record.run_record import plain
-from lirs_validation.record.staleness import is_stale
 from lirs_validation.sweep.experiment import Outcome
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_folder

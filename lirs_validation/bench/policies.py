@@ -18,17 +18,21 @@ from lirs_envs.policies import GoToGoal, Policy, PolicyContext, RandomActions, S
 from lirs_envs.tasks.site import SEEN_CELL
 from lirs_validation.bench.tasks import TASKS, BenchTask
 from lirs_validation.driving.choice import MARGIN
+from lirs_validation.driving.coverage import ground_height
 from lirs_validation.driving.driver import Driver, Frame
-from lirs_validation.driving.frontier_route import FrontierRoute
-from lirs_validation.driving.goal_route import GoalRoute
-from lirs_validation.driving.pace import driver_config
-from lirs_validation.driving.path_driver import DriverConfig, PathDriver
+from lirs_validation.driving.frontier_route import FrontierRoute, GoalRoute
+from lirs_validation.driving.path_driver import DriverConfig, PathDriver, driver_config
 from lirs_validation.driving.path_driver import Path as DrivenPath
-from lirs_validation.driving.planning.clearance import path_weight, room_at, room_in
-from lirs_validation.driving.planning.grid_search import area_round, nearest, penalize_behind
-from lirs_validation.driving.planning.path_smoothing import smoothed
+from lirs_validation.driving.paths import (
+    area_round,
+    nearest,
+    path_weight,
+    penalize_behind,
+    room_at,
+    room_in,
+    smoothed,
+)
 from lirs_validation.driving.pursuit import speed_profile
-from lirs_validation.driving.tour import ground_height
 from lirs_validation.driving.waypoint_route import WaypointRoute
 from lirs_validation.experiment.own_code import make_own, own_class, own_source_file
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray

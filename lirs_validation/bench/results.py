@@ -11,7 +11,7 @@ from lirs_validation.bench.experiment import RECORD, read_episode
 from lirs_validation.bench.policies import UPPER_BOUND, PolicyChoice
 from lirs_validation.bench.scores import Score, score_of
 from lirs_validation.bench.tasks import BenchTask, TaskSet
-from lirs_validation.record.staleness import same_code
+from lirs_validation.record.provenance import same_code
 from lirs_wct.errors import SourceError
 
 TRUE_GROUPS = {"height_map", "seen_map"}

@@ -19,7 +19,11 @@ Forces, tip-overs and stuck time are reported without a limit: they belong to th
 
 from __future__ import annotations
 
+import csv
+import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,6 +39,7 @@ from lirs_validation.collision.slope_test import climb
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_seed
+from lirs_wct.files import atomic_write
 from lirs_wct.world import World
 
 STREAM = 21
@@ -184,3 +189,26 @@ def check_collisions(
         climbed=slope.climbed if slope else None,
         diverged=legs[-1].diverged,
     )
+
+
+SCHEMA = 1
+
+
+def write_verdicts(folder: Path, verdicts: Sequence[CollisionVerdict]) -> tuple[Path, Path]:
+    """Write `collisions.json` and `collisions.csv`; return their paths.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    document = {"schema": SCHEMA, "collisions": [verdict.as_dict() for verdict in verdicts]}
+    with atomic_write(folder / "collisions.json") as path:
+        path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    with (
+        atomic_write(folder / "collisions.csv") as path,
+        path.open("w", newline="", encoding="utf-8") as file,
+    ):
+        rows = [asdict(verdict) | {"passed": verdict.passed} for verdict in verdicts]
+        writer = csv.DictWriter(file, list(rows[0]) if rows else ["world"])
+        writer.writeheader()
+        writer.writerows(rows)
+    return folder / "collisions.json", folder / "collisions.csv"

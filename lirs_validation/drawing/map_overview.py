@@ -9,8 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from lirs_validation.metrics.log_accuracy import Accuracy
-from lirs_validation.record.map_formatting import map_lines
-from lirs_validation.record.map_record import MapRecord
+from lirs_validation.record.map_record import MapRecord, map_lines
 from lirs_wct.arrays import FloatArray
 from lirs_wct.drawing.canvas import Canvas, bounds_shown
 from lirs_wct.drawing.panels import headline, path_ends, value_list

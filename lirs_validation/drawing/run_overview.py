@@ -14,9 +14,8 @@ from scipy.ndimage import binary_dilation
 
 from lirs_validation.config import TOUR, driver_parts
 from lirs_validation.metrics.agreement import contradicted
-from lirs_validation.metrics.spatial.elevation import ElevationMap
-from lirs_validation.record.metric_catalog import picture_lines
-from lirs_validation.record.odometry import WORSE, worse_than_odometry
+from lirs_validation.metrics.elevation import ElevationMap
+from lirs_validation.record.metric_catalog import WORSE, picture_lines, worse_than_odometry
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord
 from lirs_wct.arrays import FloatArray
 from lirs_wct.drawing.canvas import MARGIN, UNKNOWN_SHADE, Canvas, bounds_shown

@@ -10,13 +10,12 @@ import numpy as np
 
 from lirs_envs.robots.robot import Robot
 from lirs_validation.config import MANUAL, RunConfig, driver_parts
+from lirs_validation.driving.coverage import plan_coverage
 from lirs_validation.driving.driver import Driver
 from lirs_validation.driving.frontier_route import FrontierRoute
-from lirs_validation.driving.pace import driver_config
-from lirs_validation.driving.path_driver import PathDriver
+from lirs_validation.driving.path_driver import PathDriver, driver_config
 from lirs_validation.driving.replay import COMMANDS, read_replay, replay
 from lirs_validation.driving.room import no_room
-from lirs_validation.driving.tour import plan_coverage
 from lirs_validation.driving.waypoint_route import WaypointRoute, check_waypoints
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.waypoints import read_waypoints

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lirs_envs.robots.command import Twist
-from lirs_validation.driving.planning.path_smoothing import SPACING, arc_length, curvature
+from lirs_validation.driving.paths import SPACING, arc_length, curvature
 from lirs_wct.arrays import FloatArray
 from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2, wrap_angle

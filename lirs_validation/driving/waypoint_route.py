@@ -8,13 +8,19 @@ from pathlib import Path as File
 
 import numpy as np
 
+from lirs_validation.driving.coverage import ground_height
 from lirs_validation.driving.driver import Frame
 from lirs_validation.driving.path_driver import DriverConfig, Path
-from lirs_validation.driving.planning.clearance import path_weight, room_at, room_in
-from lirs_validation.driving.planning.grid_search import area_round, nearest
-from lirs_validation.driving.planning.path_smoothing import arc_length, smoothed
+from lirs_validation.driving.paths import (
+    arc_length,
+    area_round,
+    nearest,
+    path_weight,
+    room_at,
+    room_in,
+    smoothed,
+)
 from lirs_validation.driving.pursuit import speed_profile
-from lirs_validation.driving.tour import ground_height
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.waypoints import Waypoint

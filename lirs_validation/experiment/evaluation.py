@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 
 from lirs_envs.simulation import Simulation
-from lirs_validation.experiment.clouds.elevation import Elevations, evaluate_elevation
-from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
+from lirs_validation.experiment.cloud_elevation import Elevations, evaluate_elevation
 from lirs_validation.experiment.cost import give_back_memory
 from lirs_validation.experiment.drive_log import DriveLog
-from lirs_validation.experiment.loop import per_second
-from lirs_validation.experiment.mappers.guard import imu_copy, scan_copy
-from lirs_validation.experiment.mappers.loading import RESOLUTION, package_versions
+from lirs_validation.experiment.mapper_guard import GuardedCloudMapper, imu_copy, scan_copy
+from lirs_validation.experiment.mapper_loading import RESOLUTION, package_versions
 from lirs_validation.experiment.scenario import Scenario
 from lirs_validation.metrics import (
     MapScores,
@@ -24,11 +22,12 @@ from lirs_validation.metrics import (
     start_alignment,
     trajectory_errors,
 )
-from lirs_validation.metrics.association import associated
-from lirs_validation.metrics.spatial.trajectory import spatial_errors
+from lirs_validation.metrics.alignment import associated
+from lirs_validation.metrics.real_time_factor import real_time_factor
+from lirs_validation.metrics.trajectory import spatial_errors
+from lirs_validation.metrics.verdict import incompleteness
 from lirs_validation.record.provenance import versions
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status
-from lirs_validation.record.verdict import incompleteness
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.world import World
@@ -170,12 +169,10 @@ def evaluate_trajectory(log: DriveLog) -> dict[str, Any]:
 def evaluate_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
     """Return the real-time factor of a drive, its spread over simulated seconds and its parts."""
     period = simulation.period
-    total = sum(log.walls) / (len(log.walls) * period)
-    series = 1.0 / per_second(log.walls, period)
+    factor = real_time_factor(log.walls, period)
+    series = factor.pop("series")
     return {
-        "mean": 1.0 / total,
-        "std": float(np.std(series)),
-        "min": float(series.min()),
+        **factor,
         "parts": _parts(log, simulation),
         "mapper_in": log.mapper_in,
         **physics_rtf(simulation),
@@ -184,7 +181,7 @@ def evaluate_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
         "timestep": simulation.body.timestep,
         "concurrent": log.concurrent,
         "extrapolated": log.status == "wall limit",
-        "series": series.tolist(),
+        "series": series,
     }
 
 

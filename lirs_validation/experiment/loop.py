@@ -5,21 +5,19 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
-
-import numpy as np
 
 from lirs_envs.sensing.sensors import Observation
 from lirs_envs.simulation import Simulation
 from lirs_validation.driving.driver import Driver
-from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
 from lirs_validation.experiment.drive_log import DriveLog, Tick
 from lirs_validation.experiment.feeding.feeding import DirectFeeding, Feeding
 from lirs_validation.experiment.feeding.thread import short_turns
+from lirs_validation.experiment.mapper_guard import GuardedCloudMapper
+from lirs_validation.metrics.verdict import LostRule
 from lirs_validation.record.run_record import Status
-from lirs_validation.record.verdict import LostRule
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.progress import Progress, no_progress
@@ -287,10 +285,3 @@ def _over(spent: float, driven: float, seconds: float) -> str:
         f"stopped at the wall limit, after {spent:.1f} s for {driven:.1f} of {seconds:g} simulated seconds; "
         "its real-time factor is extrapolated from these"
     )
-
-
-def per_second(values: Sequence[float], period: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Return (n,) sums of per-tick values over each whole simulated second (a rest counts by its share)."""
-    ticks = max(1, round(1.0 / period))
-    whole = [values[i : i + ticks] for i in range(0, len(values), ticks)]
-    return np.array([sum(part) / (len(part) * period) for part in whole if part], dtype=np.float64)

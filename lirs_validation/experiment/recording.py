@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation.config import RunConfig
-from lirs_validation.record.result_files import BAG
+from lirs_validation.record.run_record import BAG
 from lirs_wct.errors import OutputError
 from lirs_wct.files import remove_orphans
 from lirs_wct.geometry.grid import OccupancyGrid

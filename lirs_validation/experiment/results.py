@@ -13,9 +13,8 @@ from lirs_validation.driving.replay import COMMANDS
 from lirs_validation.experiment.cost import give_back_memory
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps
-from lirs_validation.metrics.spatial.elevation_file import ELEVATION, write_elevation
-from lirs_validation.record.result_files import file_sizes
-from lirs_validation.record.run_record import RunRecord
+from lirs_validation.metrics.elevation import ELEVATION, write_elevation
+from lirs_validation.record.run_record import RunRecord, file_sizes
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.carmen.writer import write_log
 from lirs_wct.formats.commands_csv import Commands, write_commands

@@ -12,29 +12,29 @@ from lirs_envs.simulation import Simulation
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.driving.driver import Driver
-from lirs_validation.experiment.clouds.guard import (
-    GuardedCloudMapper,
-    check_sensors,
-    guarded,
-    occupancy_map,
-)
 from lirs_validation.experiment.cost import (
     CostMeter,
     compile_timer,
+    cpu_contention,
     give_back_memory,
     heap_at_rest,
     large_blocks_apart,
     left_clean,
 )
-from lirs_validation.experiment.cpu_contention import cpu_contention
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
 from lirs_validation.experiment.feeding.feeding import DirectFeeding, Feeding
 from lirs_validation.experiment.feeding.process import MapperProcess, mapper_process, ready_process
 from lirs_validation.experiment.feeding.thread import ThreadFeeding
 from lirs_validation.experiment.loop import Recorder, drive
-from lirs_validation.experiment.mappers.guard import GuardedMapper
-from lirs_validation.experiment.mappers.loading import mapper_named
+from lirs_validation.experiment.mapper_guard import (
+    GuardedCloudMapper,
+    GuardedMapper,
+    check_sensors,
+    guarded,
+    occupancy_map,
+)
+from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_validation.experiment.recording import Recording, recording
 from lirs_validation.experiment.results import write_results
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache

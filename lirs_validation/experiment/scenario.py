@@ -10,7 +10,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.config import RunConfig
-from lirs_validation.record.source_files import SourceFile, source_files
+from lirs_validation.record.provenance import SourceFile, source_files
 from lirs_wct.errors import LogSourceError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.sources.build import build_world

@@ -7,10 +7,10 @@ from dataclasses import replace
 from lirs_envs.robots.robot import Robot
 from lirs_validation.config import driver_parts
 from lirs_validation.driving.choice import make_driver
-from lirs_validation.experiment.clouds.guard import guarded, occupancy_map
 from lirs_validation.experiment.feeding.process import MapperProcess
 from lirs_validation.experiment.loop import drive
-from lirs_validation.experiment.mappers.loading import mapper_named, warm_up_mapper
+from lirs_validation.experiment.mapper_guard import guarded, occupancy_map
+from lirs_validation.experiment.mapper_loading import mapper_named, warm_up_mapper
 from lirs_validation.experiment.scenario import Scenario
 
 WARM_UP = 2.0

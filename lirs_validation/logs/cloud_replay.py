@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
-from lirs_validation.metrics.association import associated
-from lirs_validation.record.verdict import LostRule
+from lirs_validation.experiment.mapper_guard import GuardedCloudMapper
+from lirs_validation.metrics.alignment import associated
+from lirs_validation.metrics.verdict import LostRule
 from lirs_wct.errors import SourceError
 from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import OccupancyGrid

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lirs_validation.config import MapConfig
-from lirs_validation.metrics.association import MAX_GAP, associated
+from lirs_validation.metrics.alignment import MAX_GAP, associated
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen.laser import read_mount
 from lirs_wct.formats.imu_csv import read_imu

@@ -6,10 +6,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from lirs_validation.config import MapConfig
-from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
-from lirs_validation.experiment.mappers.attitude import with_attitude
-from lirs_validation.experiment.mappers.guard import GuardedMapper
-from lirs_validation.experiment.mappers.loading import mapper_named
+from lirs_validation.experiment.mapper_guard import GuardedCloudMapper, GuardedMapper, with_attitude
+from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.sources.source import is_bag

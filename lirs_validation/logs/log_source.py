@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lirs_validation.config import MapConfig, SourceOptions
 from lirs_validation.logs.map_log import folder_name, run_mapping
-from lirs_validation.record.staleness import is_stale
+from lirs_validation.record.provenance import is_stale
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.map_server import read_map

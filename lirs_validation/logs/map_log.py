@@ -11,18 +11,18 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from lirs_validation.config import Attitude, MapConfig
-from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
 from lirs_validation.experiment.cost import CostMeter, compile_timer, heap_at_rest
+from lirs_validation.experiment.mapper_guard import GuardedCloudMapper
 from lirs_validation.logs.cloud_replay import horizontal_map, replay_clouds
 from lirs_validation.logs.inertial import inertial_readings, with_recorded_mount
 from lirs_validation.logs.log_mapper import check_log, make_log_mapper, warm_up_log_mapper
 from lirs_validation.logs.mapped_log import MappedLog
-from lirs_validation.logs.truth import odometry_accuracy, read_truth, reference_in_time, relations_in_time
-from lirs_validation.metrics.association import scan_coverage
+from lirs_validation.logs.reference import odometry_accuracy, read_truth, reference_in_time, relations_in_time
+from lirs_validation.metrics.alignment import scan_coverage
 from lirs_validation.metrics.consistency import contradicted_share
 from lirs_validation.metrics.log_accuracy import trajectory_accuracy
+from lirs_validation.metrics.verdict import LostRule, incompleteness, inconsistency
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
-from lirs_validation.record.verdict import LostRule, incompleteness, inconsistency
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import read_carmen
@@ -222,7 +222,7 @@ def replay(
 
 def _write(mapped: MappedLog, out: Path, progress: Progress) -> Path:
     # Drawing needs matplotlib, which the first scan should not wait for.
-    from lirs_validation.logs.results import write_mapped
+    from lirs_validation.logs.mapped_log import write_mapped
 
     progress("draw", 1.0)
     return write_mapped(out / mapped.record.name, mapped)

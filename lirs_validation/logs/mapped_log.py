@@ -16,6 +16,11 @@ if TYPE_CHECKING:
     from lirs_wct.drawing.style import Drawing
 
 
+from lirs_wct.files import atomic_folder
+from lirs_wct.formats.map_server import write_map
+from lirs_wct.formats.tum import write_tum
+
+
 @dataclass(frozen=True)
 class MappedLog:
     """What mapping a log leaves behind.
@@ -50,3 +55,17 @@ class MappedLog:
 
     def _repr_png_(self) -> bytes:
         return self.overview()._repr_png_()
+
+
+def write_mapped(folder: Path, mapped: MappedLog) -> Path:
+    """Write the folder, whole or not at all, in place of an older one; return it.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    with atomic_folder(folder) as temporary:
+        mapped.record.save(temporary)
+        write_map(temporary / "map", mapped.grid)
+        write_tum(temporary / "estimate.tum", mapped.trajectory)
+        mapped.overview().savefig(temporary / "overview.png")
+    return folder

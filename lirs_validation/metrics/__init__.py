@@ -1,8 +1,13 @@
 """Metrics of a run: errors of the trajectory, agreement of the map."""
 
-from lirs_validation.metrics.agreement import Agreement, CellDistance, agreement, cell_distance
-from lirs_validation.metrics.alignment import StartAlignment, start_alignment
-from lirs_validation.metrics.association import associated, scan_coverage
+from lirs_validation.metrics.agreement import Agreement, CellDistance, agreement, cell_distance, map_ssim
+from lirs_validation.metrics.alignment import (
+    StartAlignment,
+    associated,
+    rigid_alignment,
+    scan_coverage,
+    start_alignment,
+)
 from lirs_validation.metrics.map import (
     MapScores,
     false_occupied,
@@ -10,10 +15,7 @@ from lirs_validation.metrics.map import (
     map_scores,
     unknown_share,
 )
-from lirs_validation.metrics.planar import rigid_alignment
-from lirs_validation.metrics.relative_pose_constraints import ConstraintErrorSummary
-from lirs_validation.metrics.relative_pose_error import RelativePoseError
-from lirs_validation.metrics.ssim import map_ssim
+from lirs_validation.metrics.relative_pose_error import ConstraintErrorSummary, RelativePoseError
 from lirs_validation.metrics.trajectory import TrajectoryErrors, trajectory_errors
 
 __all__ = [

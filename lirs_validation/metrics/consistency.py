@@ -20,8 +20,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lirs_validation.metrics.association import associated
-from lirs_validation.metrics.planar import planar
+from lirs_validation.metrics.alignment import associated, planar
 from lirs_wct.arrays import FloatArray, IntArray
 from lirs_wct.geometry.pose import Pose2, Pose3, wrap_angle
 from lirs_wct.geometry.scan import Imu, LaserScan

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from lirs_validation.metrics.association import associated
-from lirs_validation.metrics.planar import moved, planar, rigid_alignment, rms, wrapped
-from lirs_validation.metrics.relative_pose_constraints import (
+from lirs_validation.metrics.alignment import associated, moved, planar, rigid_alignment, rms, wrapped
+from lirs_validation.metrics.relative_pose_error import (
     ConstraintErrors,
     RelativePoseConstraint,
     constraint_errors,

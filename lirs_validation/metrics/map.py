@@ -21,11 +21,11 @@ from lirs_validation.metrics.agreement import (
     agreement,
     cell_distance,
     decided,
+    map_ssim,
     sampled,
 )
 from lirs_validation.metrics.alignment import StartAlignment
 from lirs_validation.metrics.near_obstacles import near_obstacle
-from lirs_validation.metrics.ssim import map_ssim
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from lirs_validation.record.formatting import NOTHING, Entry, as_entry, significant, value_at
-from lirs_validation.record.odometry import ATE, ODOMETRY_ATE, WORSE, worse_than_odometry
+from lirs_validation.metrics.verdict import is_worse
+from lirs_validation.record.formatting import NOTHING, Entry, as_entry, significant, text_at, value_at
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.errors import unknown_name
 
@@ -22,6 +22,11 @@ Selection = Literal["picture", "runs", "summary", "compared", "distribution", "h
 """Where metrics are shown beside their section of the report: a run's picture, the table of runs on the
 screen, the summary of groups, comparisons unless others are named, the report's distributions, its medians
 on top."""
+ATE, ODOMETRY_ATE = "trajectory.ate_rmse", "trajectory.odometry_ate_rmse"
+"""Places of the mapper's and of the odometry's error in a record."""
+WORSE = "worse than its odometry"
+WORSE_MARK = "‡"
+"""Marks an ATE that is worse than the odometry's, in tables that have no room for the words."""
 MS, MM, PERCENT, DEGREES, MEGABYTE = 1e3, 1e3, 1e2, math.degrees(1.0), 1e-6
 
 
@@ -224,4 +229,20 @@ def picture_lines(record: RunRecord | Entry) -> list[tuple[str, str]]:
             lines.append((metric.title or metric.name, metric.formatted(value) + unit))
             if metric.key == ODOMETRY_ATE and worse_than_odometry(entry):
                 lines.append(("", WORSE))
+    return lines
+
+
+def worse_than_odometry(entry: Entry) -> bool:
+    """Whether a run's, a score's or a mapped log's ATE is larger than that of the odometry alone."""
+    return is_worse(value_at(entry, ATE), value_at(entry, ODOMETRY_ATE))
+
+
+def worse_lines(entries: Sequence[Entry]) -> list[str]:
+    """Return a line for each run whose mapper is worse than its odometry."""
+    lines = []
+    for entry in filter(worse_than_odometry, entries):
+        keys = ("world.name", "config.robot", "config.mapper")
+        run = f"{', '.join(text_at(entry, key) for key in keys)}, seed {text_at(entry, 'config.seed')}"
+        ate, odometry = value_at(entry, ATE), value_at(entry, ODOMETRY_ATE)
+        lines.append(f"{run}: {WORSE} (ATE {ate:.3f} m, odometry {odometry:.3f} m)")
     return lines

@@ -12,8 +12,14 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from lirs_validation.analysis.groups import RunGroup, unusual_fields
 from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.record.formatting import span
-from lirs_validation.record.metric_catalog import Section, metrics_selected, rtf_counts
-from lirs_validation.record.odometry import WORSE, WORSE_MARK, worse_than_odometry
+from lirs_validation.record.metric_catalog import (
+    WORSE,
+    WORSE_MARK,
+    Section,
+    metrics_selected,
+    rtf_counts,
+    worse_than_odometry,
+)
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.charts import AROUND, distribution_chart, rtf_chart
 from lirs_validation.report.contents import Report, seeds_text

@@ -17,9 +17,8 @@ from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.drawing.run_overview import error_picture, shown_bounds
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.agreement import contradicted
-from lirs_validation.metrics.spatial.elevation import ElevationMap
-from lirs_validation.metrics.spatial.elevation_file import ELEVATION, read_elevation
-from lirs_validation.record.result_files import maps_clouds
+from lirs_validation.metrics.elevation import ELEVATION, ElevationMap, read_elevation
+from lirs_validation.record.run_record import maps_clouds
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.drawing.canvas import Canvas, bounds_shown
 from lirs_wct.drawing.hillshade import shaded_heights

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any, get_args
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import RunConfig, run_name
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.record.provenance import versions
+from lirs_validation.record.provenance import is_stale, versions, world_files
 from lirs_validation.record.run_record import Status
-from lirs_validation.record.staleness import is_stale, world_files
 from lirs_validation.sweep.experiment import Outcome
 from lirs_validation.sweep.slam_experiment import world_name
 from lirs_wct.contact.contact_geometry import ContactGeometry
@@ -74,8 +73,7 @@ class CollisionExperiment:
         self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
     ) -> Outcome:
         """Check the contacts; a metric over its limit is a finding, and no failure of the experiment."""
-        from lirs_validation.collision.validation import check_collisions
-        from lirs_validation.collision.verdict_files import write_verdicts
+        from lirs_validation.collision.validation import check_collisions, write_verdicts
 
         progress("build", 0.0)
         world = scenarios.scenario(self.world_config).world

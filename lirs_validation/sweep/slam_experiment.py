@@ -13,16 +13,13 @@ from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import TOUR, RunConfig, driver_parts, run_name
 from lirs_validation.driving.choice import check_driver, driver_files
-from lirs_validation.experiment.clouds.guard import check_sensors
-from lirs_validation.experiment.mappers.loading import mapper_named, package_versions, source_file
+from lirs_validation.experiment.mapper_guard import check_sensors
+from lirs_validation.experiment.mapper_loading import mapper_named, package_versions, source_file
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.record.provenance import versions
-from lirs_validation.record.result_files import damaged_files, file_sizes
-from lirs_validation.record.run_record import RunRecord
+from lirs_validation.record.provenance import is_stale, same_source, versions, world_files
+from lirs_validation.record.run_record import RunRecord, damaged_files, file_sizes
 from lirs_validation.record.schema import read_whole_record
-from lirs_validation.record.source_files import same_source
-from lirs_validation.record.staleness import is_stale, world_files
 from lirs_validation.sweep.experiment import Outcome
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_folder

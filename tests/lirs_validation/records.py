@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lirs_validation.config import RunConfig
-from lirs_validation.record.result_files import WITH_RESULTS, file_sizes
-from lirs_validation.record.run_record import RunRecord, Status
+from lirs_validation.record.run_record import WITH_RESULTS, RunRecord, Status, file_sizes
 
 SECONDS = 30
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from lirs_validation.metrics import trajectory_errors
-from lirs_validation.metrics.planar import planar
-from lirs_validation.metrics.relative_pose_constraints import close_pairs, constraint_error_summary
+from lirs_validation.metrics.alignment import planar
 from lirs_validation.metrics.relative_pose_error import (
+    close_pairs,
+    constraint_error_summary,
     pairs_by_path,
     pairs_by_time,
     relative_pose_error,

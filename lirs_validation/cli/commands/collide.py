@@ -40,7 +40,7 @@ def collide(
 ) -> None:
     """Drive robots at random into everything, and evaluate every contact: penetration, energy, slopes."""
     from lirs_envs.robots.catalog import make_robot
-    from lirs_validation.collision.verdict_files import write_verdicts
+    from lirs_validation.collision.validation import write_verdicts
     from lirs_validation.report.tables.sweep_tables import verdicts_table
 
     robots = [make_robot(name) for name in read_names(robot, "--robot")]

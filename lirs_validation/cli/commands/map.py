@@ -38,8 +38,8 @@ def map_log(log: Log, output: Output = Path("out"), *, given: Annotated[dict[str
 
 def figures_table(record: MapRecord) -> Table:
     """Return the metrics of a mapped log, and what was wrong with it, as a table to print."""
-    from lirs_validation.record.map_formatting import map_lines, repair_lines
-    from lirs_validation.record.odometry import WORSE
+    from lirs_validation.record.map_record import map_lines, repair_lines
+    from lirs_validation.record.metric_catalog import WORSE
 
     table = Table(title=record.config.log, show_header=False, title_justify="left")
     for name, value in map_lines(record):

@@ -18,8 +18,7 @@ from weakref import finalize
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.cost import Cost
-from lirs_validation.experiment.feeding.answer import Answer, Place
-from lirs_validation.experiment.feeding.feeding import sensed
+from lirs_validation.experiment.feeding.feeding import Answer, Place, sensed
 from lirs_validation.experiment.feeding.packing import packed, unpacked_pose
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry.grid import OccupancyGrid

@@ -14,11 +14,11 @@ from contextlib import suppress
 from typing import Any
 
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.clouds.guard import guarded
 from lirs_validation.experiment.cost import Cost, CostMeter, compile_timer
-from lirs_validation.experiment.feeding.answer import answered
+from lirs_validation.experiment.feeding.feeding import answered
 from lirs_validation.experiment.feeding.packing import ScanBatch, packed_pose, unpacked
-from lirs_validation.experiment.mappers.loading import mapper_named, warm_up_mapper
+from lirs_validation.experiment.mapper_guard import guarded
+from lirs_validation.experiment.mapper_loading import mapper_named, warm_up_mapper
 from lirs_validation.interrupts import end_with
 from lirs_wct.errors import MapperError, WctError
 from lirs_wct.geometry.grid import OccupancyGrid

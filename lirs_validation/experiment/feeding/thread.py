@@ -12,9 +12,8 @@ from typing import Any
 from weakref import finalize
 
 from lirs_envs.sensing.sensors import Observation
-from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
-from lirs_validation.experiment.feeding.answer import Answer, AnyMapper, Place, answered
-from lirs_validation.experiment.feeding.feeding import sensed
+from lirs_validation.experiment.feeding.feeding import Answer, AnyMapper, Place, answered, sensed
+from lirs_validation.experiment.mapper_guard import GuardedCloudMapper
 
 SWITCH_INTERVAL = 2e-4
 """Seconds after which a thread in Python lets the other one have its turn; Python's own 5 ms are 7 ticks."""

@@ -16,8 +16,7 @@ from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Facts
 from lirs_validation.gui.session.playback import MapSnapshot, Moment, ate, scan_points
 from lirs_validation.gui.session.uploads import Limits
-from lirs_validation.record.result_files import maps_clouds
-from lirs_validation.record.run_record import read_record
+from lirs_validation.record.run_record import maps_clouds, read_record
 from lirs_wct.errors import SourceError, WctError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.map_server import read_map

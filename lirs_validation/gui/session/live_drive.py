@@ -10,10 +10,9 @@ from lirs_envs.robots.command import Twist, clip
 from lirs_envs.robots.robot import Robot
 from lirs_validation.config import MANUAL, RunConfig
 from lirs_validation.driving.driver import Driver, Frame
-from lirs_validation.experiment.clouds.guard import GuardedCloudMapper
-from lirs_validation.experiment.cost import CostMeter
-from lirs_validation.experiment.cpu_contention import cpu_contention
+from lirs_validation.experiment.cost import CostMeter, cpu_contention
 from lirs_validation.experiment.loop import Drive
+from lirs_validation.experiment.mapper_guard import GuardedCloudMapper
 from lirs_validation.experiment.run import Run, conclude, prepare
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Facts

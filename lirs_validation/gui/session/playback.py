@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from lirs_validation.gui.session.construction import Facts
-from lirs_validation.metrics.planar import rigid_alignment, rms
+from lirs_validation.metrics.alignment import rigid_alignment, rms
 from lirs_wct.arrays import ByteArray, Float32Array, FloatArray
 from lirs_wct.drawing.style import BLUE, VERMILLION, rgb
 from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid

@@ -14,8 +14,7 @@ from lirs_validation.analysis.compare import LEVEL, Comparison, Difference
 from lirs_validation.analysis.groups import FIELDS, RunGroup, distinguishing_fields
 from lirs_validation.analysis.score import Score
 from lirs_validation.record.formatting import NOTHING
-from lirs_validation.record.metric_catalog import metrics_in
-from lirs_validation.record.odometry import WORSE, worse_than_odometry
+from lirs_validation.record.metric_catalog import WORSE, metrics_in, worse_than_odometry
 from lirs_validation.report.tables.table import FittedTable, ReportTable
 from lirs_wct.files import atomic_write
 

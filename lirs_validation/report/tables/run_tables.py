@@ -24,18 +24,16 @@ from lirs_validation.analysis.statistics import repeats
 from lirs_validation.config import RUN_AXES
 from lirs_validation.record.formatting import Entry, as_entry, text_at
 from lirs_validation.record.metric_catalog import (
+    ATE,
+    ODOMETRY_ATE,
+    WORSE,
+    WORSE_MARK,
     Metric,
     Section,
     metrics_in,
     metrics_named,
     metrics_selected,
     rtf_counts,
-)
-from lirs_validation.record.odometry import (
-    ATE,
-    ODOMETRY_ATE,
-    WORSE,
-    WORSE_MARK,
     worse_lines,
     worse_than_odometry,
 )

@@ -15,7 +15,7 @@ import pytest
 from lirs_validation import cli, map_log, validate
 from lirs_validation.analysis.recorded_run import recorded_config
 from lirs_validation.analysis.result_folders import read_results
-from lirs_validation.record.result_files import WITH_RESULTS
+from lirs_validation.record.run_record import WITH_RESULTS
 from lirs_validation.report.contents import report_of
 from lirs_validation.report.tables.run_tables import results_table
 from lirs_validation.sweep.slam_experiment import SlamExperiment

@@ -15,7 +15,7 @@ from lirs_validation.analysis.recorded_run import recorded_world_config
 from lirs_validation.analysis.result_folders import RunFolder, read_results, read_run
 from lirs_validation.analysis.score import score
 from lirs_validation.config import RunConfig
-from lirs_validation.record.source_files import same_source, source_files
+from lirs_validation.record.provenance import same_source, source_files
 from lirs_validation.report.pictures import Painter
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.errors import SourceError

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lirs_envs.robots.catalog import ROBOTS
-from lirs_validation.driving.pace import driver_config
-from lirs_validation.driving.path_driver import DriverConfig
+from lirs_validation.driving.path_driver import DriverConfig, driver_config
 
 
 def test_a_husky_is_driven_as_ever() -> None:

@@ -11,14 +11,13 @@ from pathlib import Path
 import pytest
 from numba import njit
 
-from lirs_validation.experiment.cost import CostMeter, compile_timer
-from lirs_validation.experiment.cpu_contention import cpu_contention
+from lirs_validation.experiment.cost import CostMeter, compile_timer, cpu_contention
 from lirs_validation.interrupts import is_interrupt
 
 HOLD = """
 import sys, tempfile
 tempfile.tempdir = sys.argv[1]
-from lirs_validation.experiment.cpu_contention import cpu_contention
+from lirs_validation.experiment.cost import cpu_contention
 with cpu_contention() as others:
     print("in", flush=True)
     sys.stdin.readline()

@@ -9,7 +9,7 @@ import pytest
 
 from lirs_validation import cli, map_log, validate
 from lirs_validation.analysis.result_folders import read_run
-from lirs_validation.record.result_files import damaged_files
+from lirs_validation.record.run_record import damaged_files
 from lirs_validation.report.pictures import Painter
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.hector.mapper import HectorMapper

@@ -19,11 +19,11 @@ import pytest
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
 from lirs_validation import RunConfig, read_record, validate
-from lirs_validation.experiment.clouds.guard import guarded
 from lirs_validation.experiment.feeding.packing import packed, packed_pose, unpacked, unpacked_pose
 from lirs_validation.experiment.feeding.process import BATCH, MapperProcess
 from lirs_validation.experiment.loop import drive
-from lirs_validation.experiment.mappers.loading import mapper_named
+from lirs_validation.experiment.mapper_guard import guarded
+from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_validation.experiment.run import prepare
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct.errors import MapperError, SourceError

@@ -18,12 +18,13 @@ from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation import RunConfig, read_record, validate
 from lirs_validation.experiment import run as run_module
-from lirs_validation.experiment.loop import drive, per_second
-from lirs_validation.experiment.mappers.guard import GuardedMapper
+from lirs_validation.experiment.loop import drive
+from lirs_validation.experiment.mapper_guard import GuardedMapper
 from lirs_validation.experiment.run import Run
 from lirs_validation.experiment.scenario import build_scenario
+from lirs_validation.metrics.real_time_factor import per_second
+from lirs_validation.metrics.verdict import LOST_SECONDS
 from lirs_validation.record.run_record import RunRecord
-from lirs_validation.record.verdict import LOST_SECONDS
 from lirs_wct.errors import ConfigError, MapperError, SimulationError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum

@@ -24,7 +24,7 @@ from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.feeding.feeding import DirectFeeding, Feeding
 from lirs_validation.experiment.feeding.thread import ThreadFeeding
 from lirs_validation.experiment.loop import Drive, drive
-from lirs_validation.experiment.mappers.guard import GuardedMapper
+from lirs_validation.experiment.mapper_guard import GuardedMapper
 from lirs_validation.experiment.run import prepare, run
 from lirs_validation.record.schema import schema_error
 from lirs_validation.sweep.engines import Processes

@@ -18,7 +18,7 @@ from lirs_wct.formats.carmen.writer import write_log
 from lirs_wct.formats.imu_csv import write_imu
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
-from tests.lirs_validation.experiment.mappers.test_attitude import NOTING
+from tests.lirs_validation.experiment.test_attitude import NOTING
 
 MOUNT = Pose3.from_rpy(0.22, -0.05, 0.4, 0.0, 0.1, 0.3)
 SCANS = 20

@@ -15,7 +15,7 @@ from lirs_validation import cli, resolve_source
 from lirs_validation.analysis.result_folders import read_results
 from lirs_validation.config import SourceOptions
 from lirs_validation.experiment.run import validate
-from lirs_validation.record.staleness import is_stale
+from lirs_validation.record.provenance import is_stale
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import SourceError
 from lirs_wct.geometry.pose import Pose2

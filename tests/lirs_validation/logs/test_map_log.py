@@ -14,8 +14,8 @@ import pytest
 from benchmarks.degraded_logs import thin
 from lirs_validation import map_log
 from lirs_validation.config import MapConfig
-from lirs_validation.record.map_formatting import map_lines
-from lirs_validation.record.odometry import WORSE
+from lirs_validation.record.map_record import map_lines
+from lirs_validation.record.metric_catalog import WORSE
 from lirs_wct.errors import ConfigError, MapperError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum, write_tum

@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lirs_validation.logs.truth import reference_in_time, relations_in_time
-from lirs_validation.metrics.relative_pose_constraints import RelativePoseConstraint
+from lirs_validation.logs.reference import reference_in_time, relations_in_time
+from lirs_validation.metrics.relative_pose_error import RelativePoseConstraint
 from lirs_wct.formats.laser_log import LineStamps
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lirs_validation.metrics.association import MAX_GAP, associated, nearest, scan_coverage
+from lirs_validation.metrics.alignment import MAX_GAP, associated, nearest, scan_coverage
 
 # Whole eighths: many stamps coincide and lie halfway, and nothing is rounded.
 stamps = st.lists(st.integers(-40, 40), unique=True, max_size=12).map(lambda k: np.array(sorted(k)) / 8)

@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 
+from lirs_validation.metrics.alignment import rms
 from lirs_validation.metrics.log_accuracy import (
     Accuracy,
     ReferenceErrors,
     reference_errors,
     trajectory_accuracy,
 )
-from lirs_validation.metrics.planar import rms
-from lirs_validation.metrics.relative_pose_constraints import ConstraintErrors, RelativePoseConstraint
+from lirs_validation.metrics.relative_pose_error import ConstraintErrors, RelativePoseConstraint
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from lirs_validation.metrics.planar import motion, moved, planar, rigid_alignment, rms, wrapped
+from lirs_validation.metrics.alignment import motion, moved, planar, rigid_alignment, rms, wrapped
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.trajectory import Trajectory
 

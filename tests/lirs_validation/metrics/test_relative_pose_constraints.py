@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lirs_validation.metrics.relative_pose_constraints import (
+from lirs_validation.metrics.relative_pose_error import (
     RelativePoseConstraint,
     close_pairs,
     constraint_error_summary,

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lirs_validation.metrics.ssim import as_picture, map_ssim, similarity
+from lirs_validation.metrics.agreement import as_picture, map_ssim, similarity
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 

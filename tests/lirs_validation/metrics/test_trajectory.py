@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lirs_validation.metrics import associated, rigid_alignment, trajectory_errors
-from lirs_validation.metrics.planar import planar
-from lirs_validation.metrics.relative_pose_constraints import (
+from lirs_validation.metrics.alignment import planar
+from lirs_validation.metrics.relative_pose_error import (
     RelativePoseConstraint,
     close_pairs,
     constraint_errors,

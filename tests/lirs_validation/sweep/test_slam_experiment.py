@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 
 from lirs_validation.config import RunConfig
-from lirs_validation.record.result_files import WITH_RESULTS
-from lirs_validation.record.run_record import Status, read_record
+from lirs_validation.record.provenance import source_files
+from lirs_validation.record.run_record import WITH_RESULTS, Status, read_record
 from lirs_validation.record.schema import read_whole_record
-from lirs_validation.record.source_files import source_files
 from lirs_validation.sweep.engines import Processes, Serial
 from lirs_validation.sweep.experiment import Outcome
 from lirs_validation.sweep.slam_experiment import SlamExperiment

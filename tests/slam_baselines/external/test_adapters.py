@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lirs_validation.metrics.spatial.trajectory import spatial_errors
+from lirs_validation.metrics.trajectory import spatial_errors
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.cloud import PointCloud

@@ -13,7 +13,7 @@ from lirs_validation.logs.reference import read_reference
 from lirs_validation.metrics.agreement import agreement
 from lirs_validation.metrics.log_accuracy import reference_errors
 from lirs_validation.metrics.map import false_occupied
-from lirs_validation.metrics.relative_pose_constraints import constraint_errors, read_constraints
+from lirs_validation.metrics.relative_pose_error import constraint_errors, read_constraints
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.geometry.pose import Pose2

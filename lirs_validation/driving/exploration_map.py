@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lirs_validation.driving.planning.clearance import path_weight, room_in
+from lirs_validation.driving.paths import path_weight, room_in
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.geometry.grid import OCCUPIED, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2

@@ -14,6 +14,8 @@ LOST_SCANS = 10
 LOST_SHARE = 0.05
 """... and so has one that does not know it for more than this share of the scans, or whose trajectory puts
 more than this share of them where they contradict other passes."""
+VISIBLE = 0.0005
+"""Meters that an ATE must exceed the odometry's to be visibly worse."""
 
 
 class LostRule:
@@ -92,3 +94,8 @@ def inconsistency(contradicted: float | None) -> str | None:
         f"{100 * contradicted:.1f} % of the scans end in space that other passes saw free, "
         f"at most {100 * LOST_SHARE:g} % may"
     )
+
+
+def is_worse(ate: float | None, odometry: float | None) -> bool:
+    """Return whether an ATE is visibly larger than the odometry's; False if one is None."""
+    return ate is not None and odometry is not None and ate > odometry + VISIBLE

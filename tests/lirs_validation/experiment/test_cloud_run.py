@@ -15,14 +15,11 @@ from lirs_validation import Run, validate
 from lirs_validation.analysis.result_folders import read_results
 from lirs_validation.config import RunConfig
 from lirs_validation.drawing.run_overview import FULL, error_picture
-from lirs_validation.experiment.clouds.guard import GuardedCloudMapper, check_sensors, guarded
-from lirs_validation.experiment.mappers.guard import GuardedMapper
-from lirs_validation.experiment.mappers.loading import mapper_named, package_versions
+from lirs_validation.experiment.mapper_guard import GuardedCloudMapper, GuardedMapper, check_sensors, guarded
+from lirs_validation.experiment.mapper_loading import mapper_named, package_versions
 from lirs_validation.gui.session.finished_run import FinishedRun
-from lirs_validation.metrics.spatial.elevation import ElevationMap
-from lirs_validation.metrics.spatial.elevation_file import read_elevation
-from lirs_validation.record.result_files import damaged_files
-from lirs_validation.record.run_record import read_record
+from lirs_validation.metrics.elevation import ElevationMap, read_elevation
+from lirs_validation.record.run_record import damaged_files, read_record
 from lirs_validation.record.schema import schema_error
 from lirs_validation.report.contents import report_of
 from lirs_validation.report.page import page
@@ -38,7 +35,7 @@ from lirs_wct.geometry.scan import Imu
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.mapper import CLOUD_MAPPERS, MapperStats, make_mapper
 
-ROOT = Path(__file__).resolve().parents[4]
+ROOT = Path(__file__).resolve().parents[3]
 MODULE = """
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.trajectory import Trajectory

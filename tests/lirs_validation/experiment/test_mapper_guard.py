@@ -12,14 +12,14 @@ import pytest
 
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation import cli, map_log, validate
-from lirs_validation.experiment.mappers.guard import GuardedMapper
+from lirs_validation.experiment.mapper_guard import GuardedMapper
 from lirs_validation.record.run_record import read_record
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 from slam_baselines.mapper import MapperStats, make_mapper
 
-ROOT = Path(__file__).resolve().parents[4]
+ROOT = Path(__file__).resolve().parents[3]
 CHEAT = '''
 import os
 import sys

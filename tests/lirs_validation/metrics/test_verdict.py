@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import pytest
 
-from lirs_validation.record.verdict import LostRule, incompleteness, inconsistency
+from lirs_validation.metrics.verdict import LostRule, incompleteness, inconsistency
 
 
 def judged(flags: Iterable[bool], period: float = 0.1) -> str | None:

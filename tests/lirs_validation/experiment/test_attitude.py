@@ -9,7 +9,7 @@ import pytest
 
 from lirs_validation import validate
 from lirs_validation.config import ATTITUDES, Attitude, RunConfig
-from lirs_validation.experiment.mappers.attitude import with_attitude
+from lirs_validation.experiment.mapper_guard import with_attitude
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.imu_csv import read_imu
 from slam_baselines.mapper import make_mapper, requires_odometry

@@ -7,8 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation.metrics.spatial.elevation import CELL, ElevationMap, elevation_map, elevation_scores
-from lirs_validation.metrics.spatial.elevation_file import read_elevation, write_elevation
+from lirs_validation.metrics.elevation import (
+    CELL,
+    ElevationMap,
+    elevation_map,
+    elevation_scores,
+    read_elevation,
+    write_elevation,
+)
 from lirs_wct.errors import SourceError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from lirs_validation import validate
-from lirs_validation.experiment.mappers import checks
-from lirs_validation.experiment.mappers.loading import RESOLUTION, mapper_named, source_file
+from lirs_validation.experiment import mapper_guard
+from lirs_validation.experiment.mapper_loading import RESOLUTION, mapper_named, source_file
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
 
-ROOT = Path(__file__).resolve().parents[4]
+ROOT = Path(__file__).resolve().parents[3]
 MODULE = """
 from slam_baselines.mapper import MapperStats
 
@@ -105,7 +105,7 @@ def test_what_is_no_mapper_is_said_in_one_line(name: str, message: str) -> None:
 @pytest.mark.parametrize("wrong", [Pose2(math.nan, 0, 0), Pose2(0, math.inf, 0), Pose2(0, 0, math.nan)])
 def test_a_pose_that_is_not_finite_is_named_by_its_scan(wrong: Pose2) -> None:
     with pytest.raises(MapperError, match=r"finite pose, got x .* for the scan at 1\.240 s"):
-        checks.check_pose(wrong, 1.24)
+        mapper_guard.check_pose(wrong, 1.24)
 
 
 def test_what_a_mapper_hands_over_is_looked_at() -> None:
@@ -119,14 +119,14 @@ def test_what_a_mapper_hands_over_is_looked_at() -> None:
             return Trajectory.from_poses([0.0, 0.5], [Pose2(), Pose2(math.nan, 0, 0)])
 
     for look, message in (
-        (checks.final_map, "OccupancyGrid, got ndarray"),
-        (checks.final_stats, "MapperStats, got dict"),
-        (checks.final_trajectory, r"not finite at 0\.500 s"),
+        (mapper_guard.final_map, "OccupancyGrid, got ndarray"),
+        (mapper_guard.final_stats, "MapperStats, got dict"),
+        (mapper_guard.final_trajectory, r"not finite at 0\.500 s"),
     ):
         with pytest.raises(MapperError, match=message):
             look(Wrong())  # type: ignore[arg-type]
     with pytest.raises(MapperError, match="Pose2, got tuple"):
-        checks.check_pose((0, 0, 0), 0.0)
+        mapper_guard.check_pose((0, 0, 0), 0.0)
 
 
 def test_the_documented_mapper_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,183 @@
+"""How much room cells leave, and what it costs to drive where there is little."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.kernels import njit
+
+COMFORTABLE = 0.6
+"""Distance to blocked cells that a path likes to keep, meters."""
+NARROW = 6.0
+"""How many times longer a meter feels where there is no room at all."""
+
+
+def room_in(free: BoolArray, resolution: float) -> FloatArray:
+    """Return (rows, cols) meters from each free cell to the nearest other or the border; 0 where not free."""
+    padded = np.pad(free, 1).astype(np.uint8)
+    distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    return np.where(free, distance * resolution, 0.0)
+
+
+def path_weight(
+    free: BoolArray, room: FloatArray, comfortable: float = COMFORTABLE, narrow: float = NARROW
+) -> FloatArray:
+    """Return (rows, cols) what a meter costs: 1 where there is room, up to `narrow`, inf where not free."""
+    lack = 1 - np.minimum(room / comfortable, 1.0)
+    return np.where(free, 1 + (narrow - 1) * lack**2, np.inf)
+
+
+def room_at(grid: OccupancyGrid, room: FloatArray, points: FloatArray) -> FloatArray:
+    """Return (n,) the room at points (n, 2) in the grid's frame; that of the nearest cell outside."""
+    cells = np.clip(grid.cells(points), 0, np.array(room.shape) - 1)
+    return room[cells[:, 0], cells[:, 1]]
+
+
+def area_round(grid: OccupancyGrid, start: Pose2) -> BoolArray:
+    """Return (rows, cols) the connected free area nearest to a pose.
+
+    Raises:
+        ConfigError: no cell is free.
+    """
+    _, labels = cv2.connectedComponents(grid.free.astype(np.uint8), connectivity=4)
+    if not labels.any():
+        raise ConfigError("a tour needs at least one free cell, got a grid without any")
+    row, col = nearest(labels > 0, grid.cells((start.x, start.y)))
+    area: BoolArray = labels == labels[row, col]
+    return area
+
+
+def nearest(mask: BoolArray, cell: IntArray) -> IntArray:
+    """Return (2,) row and column of the marked cell nearest to a cell, which may lie outside."""
+    cells = np.argwhere(mask).astype(np.int64)
+    found: IntArray = cells[int(np.argmin(np.sum((cells - cell) ** 2, axis=1)))]
+    return found
+
+
+def cells_ahead(grid: OccupancyGrid, free: BoolArray, start: Pose2, distance: float) -> IntArray:
+    """Return (n, 2) rows and columns on a straight line: the free cell nearest to a pose, then on.
+
+    Args:
+        grid: the frame of the cells.
+        free: (rows, cols); the line ends before the first cell that is not free.
+        start: pose in the grid's frame; its yaw gives the direction.
+        distance: meters.
+    """
+    first = nearest(free, grid.cells((start.x, start.y)))
+    x, y = grid.centers(first).tolist()
+    steps = np.arange(1, int(distance / grid.resolution) + 1) * grid.resolution
+    line = Pose2(x, y, start.yaw).apply(np.column_stack((steps, np.zeros_like(steps))))
+    cells = np.concatenate((first[None], grid.cells(line)))
+    inside = np.all((cells >= 0) & (cells < np.array(grid.shape)), axis=1)
+    held = np.where(inside[:, None], cells, 0)
+    blocked = np.flatnonzero(~(inside & free[held[:, 0], held[:, 1]]))
+    return cells[: blocked[0]] if len(blocked) else cells
+
+
+def penalize_behind(weight: FloatArray, cell: IntArray, heading: float, radius: float) -> FloatArray:
+    """Return weights with a penalty on the ground just behind a robot: a path then turns round in an arc.
+
+    Args:
+        weight: (rows, cols) cost of a meter in each cell.
+        cell: (2,) row and column of the robot.
+        heading: in the grid's own frame (columns along x), radians.
+        radius: of the half disc behind it, cells.
+    """
+    reach = math.ceil(radius)
+    low, high = np.maximum(cell - reach, 0), np.minimum(cell + reach + 1, weight.shape)
+    box = (slice(low[0], high[0]), slice(low[1], high[1]))
+    row, col = np.ogrid[box]
+    distance = np.hypot(col - cell[1], row - cell[0])
+    ahead = (col - cell[1]) * math.cos(heading) + (row - cell[0]) * math.sin(heading)
+    changed = weight.copy()
+    changed[box][(distance <= radius) & (ahead < -0.2 * distance)] *= 10.0
+    return changed
+
+
+SPACING = 0.1
+"""Meters between the points of a path."""
+
+
+def smoothed(
+    points: FloatArray,
+    grid: OccupancyGrid,
+    room: FloatArray,
+    *,
+    keep: float,
+    hold: int = 0,
+    iterations: int = 250,
+) -> FloatArray:
+    """Pull a path tight like a rubber band that keeps its distance from what is blocked.
+
+    Each iteration moves each point towards the middle of its neighbors (Laplacian smoothing) unless the
+    new place has less room than before and less than `keep`.
+
+    Args:
+        points: (n, 2) meters in the grid's frame, in free cells.
+        grid: the cells.
+        room: (rows, cols) meters to the nearest blocked cell, 0 where blocked.
+        keep: room in meters beyond which a point may move freely.
+        hold: points at the beginning that stay where they are.
+        iterations: how long to pull.
+    """
+    held = float(arc_length(points)[min(hold, len(points) - 1)])
+    path = resampled(points, SPACING)
+    if len(path) < 3:
+        return path
+    local = grid.origin.inverse().apply(path) / grid.resolution
+    tight = _pull(np.ascontiguousarray(local), room, keep, 1 + round(held / SPACING), iterations)
+    return resampled(grid.origin.apply(tight * grid.resolution), SPACING)
+
+
+def resampled(points: FloatArray, spacing: float) -> FloatArray:
+    """Return points about `spacing` apart along a polyline (n, 2), both ends kept."""
+    arc = arc_length(points)
+    if len(points) < 2 or arc[-1] < 1e-9:
+        return points[:1].copy()
+    kept = np.concatenate(([True], np.diff(arc) > 1e-9))
+    count = max(2, math.ceil(arc[-1] / spacing - 1e-9) + 1)
+    at = np.linspace(0.0, arc[-1], count)
+    return np.column_stack([np.interp(at, arc[kept], points[kept, k]) for k in range(2)])
+
+
+def arc_length(points: FloatArray) -> FloatArray:
+    """Return (n,) meters along a polyline (n, 2)."""
+    return np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
+
+
+def curvature(points: FloatArray, baseline: int = 3) -> FloatArray:
+    """Return (n,) 1/m: change of direction over `baseline` steps on both sides, by the distance."""
+    n = len(points)
+    i = np.arange(n)
+    before, after = points[np.maximum(i - baseline, 0)], points[np.minimum(i + baseline, n - 1)]
+    a, b = points - before, after - points
+    turn = np.abs(np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.sum(a * b, axis=1)))
+    length = (np.linalg.norm(a, axis=1) + np.linalg.norm(b, axis=1)) / 2
+    ends = (i == 0) | (i == n - 1) | (length < 1e-9)
+    bend: FloatArray = np.where(ends, 0.0, turn / np.where(ends, 1.0, length))
+    return bend
+
+
+@njit(cache=True)
+def _pull(points: FloatArray, room: FloatArray, keep: float, first: int, iterations: int) -> FloatArray:
+    """Smooth points given in cells (column, row) from the first one on; the last stays."""
+    rows, cols = room.shape
+    p = points.copy()
+    for _ in range(iterations):
+        for k in range(first, len(p) - 1):
+            x = p[k, 0] + 0.5 * (0.5 * (p[k - 1, 0] + p[k + 1, 0]) - p[k, 0])
+            y = p[k, 1] + 0.5 * (0.5 * (p[k - 1, 1] + p[k + 1, 1]) - p[k, 1])
+            c, r = math.floor(x), math.floor(y)
+            if r < 0 or c < 0 or r >= rows or c >= cols:
+                continue
+            old = room[math.floor(p[k, 1]), math.floor(p[k, 0])]
+            if room[r, c] > 0 and room[r, c] >= min(old, keep):
+                p[k, 0], p[k, 1] = x, y
+    return p

@@ -1,1 +1,0 @@
-"""Paths over the cells of a grid: search, clearance, coverage, smoothing."""
