@@ -8,7 +8,9 @@ from gymnasium.envs.registration import register
 
 
 def _choose_opengl() -> None:
-    """Let MuJoCo render without a screen where EGL is installed; it decides when it is imported.
+    """Select EGL for MuJoCo where no screen exists and EGL is installed.
+
+    MuJoCo reads the variable when it is imported.
 
     Where EGL is missing nothing is set: with EGL asked for, MuJoCo could not even be imported.
     """

@@ -88,7 +88,7 @@ class ContactMonitor:
 def contact_state(
     distance: FloatArray, pairs: Int32Array, points: FloatArray, centers: FloatArray, drops: FloatArray
 ) -> tuple[float, bool]:
-    """Return the deepest of the robot's contacts, meters, and whether one of them is a collision.
+    """Return the deepest contact of the robot, meters, and whether any is a collision.
 
     The ground's and walls' geoms come after the robot's or before; a contact has one of each.
     """
@@ -129,7 +129,7 @@ def check_divergence(data: mujoco.MjData) -> None:
 
 @njit(cache=True, nogil=True)
 def is_sound(warned: Int32Array, kinds: IntArray, qpos: FloatArray, qvel: FloatArray) -> bool:
-    """Return whether a state is finite and MuJoCo has given no warning (n,) of some kinds."""
+    """Return whether a state is finite and MuJoCo gave none of some warnings (n,)."""
     for kind in kinds:
         if warned[kind]:
             return False

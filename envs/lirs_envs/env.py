@@ -20,7 +20,7 @@ ROW = np.zeros(1, np.int64)
 
 
 class RobotEnv(gym.Env[Observed, Float32Array]):
-    """One robot with a task; the vector of N such environments does the same to the bit.
+    """One robot with a task; bit-equal to one row of the vector environment.
 
     Observation: a dict of the groups in `observe` (see `lirs_envs.episodes.observations.GROUPS`).
 

@@ -68,7 +68,7 @@ def check_fit(world: object, robot: object) -> None:
 
 
 def standing_pose(world: World, robot: Robot, start: Pose2) -> Pose3:
-    """Return the pose just above the ground in which a robot can be let go to stand at `start`.
+    """Return the pose just above the ground from which a robot is released at `start`.
 
     Raises:
         SimulationError: the robot would not stand there: off the world, in a wall, on an obstacle, too steep.
@@ -103,7 +103,7 @@ def standing_pose(world: World, robot: Robot, start: Pose2) -> Pose3:
 
 
 def _attitude_on(a: float, b: float, yaw: float) -> tuple[float, float]:
-    """Return roll and pitch of a robot that stands on the plane z = a x + b y, radians."""
+    """Return roll and pitch, radians, on the plane z = a x + b y."""
     forward = a * math.cos(yaw) + b * math.sin(yaw)
     left = b * math.cos(yaw) - a * math.sin(yaw)
     pitch = -math.atan(forward)

@@ -43,7 +43,7 @@ class PolicyContext:
 
     @staticmethod
     def of(config: EnvConfig, seed: int = 0) -> PolicyContext:
-        """Return what the options of an environment mean for its policies."""
+        """Return the context of a policy from an environment's options."""
         simulation = config.simulation
         return PolicyContext(
             robot=simulation.robot, lidar=simulation.preset, period=1 / config.control_hz, seed=seed

@@ -1,4 +1,4 @@
-"""A robot and a world as one compiled MuJoCo model, and its state as values of the world frame."""
+"""Robot and world as one compiled MuJoCo model, with state in the world frame."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ class RobotModel:
         self._make_views()
 
     def replace_surface(self, surface: HeightField) -> None:
-        """Write other heights into the ground that is touched, where the model has a height range.
+        """Replace the heights of the contact ground; the model needs a height range.
 
         Raises:
             ConfigError: they do not fit (see `lirs_wct.export.mjcf.write_heights`).
@@ -225,7 +225,9 @@ class RobotModel:
     def settle(
         self, T_world_base: Pose3, walkers: Walkers | None = None, *, seconds: float = SETTLING_TIME
     ) -> None:
-        """Let the robot go in a pose with its wheels held, and wait; the time then is 0.
+        """Release the robot in a pose with its wheels held, and settle.
+
+        The time is 0 afterwards.
 
         A robot that flies begins in the air, with the thrust that carries it. Walkers stand.
         """
@@ -255,7 +257,7 @@ class RobotModel:
         *,
         reference: bool = False,
     ) -> tuple[float, Pose3]:
-        """Step from a state with given controls, one each control update; put the present state back.
+        """Step from a state with given controls, one per control update; restore the present state.
 
         Walkers walk on from where they are.
 
@@ -306,7 +308,7 @@ class RobotModel:
 
 
 def shorten_timestep(spec: mujoco.MjSpec, longest: float) -> None:
-    """Make a robot's step at most so long, seconds; kv * timestep of its wheels' servos stays."""
+    """Limit a robot's time step, seconds; kv * timestep of its wheel servos stays constant."""
     factor = spec.option.timestep / longest
     if factor <= 1:
         return
@@ -335,7 +337,10 @@ def is_tipped(T_world_base: Pose3) -> bool:
 
 
 def _add_contact_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Add sensors that count contacts, and of wheels where they are; MuJoCo's batches show none otherwise."""
+    """Add contact sensors, and position sensors of the wheels.
+
+    MuJoCo's batches provide no contacts otherwise.
+    """
     wheels = {*robot.left_wheels, *robot.right_wheels}
     found, point = (
         1 << int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{name}")) for name in ("FOUND", "POS")

@@ -57,7 +57,10 @@ def _check(one: RobotVectorEnv, first: RobotVectorEnv) -> None:
 
 
 def _adapter(base: Any) -> Any:
-    """Return the adapter as a subclass of `VecEnv`, which is not there where the package is missing."""
+    """Return the adapter as a subclass of Stable-Baselines3's `VecEnv`.
+
+    The class is created on demand because the package is optional.
+    """
     return type("RobotVecEnv", (_RobotVecEnv, base), {})
 
 
@@ -162,7 +165,7 @@ def _joined(observations: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def split_infos(infos: dict[str, Any], count: int) -> list[dict[str, Any]]:
-    """Return a vector's infos as one dict for each environment, of the keys that it has."""
+    """Return a vector's infos as one dict per environment, with its own keys."""
     rows: list[dict[str, Any]] = [{} for _ in range(count)]
     for name, values in infos.items():
         mask = infos.get(f"_{name}")

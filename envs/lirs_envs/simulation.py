@@ -109,7 +109,7 @@ class Simulation:
 
     @property
     def _walker_bodies(self) -> int:
-        """How many walkers MuJoCo has a body of: its own rays are to meet all of them."""
+        """Number of walkers with a MuJoCo body; with MuJoCo's rays, all of them."""
         actors = self.config.actors
         return actors if self.config.rays == "mujoco" else min(actors, TOUCHABLE)
 
@@ -235,20 +235,20 @@ class Simulation:
 
     @property
     def walker_beams(self) -> BoolArray | None:
-        """(beams,) which beams of the last scan met a walker; None = there are no walkers."""
+        """(beams,) mask of the last scan's beams that hit a walker; None without walkers."""
         met = self.caster.met if isinstance(self.caster, WalkerCaster) else None
         return None if met is None else met[self.preset.horizon_beams].copy()
 
     @property
     def walker_points(self) -> BoolArray | None:
-        """(n,) which points of the last cloud lie on a walker; None = there are no walkers, or no cloud."""
+        """(n,) mask of the last cloud's points on a walker. None without walkers or cloud."""
         if not isinstance(self.caster, WalkerCaster) or self.preset.rings == 1:
             return None
         return self.caster.met[self._sensors.returned]
 
     @property
     def contact(self) -> ContactGrid:
-        """The grid that wheels touch, and by how much it differs from the surface that the lidar sees."""
+        """Contact grid of the wheels, with its deviation from the lidar's surface."""
         return self.body.contact
 
     @property
@@ -258,7 +258,10 @@ class Simulation:
 
     @property
     def controls(self) -> FloatArray:
-        """(n, 2) speeds of left and right wheels, rad/s, or (n, rotors) thrusts, newtons; a row an update."""
+        """(n, 2) wheel speeds, left and right, rad/s, or (n, rotors) thrusts, newtons.
+
+        There is one row per control update.
+        """
         return self._controls.as_array()
 
     def replay(self, *, reference: bool = False) -> PhysicsReplay:

@@ -22,7 +22,7 @@ Stepped = tuple[Observed, FloatArray, BoolArray, BoolArray, dict[str, Any]]
 
 
 class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
-    """N robots, each in an environment of its own: N times `RobotEnv` to the bit, at any number of threads.
+    """N robots in separate environments, bit-equal to N times `RobotEnv` at any thread count.
 
     A reset with seed s seeds environment i with s + i, as Gymnasium's vectors do. `call`, `get_attr` and
     `set_attr` reach the attributes of each `EpisodeView`, such as `difficulty`.
@@ -112,7 +112,9 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         return self._observed(), self._infos(ids)
 
     def step(self, actions: Any) -> Stepped:
-        """Act for one period in all environments; what becomes of those that end is the autoreset mode's.
+        """Act for one period in all environments.
+
+        The autoreset mode decides about episodes that end.
 
         Raises:
             ConfigError: the actions have a wrong shape, or one is not finite.
@@ -155,7 +157,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         self._over[ids] = False
 
     def render(self) -> tuple[Any, ...] | None:
-        """Return what the render mode shows of each environment (see `RobotEnv.render`)."""
+        """Return the picture of each environment (see `RobotEnv.render`)."""
         if self.render_mode is None:
             return None
         worlds, shown = self.episodes.simulation.worlds, []
@@ -169,7 +171,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         return tuple(shown)
 
     def close_extras(self, **_: Any) -> None:
-        """Free what OpenGL holds, and the threads."""
+        """Release OpenGL resources and threads."""
         for views in self._pictures:
             views.close()
         self.episodes.simulation.close()
@@ -184,7 +186,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         return self.call(name)
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Set an attribute of each environment's view: to one value, or to each of a list or tuple.
+        """Set an attribute of each view, to one value or one per environment.
 
         Raises:
             ConfigError: the number of values is not N.

@@ -39,7 +39,7 @@ Disc = tuple[float, float, float]
 
 
 def walkable_ground(world: World) -> OccupancyGrid:
-    """Return where walkers can be: the largest connected area of a world that is free for them.
+    """Return the ground for walkers: the largest connected free area of a world.
 
     Raises:
         SimulationError: there is none.
@@ -54,7 +54,7 @@ def walkable_ground(world: World) -> OccupancyGrid:
 def draw_paths(
     ground: OccupancyGrid, count: int, rng: np.random.Generator, keep_out: Iterable[Disc] = ()
 ) -> FloatArray:
-    """Return (count, WAY_POINTS, 2) way points, x and y; the legs between them lie on free ground.
+    """Return (count, WAY_POINTS, 2) way points, x and y, joined by free legs.
 
     A path that ends early has its last way point again.
 
@@ -180,7 +180,9 @@ class Walkers:
         self._direction = np.ones(count, np.int64)
 
     def reset(self, start: Pose2, rng: np.random.Generator) -> None:
-        """Draw new paths that keep off the robot's start, speeds, and where on its path each walker begins.
+        """Draw paths, speeds and initial positions of the walkers.
+
+        The paths keep away from the robot's start.
 
         Raises:
             SimulationError: no free ground is left.

@@ -20,7 +20,7 @@ from lirs_wct.geometry.scan import Imu, LaserScan
 
 
 class Curriculum(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """Raises the difficulty of an environment where enough of its last episodes succeeded, else lowers it.
+    """Curriculum: raise or lower the difficulty by the recent success rate.
 
     After each `episodes` episodes at a difficulty: with at least `raise_at` of them successful it goes up by
     `step`, with at most `lower_at` down. `info["difficulty"]` of a reset tells the one of the episode.
@@ -174,7 +174,7 @@ class MapObservation(gym.Wrapper[Any, Any, Any, Any]):
 
 
 def local_map(grid: OccupancyGrid, T_map_base: Pose2, cells: int, cell: float) -> ByteArray:
-    """Return (1, cells, cells) of a map around a pose: row 0 = ahead, column 0 = left."""
+    """Return the map (1, cells, cells) around a pose. Row 0 = ahead, column 0 = left."""
     offset = ((cells - 1) / 2 - np.arange(cells)) * cell
     ahead, left = np.meshgrid(offset, offset, indexing="ij")
     at = grid.cells(T_map_base.apply(np.stack((ahead, left), axis=-1)))

@@ -151,7 +151,10 @@ class Bodies:
 
 
 def _contact_sensors(body: RobotModel) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return addresses of the body's sensors (n,) and the wheels' (m, 2), contacts and center; drops (m,)."""
+    """Return addresses of the contact sensors, and the drops (m,).
+
+    The addresses are those of the body's sensors (n,) and of the wheels' contacts and centers (m, 2).
+    """
     model, touch, wheels, drops = body.model, list[int](), list[tuple[int, int]](), list[float]()
     for sensor in (model.sensor(i) for i in range(model.nsensor)):
         if sensor.name.startswith(CONTACT_SENSOR):

@@ -12,7 +12,7 @@ from lirs_wct.kernels import njit
 
 
 class WheelJoints(NamedTuple):
-    """Where `qpos` holds the angles of the driven wheels, and their radius, meters."""
+    """Addresses of the driven wheels' angles in `qpos`, and the wheel radius, meters."""
 
     left: IntArray
     right: IntArray
@@ -42,7 +42,7 @@ class WheelOdometries:
     def integrate(
         self, ids: IntArray, qpos: FloatArray, rates: FloatArray, attitude: FloatArray, dt: float
     ) -> None:
-        """Add the motion of the last `dt` seconds; `rates` (N, 3) and `attitude` (N, 2) are measured."""
+        """Add the motion of the last `dt` seconds. `rates` (N, 3) and `attitude` (N, 2) are measured."""
         noises = self._noises
         if self._used_up:
             noises.draw()
@@ -72,7 +72,9 @@ def integrate_wheels(
     angles: FloatArray,
     pose: FloatArray,
 ) -> bool:
-    """Add the motion since the last update to `pose` (N, 3); `angles` (N, 2) of the wheels go on.
+    """Add the motion since the last update to `pose` (N, 3).
+
+    The wheel `angles` (N, 2) are updated.
 
     Return whether the normal numbers of one robot are used up.
     """

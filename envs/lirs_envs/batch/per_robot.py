@@ -1,4 +1,4 @@
-"""Control and odometry that are objects of their own for each robot: flight, and the Kalman filter."""
+"""Control and odometry with one object per robot: flight, and the Kalman filter."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ class FlightControllers:
     def update(
         self, ids: IntArray, commands: FloatArray, rates: FloatArray, dt: float, ctrl: FloatArray
     ) -> None:
-        """Fill the controls (N, nu) to hold for `dt` seconds; commands (N, 3) are speed, turn rate, climb."""
+        """Fill the controls (N, nu) to hold for `dt` seconds.
+
+        Commands (N, 3) are speed, turn rate and climb.
+        """
         for i in ids.tolist():
             controller = self._controllers[i]
             assert controller is not None, "begin comes first"
@@ -60,7 +63,7 @@ class Odometries:
     def integrate(
         self, ids: IntArray, qpos: FloatArray, rates: FloatArray, attitude: FloatArray, dt: float
     ) -> None:
-        """Add the motion of the last `dt` seconds; `rates` (N, 3) and `attitude` (N, 2) are measured."""
+        """Add the motion of the last `dt` seconds. `rates` (N, 3) and `attitude` (N, 2) are measured."""
         for i in ids.tolist():
             odometry = self._odometries[i]
             assert odometry is not None, "begin comes first"

@@ -1,4 +1,7 @@
-"""Some robots of a batch, which one thread at a time advances: physics, control, gyro and odometry."""
+"""Group of a batch's robots that one thread at a time advances.
+
+A group holds physics, control, gyro and odometry.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ step."""
 
 
 class RobotGroup:
-    """Robots `rows` of a batch; row k of every array is that of its k-th robot.
+    """Robots `rows` of a batch; row k of every array is its k-th robot.
 
     Attributes:
         rows: of the batch.
@@ -63,7 +66,7 @@ class RobotGroup:
         return self._odometry.pose
 
     def begin(self, k: int, odometry: np.random.Generator, imu: np.random.Generator, dt: float) -> None:
-        """Begin anew with robot `k`, which stands where it is; its readings come every `dt` seconds."""
+        """Start robot `k` where it stands; its readings come every `dt` seconds."""
         bodies = self.bodies
         self.imu.begin(k, bodies.qpos, bodies.qvel, imu)
         self._odometry.begin(k, bodies.qpos, odometry)
@@ -72,7 +75,9 @@ class RobotGroup:
         self.touched[k] = False
 
     def advance(self, ids: IntArray, commands: FloatArray) -> dict[int, str]:
-        """Drive robots for one period; return why some of them cannot go on, whose odometry then stays.
+        """Drive robots for one period; return the errors of robots that diverged.
+
+        The odometry of a diverged robot keeps its last value.
 
         Args:
             ids: robots of the group, sorted.
@@ -112,7 +117,7 @@ class RobotGroup:
 def make_groups(
     config: SimulationConfig, body: RobotModel, world: World, count: int, *, threads: int, own_models: bool
 ) -> list[RobotGroup]:
-    """Return `count` robots in as many groups as there are threads, but of at least `LEAST` robots each.
+    """Return `count` robots in groups of at least `LEAST` robots, one group per thread.
 
     Threads that get no group of their own are the physics' of the groups.
     """

@@ -34,7 +34,7 @@ PARTS = 4
 
 
 class BatchSimulation:
-    """N robots of one kind, each alone in a world; row i of every array is robot i's.
+    """N robots of one kind, each alone in its world; array row i is robot i.
 
     What happens to a robot does not depend on the others, on their number or on the threads. Each thread
     drives a group of robots through the whole period, and then takes scans of any group that is due.
@@ -128,7 +128,7 @@ class BatchSimulation:
         return len(self.worlds)
 
     def model(self, i: int) -> mujoco.MjModel:
-        """Return the model of robot `i`; an edit of one that is its own takes effect by `model_changed`."""
+        """Return the model of robot `i`. Call `model_changed` after an edit of a robot's own model."""
         group, k = self._places[i]
         return group.bodies.models[k]
 
@@ -148,7 +148,7 @@ class BatchSimulation:
 
     @property
     def _walker_bodies(self) -> int:
-        """How many walkers MuJoCo has a body of: its own rays are to meet all of them."""
+        """Number of walkers with a MuJoCo body; with MuJoCo's rays, all of them."""
         actors = self.config.actors
         return actors if self.config.rays == "mujoco" else min(actors, TOUCHABLE)
 
@@ -241,7 +241,9 @@ class BatchSimulation:
     def advance(
         self, ids: IntArray, commands: FloatArray, after_scan: Callable[[IntArray], None] | None = None
     ) -> None:
-        """Drive robots for one period; those that diverge have their `errors` set and keep their readings.
+        """Drive robots for one period.
+
+        A robot that diverges has its `errors` entry set and keeps its readings.
 
         Args:
             ids: rows of the robots, sorted.
@@ -265,7 +267,7 @@ class BatchSimulation:
         self._threads.run([partial(drive, group) for group in self.groups])
 
     def _drive(self, group: RobotGroup, ids: IntArray, commands: FloatArray) -> IntArray:
-        """Drive the robots of a group that are among `ids`; return the rows of those whose scan is due."""
+        """Drive the robots of a group that are among `ids`; return rows due for scans."""
         rows = group.rows
         local = ids[(ids >= rows.start) & (ids < rows.stop)] - rows.start
         if not len(local):

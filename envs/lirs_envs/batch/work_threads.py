@@ -32,7 +32,10 @@ class WorkThreads:
             self._pool = None
 
     def run(self, pieces: Sequence[Work]) -> None:
-        """Do pieces of work, and those that they return, perhaps several at a time, until all are done."""
+        """Do pieces of work, and the pieces that they return, until all are done.
+
+        Several pieces may run at the same time.
+        """
         if not pieces:
             return
         job = _Job(pieces, 1 if self._pool is None else self.count)

@@ -1,1 +1,1 @@
-"""Episodes of N robots: options, observations, what is drawn for each, and the worlds they are in."""
+"""Episodes of N robots: options, observations, randomization and cached worlds."""

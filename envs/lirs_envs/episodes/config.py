@@ -1,4 +1,4 @@
-"""What an environment can be told: options that are plain JSON, but for a `World`."""
+"""Options of an environment: plain JSON, except a `World`."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class EnvConfig:
 
     @property
     def factors(self) -> dict[str, tuple[float, float] | None] | None:
-        """What is randomized, with the factors between which it is; None = the task decides."""
+        """Randomized quantities with their ranges of factors; None = the task's own."""
         if self.randomize is None:
             return None
         if isinstance(self.randomize, str):
@@ -117,7 +117,7 @@ class EnvConfig:
 
 
 def _paced(robot: Robot) -> Robot:
-    """Return a robot that, if it flies, does so at a pace for worlds of some 50 m, whatever it is told."""
+    """Return a robot whose speed suits worlds of about 50 m if it flies. The limits apply to all commands."""
     return replace(robot, max_speed=3.0, max_acceleration=3.0, max_turn_rate=1.5) if robot.flies else robot
 
 

@@ -89,7 +89,7 @@ GROUND_REACH, FLYING_REACH = 1.0, 3.0
 
 
 class Episodes:
-    """N episodes of one task; row i of every array is robot i's, and depends on no other.
+    """N episodes of one task; array row i is robot i and depends on no other.
 
     Attributes:
         config: options.
@@ -344,7 +344,7 @@ def check_options(options: Any) -> Mapping[str, Any]:
 
 @njit(cache=True, nogil=True)
 def _planar(T_world_base: FloatArray, poses: FloatArray) -> None:
-    """Fill (N, 3) x, y, yaw of poses (N, 7) x, y, z, qw, qx, qy, qz."""
+    """Fill (N, 3) x, y, yaw of poses (N, 7), x, y, z, quaternion."""
     for i in range(len(poses)):
         x, y, _, w, a, b, c = T_world_base[i]
         poses[i, 0], poses[i, 1] = x, y

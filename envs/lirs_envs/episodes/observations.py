@@ -76,7 +76,7 @@ def _scan(stage: Stage, task: Task, ids: IntArray) -> Float32Array:
 
 @njit(cache=True, nogil=True)
 def _make_finite(ranges: Float32Array, range_max: float) -> None:
-    """Replace what is out of range by `range_max`, what is too near or lost by 0."""
+    """Replace ranges without hit by `range_max`, and too short or lost ones by 0."""
     for i in range(ranges.shape[0]):
         for k in range(ranges.shape[1]):
             if not ranges[i, k] > 0.0:
@@ -86,7 +86,10 @@ def _make_finite(ranges: Float32Array, range_max: float) -> None:
 
 
 def scan_sectors(ranges: Float32Array, lidar: LidarPreset) -> Float32Array:
-    """Return (n, 36) proximities of scans (n, beams): see `GROUPS`; beams not above 0 are left out."""
+    """Return (n, 36) proximities of scans (n, beams): see `GROUPS`.
+
+    Beams that are not above 0 are left out.
+    """
     proximity = np.empty((len(ranges), SECTORS), np.float32)
     angles = lidar.angle_min + lidar.angle_increment * np.arange(lidar.beams)
     # A beam on the border of two sectors belongs to the left one, whatever the rounding.
@@ -97,7 +100,9 @@ def scan_sectors(ranges: Float32Array, lidar: LidarPreset) -> Float32Array:
 
 @njit(cache=True, nogil=True)
 def _find_proximity(ranges: Float32Array, sector_of: IntArray, range_max: float, out: Float32Array) -> None:
-    """Fill (n, sectors) with 1 / (1 + r), r meters the least range above 0 in a sector.
+    """Fill the proximity (n, sectors) of each sector: 1 / (1 + r).
+
+    r is the least range above 0 in the sector, meters.
 
     1 = none of its beams is above 0, 0 = no beam goes there.
     """
@@ -161,7 +166,7 @@ def _local_heights(
     pose: tuple[float, float, float, float],
     out: Float32Array,
 ) -> None:
-    """Fill (n, n) heights above base_link, meters: row 0 = ahead, column 0 = left; 0 beyond the border."""
+    """Fill (n, n) heights above base_link, meters; 0 beyond the border. Row 0 = ahead, column 0 = left."""
     rows, cols = z.shape
     n = len(out)
     cos, sin = math.cos(pose[3]), math.sin(pose[3])

@@ -1,4 +1,4 @@
-"""Built worlds, kept in memory and on disk: a second process loads what the first one built."""
+"""Cache of built worlds in memory and on disk, shared by processes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,9 @@ def cache_folder() -> Path | None:
 
 
 def cached_world(source: str) -> World:
-    """Build a source's world, or take the one that was built from the same bytes by the same program.
+    """Return a source's world from the cache, or build it.
+
+    A cached world was built from the same bytes by the same program.
 
     Raises:
         SourceError: the source cannot be used.
@@ -58,7 +60,7 @@ def _in_memory(source: str, key: str | None) -> World:
 
 
 def _keep(world: World, place: Path) -> None:
-    """Save a world whole or not at all; a folder that cannot be written is no reason to stop."""
+    """Save a world completely or not at all; ignore a folder without write access."""
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=place.parent) as scratch:
@@ -71,7 +73,9 @@ def _keep(world: World, place: Path) -> None:
 
 
 def content_key(source: str) -> str | None:
-    """Return a digest of a source's bytes and of the program that builds worlds; None = it is not kept.
+    """Return a digest of a source's bytes and the building program.
+
+    None = the world is not cached.
 
     Raises:
         SourceError: there is no such source.

@@ -35,7 +35,7 @@ Door = tuple[int, int, float, float]
 
 
 def floor_plan(rng: np.random.Generator) -> LaserMap:
-    """Return a building of 24 x 16 m, all of whose rooms are joined; its middle is the world's origin."""
+    """Return a building of 24 x 16 m with connected rooms, centered on the origin."""
     rooms = _rooms((0.0, 0.0, *SIZE), rng)
     doors = _chosen(_possible_doors(rooms, rng), len(rooms), rng)
     solid = np.zeros((round(SIZE[1] / CELL), round(SIZE[0] / CELL)), np.bool_)

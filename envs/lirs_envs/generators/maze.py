@@ -21,7 +21,7 @@ Room = tuple[int, int]
 
 
 def maze(rooms: int, open_share: float, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Return (n, n) heights of a maze in meters, and (n, 2) x, y of the way through it.
+    """Return maze heights (n, n) in meters and the route (n, 2) through it, x, y.
 
     Args:
         rooms: along each side.
@@ -48,7 +48,7 @@ def maze(rooms: int, open_share: float, rng: np.random.Generator) -> tuple[Float
 
 
 def _spanning_tree(rooms: int, root: Room, rng: np.random.Generator) -> dict[Room, Room]:
-    """Return each room's neighbor on the way to the root: depth first, so that ways are long."""
+    """Return each room's neighbor toward the root, from a depth-first search for long routes."""
     parent: dict[Room, Room] = {}
     visited, stack = {root}, [root]
     while stack:

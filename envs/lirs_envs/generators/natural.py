@@ -1,4 +1,4 @@
-"""Natural ground from a seed: fractal hills, a valley, dunes, a plain; with and without rocks."""
+"""Natural ground from a seed: fractal hills, valley, dunes or plain, optional rocks."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EDGE = 50.0
 
 
 def fractal(rng: np.random.Generator, hurst: float = 1.0, nodes: int = NODES) -> FloatArray:
-    """Return (n, n) heights 0 to 1 of spectral synthesis (Saupe 1988): amplitudes fall with k^-(H + 1)."""
+    """Return (n, n) heights 0 to 1 of spectral synthesis (Saupe 1988). Amplitudes fall with k^-(H + 1)."""
     f = np.fft.fftfreq(nodes)
     k = np.hypot(f[:, None], f)
     k[0, 0] = np.inf
@@ -28,7 +28,7 @@ def fractal(rng: np.random.Generator, hurst: float = 1.0, nodes: int = NODES) ->
 
 
 def across(rng: np.random.Generator) -> FloatArray:
-    """Return (n, n) distance from a line through the middle in some direction, -1.4 to 1.4."""
+    """Return (n, n) signed distances from a random line through the center, -1.4 to 1.4."""
     u, angle = np.linspace(-1, 1, NODES), rng.uniform(0, np.pi)
     distance: FloatArray = u * np.cos(angle) + u[:, None] * np.sin(angle)
     return distance
@@ -71,7 +71,7 @@ def with_rocks(
 
 @njit(cache=True)
 def _add_rocks(z: FloatArray, x: FloatArray, rocks: FloatArray) -> None:
-    """Add rocks (n, 4), east, north, radius, height, to heights whose nodes are at `x` along both axes."""
+    """Add rocks (n, 4), east, north, radius, height, to heights. The nodes are at `x` along both axes."""
     per_meter = (len(z) - 1) / x[-1]
     for east, north, wide, high in rocks:
         for i in range(int((north - wide) * per_meter), int((north + wide) * per_meter) + 2):

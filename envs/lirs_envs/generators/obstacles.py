@@ -1,4 +1,6 @@
-"""Ground with one kind of obstacle from border to border: the obstacles themselves, and a gentle version.
+"""Ground with one kind of obstacle from border to border.
+
+Each kind has a gentle version, used along the route.
 
 Figures are for a Husky, whose limit lies between difficulty 0 and 0.5: its wheels' radius is 0.165 m, and its
 friction of 0.7 holds it on 35 deg. Where the gentle version is not level, its slopes stay below 12 deg.
@@ -103,7 +105,9 @@ def _dig(
     bowl: FloatArray,
     log_rim: FloatArray,
 ) -> None:
-    """Dig bowls (n, 3), x, y, radius, with rims, at nodes of x and y; of two that meet the larger counts.
+    """Dig bowls (n, 3), x, y, radius, with rims, at nodes of x and y.
+
+    Where two overlap, the larger counts.
 
     Rims are compared by logarithms: an exponential for each would take most of the time.
     """

@@ -1,4 +1,4 @@
-"""The way across a course: a line from its west to its east side along which the ground is gentle."""
+"""Route across a course from west to east, along which the ground is gentle."""
 
 from __future__ import annotations
 
@@ -38,7 +38,10 @@ def winding_route(rng: np.random.Generator, sway: float) -> FloatArray:
 
 
 def distance_to_route(route: FloatArray) -> Float32Array:
-    """Return (n, n) meters from each node of a course (row 0 = north) to a line of (n, 2) points."""
+    """Return (n, n) distances in meters from course nodes to a route.
+
+    Row 0 = north; the route is a line of (n, 2) points.
+    """
     pixels = np.round(np.column_stack((route[:, 0] + HALF, HALF - route[:, 1])) / CELL).astype(np.int32)
     off_route = np.ones((NODES, NODES), np.uint8)
     cv2.polylines(off_route, [pixels], isClosed=False, color=(0,))

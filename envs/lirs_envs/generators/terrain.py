@@ -67,7 +67,7 @@ class GeneratedTerrain:
 
 
 def scaled_height_range(scale: float, steepness: float) -> tuple[float, float]:
-    """Return what no course of a scale and a steepness reaches below or above, meters."""
+    """Return the lowest and highest height of all courses of a scale and steepness, meters."""
     factor = scale * max(steepness, 1.0)
     return factor * HEIGHT_RANGE[0], max(factor * HEIGHT_RANGE[1], 2 * MIN_WALL)
 

@@ -33,7 +33,7 @@ class BaseVelocity:
 
 
 class Lidar:
-    """A lidar on a robot in a world: `scan` of a planar one, `sweep` of one with rings.
+    """Lidar on a robot: `scan` of a planar one, `sweep` of one with rings.
 
     Attributes:
         returned: (rings * beams,) which beams of the last sweep have a point in its cloud.
@@ -91,7 +91,7 @@ class Lidar:
     def sweep(
         self, T_world_base: Pose3, stamp: float, velocity: BaseVelocity | None = None
     ) -> tuple[LaserScan, PointCloud]:
-        """Return planar scan and cloud of one sweep (see `scan`); the scan is a ring of the cloud."""
+        """Return planar scan and cloud of one sweep (see `scan`). The scan is one ring of the cloud."""
         ranges = self.ranges(T_world_base, velocity)
         met = self.returned = np.isfinite(ranges)
         xyz = (ranges[met, None] * self._directions[met]).astype(np.float32)
@@ -114,7 +114,7 @@ class Lidar:
         return ranges
 
     def _rays(self, T_world_base: Pose3, velocity: BaseVelocity | None) -> tuple[FloatArray, FloatArray]:
-        """Return origin (3,) or origins (n, 3), and directions (n, 3) of the beams in the world."""
+        """Return world origins, (3,) or (n, 3), and directions (n, 3) of the beams."""
         T = T_world_base
         quaternion, position = (T.qw, T.qx, T.qy, T.qz), (T.x, T.y, T.z)
         if self.time_increment == 0.0 or velocity is None:
@@ -131,7 +131,7 @@ class Lidar:
 
 
 def moved_frames(times: ArrayLike, velocity: ArrayLike, rates: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Return rotations (n, 3, 3) and positions (n, 3) of a moving frame, relative to time 0.
+    """Return rotations (n, 3, 3) and positions (n, 3) of a moving frame since time 0.
 
     With constant velocity v and rates w in its own axes, the frame is at exp(t [v, w]) after a time t:
     rotation by Rodrigues' formula, translation by its integral (Lynch and Park, "Modern Robotics",
@@ -172,7 +172,10 @@ def transform_rays(
     origins: FloatArray,
     directions: FloatArray,
 ) -> None:
-    """Fill origins (m, 3) and directions (n, 3) in the world from those in the base, in place if need be."""
+    """Transform ray starts and directions from the base to the world frame.
+
+    Fills origins (m, 3) and directions (n, 3), in place if they are the same arrays.
+    """
     w, x, y, z = quaternion
     a, b, c = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
     d, e, f = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)

@@ -82,7 +82,7 @@ def _refine(
     max_range: float,
     ranges: FloatArray,
 ) -> None:
-    """Fill `ranges` (n,) with where each ray meets the plane of the triangle `met` (-1 = none)."""
+    """Fill `ranges` (n,) with the distance to each ray's triangle `met` (-1 = none)."""
     for k in range(len(met)):
         ranges[k] = np.inf
         if met[k] >= 0:
@@ -93,7 +93,9 @@ def _refine(
 
 @njit(cache=True, forceinline=True)
 def _plane_range(vertices: FloatArray, face: Int32Array, o: FloatArray, d: FloatArray) -> float:
-    """Return where a ray meets a triangle's plane, between the corners' nearest and farthest along the ray.
+    """Return the distance along a ray to a triangle's plane.
+
+    It is limited to the distances of the corners along the ray.
 
     A ray that grazes the plane meets it anywhere.
     """

@@ -107,7 +107,10 @@ NO_DRAWS: FloatArray = np.empty((0, 2))
 
 
 def draw_noise(noise: LidarNoise, beams: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Return (n,) normal and (n, 2) uniform numbers for one scan; without need of the latter, (0, 2)."""
+    """Return (n,) normal and (n, 2) uniform random numbers for one scan.
+
+    Without dropout and mixed pixels, the uniform array is (0, 2).
+    """
     normal = rng.standard_normal(beams)
     return normal, rng.random((beams, 2)) if noise.draws_uniform else NO_DRAWS
 
@@ -121,7 +124,10 @@ def measure(
     parameters: NoiseParameters,
     ranges: Float32Array,
 ) -> None:
-    """Fill `ranges` (n,): +inf = nothing in range, -inf = too near, NaN = lost (REP 117), else meters."""
+    """Fill `ranges` (n,) with measured ranges, meters.
+
+    +inf = nothing in range, -inf = too near, NaN = lost (REP 117).
+    """
     range_min, range_max = limits
     sigma, sigma_relative, quantization, dropout, mixed_pixels, edge_threshold = parameters
     for k in range(len(exact)):

@@ -17,7 +17,7 @@ from lirs_wct.geometry.pose import Pose3
 
 
 def rings(count: int, beams: int, elevation: tuple[float, float]) -> FloatArray:
-    """Return (count * beams, 3) unit directions of rings around z, ring by ring from below.
+    """Return (count * beams, 3) unit directions of rings around z, from below.
 
     Args:
         count: number of rings.
@@ -90,7 +90,7 @@ class PatternLidar:
         self._rng = rng
 
     def ranges(self, T_world_base: Pose3) -> Float32Array:
-        """Return (n,) meters: +inf = nothing in range, -inf = too near, NaN = lost (REP 117)."""
+        """Return (n,) ranges in meters. +inf = nothing in range, -inf = too near, NaN = lost (REP 117)."""
         pattern, T = self.pattern, T_world_base @ self.T_base_laser
         exact = self.caster.ranges(T.position, pattern.directions @ T.rotation.T, pattern.range_max)
         normal, uniform = draw_noise(pattern.noise, len(exact), self._rng)

@@ -1,4 +1,4 @@
-"""Lidars as data, planar ones (laser range finders) and such with rings: one row for each device."""
+"""Lidar presets: one row per device, planar (laser range finder) or with rings."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class LidarPreset:
 
     @property
     def horizon_beams(self) -> slice:
-        """Which of all beams, ring by ring from below, are the planar scan."""
+        """Beams of the planar scan among all beams, ring by ring from below."""
         return slice(self.horizon * self.beams, (self.horizon + 1) * self.beams)
 
     @property
@@ -103,7 +103,7 @@ class LidarPreset:
 
     @property
     def all_directions(self) -> FloatArray:
-        """(rings * beams, 3) unit vectors of all beams in the sensor's frame, ring by ring from below."""
+        """(rings * beams, 3) unit beam directions in the sensor's frame, from the lowest ring."""
         return np.concatenate([ring_directions(self.angles, elevation) for elevation in self.elevations])
 
     @property
@@ -149,7 +149,10 @@ def _preset(
 def _ring_preset(
     name: str, rings: int, lowest: float, beams: int, limits: tuple[float, float], sigma: float
 ) -> LidarPreset:
-    """Return a preset of 10 Hz whose rings are spread evenly from the lowest (degrees) to as far above."""
+    """Return a preset of 10 Hz with evenly spaced rings, symmetric about the horizon.
+
+    `lowest` is the elevation of the lowest ring, degrees.
+    """
     planar = _preset(name, beams, 360.0, 10.0, limits, sigma=sigma)
     elevations = np.radians(np.linspace(lowest, -lowest, rings))
     return replace(planar, elevations=tuple(elevations.tolist()))

@@ -93,7 +93,9 @@ def cast_rays(
     max_range: float,
     ranges: FloatArray,
 ) -> None:
-    """Fill `ranges` (n,) with the distance to the nearest wall or triangle, inf = none within `max_range`.
+    """Fill `ranges` (n,) with the distance to the nearest wall or triangle.
+
+    inf = no hit within `max_range`.
 
     All rays start at one origin (1, 3), or each at its own (n, 3).
     """
@@ -116,7 +118,7 @@ def mujoco_ranges(
     exclude_body: int = -1,
     groups: Collection[int] = (0, 1, 2),
 ) -> FloatArray:
-    """Return (n,) ranges in meters to MuJoCo's geoms: robots and props, which the height field does not hold.
+    """Return (n,) ranges in meters to MuJoCo's geoms, such as robots and props.
 
     Args:
         model: the compiled model.
@@ -204,7 +206,7 @@ class NearestCaster:
 
 
 class WalkerCaster:
-    """What another caster meets, and walkers.
+    """Caster of walkers on top of another caster.
 
     Attributes:
         met: (n,) which rays of the last call met a walker.
@@ -233,7 +235,7 @@ class WalkerCaster:
 def make_caster(
     world: World, rays: Rays, props: bool, data: mujoco.MjData, walkers: Walkers | None = None
 ) -> Caster:
-    """Return the caster of a world and of what else is there but the robot itself.
+    """Return the caster of a world with its props and walkers, without the robot.
 
     Args:
         world: ground and walls.

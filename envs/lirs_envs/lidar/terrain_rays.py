@@ -58,7 +58,10 @@ class TerrainMipmap(NamedTuple):
 
 
 def build_terrain_mipmap(surface: HeightField) -> TerrainMipmap:
-    """Build blocks and bounds of a height field: one pass over the nodes and little for the levels."""
+    """Build blocks and bounds of a height field.
+
+    One pass over the nodes builds both; the levels above cost little.
+    """
     z = surface.south_up
     ny, nx = z.shape[0] - 1, z.shape[1] - 1
     shapes = _level_shapes(ny, nx)
@@ -127,13 +130,18 @@ FAR = 1e300
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def inverse(slope: float) -> float:
-    """Return 1 / slope; 0 for a slope so small (1e-14) that it moves no ray by more than rounding does."""
+    """Return 1 / slope; 0 for a slope of at most 1e-14.
+
+    Such a slope moves no ray by more than rounding does.
+    """
     return 1.0 / slope if abs(slope) > 1e-14 else 0.0
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def clip(o: float, per: float, low: float, high: float, t0: float, t1: float) -> tuple[float, float]:
-    """Return the part of [t0, t1] in which low <= o + t / per <= high; empty when it starts after its end.
+    """Return the part of [t0, t1] in which low <= o + t / per <= high.
+
+    It is empty when its start is after its end.
 
     `per` is the inverse of the slope, 0 for a slope of 0.
     """
@@ -155,7 +163,9 @@ CLEARANCE = 1e-6
 def safe_distance(
     terrain: TerrainMipmap, start: tuple[float, float, float], directions: FloatArray, max_range: float
 ) -> float:
-    """Return a distance within which no beam of a bundle meets the ground, meters, at most `max_range`.
+    """Return a distance without ground hits for all beams of a bundle, meters.
+
+    It is at most `max_range`.
 
     Args:
         terrain: that the bundle is above.
@@ -196,7 +206,10 @@ def safe_distance(
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _highest(terrain: TerrainMipmap, box: tuple[int, int, int, int], level: int) -> float:
-    """Return the highest bound of a level's squares that hold a box of cells: west, south, east, north."""
+    """Return the highest bound of a level's squares that cover a box of cells.
+
+    The box is west, south, east, north.
+    """
     # Unsigned: an index that might be negative costs a comparison.
     row, highest = np.uint64(level), np.float32(-np.inf)
     first, width = terrain.start[row], terrain.width[row]
@@ -275,7 +288,9 @@ def _traverse(
     t_end: float,
     level: int,
 ) -> float:
-    """Return where a ray meets the surface in [t, t_end], which lies in the field's box, else inf.
+    """Return the distance of a ray's first surface hit in [t, t_end], else inf.
+
+    The interval lies in the field's box.
 
     At t it is in `cell`, `height` above the surface. Begins with squares of `level`, descends into one only
     where the ray, over its stretch through it, is not wholly above its maximum (from below: not wholly below
@@ -325,7 +340,10 @@ def _traverse(
 
 @njit(cache=True, error_model="numpy", forceinline=True, fastmath=FUSED)
 def _surface(terrain: TerrainMipmap, i: int, j: int, a: float, b: float) -> float:
-    """Return the height of the surface in cell (j, i), a to the east and b to the north of its corner."""
+    """Return the surface height in cell (j, i).
+
+    a and b are the distances east and north of the cell's corner, cells.
+    """
     block, number = terrain.block, np.uint64((j >> LEAF) * terrain.width[LEAF] + (i >> LEAF))
     node = ROW * (j % EDGE) + i % EDGE
     # float() of a float32 stays one in numba, and the differences below would be rounded to it.
@@ -349,7 +367,9 @@ def _block_range(
     t: float,
     t_end: float,
 ) -> float:
-    """Return where a ray on `side` of the surface meets a block in [t, t_end], else inf.
+    """Return the distance of a ray's hit in a block in [t, t_end], else inf.
+
+    The ray is on `side` of the surface.
 
     The ray's w and dw are multiplied by the side. It begins in `cell`, which is one of the block's.
     """
@@ -389,7 +409,9 @@ def _block_range(
 
 @njit(cache=True, error_model="numpy", forceinline=True, fastmath=FUSED)
 def _cell_range(corners: tuple[float, float, float, float], ray: Ray, t: float, t_out: float) -> float:
-    """Return where a ray above the surface meets a cell's two triangles in [t, t_out], else inf.
+    """Return the distance of a ray's hit on a cell's two triangles, else inf.
+
+    The interval is [t, t_out], the ray starts above the surface.
 
     The ray's u and v begin at the cell's corner. Over each triangle (ray - surface) is linear in t. It was
     above 0 before, so that a value of 0 or less at the end of a segment is a hit within it.

@@ -26,7 +26,7 @@ def meet_walkers(
     nearest: FloatArray,
     met: BoolArray,
 ) -> None:
-    """Fill `nearest` with the nearer of `ranges` and of walkers, and `met` with which rays meet a walker.
+    """Fill `nearest` with the nearer of `ranges` and walkers, `met` with walker hits.
 
     Args:
         centers: (m, 3) middles of the walkers.
@@ -79,7 +79,7 @@ def _cast_fan(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _bound_block(directions: FloatArray, cone: FloatArray) -> None:
-    """Fill a cone with the horizontal unit vector in the middle of rays and the least cosine to it.
+    """Fill a cone with the mean horizontal direction of rays and the least cosine.
 
     Rays that do not keep within a quarter turn of it, upright ones among them, get the whole circle.
     """
@@ -101,7 +101,10 @@ def _bound_block(directions: FloatArray, cone: FloatArray) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _capsule_range(x: float, y: float, z: float, dx: float, dy: float, dz: float) -> float:
-    """Return where a ray from (x, y, z), relative to the middle, meets the capsule first, else inf."""
+    """Return the distance of a ray's first hit on the capsule, else inf.
+
+    The start (x, y, z) is relative to the capsule's center.
+    """
     nearest = np.inf
     flat, along = dx * dx + dy * dy, x * dx + y * dy
     if flat > 0.0:

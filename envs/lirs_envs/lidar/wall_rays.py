@@ -1,4 +1,4 @@
-"""Rays against the walls of a laser map: exact cells, with free space skipped by distance."""
+"""Ray casting against wall cells of a laser map; free space is skipped by distance."""
 
 from __future__ import annotations
 
@@ -49,7 +49,9 @@ def build_wall_cells(walls: WallGrid | None) -> WallCells:
 def wall_ranges(
     walls: WallCells, origins: FloatArray, directions: FloatArray, max_range: float, ranges: FloatArray
 ) -> None:
-    """Fill `ranges` (n,) with the range of the first wall cell on each ray, inf = none within `max_range`.
+    """Fill `ranges` (n,) with the distance to the first wall cell on each ray.
+
+    inf = no hit within `max_range`.
 
     All rays start at one origin (1, 3), or each at its own (n, 3).
     """
@@ -78,7 +80,7 @@ def wall_ranges(
 def remove_hits_in_holes(
     walls: WallCells, origins: FloatArray, directions: FloatArray, wall_range: FloatArray, ranges: FloatArray
 ) -> None:
-    """Replace hits on the floor where it has a hole: by the range of the wall behind, or inf."""
+    """Replace hits on floor holes by the range of the wall behind, or inf."""
     rows, cols = walls.hole.shape
     x0, y0, c, s, resolution = walls.frame[0], walls.frame[1], walls.frame[2], walls.frame[3], walls.frame[4]
     for k in range(len(ranges)):

@@ -1,1 +1,1 @@
-"""Pictures of a simulation: cameras through OpenGL, MuJoCo's viewer, and a map from above without OpenGL."""
+"""Rendering: cameras through OpenGL, MuJoCo's viewer, and a map without OpenGL."""

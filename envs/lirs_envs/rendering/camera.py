@@ -17,7 +17,7 @@ GOAL_HEIGHT, GOAL_RADIUS, GOAL_COLOR = 2.0, 0.06, (0.85, 0.1, 0.2, 1.0)
 
 
 class Camera:
-    """A camera on the scenes of a simulation; the scene is made anew where another world is shown.
+    """Camera for snapshots; the scene is rebuilt when the world changes.
 
     Args:
         shape: height and width of a picture, pixels.
@@ -57,7 +57,7 @@ class Camera:
         return depth
 
     def close(self) -> None:
-        """Free what OpenGL holds; a picture after that makes it anew."""
+        """Release OpenGL resources; the next picture allocates them again."""
         if self._renderer is not None:
             self._renderer.close()
         self._renderer = self._scene = None

@@ -29,7 +29,7 @@ FRACTION = 4
 
 
 class MapView:
-    """Pictures of a world from above, row 0 = north; the ground is drawn once a world."""
+    """Pictures of a world from above, row 0 = north. The ground is drawn once per world."""
 
     def __init__(self, pixels: int = PIXELS) -> None:
         self._pixels = pixels
@@ -72,7 +72,7 @@ class MapView:
         return np.ascontiguousarray(cv2.resize(above, (cols, rows), interpolation=cv2.INTER_AREA), np.uint8)
 
     def _pixel(self, points: FloatArray) -> Int32Array:
-        """Return (n, 2) column and row of points (n, 2) in the world, in fractions of a pixel."""
+        """Return (n, 2) column and row of world points (n, 2), in fractions of a pixel."""
         pixels = (points - self._corner) * (self._per_meter, -self._per_meter)
         fractions: Int32Array = np.round(np.clip(pixels, -1e4, 1e4) * 2**FRACTION).astype(np.int32)
         return fractions

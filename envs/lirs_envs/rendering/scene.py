@@ -109,7 +109,7 @@ class Scene:
 
 
 def scene_options() -> mujoco.MjvOption:
-    """Return which geoms are drawn: what is seen, not what is touched."""
+    """Return the options that draw visible geoms and hide collision geoms."""
     options = mujoco.MjvOption()
     options.geomgroup[:] = [group not in HIDDEN_GROUPS for group in range(mujoco.mjNGROUP)]
     return options
@@ -186,7 +186,7 @@ def _add_tile(spec: mujoco.MjSpec, name: str, material: str, tile: TriangleMesh)
 
 
 def _with_creases(mesh: TriangleMesh) -> TriangleMesh:
-    """Return a mesh whose vertices are split along sharp edges, so that both sides are shaded apart."""
+    """Return a mesh with vertices split along sharp edges, so that each side is shaded separately."""
     shared = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     split = trimesh.graph.smooth_shade(shared, angle=CREASE)
     return TriangleMesh(np.asarray(split.vertices), np.asarray(split.faces, dtype=np.int32))

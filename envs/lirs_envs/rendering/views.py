@@ -64,7 +64,10 @@ class Viewer:
             self._window.opt.geomgroup[group] = 0
 
     def close(self) -> None:
-        """Close the window and wait for its thread, which would crash the program if it drew at its end."""
+        """Close the window and wait for its thread.
+
+        A thread that still draws at exit would crash the program.
+        """
         if self._window is not None:
             self._window.close()
             for thread in self._threads:
@@ -74,7 +77,9 @@ class Viewer:
 
 
 def check_screen() -> None:
-    """Check that a window can be opened: MuJoCo's viewer waits for ever for one that cannot.
+    """Check that a window can be opened.
+
+    Otherwise MuJoCo's viewer would wait forever.
 
     Raises:
         SimulationError: there is no screen, or it does not open windows with OpenGL.
@@ -113,7 +118,7 @@ def check_render_mode(mode: str | None, legal: Sequence[str] = RENDER_MODES) -> 
 
 
 class Views:
-    """What shows a simulation, one for each mode that was asked for; a copy begins without any."""
+    """Renderers of a simulation, created on first use; a copy starts without any."""
 
     def __init__(self) -> None:
         self._camera, self._map, self._viewer = Camera(), MapView(), Viewer()
@@ -126,7 +131,7 @@ class Views:
         path: Sequence[Pose2] = (),
         scan: LaserScan | None = None,
     ) -> ByteArray | Float32Array | None:
-        """Return what a mode shows; None of mode None, and of `human`, which shows a window.
+        """Return the picture of a mode; None for mode None and for the window `human`.
 
         Args:
             mode: see `RENDER_MODES`.
@@ -150,7 +155,7 @@ class Views:
         return None
 
     def close(self) -> None:
-        """Free what OpenGL holds, and close the window."""
+        """Release OpenGL resources and close the window."""
         self._camera.close()
         self._viewer.close()
 

@@ -128,5 +128,5 @@ class Controller(Protocol):
 
 
 def make_controller(robot: Robot, body: FlyingBody, surface: HeightField) -> Controller:
-    """Return the controller of a robot; `body` and `surface` are what a flying one senses."""
+    """Return the controller of a robot; `body` and `surface` serve flying robots."""
     return QuadrotorController(robot, body, surface) if robot.flies else DifferentialDrive(robot)

@@ -1,4 +1,4 @@
-"""Flight control of a quadrotor: a cascade from position over velocity and attitude to rotor thrusts.
+"""Flight control of a quadrotor: cascade from position to velocity, attitude and rotor thrusts.
 
 The cascade of the Hector quadrotor (Meyer et al., "Comprehensive simulation of quadrotor UAVs using ROS and
 Gazebo", SIMPAR 2012): position gives a wanted velocity, velocity a wanted acceleration, which is a
@@ -147,7 +147,10 @@ class QuadrotorController:
         return tuple(np.clip(thrusts, 0.0, self._airframe.max_thrust / len(thrusts)).tolist())
 
     def _specific_force(self, velocity_error: FloatArray) -> FloatArray:
-        """Return the wanted force (3,) per mass in the world, m/s^2, within the limits of thrust and tilt."""
+        """Return the wanted force (3,) per mass in the world, m/s^2, limited.
+
+        The limits are those of thrust and tilt.
+        """
         force: FloatArray = self.config.velocity_gain * velocity_error + np.array((0.0, 0.0, self._gravity))
         force[2] = min(
             max(force[2], LEAST_THRUST * self._gravity), self._airframe.max_thrust / self._airframe.mass
@@ -158,7 +161,7 @@ class QuadrotorController:
         return force
 
     def _torque(self, R: FloatArray, force: FloatArray, yaw_rate: float, rates: FloatArray) -> FloatArray:
-        """Return the torque (3,) that turns the body's z towards the force, and about z at the yaw rate."""
+        """Return the torque (3,) toward the wanted thrust direction and yaw rate."""
         config, inertia = self.config, self._airframe.inertia
         up = R.T @ (force / np.linalg.norm(force))
         # The smallest turn from the body's z to the wanted direction, in the body's axes.

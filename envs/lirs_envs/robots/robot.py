@@ -108,7 +108,7 @@ class Robot(ShownAsTable):
 
 
 def figures(robot: Robot) -> list[tuple[str, str]]:
-    """Return names and formatted values of what a user compares robots by."""
+    """Return names and formatted values for a comparison of robots."""
     x, y, z = robot.T_base_laser.position
     return [
         ("robot", robot.name),

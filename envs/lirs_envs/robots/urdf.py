@@ -1,4 +1,4 @@
-"""A robot as URDF, for RViz and all that reads ROS descriptions: the same bodies, masses and shapes."""
+"""URDF of a robot, for ROS: the same bodies, masses and shapes."""
 
 from __future__ import annotations
 

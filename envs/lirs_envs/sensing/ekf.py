@@ -1,4 +1,4 @@
-"""Odometry by an extended Kalman filter over wheels and gyro, with the errors of both as states.
+"""Odometry by an extended Kalman filter over wheels and gyro, including their errors.
 
 The state is (x, y, yaw, bias of the gyro, scale error of the wheels). Between two readings the short
 increments are summed as the sensors measure them; the filter then takes the sum as one motion (its control),
@@ -30,7 +30,7 @@ BIAS_ROW = np.eye(5)[BIAS : BIAS + 1]
 
 @dataclass(frozen=True, kw_only=True)
 class EkfConfig:
-    """What the filter expects beyond the sensors' own noise; standard deviations.
+    """Process noise beyond the sensors' own noise; standard deviations.
 
     Attributes:
         slip_forward: along the path after one meter of it, meters; grows with the root of the distance.
@@ -191,7 +191,10 @@ class EkfOdometry(WheelOdometry):
         return Q
 
     def _measure_bias(self) -> None:
-        """Compare the gyro with the wheels: exact at rest, useful on one axle, useless where wheels skid."""
+        """Compare the gyro with the wheels.
+
+        The comparison is exact at rest, useful on one axle and useless where wheels skid.
+        """
         e, rate = self.filter_config, self._wheels_turned / self._time
         sigma = self._imu.rate_sigma / math.sqrt(self._readings)
         if self._wheel_distance / self._time >= e.rest * self.robot.wheel_radius:

@@ -1,4 +1,4 @@
-"""The inertial unit: attitude, rates and specific force of the base, with noise and slow bias.
+"""Inertial unit: attitude, rates and specific force, with noise and bias.
 
 Figures of a small MEMS unit that was zeroed while the robot stood still.
 """
@@ -63,7 +63,9 @@ class ImuParameters(NamedTuple):
 
 
 class ImuSensors:
-    """N inertial units that turn true motion into readings; each has biases and a random stream of its own.
+    """N inertial units, each with its own biases and random stream.
+
+    They turn true motion into readings.
 
     Attributes:
         rate_bias: (N, 3) constant errors of the rates, rad/s.
@@ -98,7 +100,7 @@ class ImuSensors:
         self.rates_left[i] = 0
 
     def draw_rate_errors(self) -> None:
-        """Draw a block of errors where one is used up; one by one they would cost more than the reading."""
+        """Draw a new block of errors where one is used up. Single draws would cost more than the reading."""
         for i in np.flatnonzero(self.rates_left == 0).tolist():
             noise = self._rngs[i].standard_normal((RATE_BLOCK, 3))
             self.rate_errors[i] = self.rate_bias[i] + self.config.rate_sigma * noise
@@ -158,7 +160,10 @@ class ImuSensor:
 
 @njit(cache=True, nogil=True)
 def next_rates(errors: FloatArray, left: IntArray, true: Vector3) -> Vector3:
-    """Return the measured rates about x, y, z, rad/s, with the next row of errors; `left` (1,) is counted."""
+    """Return the measured rates about x, y, z, rad/s.
+
+    The next row of errors is used, and `left` (1,) is decremented.
+    """
     left[0] -= 1
     row = left[0]
     return true[0] + errors[row, 0], true[1] + errors[row, 1], true[2] + errors[row, 2]

@@ -1,4 +1,4 @@
-"""What measures a robot's motion: gyro and odometry, read together after every control update."""
+"""Motion sensors of a robot: gyro and odometry, read after every control update."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def add_motion(
     wheel_angles: tuple[float, float],
     dt: float,
 ) -> tuple[float, float]:
-    """Add the motion since the last update to a robot's odometry; return the angles of its wheels.
+    """Add the motion since the last update to odometry; return the wheel angles.
 
     Args:
         odometry: of the robot.

@@ -1,4 +1,4 @@
-"""Dead reckoning: odometry from wheels and gyro, or from optical flow and gyro; the filter is in `ekf`."""
+"""Dead reckoning from wheels and gyro, or from optical flow and gyro. The Kalman filter is in `ekf`."""
 
 from __future__ import annotations
 
@@ -116,7 +116,10 @@ class DistanceNoise(DistanceNoises):
 
     @property
     def coming(self) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Scale error (1,), normal numbers (BLOCK,) of which one is left at least, how many are used (1,)."""
+        """Scale error (1,), normal numbers (BLOCK,), and the used count (1,).
+
+        At least one number is left unused.
+        """
         if self.used[0] == BLOCK:
             self.draw()
         return self.scale, self.normals[0], self.used
@@ -155,14 +158,16 @@ def mean_angle(qpos: FloatArray, joints: IntArray) -> float:
 
 @njit(cache=True, nogil=True)
 def yaw_rate(rates: Vector3, roll: float, pitch: float) -> float:
-    """Return the rate of the yaw angle (R = Rz Ry Rx) from rates about the base's axes, rad/s."""
+    """Return the yaw rate (R = Rz Ry Rx) from rates about the base's axes, rad/s."""
     rate: float = (rates[1] * math.sin(roll) + rates[2] * math.cos(roll)) / max(math.cos(pitch), 0.1)
     return rate
 
 
 @njit(cache=True, nogil=True)
 def integrated_pose(pose: Vector3, forward: float, turn: float) -> Vector3:
-    """Return x, y, yaw after a short motion: meters forward while turning by radians, less than a full turn.
+    """Return x, y, yaw after a short motion along an arc.
+
+    The motion is meters forward while turning by radians, less than a full turn.
 
     An angle less 2 pi is exact in the range of one full turn, as the remainder is.
     """
@@ -202,7 +207,7 @@ def reckoned_pose(
 
 
 class Odometry:
-    """`T_odom_base` as a robot publishes it; the frame is the base's pose when the odometry is made."""
+    """Odometry `T_odom_base` as published; its frame is the base's pose at creation."""
 
     def __init__(self, config: OdometryConfig, rng: np.random.Generator) -> None:
         self.config = config
@@ -255,7 +260,7 @@ class WheelOdometry(Odometry):
 
 
 class FlowOdometry(Odometry):
-    """Odometry of a robot that flies: velocity over ground by a camera that looks down, heading by the gyro.
+    """Odometry of a flying robot: velocity by a downward camera, heading by gyro.
 
     The velocity has the scale error of the config, as an optical flow has by its height.
     """

@@ -1,4 +1,4 @@
-"""All sensors of a robot: lidar, inertial unit and odometry, each with noise of its own."""
+"""Sensors of a robot: lidar, inertial unit and odometry, each with its own noise."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What a robot is to do in an episode: map, reach a goal, cross rough ground."""
+"""Tasks of a robot in an episode: mapping, navigation, traversal of rough ground."""

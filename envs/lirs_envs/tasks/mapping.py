@@ -18,7 +18,10 @@ COVERED = 0.95
 
 
 class MappingTask(Task):
-    """Newly seen ground is worth its square meters; the episode ends at 95 % of the reachable ground."""
+    """Mapping task: reward per square meter of newly seen ground.
+
+    The episode ends at 95 % of the reachable ground.
+    """
 
     observe: ClassVar = ("scan", "odometry", "attitude")
     time_limit: ClassVar = 120.0
@@ -45,7 +48,7 @@ class MappingTask(Task):
         return start
 
     def ground(self, i: int) -> tuple[SeenFrame, BoolArray]:
-        """Return the whole ground; wanted is what can be reached."""
+        """Return the whole ground; wanted is its reachable part."""
         site = self.stage.site
         return site.seen, site.reachable(self._area[i])
 
@@ -66,7 +69,7 @@ class MappingTask(Task):
         return "covered" if self._seen.wanted_cells[i] / self._reachable[i] >= COVERED else ""
 
     def infos(self) -> dict[str, Any]:
-        """Return the coverage of the reachable ground, 0 to 1, and the seen area, square meters."""
+        """Return the coverage of the reachable ground, 0 to 1, and the seen area, m^2."""
         return {"coverage": self._coverage(), "seen_area": self._seen.cells * SEEN_CELL**2}
 
     def _coverage(self) -> FloatArray:

@@ -25,7 +25,9 @@ CANDIDATES = 8
 
 
 class NavigationTask(Task):
-    """Meters of way gained on the goal are worth as much; reaching it 10, a collision -5 and the end.
+    """Navigation task: reward per meter gained on the shortest path to the goal.
+
+    The goal is worth 10. A collision costs 5 and ends the episode.
 
     The way is the shortest over ground that the robot can drive. The goal is reached where way and straight
     distance are at most 0.5 m, or the robot's radius if that is more, and no obstacle is between. Difficulty
@@ -76,7 +78,7 @@ class NavigationTask(Task):
         self._success[i] = self._collision[i] = False
 
     def step(self, ids: IntArray) -> FloatArray:
-        """Return the meters gained, and what success or collision are worth."""
+        """Return the meters gained, plus the rewards of success and collision."""
         stage, rewards = self.stage, np.zeros(len(ids))
         for k, i in enumerate(ids.tolist()):
             T = stage.pose(i)
@@ -112,7 +114,10 @@ class NavigationTask(Task):
         }
 
     def _sees_goal(self, i: int) -> bool:
-        """Return whether the straight line to the goal is free: a short way may lead around a wall."""
+        """Return whether the straight line to the goal is free of obstacles.
+
+        A short path may lead around a wall.
+        """
         T, share = self.stage.pose(i), np.linspace(0.0, 1.0, 32)[:, None]
         cells = self.stage.site.grid.cells((1 - share) * np.array((T.x, T.y)) + share * self._goals[i])
         row, col = np.clip(cells, 0, np.array(self._open.shape) - 1).T
@@ -132,7 +137,7 @@ def _way(site: Site, cost: FloatArray, x: float, y: float) -> float:
 def _draw_goal(
     site: Site, start: Pose2, difficulty: float, rng: np.random.Generator
 ) -> tuple[float, float] | None:
-    """Return a goal at a distance and behind a roughness that the difficulty picks; None = there is none."""
+    """Return a goal whose distance and roughness follow the difficulty; None = none found."""
     if not site.area(start.x, start.y):
         return None
     longest = NEAR + difficulty * (FAR - NEAR)
@@ -150,7 +155,10 @@ def _draw_goal(
 
 
 def _roughness(site: Site, start: Pose2, goal: FloatArray) -> float:
-    """Return the mean over a straight line of 1 where the robot cannot be, else the slope in radians."""
+    """Return the mean roughness of a straight line to the goal.
+
+    A sample counts 1 where the robot cannot stand, else the slope in radians.
+    """
     share = np.linspace(0.0, 1.0, 64)[:, None]
     cells = site.grid.cells((1 - share) * np.array((start.x, start.y)) + share * goal)
     cells = np.clip(cells, 0, np.array(site.areas.shape) - 1)

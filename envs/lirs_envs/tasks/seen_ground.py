@@ -25,7 +25,9 @@ Layout = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
 
 
 class SeenGround:
-    """Cells over whose ground a beam passed at most `reach` above it, or on which it ended; from true poses.
+    """Grid of seen cells for each of N robots, from true poses.
+
+    A cell is seen where a beam passed at most `reach` above its ground, or ended on it.
 
     Attributes:
         cells: (N,) number of seen cells.
@@ -53,7 +55,7 @@ class SeenGround:
         self.wanted_cells = np.zeros(count, np.int64)
 
     def begin(self, i: int, frame: SeenFrame, wanted: BoolArray) -> None:
-        """Begin anew for robot `i`, which has seen nothing; `wanted` (rows, cols) cells are counted apart."""
+        """Clear the grid of robot `i`. `wanted` (rows, cols) cells are counted separately."""
         np.add(frame.height, np.float32(self._reach), out=self._ceilings[i])
         np.isfinite(frame.height, out=self._ground[i])
         _bound_blocks(self._ceilings[i], self._highest[i])
@@ -61,7 +63,7 @@ class SeenGround:
         self.cells[i] = self.wanted_cells[i] = 0
 
     def add(self, rows: IntArray, ranges: Float32Array, range_max: float, T_world_base: FloatArray) -> None:
-        """Mark what the beams of robots saw; one without return sees its whole range.
+        """Mark the cells seen by the beams of robots; a beam without return sees its full range.
 
         Args:
             rows: of the robots.
@@ -85,7 +87,7 @@ class SeenGround:
         return seen
 
     def local_map(self, i: int, x: float, y: float, yaw: float, out: ByteArray) -> None:
-        """Fill (n, n): 255 = seen; the robot in the middle, row 0 = ahead, column 0 = left."""
+        """Fill the local map (n, n) around the robot, 255 = seen. Row 0 = ahead, column 0 = left."""
         corner = float(self._corners[i, 0]), float(self._corners[i, 1])
         _crop(self._ceilings[i], self._ground[i], corner, (x, y, yaw), out)
 
@@ -128,7 +130,9 @@ def mark_seen(
     ranges: Float32Array,
     range_max: float,
 ) -> tuple[int, int]:
-    """Set the ceiling of each cell that a beam passes below it to -inf; return how many, and wanted ones.
+    """Mark the cells below a beam as seen; return the numbers of new and wanted cells.
+
+    The ceiling of a seen cell becomes -inf.
 
     Cells are those that a beam crosses in the plane; its height is that in the middle of the crossing.
 
@@ -175,7 +179,7 @@ def _mark_beam(
     t_end: float,
     near: IntArray,
 ) -> tuple[int, int]:
-    """Mark the cells of a beam, column by column along the axis that it runs along more.
+    """Mark the cells of a beam, column by column along its main axis.
 
     It crosses at most two cells of a column, and no column waits for the one before. First the columns of
     blocks in which it comes below a ceiling are put in `near`, without a branch that cannot be foretold.

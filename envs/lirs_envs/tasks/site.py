@@ -1,4 +1,4 @@
-"""The ground of a world as a robot can use it: where it can be, and what it is to see."""
+"""Usable ground of a world: free areas of a robot, and the ground to be seen."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class SeenFrame:
 
 
 def seen_frame(world: World) -> SeenFrame:
-    """Return the grid over a world's ground; walls, holes and nodes without ground are left out."""
+    """Return the grid over a world's ground without walls, holes and missing nodes."""
     surface: HeightField = world.surface
     west, south, east, north = surface.bounds
     rows, cols = math.ceil((north - south) / SEEN_CELL), math.ceil((east - west) / SEEN_CELL)
@@ -55,7 +55,7 @@ def seen_frame(world: World) -> SeenFrame:
 
 
 def _floor(world: World, points: FloatArray) -> BoolArray:
-    """Whether points (..., 2) are on the floor of a laser map, and known to be free where the map tells."""
+    """Whether points (..., 2) are on known free floor of a laser map."""
     walls, truth = world.walls, world.truth
     assert walls is not None
     free, resolution, origin = walls.floor, walls.resolution, walls.origin
@@ -70,7 +70,7 @@ def _floor(world: World, points: FloatArray) -> BoolArray:
 
 @dataclass(frozen=True)
 class Site:
-    """Where a robot can be in a world.
+    """Free ground of a robot in a world.
 
     Attributes:
         world: the world.
@@ -93,7 +93,7 @@ class Site:
         return self
 
     def area(self, x: float, y: float) -> int:
-        """Return the number of the area around a point; 0 = the robot cannot be there."""
+        """Return the number of the area at a point; 0 = not free."""
         row, col = self.grid.cells((x, y)).tolist()
         inside = 0 <= row < self.areas.shape[0] and 0 <= col < self.areas.shape[1]
         return int(self.areas[row, col]) if inside else 0
@@ -109,7 +109,7 @@ class Site:
         return Pose2(x, y, math.pi * (2 * turn - 1))
 
     def distances(self, x: float, y: float, limit: float = math.inf) -> FloatArray:
-        """Return (rows, cols) meters of the shortest way from each cell of `grid` to a point.
+        """Return (rows, cols) shortest path lengths to a point in meters.
 
         inf = there is none, or none up to the limit.
         """
@@ -117,7 +117,7 @@ class Site:
         return search(weight, cell[None], self.grid.resolution, limit=limit).cost
 
     def reachable(self, area: int) -> BoolArray:
-        """Return (rows, cols) cells of `seen` where the robot's middle can be, in an area of a number."""
+        """Return (rows, cols) cells of `seen` that the robot's center can reach in an area."""
         rows, cols = self.seen.height.shape
         x = self.seen.corner[0] + (np.arange(cols) + 0.5) * SEEN_CELL
         y = self.seen.corner[1] + (np.arange(rows) + 0.5) * SEEN_CELL
@@ -150,7 +150,7 @@ def make_site(world: World, robot: Robot) -> Site:
 
 
 def _largest(areas: IntArray, driven: BoolArray) -> int:
-    """Return the number of the area with most of the cells that robots are meant to drive, if any are."""
+    """Return the number of the area with most drivable cells."""
     sizes = np.bincount(areas[driven] if driven.any() else areas.ravel())
     return 1 + int(np.argmax(sizes[1:]))
 
@@ -159,7 +159,10 @@ def _largest(areas: IntArray, driven: BoolArray) -> int:
 def distance_at(
     cost: FloatArray, corner: tuple[float, float], resolution: float, x: float, y: float
 ) -> float:
-    """Return meters of the way from a point, by the nearest of the cells around it; inf = there is none."""
+    """Return the path length from a point in meters; inf = there is no path.
+
+    It is taken from the nearest of the cells around the point.
+    """
     rows, cols = cost.shape
     c, r = math.floor((x - corner[0]) / resolution), math.floor((y - corner[1]) / resolution)
     best = np.inf

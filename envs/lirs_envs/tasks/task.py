@@ -1,4 +1,4 @@
-"""What all tasks have: where an episode begins, what a step is worth, when it ends."""
+"""Task interface: start of an episode, reward of a step, end."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ EFFORT_COST = 0.1
 
 @dataclass
 class Stage:
-    """What tasks act on: N robots, their sites, what they have seen; row i is robot i's.
+    """State on which tasks act: N robots, their sites and seen ground, in rows.
 
     Attributes:
         simulation: the robots.
@@ -83,7 +83,9 @@ class Task(ABC):
 
     @abstractmethod
     def draw(self, i: int, rng: np.random.Generator, options: Mapping[str, Any]) -> Pose2 | None:
-        """Draw the episode of robot `i` (start, goal, terrain); return the start; None = draw again.
+        """Draw the episode of robot `i`; return the start, or None to draw again.
+
+        An episode is start, goal and terrain.
 
         Raises:
             ConfigError: an option has a value that is not legal.
@@ -101,15 +103,18 @@ class Task(ABC):
 
     @abstractmethod
     def step(self, ids: IntArray) -> FloatArray:
-        """Return the rewards (n,) of a step that robots `ids` made, less those of contact and effort."""
+        """Return the task's rewards (n,) of a step of robots `ids`.
+
+        The costs of contact and effort are not included.
+        """
 
     @abstractmethod
     def end(self, i: int) -> str:
-        """Return why the episode of robot `i` ends by the task's own rules; empty = it goes on."""
+        """Return why the task ends the episode of robot `i`; empty = it continues."""
 
     @abstractmethod
     def infos(self) -> dict[str, Any]:
-        """Return (N, ...) arrays of what `info` says of the task."""
+        """Return (N, ...) arrays of the task's entries of `info`."""
 
     def goal(self, i: int) -> tuple[float, float] | None:
         """Return x, y of the goal of robot `i`, meters; None = it has none."""

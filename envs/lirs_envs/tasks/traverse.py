@@ -32,14 +32,14 @@ class CourseScale(NamedTuple):
 
 
 def course_scale(robot: Robot) -> CourseScale:
-    """Return the scale at which a course is as hard for a robot as it is for a Husky."""
+    """Return the scale at which a course is as hard as for a Husky."""
     if robot.flies:
         return CourseScale(1.0, 1.0)
     return CourseScale(robot.radius / HUSKY_RADIUS, robot.friction / HUSKY_FRICTION)
 
 
 class TraverseTask(Task):
-    """Meters gained on the goal, as the crow flies, are worth as much; reaching it 10."""
+    """Traverse task: reward per meter gained on the goal in a straight line. The goal is worth 10."""
 
     observe: ClassVar = ("scan", "goal", "attitude", "height_map")
     time_limit: ClassVar = 90.0
@@ -82,7 +82,7 @@ class TraverseTask(Task):
         self._distances[i], self._success[i] = self._distance(i), False
 
     def step(self, ids: IntArray) -> FloatArray:
-        """Return the meters gained, and what success is worth."""
+        """Return the meters gained, plus the reward of success."""
         rewards = np.zeros(len(ids))
         for k, i in enumerate(ids.tolist()):
             distance = self._distance(i)
@@ -107,7 +107,7 @@ class TraverseTask(Task):
         return course
 
     def infos(self) -> dict[str, Any]:
-        """Return success, kind and difficulty of the course, distance to the goal and meters gained on it."""
+        """Return success, kind, difficulty, distance to the goal and meters gained."""
         return {
             "success": self._success.copy(),
             "kind": np.array(self._kinds, dtype=object),
