@@ -1,1 +1,1 @@
-"""One file per format that the outside world reads or writes."""
+"""File formats: one module per format."""

@@ -1,4 +1,7 @@
-"""The commands of a drive as CSV: start pose, then time, speed and turn rate a line; nothing is rounded."""
+"""Commands of a drive as CSV: start pose, then time, speed and turn rate per line.
+
+Numbers are not rounded.
+"""
 
 from __future__ import annotations
 
@@ -13,18 +16,18 @@ from lirs_wct.files import atomic_write
 from lirs_wct.geometry.pose import Pose2
 
 HEADER = "time,v,omega"
-"""Seconds since the start when the command was given; m/s; rad/s."""
+"""Time of the command since the start, seconds; m/s; rad/s."""
 START = "# start"
 """Begins the line with the start pose: x, y, yaw in the world frame, meters and radians."""
 
 
 @dataclass(frozen=True)
 class Commands:
-    """What a robot was told.
+    """The velocity commands of a drive.
 
     Attributes:
-        start: pose where it was set down, world frame.
-        rows: (n, 3) seconds, m/s, rad/s.
+        start: start pose of the robot, world frame.
+        rows: (n, 3) time in seconds, speed in m/s, turn rate in rad/s.
     """
 
     start: Pose2
@@ -32,7 +35,7 @@ class Commands:
 
 
 def write_commands(path: Path, commands: Commands) -> None:
-    """Write commands; every number reads back as it was.
+    """Write commands; numbers read back exactly.
 
     Raises:
         OutputError: the file cannot be written.
@@ -47,7 +50,7 @@ def read_commands(path: Path) -> Commands:
     """Read commands.
 
     Raises:
-        SourceError: missing or damaged, or not three finite numbers a line.
+        SourceError: missing or damaged, or not three finite numbers per line.
     """
     try:
         first, header, *lines = path.read_text(encoding="utf-8").splitlines()

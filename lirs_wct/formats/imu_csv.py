@@ -1,4 +1,4 @@
-"""Inertial readings as CSV, gzipped: one reading a line, as any table program reads them."""
+"""Inertial readings as gzipped CSV, one reading per line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A laser log, whatever file it was read from: scans in the order of the file, odometry, readings."""
+"""A laser log of any file format: scans in file order, odometry, inertial readings."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from lirs_wct.geometry.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class LineStamps:
-    """Stamps of every line that is used, in the order of the file.
+    """Stamps of every used line, in file order.
 
     Attributes:
-        logged: (n,) seconds, as the lines have them.
-        repaired: (n,) seconds, rising; the same where nothing had to be repaired.
+        logged: (n,) seconds, as in the file.
+        repaired: (n,) seconds, rising; equal to `logged` where no repair was needed.
         scans: (n,) whether a line holds a scan.
     """
 
@@ -30,26 +30,26 @@ class LineStamps:
 
     @property
     def back(self) -> int:
-        """Steps from line to line in which the stamps go back."""
+        """Count of steps between lines at which the stamp decreases."""
         return int((np.diff(self.logged) < 0).sum())
 
     @property
     def repeated(self) -> int:
-        """Steps from line to line in which they stand still."""
+        """Count of steps between lines at which the stamp repeats."""
         return int((np.diff(self.logged) == 0).sum())
 
     @property
     def moved(self) -> int:
-        """Lines whose stamp was repaired."""
+        """Count of lines with a repaired stamp."""
         return int((self.repaired != self.logged).sum())
 
     @property
     def furthest(self) -> float:
-        """By how much at most, seconds."""
+        """Largest change of a stamp by the repair, seconds."""
         return float(np.abs(self.repaired - self.logged).max(initial=0.0))
 
     def repaired_at(self, stamps: FloatArray) -> FloatArray:
-        """Return (m,) logged stamps as repaired: each moves as the line nearest to it; scans come first."""
+        """Return (m,) repaired stamps: each moves like the nearest line, scans preferred."""
         order = np.lexsort((~self.scans, self.logged))
         logged, shift = self.logged[order], (self.repaired - self.logged)[order]
         after = np.clip(np.searchsorted(logged, stamps), 0, len(logged) - 1)
@@ -59,7 +59,7 @@ class LineStamps:
         return moved
 
     def summary(self) -> str:
-        """Return what was wrong and what was done about it, one line."""
+        """Return one line about faults of the stamps and their repair."""
         steps = f"{len(self.logged) - 1:,}"
         return (
             f"stamps go back at {self.back:,} of {steps} steps and repeat at {self.repeated:,}: "
@@ -69,17 +69,17 @@ class LineStamps:
 
 @dataclass(frozen=True)
 class LaserLog:
-    """A log as read, in the order of the file.
+    """A laser log in file order.
 
     Attributes:
-        scans: in the order of the file; their stamps increase strictly.
+        scans: planar scans in file order; their stamps increase strictly.
         odometry: `T_odom_base` of each scan, as many as scans; all None where the log holds no odometry.
         track: every pose that the log's odometry gives, of messages with and without a scan; may be empty.
         lines: stamps of the lines as logged and as repaired; scans and track have the repaired ones.
-        skipped: how many lines were left out, by reason.
+        skipped: count of skipped lines by reason.
         late: lines whose logged stamp is before that of an earlier line.
-        repaired: how often something was put right, by what.
-        laser: name of the messages that the scans are from.
+        repaired: count of repairs by kind.
+        laser: message name of the scans.
         left_out: scans of the file that could not be used and are not in `scans`.
         clouds: point clouds in place of scans, read one by one; None of a log of planar scans.
         imu: inertial readings that the log itself holds; a CARMEN log holds none.
@@ -99,5 +99,5 @@ class LaserLog:
 
     @property
     def stamps(self) -> FloatArray:
-        """(n,) seconds, of the scans or clouds."""
+        """(n,) stamps of the scans or clouds, seconds."""
         return self.lines.repaired[self.lines.scans]

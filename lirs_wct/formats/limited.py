@@ -1,4 +1,4 @@
-"""Compiled readers of untrusted files, in a process with limits of time and memory."""
+"""Compiled readers of untrusted files in a process with time and memory limits."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from lirs_wct.errors import SourceError, reason_of
 
 T = TypeVar("T")
 SECONDS, SECONDS_PER_BYTE = 30.0, 5e-6
-"""Time limit of a file: a constant and 5 s a megabyte."""
+"""Time limit of a file: a constant and 5 s per megabyte."""
 MEMORY, MEMORY_PER_BYTE = 512 << 20, 200
 """Memory limit of a file in bytes; a LAZ file unpacks to some ten times its size, seldom to fifty times."""
 THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "RAYON_NUM_THREADS": "4"}
 """Each thread's stack counts as memory."""
 PROGRAM = "import sys; sys.path[:] = {path!r}; from lirs_wct.formats.limited import _serve; _serve()"
-"""Of the process. Those of multiprocessing run the caller's script again, which then needs a guard."""
+"""Program of the process. Those of multiprocessing rerun the caller's script, which then needs a guard."""
 
 
 def run_limited(
@@ -34,14 +34,14 @@ def run_limited(
     memory: int = 0,
     environment: Mapping[str, str] | None = None,
 ) -> T:
-    """Return `read(*arguments)`, called in a process with limits of time and memory.
+    """Call `read(*arguments)` in a process with time and memory limits; return its result.
 
     Args:
         path: file that is read; its size scales the limits.
         read: function of a module, which can be pickled, as must its arguments and result.
         *arguments: of the function.
         size: bytes of other files that are read.
-        memory: bytes that are legal beside those of the file.
+        memory: additional bytes that are allowed.
         environment: variables of the process, set before its libraries load.
 
     Raises:
@@ -97,7 +97,7 @@ def _ending(code: int) -> str:
 def _serve() -> None:
     """Answer the question on stdin with a value or the text of an error."""
     with os.fdopen(os.dup(1), "wb") as out:
-        # What a library prints is no part of the answer.
+        # Output that a library prints must not mix with the answer.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         read, arguments, seconds, memory = pickle.load(sys.stdin.buffer)
         _limit(seconds, memory)
@@ -113,7 +113,7 @@ def _serve() -> None:
 
 def _limit(seconds: int, memory: int) -> None:
     if sys.platform == "win32":
-        return  # has the time limit alone
+        return  # only the time limit applies
     import resource
 
     # Not the address space: allocators and threads reserve much that they never use.

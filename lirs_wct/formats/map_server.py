@@ -29,12 +29,12 @@ BLACK, WHITE, UNKNOWN = 0, 254, 205
 WRITTEN_FREE = 0.196
 """`free_thresh` that keeps a pixel of 205 (p = 0.19608) unknown."""
 LEVELS = np.arange(256, dtype=np.uint8)[None, :]
-"""Every pixel that 8 bits can hold: a map of millions is graded by looking them up."""
+"""Every 8-bit pixel value: a look-up table converts large maps fast."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapMetadata:
-    """What a map's YAML says; see the ROS package map_server."""
+    """Metadata of a map's YAML; see the ROS package map_server."""
 
     image: Path
     resolution: float
@@ -173,10 +173,12 @@ def _check_metadata(metadata: MapMetadata) -> MapMetadata:
 
 
 def _entries(text: str) -> dict[str, Entry]:
-    """Return the keys of a map's YAML with scalars as text, so that `1e-2` is a number and a date a name.
+    """Return the entries of a map's YAML with scalars as text.
+
+    As text, `1e-2` can become a number and a date can be a file name.
 
     Raises:
-        ValueError: no YAML, or something that a map has no use for (nesting, two documents).
+        ValueError: no YAML, or content that no map has (nesting, two documents).
     """
     found = load_yaml(text, typed=False) or {}
     if not isinstance(found, dict):

@@ -1,4 +1,4 @@
-"""References of a file to other files: only inside its own folder or package, never on a network."""
+"""References of a file to other files: inside its folder or package, never on a network."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _PACKAGE = ("model.config", "world.json")
 
 
 def referenced_file(owner: Path, name: str) -> Path:
-    """Return the path of a file that another file names; it need not exist.
+    """Return the path of a referenced file, which need not exist.
 
     A relative name begins at the owner's folder, `model://NAME/...` at the folder of its model package.
 

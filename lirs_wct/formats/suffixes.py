@@ -21,7 +21,7 @@ RASTERS = (
     ".nc",
     ".jp2",
 )
-"""Elevation data beside GeoTIFF; all but the first two by GDAL."""
+"""Elevation data besides GeoTIFF; GDAL reads all but the first two."""
 LOGS = (".clf", ".log")
 """CARMEN logs, which may end in .gz as well."""
 BAGS = (".mcap", ".db3", ".bag")
@@ -33,5 +33,5 @@ ZSTD = ".zstd"
 
 
 def is_bag_file(path: Path) -> bool:
-    """Return whether a file's name is that of a ROS bag, or of a part of one."""
+    """Return whether a file is, by its name, a ROS bag or part of one."""
     return path.name.lower().removesuffix(ZSTD).endswith(BAGS)

@@ -1,4 +1,4 @@
-"""Trajectories in the TUM format: `stamp x y z qx qy qz qw` a line, as evo reads them."""
+"""Trajectories in the TUM format: `stamp x y z qx qy qz qw` per line, as evo reads."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ HEADER = "# stamp[s] x y z[m] qx qy qz qw"
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """Write a trajectory; every number reads back to the nanometer and the nanosecond.
+    """Write a trajectory, rounded to the nanometer and the nanosecond.
 
     Raises:
         OutputError: the file cannot be written.
@@ -52,7 +52,7 @@ def read_tum(path: Path) -> Trajectory:
 
 
 def _trajectory(path: Path, rows: FloatArray) -> Trajectory:
-    """Return the poses of rows (n, 8) as the file orders them."""
+    """Build a trajectory from rows (n, 8) in the column order of the file."""
     quaternions = np.roll(rows[:, 4:], 1, axis=1)
     length = np.linalg.norm(quaternions, axis=1, keepdims=True)
     if not length.all():

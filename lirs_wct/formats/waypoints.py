@@ -1,4 +1,7 @@
-"""Waypoints: x, y and perhaps yaw a line (text or CSV), or a YAML list; meters and radians, world frame."""
+"""Waypoint files: text, CSV or YAML with x, y and optional yaw.
+
+Meters and radians in the world frame.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,13 @@ from lirs_wct.errors import SourceError
 from lirs_wct.formats.yaml_text import load_yaml
 
 LEAST = 2
-"""Waypoints in a file: where the drive begins, and where it leads."""
+"""Least number of waypoints in a file: start and goal."""
 NAMES = ("x", "y", "yaw")
 
 
 @dataclass(frozen=True)
 class Waypoint:
-    """A place to drive to; `yaw` = where to face there, None = as it comes."""
+    """A position to reach; `yaw` = heading there, None = any."""
 
     x: float
     y: float
@@ -27,7 +30,7 @@ class Waypoint:
 def read_waypoints(path: Path) -> tuple[Waypoint, ...]:
     """Read waypoints.
 
-    Text and CSV: a waypoint a line, numbers between commas or blanks; what follows `#` is a comment, and a
+    Text and CSV: one waypoint per line, numbers separated by commas or blanks. `#` begins a comment, and a
     first line `x,y,yaw` is a heading. YAML (`.yaml`, `.yml`): a list of `[x, y]`, `[x, y, yaw]` or
     `{x: ..., y: ..., yaw: ...}`, plain or under `waypoints:`.
 
@@ -50,7 +53,7 @@ def read_waypoints(path: Path) -> tuple[Waypoint, ...]:
 
 
 def _lines(text: str) -> list[tuple[str, Any]]:
-    """Return where each waypoint stands, and its words."""
+    """Return the line name and the words of each waypoint."""
     found: list[tuple[str, Any]] = []
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.partition("#")[0].replace(",", " ").split()
@@ -61,7 +64,7 @@ def _lines(text: str) -> list[tuple[str, Any]]:
 
 
 def _yaml(path: Path, text: str) -> list[tuple[str, Any]]:
-    """Return where each waypoint stands, and its values."""
+    """Return the name and the values of each waypoint."""
     try:
         entries = load_yaml(text)
     except ValueError as error:
@@ -77,7 +80,7 @@ def _yaml(path: Path, text: str) -> list[tuple[str, Any]]:
 
 
 def _values(entry: dict[Any, Any]) -> list[Any]:
-    """Return the values of `{x, y, yaw}` in this order; what is no such mapping keeps no value."""
+    """Return the values of `{x, y, yaw}` in this order; nothing of other mappings."""
     known = set(entry) in ({"x", "y"}, set(NAMES))
     return [entry[name] for name in NAMES if name in entry] if known else []
 

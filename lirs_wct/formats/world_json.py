@@ -1,4 +1,4 @@
-"""A world on disk: `world.json` says what it is, `world.npz` holds its arrays bit by bit."""
+"""A world on disk: metadata in `world.json`, exact arrays in `world.npz`."""
 
 from __future__ import annotations
 
@@ -29,31 +29,31 @@ JSON, ARRAYS = "world.json", "world.npz"
 CELLS = (1e-5, 1e6)
 """Smallest and largest distance of two nodes of a stored surface, meters."""
 TEXTURES = Path("materials") / "textures"
-"""Where Gazebo looks for a model's textures."""
+"""Folder in which Gazebo looks for a model's textures."""
 TEXTURE_OPTIONS = ("texture", "wall_texture")
 """Settings that are the user's files: a world's folder holds copies."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorldFile:
-    """What the two files of a world hold.
+    """The content of a world's two files.
 
     Attributes:
         name: of the world.
         kind: `terrain`, `map` or `mesh`.
-        scale: where the meters come from, a text.
+        scale: source of the metric scale, as text.
         surface: the ground from above.
         spawn_poses: `T_world_base`.
-        spawn_for: the largest robot that they are for; empty = none, or it is not known.
-        start: the pose that was asked for; None = none was.
+        spawn_for: the largest robot that fits at these poses; empty = none or unknown.
+        start: the pose that the user requested; None = no request.
         walls: of a laser map.
         truth: the laser map itself.
-        solid: closed mesh.
+        solid: closed mesh of the world.
         overhangs: whether that mesh is more than its heights from above.
         no_ground: (rows, cols) nodes of the surface without ground.
         export_options: name -> value; those of `TEXTURE_OPTIONS` are paths or None.
-        source: that it was made from; None where none is known.
-        place: on the earth; None where none is known.
+        source: file that the world was made from; None = unknown.
+        place: on the earth; None = unknown.
     """
 
     name: str
@@ -117,14 +117,17 @@ def write_world(world: WorldFile, folder: Path) -> Path:
 
 
 def recorded_source(folder: Path) -> str | None:
-    """Return the source of the world in a folder; None where none is known."""
+    """Return the source of the world in a folder; None = unknown."""
     with checked_content(folder):
         source: str | None = json.loads((folder / JSON).read_text(encoding="utf-8")).get("source")
         return source
 
 
 def _write_arrays(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
-    """Write an .npz; all but the heights compressed, which is slow and hardly makes those smaller."""
+    """Write an .npz with compressed arrays.
+
+    Heights stay uncompressed: compressing them is slow and hardly makes them smaller.
+    """
     with zipfile.ZipFile(path, "w") as file:
         for name, array in arrays.items():
             entry = zipfile.ZipInfo(f"{name}.npy")
@@ -174,7 +177,7 @@ def read_world(folder: Path) -> WorldFile:
 
 @contextmanager
 def checked_content(folder: Path) -> Iterator[None]:
-    """Raise SourceError where what is done with a world's files shows that they are missing or damaged."""
+    """Convert errors from missing or damaged files of a world to SourceError."""
     try:
         yield
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
@@ -182,19 +185,19 @@ def checked_content(folder: Path) -> Iterator[None]:
 
 
 def texture_path(name: str, role: str, given: Path | None) -> Path:
-    """Return where a texture lies in a world's folder.
+    """Return the path of a texture in a world's folder.
 
     Args:
         name: of the world.
         role: `texture` of the ground or `wall_texture`.
-        given: the user's file, None = drawn.
+        given: the user's file; None = a generated texture.
     """
     stem = name if role == "texture" else f"{name}-walls"
     return TEXTURES / f"{stem}{given.suffix.lower() if given else '.png'}"
 
 
 def _kept_textures(world: WorldFile, folder: Path) -> dict[str, str | None]:
-    """Copy the user's textures into the folder, under the world's name; return where they lie in it."""
+    """Copy the user's textures into the folder under the world's name; return their paths in it."""
     kept: dict[str, str | None] = {"texture": None}
     for role in TEXTURE_OPTIONS:
         given: Path | None = world.export_options.get(role)

@@ -1,4 +1,4 @@
-"""YAML text, read strictly: a key that stands twice is an error."""
+"""Strict reading of YAML text: a duplicate key is an error."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 else:
     _Constructor = object
 MERGE = "tag:yaml.org,2002:merge"
-"""Tag of the key `<<`, which may stand several times."""
+"""Tag of the key `<<`, which may occur several times."""
 
 
 class _UniqueKeys(_Constructor):
@@ -47,7 +47,7 @@ def load_yaml(text: str, *, typed: bool = True) -> Any:
         typed: whether scalars become numbers, booleans and dates; they stay text otherwise.
 
     Raises:
-        ValueError: no YAML, or a key stands twice; one line that names the line in the text.
+        ValueError: no YAML, or a duplicate key; the message is one line that names the line.
     """
     try:
         return yaml.load(text, _Typed if typed else _Text)

@@ -1,1 +1,1 @@
-"""The values that flow: poses, scans, grids, height fields, meshes, walls, trajectories."""
+"""Geometric values: poses, scans, grids, height fields, meshes, walls, trajectories."""

@@ -1,4 +1,4 @@
-"""What a lidar with rings says: the points of one sweep."""
+"""One sweep of a lidar with rings as a point cloud."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ RingArray = NDArray[np.uint16]
 class PointCloud:
     """One sweep of a lidar with rings, after ROS `sensor_msgs/PointCloud2` as Velodyne's driver fills it.
 
-    Beams without return have no point. Points are in the sensor's frame as each was measured: with times
-    above 0 the sweep is skewed by the robot's motion.
+    Beams without return have no point. Each point is in the sensor's frame at the time of its measurement.
+    With times above 0, the robot's motion skews the sweep.
 
     Attributes:
         xyz: (n, 3) float32 meters in the sensor's frame, x ahead, z up; finite. Ring by ring from below,
@@ -27,7 +27,7 @@ class PointCloud:
         ring: (n,) uint16 ring of each point, 0 = the lowest.
         time: (n,) float32 seconds from `stamp` until the point was measured; all 0 = all at once.
         stamp: time of the first column of beams, seconds.
-        T_base_laser: where the sensor sits on the robot.
+        T_base_laser: pose of the sensor on the robot.
 
     Raises:
         ConfigError: shapes or types differ from these.

@@ -1,4 +1,8 @@
-"""Coordinate systems of elevation data, georeferences of rasters, and the place of a world on the earth."""
+"""Coordinate systems of elevation data, georeferences of rasters, places of worlds on the earth.
+
+Geographic coordinates, web Mercator (EPSG:3857) and UTM are computed here. Any other system needs PROJ
+through rasterio (extra `geo`).
+"""
 
 from __future__ import annotations
 
@@ -33,7 +37,7 @@ class CoordinateSystem:
 
     Attributes:
         name: `EPSG:code`, WKT of one without a code, or empty where none is known.
-        form: how it is computed; `other` by PROJ, `unknown` not at all.
+        form: kind of computation; `other` needs PROJ, `unknown` cannot be converted.
         unit: meters in a unit of projected coordinates.
         ellipsoid: semi-major axis in meters and inverse flattening (0 = sphere) of geographic coordinates.
     """
@@ -57,7 +61,7 @@ class CoordinateSystem:
 
     @property
     def label(self) -> str:
-        """What to call it in a line of text."""
+        """Short name of the system for messages."""
         if "[" in self.name:
             return self.name.split('"')[1]
         if self.name or self.form != "geographic":
@@ -87,7 +91,7 @@ class CoordinateSystem:
         raise ConfigError("no coordinate reference system is known")
 
     def ground_meters(self, x: float, y: float) -> FloatArray:
-        """Return (2, 2) meters eastward and northward on the ground per unit of x and of y, at a place.
+        """Return (2, 2) ground meters east and north per unit of x and of y at a place.
 
         Raises:
             ConfigError: as `to_geographic`, or the place is a pole or beyond.
@@ -121,13 +125,13 @@ def meters_per_degree(latitude: float, ellipsoid: tuple[float, float] = WGS84) -
 
 
 def _mercator_inverse(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return latitudes and longitudes of web Mercator's meters: Snyder 1987, eqs. 7-4 and 7-5."""
+    """Convert web Mercator meters to latitudes and longitudes: Snyder 1987, eqs. 7-4 and 7-5."""
     a = WGS84[0]
     return np.degrees(np.pi / 2 - 2 * np.arctan(np.exp(-y / a))), np.degrees(x / a)
 
 
 def _utm_zone(code: int) -> tuple[int, int] | None:
-    """Return zone and hemisphere (1 = north) of an EPSG code; None where it is none of UTM."""
+    """Return zone and hemisphere (1 = north) of a UTM system's EPSG code, else None."""
     for base, hemisphere in _UTM.items():
         if 1 <= code - base <= 60 and (base != 6329 or code <= 6348):
             return code - base, hemisphere
@@ -135,7 +139,7 @@ def _utm_zone(code: int) -> tuple[int, int] | None:
 
 
 def _utm_inverse(x: FloatArray, y: FloatArray, zone: int, hemisphere: int) -> tuple[FloatArray, FloatArray]:
-    """Return latitudes and longitudes of UTM's meters: Karney 2011, eqs. 11, 15, 25 and 36, to n^4."""
+    """Convert UTM meters to latitudes and longitudes: Karney 2011, eqs. 11, 15, 25, 36, to n^4."""
     a, f = WGS84[0], 1 / WGS84[1]
     n, e = f / (2 - f), math.sqrt(f * (2 - f))
     radius = a / (1 + n) * (1 + n**2 / 4 + n**4 / 64) * _SCALE
@@ -175,7 +179,7 @@ def _by_proj(name: str, label: str, x: FloatArray, y: FloatArray) -> tuple[Float
 
 
 _NAMED = re.compile(r'(?:AUTHORITY|ID)\["EPSG",\s*"?(\d+)"?\]\]\s*$')
-"""The code of the whole system, which stands last in its WKT."""
+"""The EPSG code of the whole system is the last one in its WKT."""
 _UTM_TEXT = re.compile(r"UTM[_ ]zone[_ ](\d+)[_ ]?([NS])", re.IGNORECASE)
 
 _UNIT = re.compile(r'(?:LENGTH)?UNIT\["([^"]*)",\s*([0-9.eE+-]+)')
@@ -183,12 +187,12 @@ _VERTICAL = re.compile(r"VERT_?CR?S\[")
 
 
 def units_of_text(text: str) -> tuple[float, float]:
-    """Return meters a unit of x and y, and of z, by a projected system's WKT.
+    """Return meters per unit of x and y, and of z, from a projected system's WKT.
 
-    Where it says nothing of z, that is in the unit of x and y.
+    Without a vertical unit, z has the unit of x and y.
     """
     plane, _, upright = text.partition(found[0] if (found := _VERTICAL.search(text)) else "\0")
-    # The last is the system's own: those of its angles, ellipsoid and parameters stand before it.
+    # The last unit is that of the system; those of angles, ellipsoid and parameters precede it.
     lengths, heights = (
         [float(size) for name, size in _UNIT.findall(part) if not name.lower().startswith(("deg", "rad"))]
         for part in (plane, upright)
@@ -198,7 +202,7 @@ def units_of_text(text: str) -> tuple[float, float]:
 
 
 def system_of_text(text: str) -> CoordinateSystem:
-    """Return the coordinate system of a .prj file's WKT, as far as it is known without PROJ."""
+    """Return the coordinate system of a WKT text, parsed without PROJ."""
     named = _NAMED.search(text)
     if named or "MERCATOR_AUXILIARY_SPHERE" in text.upper():
         return CoordinateSystem.of_code(int(named[1]) if named else 3857, units_of_text(text)[0])
@@ -217,7 +221,7 @@ def system_of_text(text: str) -> CoordinateSystem:
 Affine = tuple[float, float, float, float, float, float]
 """a, b, c, d, e, f of x = a u + b v + c, y = d u + e v + f."""
 TURNED = 1e-4
-"""Sine of a raster's turn, or cosine between its rows and columns, that is worth a word."""
+"""Largest ignored sine of a raster's turn, or cosine between its rows and columns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,10 +230,10 @@ class Georeference:
 
     Attributes:
         system: of the coordinates.
-        affine: column and row of a pixel's middle (whole numbers) to coordinates.
+        affine: map from column and row of a pixel's middle (whole numbers) to coordinates.
         steps: meters eastward and northward on the ground, at the raster's middle, from one column to the
             next, and from one row to the next: ((east, north), (east, north)).
-        located: whether the coordinates are known, and not only their spacing.
+        located: whether the coordinates are known; False = only their spacing is.
     """
 
     system: CoordinateSystem
@@ -252,18 +256,18 @@ class Georeference:
 
     @staticmethod
     def on_grid(system: CoordinateSystem, affine: Affine, *, located: bool = True) -> Georeference:
-        """Return the georeference of a raster whose units are taken for ground meters."""
+        """Return the georeference of a raster; its units are treated as ground meters."""
         a, b, _, d, e, _ = (value * system.unit for value in affine)
         return Georeference(system, affine, ((a, d), (b, e)), located)
 
     @property
     def pixel(self) -> tuple[float, float]:
-        """Ground meters from one column, and one row, to the next."""
+        """Ground meters from column to column, and from row to row."""
         return math.hypot(*self.steps[0]), math.hypot(*self.steps[1])
 
     @property
     def heading(self) -> float:
-        """Degrees north of east to which the columns go on."""
+        """Direction of increasing column, degrees north of east."""
         return math.degrees(math.atan2(self.steps[0][1], self.steps[0][0]))
 
     @property
@@ -278,9 +282,9 @@ class Georeference:
         return abs(ce * re + cn * rn) > 100 * TURNED * math.hypot(ce, cn) * math.hypot(re, rn)
 
     def upright(self, pixels: NDArray[Any]) -> tuple[NDArray[Any], Georeference]:
-        """Return pixels and georeference with the columns as near to east, the rows to south, as they go.
+        """Transpose and flip pixels so that columns run closest to east, rows closest to south.
 
-        Rows and columns are exchanged and turned round; no pixel is computed anew.
+        Pixels are only reordered, not resampled. Returns them with their georeference.
         """
         found, (a, b, c, d, e, f) = self, self.affine
         if abs(self.steps[0][0]) < abs(self.steps[1][0]):
@@ -305,7 +309,7 @@ class Georeference:
 
 
 def middle_of_pixels(corner: Affine) -> Affine:
-    """Return the affine map of pixels' middles from that of their upper-left corners, as GDAL gives it."""
+    """Convert GDAL's affine map of upper-left pixel corners to that of pixel middles."""
     a, b, c, d, e, f = corner
     return a, b, c + (a + b) / 2, d, e, f + (d + e) / 2
 
@@ -317,12 +321,12 @@ def matrix(affine: Affine) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where the world's frame lies.
+    """The place of the world's frame on the earth.
 
     Attributes:
         system: of the coordinates.
-        affine: x and y of the world, meters, to coordinates.
-        height: of z = 0 above the data's own datum, meters; None where heights are not the file's.
+        affine: map from x and y of the world, meters, to coordinates.
+        height: of z = 0 above the data's datum, meters; None where heights are not those of the file.
     """
 
     system: CoordinateSystem
@@ -330,7 +334,7 @@ class Place:
     height: float | None = None
 
     def coordinates(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the coordinates of points of the world, in the place's own system."""
+        """Return the coordinates of points of the world, in the place's system."""
         px, py = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         a, b, c, d, e, f = self.affine
         return a * px + b * py + c, d * px + e * py + f
@@ -344,7 +348,7 @@ class Place:
         return self.system.to_geographic(*self.coordinates(x, y))
 
     def heading(self) -> float:
-        """Return the degrees north of east to which the world's x axis points, at its origin.
+        """Return the direction of the world's x axis at its origin, degrees north of east.
 
         Raises:
             ConfigError: as `to_geographic`.
@@ -368,5 +372,5 @@ class Place:
         return ", ".join(part for part in (self.system.label, origin) if part) + height
 
     def raised(self, meters: float) -> Place:
-        """Return the place of a world whose z = 0 lies so much higher."""
+        """Return the place of a world whose z = 0 lies some meters higher."""
         return self if self.height is None else replace(self, height=self.height + meters)

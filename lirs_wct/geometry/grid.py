@@ -1,4 +1,4 @@
-"""The occupancy grid: what is known about which cell, in a frame."""
+"""The occupancy grid: log-odds of each cell, in a frame."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _FREE_LOG_ODDS = math.log(FREE / (1 - FREE))
 
 @dataclass(frozen=True, slots=True)
 class OccupancyGrid(ShownAsPicture):
-    """Cells of a plane with the log-odds of being occupied; unknown is a state of its own.
+    """Cells of a plane with their log-odds of occupancy; unknown is a separate state.
 
     Attributes:
         log_odds: (rows, cols) float32, row 0 = south (ROS order), NaN = unknown.
@@ -73,7 +73,7 @@ class OccupancyGrid(ShownAsPicture):
     @property
     def probability(self) -> Float32Array:
         """(rows, cols) probability of being occupied, NaN = unknown."""
-        # In one array: of millions of cells each further one costs more than its arithmetic.
+        # Computed in place: with millions of cells, a further array costs more than the arithmetic.
         p = np.negative(self.log_odds)
         np.exp(p, out=p)
         p += 1
@@ -81,7 +81,7 @@ class OccupancyGrid(ShownAsPicture):
 
     @property
     def known(self) -> BoolArray:
-        """(rows, cols) cells about which something is known."""
+        """(rows, cols) cells that are not unknown."""
         return ~np.isnan(self.log_odds)
 
     @property
@@ -95,10 +95,10 @@ class OccupancyGrid(ShownAsPicture):
         return self.probability < FREE
 
     def free_at(self, x: float, y: float) -> bool:
-        """Whether the cell of a point is free; none is outside the grid."""
+        """Whether the cell of a point is free; False outside the grid."""
         row, col = self.cells((x, y)).tolist()
         inside = 0 <= row < self.shape[0] and 0 <= col < self.shape[1]
-        # A cell without knowledge is NaN, which is below nothing.
+        # An unknown cell is NaN; comparisons with NaN are False.
         return bool(inside and self.log_odds[row, col] < _FREE_LOG_ODDS)
 
     def cells(self, points: ArrayLike) -> IntArray:

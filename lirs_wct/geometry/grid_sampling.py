@@ -1,4 +1,4 @@
-"""Values of a grid sampled on another grid over the same ground."""
+"""Resampling of a grid."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from lirs_wct.arrays import Float32Array
 
 
 def resample(values: Float32Array, width: int, height: int) -> Float32Array:
-    """Return values sampled on another grid over the same ground: corners stay corners.
+    """Resample values on another grid over the same ground; corner nodes stay corner nodes.
 
-    Shrinking blurs first, so that nothing finer than the new grid is folded into it.
+    Before shrinking, a Gaussian blur removes detail finer than the new grid (no aliasing).
     """
     rows, cols = values.shape
     shrink_x, shrink_y = (cols - 1) / (width - 1), (rows - 1) / (height - 1)

@@ -1,4 +1,4 @@
-"""Shortest paths over the cells of a grid (Dijkstra 1959), as far as somebody needs them."""
+"""Shortest paths over the cells of a grid (Dijkstra 1959), with an early stop."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from lirs_wct.kernels import njit
 
 @dataclass(frozen=True)
 class Reach:
-    """What a search found.
+    """The result of a search.
 
     Attributes:
         cost: (rows, cols) cost from the sources in meters times weight; inf = not reached.
-        parent: (rows, cols) flat index of the cell before; -1 at a source.
+        parent: (rows, cols) flat index of the predecessor; -1 at a source.
     """
 
     cost: FloatArray
@@ -45,14 +45,14 @@ def search(
     slack: float = 0.0,
     limit: float = math.inf,
 ) -> Reach:
-    """Search outward from cells, to the eight neighbors, without cutting the corners of blocked cells.
+    """Search from sources to the eight neighbors of each cell; paths cut no blocked corners.
 
     Args:
         weight: (rows, cols) cost of a meter in each cell; inf = blocked.
         sources: (n, 2) rows and columns where the cost is 0.
         resolution: meters a cell.
-        goals: stop once no cell within `slack` beyond the nearest of these is left.
-        slack: in units of the cost.
+        goals: stop when all cells up to `slack` beyond the nearest goal are settled.
+        slack: extra cost beyond the nearest goal, in units of the cost.
         limit: stop at this cost.
     """
     wanted = np.zeros(weight.shape, np.bool_) if goals is None else goals
@@ -98,7 +98,7 @@ def _dijkstra(
                     cost[i, j] = there
                     parent[i, j] = flat
                     heapq.heappush(heap, (there, i * cols + j))
-    # Cells that were seen but not settled are no answer.
+    # The cost of a cell that is not settled is not yet minimal.
     for r in range(rows):
         for c in range(cols):
             if cost[r, c] > limit:

@@ -76,7 +76,7 @@ class HeightField(ShownAsPicture):
 
     @property
     def south_up(self) -> Float32Array:
-        """(rows, cols) heights with row 0 = south: the one place where the y axis is flipped."""
+        """(rows, cols) heights with row 0 = south; only this property flips the y axis."""
         return np.ascontiguousarray(self.z[::-1])
 
     def contains(self, x: ArrayLike, y: ArrayLike) -> BoolArray:

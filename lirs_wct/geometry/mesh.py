@@ -73,7 +73,7 @@ class TriangleMesh:
 
     @property
     def is_watertight_as_written(self) -> bool:
-        """`is_watertight` of what a reader makes of an STL: float32 positions, equal ones merged."""
+        """Whether the mesh is watertight after an STL round trip (float32, equal vertices merged)."""
         written = self.vertices.astype(np.float32).astype(np.float64)
         return weld(TriangleMesh(written, self.faces)).is_watertight
 
@@ -86,8 +86,8 @@ class TriangleMesh:
 
 
 def weld(mesh: TriangleMesh) -> TriangleMesh:
-    """Return the mesh with one vertex a place; all triangles stay, texture coordinates and normals do not."""
-    # Adding 0 makes -0.0 and 0.0 the same place.
+    """Merge vertices at equal positions; drop texture coordinates and normals, keep all triangles."""
+    # Adding 0 makes -0.0 and 0.0 equal.
     vertices = np.ascontiguousarray(mesh.vertices + 0.0)
     keys = vertices.view(np.uint64)
     mixed: NDArray[np.uint64] = keys[:, 0].copy()
@@ -95,6 +95,6 @@ def weld(mesh: TriangleMesh) -> TriangleMesh:
         mixed = (mixed * np.uint64(0x9E3779B97F4A7C15)) ^ (mixed >> np.uint64(29)) ^ keys[:, column]
     _, first, index = np.unique(mixed, return_index=True, return_inverse=True)
     if not np.array_equal(vertices[first][index], vertices):
-        # Two places with one key: as good as never, and then slowly.
+        # Two positions with one hash: very rare, so the slow exact way is enough.
         _, first, index = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     return TriangleMesh(vertices[first], index.reshape(-1)[mesh.faces].astype(np.int32))

@@ -1,7 +1,7 @@
 """Rigid poses in the plane and in space.
 
 `T_ab` maps coordinates in frame b to frame a, so `T_ac = T_ab @ T_bc`. Meters and radians;
-quaternions are wxyz (MuJoCo's order), files of ROS and TUM hold xyzw.
+quaternions are wxyz (MuJoCo's order); files of ROS and TUM hold xyzw.
 """
 
 from __future__ import annotations

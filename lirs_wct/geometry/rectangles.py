@@ -1,4 +1,4 @@
-"""A mask of cells covered by few rectangles."""
+"""Cover of a mask of cells by few rectangles."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from lirs_wct.kernels import njit
 
 
 def merged_rectangles(mask: BoolArray) -> IntArray:
-    """Return (n, 4) rectangles row0, col0, row1, col1 (ends exclusive) that cover a mask once.
+    """Return (n, 4) disjoint rectangles (row0, col0, row1, col1) that cover a mask; ends are exclusive.
 
-    Greedy: at the first cell that is left, the larger of two rectangles, one grown along the row
-    first, one along the column first. The better of the mask and its transpose is taken.
+    Greedy: at the first uncovered cell, two rectangles grow, one along the row first and one along the column
+    first; the larger one is taken. The result is the smaller cover of the mask and its transpose.
     """
     straight = _cover(mask)
     turned = _cover(np.ascontiguousarray(mask.T))[:, [1, 0, 3, 2]]
@@ -26,7 +26,7 @@ def _cover(solid: BoolArray) -> IntArray:
 
 @njit(cache=True)
 def _rectangles(left: BoolArray) -> IntArray:
-    """Take rectangles out of a mask (which is emptied) in the order of its rows."""
+    """Cover a mask by rectangles in row order; the mask is cleared."""
     rows, cols = left.shape
     boxes = np.empty((max(1, left.sum()), 4), np.int64)
     count = 0
@@ -48,7 +48,7 @@ def _rectangles(left: BoolArray) -> IntArray:
 
 @njit(cache=True)
 def _grown(left: BoolArray, r: int, c: int, along_row: bool) -> tuple[int, int]:
-    """Return the far corner of the rectangle at (r, c), grown along one axis first."""
+    """Return the far corner of the rectangle that grows from (r, c) along one axis first."""
     r1, c1 = r + 1, c + 1
     for axis in range(2):
         if (axis == 0) == along_row:
@@ -62,7 +62,7 @@ def _grown(left: BoolArray, r: int, c: int, along_row: bool) -> tuple[int, int]:
 
 @njit(cache=True)
 def _all(left: BoolArray, r0: int, c0: int, r1: int, c1: int) -> bool:
-    """Whether all cells of a rectangle are left; a slice's `all` does not stop at the first that is not."""
+    """Whether all cells of a rectangle are uncovered; unlike `all` of a slice, stops at the first other."""
     for r in range(r0, r1):
         for c in range(c0, c1):
             if not left[r, c]:

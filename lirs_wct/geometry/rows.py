@@ -1,4 +1,7 @@
-"""Values that grow in number, kept as rows of float64: 8 bytes a number, where an object takes 24 or more."""
+"""Growing sequences of values, stored as rows of float64.
+
+A number takes 8 bytes; a Python object takes 24 or more.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +19,12 @@ T = TypeVar("T")
 
 
 class Rows(Sequence[T], Generic[T]):
-    """A growing sequence of values that are made of equally many numbers; what comes out is equal.
+    """A growing sequence of values that all consist of the same number of floats.
 
     Args:
-        make: makes a value of its numbers.
+        make: builds a value from its numbers.
         row: returns the numbers of a value, in the same order.
-        width: how many they are.
+        width: count of numbers in a value.
     """
 
     def __init__(self, make: Callable[..., T], row: Callable[[T], Iterable[float]], width: int) -> None:
@@ -30,7 +33,7 @@ class Rows(Sequence[T], Generic[T]):
 
     @staticmethod
     def of(kind: Callable[..., T]) -> Rows[T]:
-        """Return rows for a dataclass of numbers alone, at least two, such as `Pose3`."""
+        """Return an empty sequence for a dataclass of two or more numbers, such as `Pose3`."""
         names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
         return Rows(kind, attrgetter(*names), len(names))
 
@@ -56,5 +59,5 @@ class Rows(Sequence[T], Generic[T]):
             yield self._make(*row)
 
     def as_array(self) -> FloatArray:
-        """Return (n, width) float64, a row a value."""
+        """Return (n, width) float64, one row per value."""
         return np.array(self._numbers, dtype=np.float64).reshape(-1, self._width)

@@ -1,4 +1,4 @@
-"""What the sensors say: a planar laser scan and an inertial reading."""
+"""Sensor readings: the planar laser scan and the inertial reading."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class LaserScan(ShownAsPicture):
         range_min: smallest range that the sensor measures, meters.
         range_max: largest range that the sensor measures, meters.
         stamp: time of the first beam, seconds.
-        T_base_laser: where the sensor sits on the robot.
+        T_base_laser: pose of the sensor on the robot.
         time_increment: time between beams, seconds; 0 = all at once.
 
     Raises:
@@ -58,13 +58,13 @@ class LaserScan(ShownAsPicture):
 
     @property
     def hits(self) -> BoolArray:
-        """(n,) which beams met something within the sensor's range."""
+        """(n,) whether each beam has a return within the sensor's range."""
         return np.isfinite(self.ranges) & (self.ranges >= self.range_min) & (self.ranges <= self.range_max)
 
 
 @dataclass(frozen=True, slots=True)
 class Imu:
-    """An inertial reading in the base frame. Yaw is left out: without a compass nobody knows it.
+    """An inertial reading in the base frame, without yaw, which needs a compass.
 
     Attributes:
         roll: attitude about x (fixed axes, REP 103), radians.
@@ -87,6 +87,6 @@ class Imu:
 
     @staticmethod
     def from_row(stamp: float, roll: float, pitch: float, *vectors: float) -> Imu:
-        """Return the reading of such a row."""
+        """Build a reading from the nine numbers of `row`."""
         p, q, r, x, y, z = vectors
         return Imu(roll, pitch, (p, q, r), (x, y, z), stamp)

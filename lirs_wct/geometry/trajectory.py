@@ -79,7 +79,7 @@ class Trajectory(ShownAsPicture):
         return Pose2(x, y, _yaw(self.quaternions[i][None]).item())
 
     def planar_at(self, stamps: FloatArray) -> FloatArray:
-        """Return (m, 3) x, y, yaw at stamps (m,): linear between neighbors, the end pose beyond the ends.
+        """Return (m, 3) x, y, yaw at stamps (m,), interpolated linearly and clamped at the ends.
 
         Meters and radians; the yaw turns the short way round and may leave (-pi, pi].
         """
@@ -98,7 +98,7 @@ class Trajectory(ShownAsPicture):
             w * c - x * d + y * a + z * b,
             w * d + x * c - y * b + z * a,
         )
-        # Each pose by itself, as `Pose3` maps a point: one product for all sums in another order.
+        # One product per pose, like `Pose3.apply`: a single product for all poses rounds differently.
         positions = np.matmul(self.positions[:, None], T.rotation.T)[:, 0] + T.position
         return Trajectory(self.stamps.copy(), positions, np.column_stack(columns))
 

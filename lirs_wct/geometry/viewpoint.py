@@ -1,4 +1,4 @@
-"""Where a camera stands to see something whole."""
+"""Camera poses that show a whole scene."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from numpy.typing import ArrayLike
 from lirs_wct.arrays import FloatArray
 
 AZIMUTH, ELEVATION = math.radians(62), math.radians(-35)
-"""Direction in which an overview looks: towards the north-north-east, and down."""
+"""Viewing direction of an overview: towards the north-north-east, and down."""
 SPARE = 1.05
-"""Distance over the least from which all is in the picture."""
+"""Camera distance, as a multiple of the least one that shows the whole box."""
 
 
 @dataclass(frozen=True, slots=True)
 class Viewpoint:
-    """A camera's place and the direction in which it looks.
+    """Position and viewing direction of a camera.
 
     Attributes:
         position: x, y, z, meters.
-        yaw: of the direction from the x axis, radians.
-        pitch: downward, radians.
+        yaw: angle of the viewing direction from the x axis, radians.
+        pitch: angle of the viewing direction below the horizon, radians.
     """
 
     position: tuple[float, float, float]
@@ -44,7 +44,7 @@ def camera_axes(yaw: float, pitch: float) -> FloatArray:
 
 
 def overview(low: ArrayLike, high: ArrayLike, fovy: float, aspect: float = 4 / 3) -> Viewpoint:
-    """Return the place from which a box is seen whole, from outside.
+    """Return a viewpoint outside a box that shows the whole box.
 
     Args:
         low: (3,) lowest corner, meters.

@@ -1,4 +1,4 @@
-"""The walls of a laser map: exact cells that stand upright on the floor."""
+"""The walls of a laser map: cells extruded from the floor."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lirs_wct.geometry.pose import Pose2
 
 @dataclass(frozen=True, slots=True)
 class WallGrid:
-    """Cells of a laser map: wall from the floor at z = 0 up to one height, floor, or a hole in it.
+    """Cells of a laser map: wall of one height above z = 0, floor, or hole.
 
     Attributes:
         solid: (rows, cols) bool, row 0 = south (ROS order).
