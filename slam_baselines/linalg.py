@@ -43,9 +43,10 @@ def invert3(A: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def moved_covariance(P: Any, dx: float, dy: float, shift: float, turn: float) -> Any:
-    """Return the covariance of x, y, yaw after a step of (dx, dy) in the map frame with its own variances.
+    """Return the covariance of x, y, yaw after a step (dx, dy) in the map frame.
 
-    That is G P G' + Q with G = [[1, 0, -dy], [0, 1, dx], [0, 0, 1]] and Q = diag(shift, shift, turn).
+    That is G P G' + Q with G = [[1, 0, -dy], [0, 1, dx], [0, 0, 1]] and the step's own variances
+    Q = diag(shift, shift, turn).
     """
     a, b, c = P[0, 2], P[1, 2], P[2, 2]
     R = np.empty((3, 3))
@@ -85,7 +86,7 @@ def relative_poses(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def in_axes_of(frame: Pose2, matrix: FloatArray) -> FloatArray:
-    """Return a covariance or information (3, 3) of x, y, yaw in the axes of a frame turned by its yaw."""
+    """Rotate a covariance or information (3, 3) of x, y, yaw into the axes of a frame."""
     c, s = math.cos(frame.yaw), math.sin(frame.yaw)
     R = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
     return np.asarray(R @ matrix @ R.T, dtype=np.float64)

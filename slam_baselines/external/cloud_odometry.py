@@ -1,4 +1,4 @@
-"""A lidar odometry as a mapper: what every adapter of one does alike."""
+"""Adapter of a lidar odometry to a mapper of point clouds."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class CloudOdometry:
         return pose
 
     def trajectory(self) -> Trajectory:
-        """Return the poses as they were: an odometry corrects none of them later."""
+        """Return the poses of all sweeps; an odometry corrects none of them later."""
         return Trajectory.from_poses(self._stamps, self._poses)
 
     @property

@@ -1,6 +1,8 @@
-"""GenZ-ICP: Lee et al., "GenZ-ICP: Generalizable and Degeneracy-Robust LiDAR Odometry Using an Adaptive
-Weighting" (RA-L 2025), the authors' package.
-"""  # noqa: D205
+"""GenZ-ICP in the authors' package.
+
+Lee et al., "GenZ-ICP: Generalizable and Degeneracy-Robust LiDAR Odometry Using an Adaptive Weighting" (RA-L
+2025).
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from slam_baselines.external.cloud_odometry import CloudOdometry
 
 @dataclass(frozen=True, kw_only=True)
 class GenzIcpConfig:
-    """What of GenZ-ICP's configuration can be set; the defaults are the authors'.
+    """Configurable parameters of GenZ-ICP; the defaults are the authors'.
 
     Its native code sums in another order each time: two runs of the same clouds differ by millimeters.
 
@@ -38,7 +40,7 @@ class GenzIcpConfig:
 
 
 def make_genz_icp(config: GenzIcpConfig) -> CloudOdometry:
-    """Return GenZ-ICP as a mapper; as the authors have it, the times in a sweep are not used."""
+    """Return GenZ-ICP as a mapper; like the authors' program, it ignores times in a sweep."""
     from genz_icp.config import GenZConfig
     from genz_icp.genz_icp import GenZICP
 

@@ -14,7 +14,7 @@ from slam_baselines.external.cloud_odometry import CloudOdometry
 
 @dataclass(frozen=True, kw_only=True)
 class KissIcpConfig:
-    """What of KISS-ICP's configuration can be set; the defaults are the authors'.
+    """Configurable parameters of KISS-ICP; the defaults are the authors'.
 
     Attributes:
         max_range: points beyond are left out, meters.

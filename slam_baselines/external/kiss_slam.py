@@ -1,6 +1,8 @@
-"""KISS-SLAM: Guadagnino et al., "KISS-SLAM: A Simple, Robust, and Accurate 3D LiDAR SLAM System With Enhanced
-Generalization Capabilities" (IROS 2025), the authors' package; it brings Open3D.
-"""  # noqa: D205
+"""KISS-SLAM in the authors' package, which needs Open3D.
+
+Guadagnino et al., "KISS-SLAM: A Simple, Robust, and Accurate 3D LiDAR SLAM System With Enhanced
+Generalization Capabilities" (IROS 2025).
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ from slam_baselines.mapper import MapperStats, Stopwatch
 
 @dataclass(frozen=True, kw_only=True)
 class KissSlamConfig(KissIcpConfig):
-    """What of KISS-SLAM's configuration can be set; the defaults are the authors'.
+    """Configurable parameters of KISS-SLAM; the defaults are the authors'.
 
     Attributes:
         splitting_distance: meters from the start of a local map at which the next one begins. Loops are
@@ -83,7 +85,7 @@ class KissSlamMapper:
         return pose
 
     def trajectory(self) -> Trajectory:
-        """Return all poses after the last local map was closed and the whole graph was optimized."""
+        """Return all poses after closing the last local map and optimizing the graph."""
         if self._final is None:
             self._final = self._optimize()
         return self._final
@@ -108,7 +110,7 @@ class KissSlamMapper:
         return Trajectory.from_poses(self._stamps, poses)
 
     def _base_pose(self, T_first_sensor: FloatArray, k: int) -> Pose3:
-        """Return `T_map_base` when sweep k began, of the sensor's pose when it ended."""
+        """Return `T_map_base` at the start of sweep k, from the sensor's pose at its end."""
         if not self._to_start:
             return Pose3()
         T = pose_of(T_first_sensor @ self._to_start[k])
@@ -117,6 +119,6 @@ class KissSlamMapper:
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """Keep what KISS-SLAM prints from the standard output."""
+    """Suppress KISS-SLAM's prints to the standard output."""
     with redirect_stdout(io.StringIO()):
         yield

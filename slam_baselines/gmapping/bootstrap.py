@@ -1,7 +1,6 @@
-"""Registration of the first keyframes in a new map, backwards, with the gyro's bias that they show.
+"""Backward registration of the first keyframes in a new map, with the gyro's bias.
 
-What the walls and the gyro disagree about in the long run is the gyro's bias, and the next round is made
-without it.
+The gyro's bias follows from the long-run disagreement between walls and gyro; the next round removes it.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from slam_baselines.motion.gyro_bias import GyroBias, GyroBiasConfig
 from slam_baselines.motion.increment import remove_bias
 
 ROUNDS = 2
-"""Rounds of each refinement: one sees only the part of the bias that the prior did not pull along."""
+"""Rounds of each refinement: one alone sees only a part of the bias, because of the prior."""
 
 
 class GyroIncrement(NamedTuple):
@@ -58,7 +57,7 @@ class BiasedRegistration:
         self._ground_filter = ground_filter
 
     def refine(self, keyframes: Sequence[GmappingKeyframe], maps: PatchMaps) -> list[GmappingKeyframe]:
-        """Draw keyframes into an empty map where they fit; return them with their poses there.
+        """Register keyframes in an empty map and draw them; return them with new poses.
 
         Backwards, since the first scans know the fewest walls.
         """
@@ -79,7 +78,7 @@ class BiasedRegistration:
         return [replace(k, pose=pose) for k, pose in zip(keyframes, path, strict=True)]
 
     def learn(self, keyframes: Sequence[GmappingKeyframe], poses: Sequence[Pose2]) -> None:
-        """Estimate the bias anew from what registered headings and the gyro as it is disagree about."""
+        """Estimate the bias from the disagreement between registered headings and the raw gyro."""
         self.bias = GyroBias.unknown(self.bias.config)
         for before, now, keyframe in zip(poses, poses[1:], keyframes[1:], strict=False):
             motion = keyframe.motion
@@ -90,7 +89,7 @@ class BiasedRegistration:
         self, maps: PatchMaps, final: GmappingKeyframe, now: GmappingKeyframe,
         later: GmappingKeyframe | None, last: PoseEstimate,
     ) -> PoseEstimate:  # fmt: skip
-        """Draw a keyframe, unless it is the final one, where it fits into the map so far; return its pose."""
+        """Register a keyframe and draw it unless it is the final one; return its estimate."""
         pose = last.pose
         if later is not None:
             pose = pose @ (later.pose.inverse() @ now.pose)
@@ -103,13 +102,13 @@ class BiasedRegistration:
             found = self._proposer.match_scan(view, beams, pose.as_array(), covariance)
             pose = pose if found is None else Pose2(*found.tolist())
         if now is not final:
-            # Matching asks only what is a wall.
+            # Matching only distinguishes walls from the rest.
             wall = float(self._ground_filter.match_wall_slope)
             self._draw(maps, now, pose, (wall, wall))
         return PoseEstimate(pose, last.covariance)
 
     def _draw(self, maps: PatchMaps, keyframe: GmappingKeyframe, pose: Pose2, limits: Limits) -> ByteArray:
-        """Draw a keyframe at a pose; return the minimum slopes of its hits there, told between limits."""
+        """Draw a keyframe at a pose; return its hits' minimum slopes, exact between limits."""
         k, ground = keyframe, self._ground_filter
         slopes = ground.min_slopes(k.scan, pose, k.height, known=k.min_slopes, limits=limits)
         points = k.scan.transformed(Pose2(), k.height)

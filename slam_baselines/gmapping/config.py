@@ -1,4 +1,4 @@
-"""The parameters of gmapping."""
+"""Parameters of gmapping."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from slam_baselines.scan.interpolation import InterpolationConfig
 
 @dataclass(frozen=True, kw_only=True)
 class GmappingConfig(ProposalConfig):
-    """Parameters of gmapping where they exist.
+    """Parameters, under gmapping's names where they exist.
 
     Attributes:
         particles: number of paths.
         seed: of the random numbers.
         linearUpdate: meters to drive before the next scan is processed.
         angularUpdate: radians to turn before the next scan is processed.
-        resampleThreshold: particles are drawn anew when N_eff falls below this share of them.
+        resampleThreshold: particles are resampled when N_eff falls below this share of them.
         srr: error of the odometry in translation after one meter, meters.
         srt: error of the odometry in translation after one radian, meters.
         str: error of the odometry in rotation after one meter, radians.
@@ -46,7 +46,7 @@ class GmappingConfig(ProposalConfig):
         ground_filter: separates hits on ground from hits on walls.
         mahalanobis_gate: a scan that is matched farther from dead reckoning than so many standard deviations
             does not correct it. On slopes wheels slide by up to four.
-        gyro_bias: what the IMU's data sheet says of its gyro, and how its bias is learned.
+        gyro_bias: the gyro's errors by its data sheet, and parameters of the bias filter.
 
     Raises:
         ConfigError: a value that is not legal.

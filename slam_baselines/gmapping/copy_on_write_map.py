@@ -1,4 +1,4 @@
-"""Maps of many particles in patches that are shared until one of them writes: copy on write.
+"""Copy-on-write maps of many particles in shared patches.
 
 Most of a particle's map was drawn before it split from its siblings and is the same as theirs. A map is
 a table of patches of 16 x 16 cells; children get their parent's table, and a patch that several tables
@@ -32,13 +32,13 @@ from slam_baselines.scan.leveling import ScanPoints
 
 
 class PatchMaps:
-    """The occupancy maps of a set of particles, over one lattice of cells that grows where needed.
+    """Occupancy maps of a set of particles over one growing lattice of cells.
 
     Attributes:
         resolution: edge of a cell, meters.
         tables: (particles, rows, cols) int32, the patch at each place of each map.
         corner: (2,) int64, row and column of the tables' first patch in the lattice of patches.
-        patches: what the tables point at.
+        patches: targets of the tables.
     """
 
     def __init__(self, particles: int, resolution: float, update: UpdateConfig | None = None) -> None:
@@ -60,7 +60,7 @@ class PatchMaps:
         return len(self.patches.owners) - int(self.patches.free[0])
 
     def descend(self, parents: IntArray) -> None:
-        """Let map i become a copy of what map `parents[i]` was; copies share their patches."""
+        """Replace map i by a copy of the former map `parents[i]`; copies share their patches."""
         self.tables = self.tables[parents]
         owners = np.bincount(self.tables[self.tables != ABSENT].ravel(), minlength=len(self.patches.owners))
         self.patches.owners[:] = owners
@@ -97,7 +97,7 @@ class PatchMaps:
         return PatchMapView(self.tables[particle], self.corner, self.patches, self.resolution, wall_slope)
 
     def min_slope(self, particle: int, points: FloatArray) -> ByteArray:
-        """Return (n,) the minimum slopes of the cells under points (n, 2 or more) of the map frame."""
+        """Return (n,) minimum slopes of the cells at points (n, 2 or more) of the map."""
         out = np.zeros(len(points), np.uint8)
         look_up(self.view(particle, 0), points, out)
         return out
@@ -121,7 +121,7 @@ class PatchMaps:
         return OccupancyGrid(grid[r[0] : r[-1] + 1, c[0] : c[-1] + 1].copy(), self.resolution, corner)
 
     def _cover(self, low: FloatArray, high: FloatArray) -> Window:
-        """Make the box (x, y in meters) part of the tables; return its places."""
+        """Extend the tables by the box (x, y in meters); return its window."""
         edge = PATCH * self.resolution
         south, west = (math.floor(v / edge) for v in low[::-1])
         north, east = (math.floor(v / edge) + 1 for v in high[::-1])
@@ -138,7 +138,7 @@ class PatchMaps:
 
 
 class PatchMapView(NamedTuple):
-    """One particle's map as the kernels see it.
+    """One particle's map for the kernels.
 
     Attributes:
         table: (rows, cols) int32, the patch at each place.
@@ -156,7 +156,7 @@ class PatchMapView(NamedTuple):
 
 
 class MapStack(NamedTuple):
-    """All maps as the kernels see them; attributes as of PatchMaps."""
+    """All maps for the kernels; attributes as of PatchMaps."""
 
     tables: Int32Array
     corner: IntArray
@@ -166,7 +166,7 @@ class MapStack(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def look_up(view: Any, points: Any, out: Any) -> None:
-    """Read the layer `min_slope` of one map at points; 0 where nothing was drawn."""
+    """Fill `out` with the layer `min_slope` of one map at points; 0 in empty cells."""
     table, corner, patches, res, _ = view
     rows, cols = table.shape
     for i in range(len(points)):

@@ -1,4 +1,4 @@
-"""GMapping: a Rao-Blackwellized particle filter whose proposal has seen the newest scan.
+"""GMapping: a Rao-Blackwellized particle filter with a scan-matched proposal.
 
 Grisetti, Stachniss, Burgard 2007, "Improved Techniques for Grid Mapping with Rao-Blackwellized Particle
 Filters", written from the paper: every particle is a path with the map that follows from it; algorithm 1
@@ -38,7 +38,7 @@ WARM_UP = {"sparse_distance": 0.1}
 
 
 class GmappingMapper:
-    """A filter over whole paths; a loop closes when the particles that fit survive."""
+    """Particle filter over paths; a loop closes when the fitting particles survive."""
 
     requires_odometry = True
 
@@ -64,7 +64,7 @@ class GmappingMapper:
         return self.config.delta
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        """Follow the odometry; where the robot has moved enough, process the scan. Return `T_map_base`.
+        """Follow the odometry; process the scan after enough motion. Return `T_map_base`.
 
         Raises:
             ConfigError: there is no odometry.
@@ -84,7 +84,7 @@ class GmappingMapper:
         return self._pose
 
     def map(self) -> OccupancyGrid:
-        """Return the map of the best particle; without walls where dead reckoning placed most of them."""
+        """Return the best particle's map; without walls if dead reckoning placed most of them."""
         ground = self._ground_filter
         drawn = self._localizability.draws(ground.distance_traveled)
         return self._filter.maps.occupancy_grid(self._filter.best, ground.wall_slope if drawn else NO_WALL)
@@ -95,12 +95,12 @@ class GmappingMapper:
 
     @property
     def lost(self) -> bool:
-        """Whether so many scans in a row fit nowhere that the pose is not to be believed."""
+        """Whether too many scans in a row contradict the map."""
         return self._tracking.lost
 
     @property
     def stats(self) -> MapperStats:
-        """What was done so far."""
+        """Counts, times and memory so far."""
         particles, processed = self._filter, self._filter.tree.generations
         return MapperStats(
             received=self._received,
@@ -144,7 +144,7 @@ class GmappingMapper:
             self._ground_filter.move(delta, scan)
 
     def _track(self, scan: LeveledScan) -> None:
-        """Correct the motion by matching the scan to the best particle's map, where it is localizable.
+        """Correct the motion by a match to the best particle's map, if localizable.
 
         A sparse scan that is processed at once is matched there, with dead reckoning as its prior.
         """
@@ -189,7 +189,7 @@ class GmappingMapper:
         self._learn_bias(motion)
 
     def _observe_localizability(self, proposal: Proposal, hit_ratio: float | None) -> None:
-        """Find out whether matches are to be believed."""
+        """Update the localizability monitor."""
         motion = self._increment
         self._reckoned_yaw += motion.reckoned.pose.yaw
         yaw = float(proposal.means[self._filter.best, 2])
@@ -201,7 +201,7 @@ class GmappingMapper:
         return known_ratio >= c.tracking.known_ratio and beams.weights.sum() >= c.min_beams
 
     def _learn_bias(self, motion: MotionIncrement) -> None:
-        """Learn the gyro's bias on, once the start is refined: before, too few walls are known."""
+        """Update the gyro's bias once the start is refined; before, too few walls are known."""
         fits = self._tracking.fits and self._localizability.believed
         if self._bootstrap.refinements and fits and motion.seconds > 0:
             turned = self._filter.turned - motion.reckoned.pose.yaw
@@ -209,14 +209,14 @@ class GmappingMapper:
             motion.bias = self._bias.value
 
     def _beams(self, scan: LeveledScan) -> ScanBeams:
-        """Return the scan's hits, weighted by whether they are known for walls."""
+        """Return the scan's hits, with weight 1 for known walls and 0 for possible ground."""
         ground, pose = self._ground_filter, self._pose
         placed = None if ground.flat else scan.transformed(pose, ground.height).hits
         known = None if placed is None else self._filter.known_slopes(placed)
         return ScanBeams(scan.hits, ground.match_walls(scan, pose, known=known))
 
     def _enter(self, scan: LeveledScan, motion: GyroIncrement) -> None:
-        """Draw the scan; on uneven ground, refine the start of the trajectory when it is due."""
+        """Draw the scan; on uneven ground, refine the start of the trajectory when due."""
         ground, bootstrap = self._ground_filter, self._bootstrap
         _, min_slopes = ground.insert(scan, self._pose)
         drawn = scan.transformed(Pose2(), ground.height), min_slopes

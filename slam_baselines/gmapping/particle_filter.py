@@ -1,4 +1,4 @@
-"""The particle filter: paths, each with the map that follows from it and a weight.
+"""Particle filter: paths, each with its map and a weight.
 
 Algorithm 1 of Grisetti, Stachniss, Burgard 2007, from line 3 on: draw poses from the improved proposal,
 weigh them, resample where the effective number of particles is low, and draw the scan into every map.
@@ -59,13 +59,13 @@ class ParticleFilter:
         return self.tree.trajectory(int(self._parents[self.best]))
 
     def known_slopes(self, points: FloatArray) -> ByteArray:
-        """Return (n,) the minimum slopes of the cells under points (n, 2 or more) of the best map."""
+        """Return (n,) minimum slopes of the cells at points (n, 2 or more) of the best map."""
         return self.maps.min_slope(self.best, points)
 
     def match_best(
         self, beams: ScanBeams, increment: MotionIncrement, wall_slope: int, *, wide: bool = False
     ) -> Pose2 | None:
-        """Return `T_processed_now` by matching a scan to the best map; None where it fits nowhere near."""
+        """Return `T_processed_now` by a match to the best map; None without a fit nearby."""
         view, expected = self.maps.view(self.best, wall_slope), self.pose @ increment.pose
         found = self.proposer.match_scan(view, beams, expected.as_array(), increment.newest, wide=wide)
         return None if found is None else self.pose.inverse() @ Pose2(*found.tolist())
@@ -73,7 +73,7 @@ class ParticleFilter:
     def propose(
         self, beams: ScanBeams, increment: MotionIncrement, wall_slope: int, *, wide: bool = False
     ) -> Proposal:
-        """Draw new poses by odometry and scan; they are taken over by `adopt`."""
+        """Draw new poses by odometry and scan, for `adopt`."""
         odometry = propagate(self._poses, increment.pose, increment.reckoned.covariance)
         first = First(self.best, wide)
         return self.proposer.propose(self.maps, beams, wall_slope, odometry, first, self._rng)
@@ -88,7 +88,7 @@ class ParticleFilter:
         self.turned = float(self._poses[self.best, 2] - before[self.best, 2])
 
     def follow(self, increment: MotionIncrement) -> None:
-        """Move all particles by dead reckoning alone; no draw, since nothing would tell a good one."""
+        """Move all particles by dead reckoning, without draws that no match could weigh."""
         self._poses = propagate(self._poses, increment.pose, increment.reckoned.covariance).poses
 
     def add_generation(self, step: Pose2) -> None:
@@ -101,7 +101,7 @@ class ParticleFilter:
         self.maps.draw_scan(self._poses, points, min_slopes, wall_slope)
 
     def resample(self) -> None:
-        """Replace the particles by copies of those that live on, if few of them carry the weight."""
+        """Resample the particles if their effective number is low."""
         weights = normalize(self._log_weights)
         if effective_number(weights) < self._config.resampleThreshold * len(weights):
             self.resamplings += 1

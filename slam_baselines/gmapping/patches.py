@@ -1,4 +1,4 @@
-"""The patches of maps: 16 x 16 cells each, what was hit in them kept apart.
+"""Patches of maps: 16 x 16 cells each, with separate records of hits.
 
 Most patches are free space, which needs a byte a cell. Where beams ended, eight more: these are kept for
 patches with a hit alone, so that a laser that sees far over open ground costs little.
@@ -29,7 +29,7 @@ MEAN_MEMORY = 32
 
 
 class Patches(NamedTuple):
-    """All patches of all maps, one row each, cells in row order; as the kernels need them.
+    """All patches of all maps for the kernels, one row each, cells in row order.
 
     Attributes:
         log_odds: (p, 256) int8, steps of STEP, UNKNOWN where no beam came.
@@ -38,7 +38,7 @@ class Patches(NamedTuple):
         free: (1 + p,) int32, how many patches are free, and then which.
         hits: (r, 256) uint8, how many beams ended there, up to MEAN_MEMORY.
         mean: (r, 256, 2) uint16, where they ended on average, MEAN_STEPS east and north of the cell's corner.
-        min_slope: (r, 256) uint8, largest minimum slope of what was hit there, SLOPE_STEP.
+        min_slope: (r, 256) uint8, largest minimum slope of the hits there, SLOPE_STEP.
         top: (r, 256) int16, largest height at which it was hit, TOP_STEP.
         free_records: (1 + r,) int32, how many records are free, and then which.
     """
@@ -55,7 +55,7 @@ class Patches(NamedTuple):
 
 
 def resize(old: Patches | None, patches: int, records: int) -> Patches:
-    """Return so many patches and records of which the first are the old ones."""
+    """Return patches and records of the given numbers; the first are the old ones."""
     new = Patches(
         np.empty((patches, CELLS), np.int8),
         np.full(patches, ABSENT, np.int32),
@@ -79,12 +79,12 @@ def resize(old: Patches | None, patches: int, records: int) -> Patches:
 
 
 def _end(taken: BoolArray) -> int:
-    """Return the index behind the last that is taken; the lowest are taken first."""
+    """Return the index after the last one taken; the lowest are taken first."""
     return len(taken) - int(taken[::-1].argmax()) if taken.any() else 0
 
 
 def reserve_patches(patches: Patches, needed: int, records: int) -> Patches:
-    """Return patches of which so many, and so many records, are free; the same where they are."""
+    """Return patches with enough free patches and records; the same ones if possible."""
     more = [
         0 if int(free[0]) >= wanted else max(wanted - int(free[0]), len(free) - 1)
         for free, wanted in ((patches.free, needed), (patches.free_records, records))
@@ -95,7 +95,7 @@ def reserve_patches(patches: Patches, needed: int, records: int) -> Patches:
 
 
 def list_free(patches: Patches) -> None:
-    """Note which patches nobody owns and which records no patch has, the lowest to be taken first."""
+    """List the free patches and records; the lowest is taken first."""
     owned = patches.owners > 0
     patches.record[~owned] = ABSENT
     recorded = np.zeros(len(patches.hits), np.bool_)
@@ -108,7 +108,7 @@ def list_free(patches: Patches) -> None:
 
 @njit(cache=True, nogil=True)
 def space_needed(table: Any, patches: Any, hits: int) -> Any:
-    """Return how many patches and records a scan within a table may take: shared, and of new cells."""
+    """Return upper bounds of the patches and records that a scan within a table takes."""
     new = shared = 0
     for r in range(table.shape[0]):
         for c in range(table.shape[1]):
@@ -123,7 +123,7 @@ def space_needed(table: Any, patches: Any, hits: int) -> Any:
 
 @njit(cache=True, nogil=True)
 def own_patch(table: Any, patches: Any, row: int, col: int) -> Any:
-    """Put a patch of its own, new or copied, at a place of a table; return which."""
+    """Give a table its own patch, new or copied, at a place; return its index."""
     p = table[row, col]
     patches.free[0] -= 1
     q = patches.free[1 + patches.free[0]]
@@ -157,7 +157,7 @@ def _copy_row(rows: Any, source: int, target: int) -> None:
 
 @njit(cache=True, nogil=True)
 def new_record(patches: Any, p: int) -> Any:
-    """Give a patch its first record, without a hit; return which."""
+    """Give a patch its first record, without a hit; return its index."""
     r = _free_record(patches)
     patches.hits[r] = 0
     patches.min_slope[r] = 0

@@ -1,4 +1,4 @@
-"""The improved proposal: where a particle may be, by its own map and the newest scan.
+"""Improved proposal: the pose of a particle by its map and the newest scan.
 
 Grisetti, Stachniss, Burgard 2007, "Improved Techniques for Grid Mapping with Rao-Blackwellized Particle
 Filters", section III: the scan is matched to the particle's map from where the odometry puts it; around
@@ -43,7 +43,7 @@ from slam_baselines.gmapping.scan_matching import (
 
 @dataclass(frozen=True, kw_only=True)
 class ProposalConfig:
-    """How a scan is matched and the Gaussian fitted; names as in gmapping where they exist.
+    """Parameters of scan matching and of the Gaussian; names as in gmapping where they exist.
 
     Attributes:
         sigma: standard deviation of a beam's end while matching, meters.
@@ -58,8 +58,8 @@ class ProposalConfig:
         samples: points evaluated around the maximum.
         spread: they lie within so many standard deviations of the maximum.
         search_threshold: hit ratio below which the wider search begins.
-        minimumScore: share below which the match has failed and the odometry alone is believed.
-        min_beams: fewer beams at walls than this say nothing.
+        minimumScore: hit ratio below which the match has failed and the odometry alone counts.
+        min_beams: fewest beams at walls for a match.
 
     Raises:
         ConfigError: a value that is not above 0, or minimumScore above search_threshold.
@@ -109,14 +109,14 @@ class Proposal(NamedTuple):
 
 
 class First(NamedTuple):
-    """The particle that is matched first, and whether a wider window is searched for it in any case."""
+    """Index of the particle that is matched first, and whether it always searches the wider window."""
 
     particle: int
     wide: bool
 
 
 class PoseDistributions(NamedTuple):
-    """Where the particles are by odometry.
+    """Distributions of the particles' poses by odometry.
 
     Attributes:
         poses: (particles, 3) x, y, yaw.
@@ -128,10 +128,10 @@ class PoseDistributions(NamedTuple):
 
 
 class Proposer:
-    """Matches a scan to every particle's map and draws their new poses.
+    """Scan matching in every particle's map, and draws of new poses.
 
     Attributes:
-        searches: how often the wider search was needed.
+        searches: number of wider searches.
     """
 
     def __init__(self, config: ProposalConfig) -> None:
@@ -152,13 +152,13 @@ class Proposer:
         """Return new poses for all particles.
 
         The odometry's error is common to all particles: one is matched first, and the others try its
-        correction beside their own expectation.
+        correction as a second start.
 
         Args:
             maps: of the particles.
             beams: of the scan.
             wall_slope: minimum slope from which on a hit is a wall, SLOPE_STEP.
-            odometry: where they are by it.
+            odometry: their poses by it.
             first: the particle to match first.
             rng: source of the draws.
         """
@@ -179,7 +179,7 @@ class Proposer:
         *,
         wide: bool = False,
     ) -> FloatArray | None:
-        """Return the (3,) pose at which a scan fits into one map; None where it fits nowhere near.
+        """Return the (3,) pose of a scan in one map; None without a fit nearby.
 
         Args:
             view: the map.
@@ -199,7 +199,7 @@ class Proposer:
 
 
 def propagate(poses: FloatArray, step: Pose2, covariance: FloatArray) -> PoseDistributions:
-    """Return where the particles are after a step `T_before_now`.
+    """Return the particles' distributions after a step `T_before_now`.
 
     Args:
         poses: (n, 3) x, y, yaw before.
@@ -212,7 +212,7 @@ def propagate(poses: FloatArray, step: Pose2, covariance: FloatArray) -> PoseDis
 
 
 def _points(n: int) -> FloatArray:
-    """Return (n, 3) points that fill the cube [-1, 1]^3 evenly, the first in its center."""
+    """Return (n, 3) evenly spread points of the cube [-1, 1]^3, its center first."""
     # Additive recurrence with the plastic number's relatives: no two points come close.
     g = 1.2207440846057596
     steps = np.array((1 / g, 1 / g**2, 1 / g**3))
@@ -276,7 +276,7 @@ def propose(
 
 @njit(cache=True, nogil=True)
 def _better_start(view: Any, near: Any, expected: Any, correction: Any, tuning: Any) -> Any:
-    """Return where the scan fits better: the (3,) expected pose, or that pose corrected."""
+    """Return the better start (3,): the expected pose, or that pose corrected."""
     other = compose(expected, correction)
     return other if score(view, near, other, tuning)[0] > score(view, near, expected, tuning)[0] else expected
 
@@ -292,7 +292,7 @@ def _draw(means: Any, sigmas: Any, normals: Any, poses: Any) -> None:
 
 @njit(cache=True, nogil=True)
 def _same(maps: Any, odometry: Any, a: int, b: int) -> bool:
-    """Return whether two particles are copies of one: of the same pose and map."""
+    """Return whether two particles are copies with the same pose and map."""
     for i in range(3):
         if odometry.poses[a, i] != odometry.poses[b, i]:
             return False

@@ -1,4 +1,4 @@
-"""Weights of particles: the effective number of them, and systematic resampling."""
+"""Weights of particles: normalization, effective number, systematic resampling."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lirs_wct.arrays import FloatArray, IntArray
 
 
 class UniformSource(Protocol):
-    """What draws numbers of the uniform distribution, as a NumPy generator does."""
+    """Source of uniformly distributed numbers, such as a NumPy generator."""
 
     def random(self) -> float:
         """Return the next number within [0, 1)."""
@@ -18,7 +18,7 @@ class UniformSource(Protocol):
 
 
 def normalize(log_weights: FloatArray) -> FloatArray:
-    """Return (n,) weights that sum to 1, of logarithms up to a constant."""
+    """Return (n,) weights of sum 1 from their logarithms up to a constant."""
     weights: FloatArray = np.exp(log_weights - log_weights.max())
     return weights / weights.sum()  # type: ignore[no-any-return]
 
@@ -29,7 +29,7 @@ def effective_number(weights: FloatArray) -> float:
 
 
 def systematic_resample(weights: FloatArray, rng: UniformSource) -> IntArray:
-    """Return (n,) indices of the particles that live on, each n w times, up to one more or less.
+    """Return (n,) indices of the surviving particles, each n w times up to rounding.
 
     One random number moves a comb of n teeth over the cumulative weights (n,).
     """

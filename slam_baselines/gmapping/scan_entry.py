@@ -1,8 +1,8 @@
-"""Entry of one scan into the maps of all particles: cells where beams end are raised, passed ones lowered.
+"""Entry of one scan into the maps of all particles by log-odds.
 
-Every cell changes at most once a scan, and a hit wins. So the beams only mark the cells that they meet, and
-what is marked as passed is then lowered patch by patch: the beams near the laser, which all meet the same
-cells, cost little, and a patch is lowered at a stroke.
+Cells where beams end are raised, passed ones are lowered. Every cell changes at most once a scan, and a hit
+wins. So the beams only mark the cells that they meet, and marked cells are then lowered patch by patch. This
+saves time near the laser, where many beams meet the same cells.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Bits: a beam adds PASSED whatever the mark, and a cell that bears no other is lo
 
 
 class Window(NamedTuple):
-    """Places of the tables that a scan can reach: row and column of the first, and how many each way."""
+    """Window of the tables that a scan can reach: first row and column, rows, columns."""
 
     row: int
     col: int
@@ -44,7 +44,7 @@ class Window(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What a scan does to the cells of a window; all zeros before and after.
+    """Marks of a scan on the cells of a window; all zeros before and after.
 
     Attributes:
         marks: (places, 256) uint8, NEW, PASSED, WALL or DONE.
@@ -58,12 +58,12 @@ class Scratch(NamedTuple):
 
     @staticmethod
     def of(places: int, side: int) -> Scratch:
-        """Return a scratch for windows of so many places, and so many along the longer side."""
+        """Return a scratch for windows of a number of places, `side` along the longer side."""
         line = np.empty((side + 1) * PATCH, np.int32)
         return Scratch(np.zeros((places, CELLS), np.uint8), np.zeros(places, np.uint8), line)
 
     def enough(self, window: Window) -> Scratch:
-        """Return a scratch for a window: this one where it is large enough."""
+        """Return a scratch for a window: this one if it is large enough."""
         places, side = window.rows * window.cols, max(window.rows, window.cols)
         if len(self.marked) >= places and len(self.line) >= (side + 1) * PATCH:
             return self
@@ -91,7 +91,7 @@ def enter_scans(
     maps: Any, window: Any, poses: Any, scan: Any, min_slopes: Any, wall_slope: int, steps: Any,
     scratch: Any, first: int,
 ) -> Any:  # fmt: skip
-    """Enter a scan into the maps from the first on, as long as there are patches.
+    """Enter a scan into the maps from `first` on, until patches run out.
 
     Args:
         maps: MapStack.
@@ -180,7 +180,7 @@ def _mark_walls(site: Any, scratch: Any, wall_slope: int) -> None:
 
 @njit(cache=True, nogil=True)
 def _mark_passed(site: Any, scratch: Any, origin: Any, ends: Any, spared: int) -> None:
-    """Mark the cells between the laser and the ends of beams as passed, but for the last steps.
+    """Mark the cells from the laser to the beams' ends as passed, except the last steps.
 
     Two spared steps spare the cell in which a beam ends, since they are as long as it at least.
     """
@@ -207,7 +207,7 @@ def _mark_passed(site: Any, scratch: Any, origin: Any, ends: Any, spared: int) -
 
 @njit(cache=True, nogil=True)
 def _pass_walls(table: Any, record: Any, top: Any, marks: Any, line: Any, rise: Any) -> None:
-    """Settle the walls that a beam is the first to meet: passed above, it says nothing about a wall."""
+    """Mark the walls that a beam meets first: passed, or done if it passes above."""
     z, dz = rise
     for k in range(len(line)):
         if marks[line[k]] & WALL:
@@ -218,7 +218,7 @@ def _pass_walls(table: Any, record: Any, top: Any, marks: Any, line: Any, rise: 
 
 @njit(cache=True, nogil=True)
 def _number_cells(line: Any, count: int, ray: Any, row0: int, col0: int, cols: int) -> None:
-    """Fill the first numbers of `line` with the cells of a beam: a loop without branches, for SIMD."""
+    """Fill the first numbers of `line` with the cells of a beam, without branches for SIMD."""
     x, y, du, dv = ray
     south, west, across = np.int32(row0), np.int32(col0), np.int32(cols)
     for i in range(count):
@@ -231,7 +231,7 @@ def _number_cells(line: Any, count: int, ray: Any, row0: int, col0: int, cols: i
 
 @njit(cache=True, nogil=True)
 def _lower(site: Any, scratch: Any, steps: Any) -> None:
-    """Lower the cells that were passed, and wipe the marks."""
+    """Lower the passed cells, and clear the marks."""
     table, patches, _, _ = site
     cols = table.shape[1]
     miss, least = np.int16(steps[0]), np.int16(-steps[2])

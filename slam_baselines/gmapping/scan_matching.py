@@ -71,10 +71,10 @@ def log_prior(pose: Any, prior: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def match(view: Any, near: Any, prior: Any, start: Any, tuning: Any, H: Any) -> Any:
-    """Return the (3,) pose at which the scan fits best near the start; fill H with its information.
+    """Return the best (3,) pose near the start; fill H with its information.
 
     Gauss-Newton in two stages: few beams and a wide view, then all beams and a narrow one. The odometry
-    is a prior, so that a direction in which the map says nothing follows it.
+    is a prior for directions that the map does not constrain.
     """
     pose, g, A, variance = start.copy(), np.empty(3), np.empty((3, 3)), tuning.sigma**2
     for stage in range(2):
@@ -104,7 +104,7 @@ def match(view: Any, near: Any, prior: Any, start: Any, tuning: Any, H: Any) -> 
 def find_peak(
     view: Any, beams: Any, near: Any, prior: Any, start: Any, wider: int, tuning: Any, H: Any
 ) -> Any:
-    """Return the (3,) pose at which a scan fits best; fill H with its information.
+    """Return the best (3,) pose of a scan; fill H with its information.
 
     The wider window is searched NEVER, IF_POOR the fit near the start is, or ALWAYS, as `wider` says.
 
@@ -135,7 +135,7 @@ def find_peak(
 
 @njit(cache=True, nogil=True)
 def match_one(view: Any, beams: Any, expected: Any, covariance: Any, wider: int, tuning: Any) -> Any:
-    """Return the (3,) pose at which a scan fits best into one map, and the weights as of log_likelihood.
+    """Return the best (3,) pose of a scan in one map, and the weights of log_likelihood.
 
     Args:
         view: the map.
@@ -153,7 +153,7 @@ def match_one(view: Any, beams: Any, expected: Any, covariance: Any, wider: int,
 
 @njit(cache=True, nogil=True)
 def search(view: Any, beams: Any, prior: Any, tuning: Any) -> Any:
-    """Return the (3,) pose of the best score in a window around the prior, by trying all.
+    """Return the best (3,) pose in a window around the prior, by exhaustive search.
 
     Olson 2009, "Real-time correlative scan matching": the scan is rotated once for each yaw, then shifted by
     whole cells of a coarser map, in which a miss by one cell counts half.
@@ -189,9 +189,9 @@ def search(view: Any, beams: Any, prior: Any, tuning: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def _coarse_walls(view: Any, points: Any, pose: Any, cell: float, margin: float) -> Any:
-    """Return (rows, cols) 2 on walls, 1 beside them, 0 elsewhere; and row and column of the first cell.
+    """Return a coarse map (rows, cols) of walls, and the row and column of its first cell.
 
-    Covers what beams from around a pose reach.
+    Cells are 2 on walls, 1 next to them, 0 elsewhere. The map covers the reach of beams around a pose.
     """
     farthest = 0.0
     for i in range(len(points)):
@@ -246,11 +246,11 @@ def _difference(pose: Any, other: Any) -> Any:
 
 
 NOTHING = 0.5
-"""Loss of log-likelihood of a beam that ends where nothing is."""
+"""Loss of log-likelihood of a beam that ends without a wall nearby."""
 EPS = 0.09
 """Variance of a wall across itself, square cells."""
 WIDER = 3
-"""The coarse stage of matching looks so many times as far."""
+"""Ratio of the coarse stage's reach to the fine stage's."""
 
 
 class ScanBeams(NamedTuple):
@@ -266,10 +266,10 @@ class ScanBeams(NamedTuple):
 
 
 class NearWalls(NamedTuple):
-    """Beams that count, and the walls around their ends in one map, as last looked up.
+    """Weighted beams and the walls around their ends in one map, as last looked up.
 
-    Most poses tried leave an end where it was or move it to a neighboring cell: what is around a cell is kept
-    in one of the beam's slots, the cells of a square each in another.
+    Most tried poses leave an end in its cell or move it to a neighboring one. So each beam has one slot for
+    each cell of a square, which caches the walls around that cell.
 
     Attributes:
         reach: cells looked at to each side of a beam's end.
@@ -277,13 +277,13 @@ class NearWalls(NamedTuple):
         points: (n, 2) ends of beams in the leveled base frame, meters.
         weights: (n,) how much each counts.
         ends: (n, 2) the same from the pose tried last, cells east and north in the lattice.
-        slot: (n,) of each beam, in which the walls around that end are.
-        pull: (n, 6) of each beam from there: its strength, its aim east and north, its matrix; see _attract.
-        pairs: (m, 3) room for the walls that attract a beam: offset east and north, and weight.
-        cells: (slots,) int64, the cell in which the beam ended; NOWHERE before the first look.
+        slot: (n,) of each beam, with the walls around its end.
+        pull: (n, 6) of each beam: strength, offset east and north, matrix; see _attract.
+        pairs: (m, 3) scratch for the walls that attract a beam: offset east and north, and weight.
+        cells: (slots,) int64, the cell in which the beam ended; NOWHERE before the first lookup.
         known: (slots,) whether that cell is known.
         counts: (slots,) walls around it.
-        means: (slots, most + 1, 2) where these were hit on average, cells east and north in the lattice.
+        means: (slots, most + 1, 2) mean of the hits in each, cells east and north in the lattice.
     """
 
     reach: int
@@ -301,19 +301,19 @@ class NearWalls(NamedTuple):
 
 
 class Near(NamedTuple):
-    """Walls around the ends of all beams, and farther around the few that the coarse stage uses."""
+    """Walls around the ends of all beams, and in a wider area for the coarse stage's beams."""
 
     fine: NearWalls
     coarse: NearWalls
 
 
 NOWHERE = -(1 << 62)
-"""No cell's number."""
+"""Number of an invalid cell."""
 
 
 @njit(cache=True, nogil=True)
 def near_walls(beams: Any, stride: int, reach: int, side: int) -> Any:
-    """Return every so manyth beam that counts, with room for the walls within `reach` cells of its end."""
+    """Return every `stride`-th weighted beam, with space for walls within `reach` cells."""
     every, n = (len(beams.points) + stride - 1) // stride, 0
     points, weights = np.empty((every, 2)), np.empty(every)
     for i in range(0, len(beams.points), stride):
@@ -336,7 +336,7 @@ def near_walls(beams: Any, stride: int, reach: int, side: int) -> Any:
 
 @njit(cache=True, nogil=True, inline="always")
 def near_beams(beams: Any, reach: int) -> Any:
-    """Return room for what is within `reach` cells of the ends of a scan's beams."""
+    """Return the beams of both stages, with space for walls within `reach` cells."""
     # Not plain numbers: for each literal Numba would compile near_walls once more.
     one, two = np.int64(1), np.int64(2)
     coarse = near_walls(beams, coarse_stride(beams), WIDER * reach, one)
@@ -345,7 +345,7 @@ def near_beams(beams: Any, reach: int) -> Any:
 
 @njit(cache=True, nogil=True)
 def forget(near: Any) -> None:
-    """Let all beams be looked up anew: another map follows."""
+    """Invalidate the looked-up walls, since another map follows."""
     near.fine.cells[:] = NOWHERE
     near.coarse.cells[:] = NOWHERE
 
@@ -359,7 +359,7 @@ def coarse_stride(beams: Any) -> int:
 # For all beams at once: to hand tuples of arrays on for one would cost more than to look.
 @njit(cache=True, nogil=True)
 def _look_up(view: Any, near: Any) -> None:
-    """Note the walls around the ends of beams, in row order, where they are not noted yet."""
+    """Look up the walls around the beams' ends, in row order, unless they are cached."""
     table, corner, patches, _, wall_slope = view
     reach, ends, cells = near.reach, near.ends, near.cells
     for i in range(len(ends)):
@@ -381,7 +381,7 @@ def _look_up(view: Any, near: Any) -> None:
                 q, first = patches.record[p], (row & MASK) << BITS
                 if row == row0 and col <= col0 < end:
                     known = patches.log_odds[p, first | (col0 & MASK)] != UNKNOWN
-                # Without a branch, which could not be foreseen: what is no wall is overwritten by the next.
+                # Without an unpredictable branch: a cell that is no wall is overwritten by the next.
                 for at in range(col, end if q != ABSENT else col):
                     cell = first | (at & MASK)
                     near.means[slot, count, 0] = at + patches.mean[q, cell, 0] / MEAN_STEPS
@@ -393,7 +393,7 @@ def _look_up(view: Any, near: Any) -> None:
 
 @njit(cache=True, nogil=True)
 def _attract(near: Any, narrow: float) -> None:
-    """Note how strongly walls attract the beams' ends, whereto, and by which matrix.
+    """Compute the attraction of the beams' ends by walls: strength, offset, matrix.
 
     The walls' cells weigh exp(narrow d^2). An end is drawn to their weighted mean m, across the wall but not
     along it: by A = eps (S + eps I)^-1, S their weighted covariance, eps = (0.3 cells)^2.
@@ -433,7 +433,7 @@ def _attract(near: Any, narrow: float) -> None:
 
 @njit(cache=True, nogil=True)
 def log_likelihood(view: Any, near: Any, pose: Any, lsigma: float, width: float) -> Any:
-    """Return the log-likelihood of a scan, and the weights of beams that end at a wall and on known cells.
+    """Return a scan's log-likelihood, and the weights of beams at walls and on known cells.
 
     Each beam gives -d^2 / lsigma, d meters from its end to the wall within `reach` cells, and -NOTHING
     without one. The distance is taken across the wall: taken to the nearest cell's mean, a likelihood this
@@ -473,7 +473,7 @@ def log_likelihood(view: Any, near: Any, pose: Any, lsigma: float, width: float)
 
 @njit(cache=True, nogil=True)
 def linearize(view: Any, near: Any, pose: Any, width: float, H: Any, g: Any) -> Any:
-    """Fill H (3, 3) and g (3,) of a Gauss-Newton step that moves the beams' ends onto the walls.
+    """Fill H (3, 3) and g (3,) of a Gauss-Newton step of the beams' ends toward the walls.
 
     In units of one over the variance of a beam.
 

@@ -1,4 +1,4 @@
-"""The paths of particles: a tree that is pruned where lines die out, and every scan's place on it."""
+"""Tree of the particles' paths, pruned of extinct ones, and the scans along them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from slam_baselines.mapping.keyframe import KeyframeTrajectory
 
 
 class TrajectoryTree:
-    """Poses of all particles at each processed scan, as far back as their lines differ."""
+    """Poses of all particles and their ancestors at each processed scan."""
 
     def __init__(self) -> None:
         self._poses: list[FloatArray] = []
@@ -25,11 +25,11 @@ class TrajectoryTree:
         return len(self._poses)
 
     def add_generation(self, poses: FloatArray, parents: IntArray, step: Pose2) -> None:
-        """Note (n, 3) poses of the particles at a processed scan.
+        """Add the (n, 3) poses of the particles at a processed scan.
 
         Args:
             poses: x, y, yaw.
-            parents: (n,) whose descendants they are in the generation before.
+            parents: (n,) indices of their parents in the generation before.
             step: `T_before_now` by odometry.
         """
         self._poses.append(poses.copy())
@@ -38,19 +38,19 @@ class TrajectoryTree:
         self._prune()
 
     def add_scan(self, stamp: float, since: Pose2) -> None:
-        """Note a scan, odometry's `T_processed_now` after the last generation.
+        """Add a scan, odometry's `T_processed_now` after the last generation.
 
-        A later scan of the same stamp takes the place of the earlier.
+        A later scan of the same stamp replaces the earlier one.
         """
         self._scans.add(stamp, self.generations - 1, since)
 
     def rewrite(self, path: FloatArray) -> None:
-        """Replace the paths of all particles by one, (generations, 3); all are children of its end."""
+        """Replace all paths by one, (generations, 3); all particles descend from its end."""
         self._poses = list(path[:, None].copy())
         self._parents = [np.zeros(1, np.int32) for _ in path]
 
     def path(self, particle: int) -> FloatArray:
-        """Return (generations, 3) the poses of a particle and its ancestors."""
+        """Return (generations, 3) poses of a particle and its ancestors."""
         path = np.empty((self.generations, 3))
         for i in range(self.generations - 1, -1, -1):
             path[i] = self._poses[i][particle]
@@ -60,13 +60,13 @@ class TrajectoryTree:
     def trajectory(self, particle: int) -> Trajectory:
         """Return every scan's pose on the path of a particle.
 
-        What the odometry has gone astray by between two processed scans is spread over the scans between.
+        The odometry's error between two processed scans is spread over the scans between them.
         """
         path = [Pose2(*pose) for pose in self.path(particle).tolist()]
         return self._scans.trajectory(path, self._measured)
 
     def _prune(self) -> None:
-        """Forget particles without living descendants."""
+        """Remove particles without living descendants."""
         for i in range(self.generations - 2, -1, -1):
             alive, renamed = np.unique(self._parents[i + 1], return_inverse=True)
             if len(alive) == len(self._poses[i]):

@@ -1,4 +1,4 @@
-"""Registration of the first keyframes in a new map, forwards and with the odometry as calibrated by now."""
+"""Forward registration of the first keyframes in a new map, with calibrated odometry."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from slam_baselines.matching.registration import Registration
 from slam_baselines.motion.dead_reckoning import DeadReckoning, OdometryStep, PoseEstimate
 
 HectorKeyframe = Keyframe[tuple[OdometryStep | None, ...]]
-"""The motion is that by odometry, scan by scan; None where there was no odometry."""
+"""Keyframe whose motion is that by odometry, scan by scan; None without odometry."""
 
 
 def refine(
@@ -22,17 +22,17 @@ def refine(
     reckoning: DeadReckoning,
     localizability: LocalizabilityMonitor,
 ) -> list[HectorKeyframe]:
-    """Build the map again from keyframes; return them where they are in it.
+    """Build the map again from keyframes; return them with their new poses.
 
-    Forwards, since the odometry's calibration makes dead reckoning from the start as good as the walls. Where
-    too few keyframes fit, nothing is known to be a wall by now either: they and the map stay as they are.
+    Forwards, since the odometry's calibration makes dead reckoning from the start as good as the walls. If
+    too few keyframes fit, no walls are known yet: keyframes and map stay unchanged.
 
     Args:
         keyframes: all so far.
         builder: of the map.
         registration: of a keyframe in it.
-        reckoning: dead reckoning as calibrated by now.
-        localizability: a new monitor; tells whether the matches of the keyframes are to be believed.
+        reckoning: dead reckoning with its present calibration.
+        localizability: a new monitor of the keyframes' matches.
     """
     before_refinement = builder.restart()
     found: list[HectorKeyframe] = []
@@ -61,7 +61,7 @@ def refine(
 def _predict(
     estimate: PoseEstimate, before: HectorKeyframe, now: HectorKeyframe, reckoning: DeadReckoning
 ) -> PoseEstimate:
-    """Go from one keyframe to the next by dead reckoning; without odometry as they were found at first."""
+    """Predict the next keyframe by dead reckoning; without odometry, by their first poses."""
     predict, seconds = reckoning.config.predict, now.scan.stamp - before.scan.stamp
     if not now.motion or None in now.motion:
         return predict(estimate, before.pose.inverse() @ now.pose, seconds)

@@ -1,8 +1,8 @@
 """HectorSLAM: match each scan to the map by Gauss-Newton, then enter it.
 
 Kohlbrecher et al. 2011, "A flexible and scalable SLAM system with full 3D motion estimation", written
-from the paper. Beyond it: the odometry is a prior and not only a start, a poor match is searched for
-in a wider window, a scan that fits nowhere does not enter the map, and ground is told from walls.
+from the paper. Beyond it: the odometry is a prior and not only a start, a poor match leads to a search
+in a wider window, a scan that fits nowhere does not enter the map, and a filter separates ground from walls.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ WARM_UP = {"sparse_distance": 0.1}
 
 
 REFINED_SHARE = 0.55
-"""Share of the keyframes that must fit for a refined start: of the first ones few walls are known."""
+"""Share of the keyframes that must fit for a refined start: the first ones see few known walls."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HectorConfig(BuilderConfig):
-    """Parameters of hector_mapping where they exist, and those of the parts.
+    """Parameters, under hector_mapping's names where they exist.
 
     Attributes:
         motion: confidence in the odometry.
-        calibration: how fast the odometry's constant errors are learnt.
+        calibration: rates at which the odometry's systematic errors are learned.
         registration: of a scan in the map.
-        localizability: when matches on uneven ground are believed.
+        localizability: conditions for using matches on uneven ground.
         learning_steps: steps after which the calibration is believed where there are no walls.
         bootstrap: when the map is built again.
         laser_max_dist: hits farther away are not used, meters.
@@ -84,7 +84,7 @@ class HectorConfig(BuilderConfig):
 
 
 class HectorMapper:
-    """Scan matching against one map that is taken for the truth; no loop is ever closed."""
+    """Scan-to-map matching in one map, without loop closure."""
 
     requires_odometry = False
 
@@ -131,7 +131,7 @@ class HectorMapper:
         return self._estimate.pose
 
     def map(self) -> OccupancyGrid:
-        """Return the finest level of the map; without walls where dead reckoning placed most of them."""
+        """Return the finest level of the map; without walls if dead reckoning placed most of them."""
         driven = self._builder.ground_filter.distance_traveled
         return self._builder.map(walls=self._localizability.draws(driven))
 
@@ -141,12 +141,12 @@ class HectorMapper:
 
     @property
     def lost(self) -> bool:
-        """Whether so many scans in a row fit nowhere that the pose is not to be believed."""
+        """Whether too many scans in a row contradict the map."""
         return self._tracking.lost
 
     @property
     def stats(self) -> MapperStats:
-        """What was done so far."""
+        """Counts, times and memory so far."""
         return MapperStats(
             received=self._received,
             used=self._matched,
@@ -162,7 +162,7 @@ class HectorMapper:
         )
 
     def _match(self, scan: LeveledScan, expected: PoseEstimate, seconds: float) -> Match | None:
-        """Move the estimate to where the scan fits; to the expected one, if there is nothing to fit."""
+        """Set the estimate to the registered pose, or to the expected one without a match."""
         before, self._estimate = self._estimate.pose, expected
         self._received += 1
         self._registered = False
@@ -184,14 +184,14 @@ class HectorMapper:
         return match
 
     def _observe_localizability(self, match: Match | None, seconds: float) -> None:
-        """Find out whether matches, and what they say of the odometry, are to be believed."""
+        """Update the localizability monitor, and switch the odometry's calibration on or off."""
         off = 0.0 if match is None else wrap_angle(match.pose[2] - self._reckoned_yaw)
         self._localizability.observe(None if match is None else match.score, off, seconds)
         mature = self._reckoning.learned >= self.config.learning_steps
         self._reckoning.calibrated = self._localizability.steady or mature
 
     def _believe(self, match: Match | None, found: PoseEstimate, before: Pose2) -> None:
-        """Take over the pose that was found if matches localize the robot, and learn how it drives."""
+        """Accept the registered pose if matches localize the robot; calibrate the odometry."""
         c, leveled = self.config, self._localizability.scans > 0
         if match is None or not self._localizability.believed:
             return
@@ -204,8 +204,8 @@ class HectorMapper:
     def _fits(self, match: Match | None) -> bool:
         """Return whether the scan may enter the map.
 
-        Where the attitude is known, a poor match says nothing until walls are proven: what it saw
-        before may be hillsides, and dead reckoning is believed.
+        Where the attitude is known, a poor match does not count until walls are proven: the earlier scans may
+        show hillsides, and dead reckoning is used.
         """
         poor = match is not None and match.score < self.config.tracking.lost_score
         if match is None or (poor and self._localizability.scans and not self._localizability.proven):
@@ -215,7 +215,7 @@ class HectorMapper:
         return fits
 
     def _enter(self, scan: LeveledScan) -> None:
-        """Make the scan a keyframe, and refine all of them when it is due."""
+        """Make the scan a keyframe; refine all keyframes when due."""
         builder, pose = self._builder, self._estimate.pose
         min_slopes = builder.enter(scan, pose)
         self._keyframes.append(pose)

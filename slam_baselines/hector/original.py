@@ -1,8 +1,8 @@
-"""HectorSLAM as its original behaves: planar, Gauss-Newton on the map alone, the odometry only as a start.
+"""Planar HectorSLAM as the original: Gauss-Newton on the map alone.
 
-Kohlbrecher et al. 2011, sections IV and V, with the defaults of hector_mapping. No attitude, no prior, no
-wider search, no ground filter: on uneven ground it takes hillsides for walls, as the original does. It never
-says that it is lost.
+Kohlbrecher et al. 2011, sections IV and V, with the defaults of hector_mapping. The odometry is only the
+start of the match. No attitude, no prior, no wider search, no ground filter: on uneven ground it takes
+hillsides for walls, as the original does. It never reports that it is lost.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class HectorOriginalMapper:
         return self.config.map_resolution
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        """Match the scan to the map from where the odometry leads, draw it if due; return `T_map_base`."""
+        """Match the scan from the pose by odometry, draw it if due; return `T_map_base`."""
         started = self._stopwatch.start()
         self._received += 1
         laser, ends = self._points(scan)
@@ -140,7 +140,7 @@ class HectorOriginalMapper:
         )
 
     def _points(self, scan: LaserScan) -> tuple[FloatArray, FloatArray]:
-        """Return (2,) the laser and (n, 2) usable ends of beams in the base frame, as if it were level."""
+        """Return laser (2,) and usable ends of beams (n, 2) in the level base frame."""
         c, ranges = self.config, scan.ranges.astype(np.float64)
         nearest, farthest = (
             max(scan.range_min, c.laser_min_dist),
@@ -154,7 +154,7 @@ class HectorOriginalMapper:
         return np.asarray(mount.position[:2], dtype=np.float64), ends
 
     def _start(self, odometry: Pose2 | None) -> Pose2:
-        """Return the last pose, moved by what the odometry says since."""
+        """Return the last pose, moved by the odometry since then."""
         before, self._odometry = self._odometry, odometry
         if before is None or odometry is None:
             return self._pose
@@ -178,13 +178,13 @@ class HectorOriginalMapper:
 
 
 MOST = 50.0
-"""Log-odds from which on a cell is raised no more."""
+"""Upper limit of the log-odds of a raised cell."""
 LARGEST_TURN = 0.2
-"""Radians that one Gauss-Newton step may turn."""
+"""Largest turn of one Gauss-Newton step, radians."""
 
 
 class OriginalMap:
-    """A square map of log-odds, 0 where no beam came; a scan changes each cell once.
+    """Square map of log-odds, 0 in unknown cells; a scan changes each cell once.
 
     As in the original, the size is fixed, the start is the center of cell (size / 2, size / 2), and a beam is
     drawn only where both its ends are inside.
@@ -241,7 +241,7 @@ class OriginalMap:
             _draw(layers, cells[inside], self._scans, self._odds)
 
     def occupancy_grid(self) -> OccupancyGrid:
-        """Return what is known."""
+        """Return the known cells."""
         known, resolution = self._drawn > 0, self._resolution
         if not known.any():
             return OccupancyGrid(np.full((1, 1), np.nan, np.float32), resolution)
@@ -283,8 +283,8 @@ def _match(probability: Any, middle: int, resolution: float, ends: Any, pose: An
 def _interpolate(probability: Any, x: float, y: float) -> Any:
     """Return probability and its derivatives at a point in cells (Eqs. 4-6); zeros outside.
 
-    The derivatives' weights are those of the original's code: both by the place along x and y of the
-    difference itself, where the paper has the other axis.
+    The derivatives' weights are those of the original's code: each difference is weighted along its own axis,
+    while the paper uses the other one.
     """
     rows, cols = probability.shape
     if not (0 <= x <= cols - 2 and 0 <= y <= rows - 2):
@@ -299,7 +299,10 @@ def _interpolate(probability: Any, x: float, y: float) -> Any:
 
 @njit(cache=True, nogil=True)
 def _draw(layers: Any, cells: Any, scan: int, odds: Any) -> None:
-    """Draw the lines from cells[0] to all others; `scan` marks a cell as passed, `scan` + 1 as hit."""
+    """Draw the lines from cells[0] to all others.
+
+    In `drawn`, `scan` marks a cell as passed, `scan` + 1 as hit.
+    """
     log_odds, probability, drawn = layers
     for k in range(1, len(cells)):
         if cells[k, 0] == cells[0, 0] and cells[k, 1] == cells[0, 1]:

@@ -1,8 +1,9 @@
-"""Start-up refinement: the first keyframes on uneven ground registered again with what is known later.
+"""Start-up refinement: renewed registration of the first keyframes on uneven ground.
 
-On uneven ground nothing is known to be a wall at first, so the robot begins on odometry alone and the
-first scans enter the map at poses that are a little wrong; the map would keep that error for ever. After
-some meters most of the walls that the first scans saw are known: a new map is built from them.
+On uneven ground no wall is known at first. So the robot starts on odometry alone, and the first scans enter
+the map at poses with a small error that the map would keep. After some meters most walls in the first scans
+are
+known: a new map is built from them.
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ K = TypeVar("K", bound=Keyframe[Any])
 Register = Callable[[K, "K | None", PoseEstimate], PoseEstimate]
 """A method's registration of a keyframe in the new map, which it enters there.
 
-Called with the keyframe, the one registered before it (None for the first, which stays where it is) and
+Called with the keyframe, the one registered before it (None for the first, which keeps its pose) and
 the estimate of that one; returns the estimate of the keyframe.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class BootstrapConfig:
-    """When the start is refined.
+    """Distances at which the start is refined.
 
     Attributes:
         first: distance traveled at the first refinement, meters; the next are due at 2, 4, 8 ... times that.
@@ -47,7 +48,7 @@ class BootstrapConfig:
 
 
 class Bootstrap(Generic[K]):
-    """Schedule of the refinements, and the keyframes that they need.
+    """Schedule of the refinements, and their keyframes.
 
     Attributes:
         keyframes: the first ones; empty when the last refinement is over.
@@ -76,20 +77,20 @@ class Bootstrap(Generic[K]):
         return distance_traveled >= self._next
 
     def replace(self, keyframes: Sequence[K]) -> None:
-        """Take over refined keyframes; those refinements that were due by now are done with this one."""
+        """Replace the keyframes by refined ones; all refinements due so far are done."""
         self.keyframes = list(keyframes)
         self.refinements += 1
         while self._next <= self._distance:
             self._next *= 2
 
     def close(self) -> None:
-        """Refine no more."""
+        """End the refinements."""
         self.keyframes.clear()
         self._next = math.inf
 
 
 def register_forwards(keyframes: Sequence[K], register: Register[K]) -> list[PoseEstimate]:
-    """Register keyframes from the first, which stays where it is, to the last; return their estimates."""
+    """Register keyframes from the fixed first one to the last; return their estimates."""
     before, estimates = None, [PoseEstimate(keyframes[0].pose, np.zeros((3, 3)))]
     for keyframe in keyframes:
         estimates.append(register(keyframe, before, estimates[-1]))
@@ -98,10 +99,12 @@ def register_forwards(keyframes: Sequence[K], register: Register[K]) -> list[Pos
 
 
 def register_backwards(keyframes: Sequence[K], register: Register[K]) -> list[PoseEstimate]:
-    """Register keyframes from the last to the first, so that the new map grows from where walls are known.
+    """Register keyframes from the last to the first.
+
+    So the new map grows from known walls.
 
     Returns:
-        Estimates of the keyframes, moved such that the first is where it was.
+        Estimates of the keyframes, moved such that the first keeps its pose.
     """
     estimates = register_forwards(keyframes[::-1], register)[::-1]
     T_new_old = keyframes[0].pose @ estimates[0].pose.inverse()

@@ -1,9 +1,9 @@
-"""What is ground and what is wall, on uneven ground, from a laser that sees one plane at a time.
+"""Ground filter: separation of ground and walls by a planar laser on uneven ground.
 
-One scan cannot tell a hill from a wall; time can. Ground is a single height over each place, and it
-is nowhere steeper than a slope that a robot drives. So the map keeps for each place the lowest height
-at which a beam was seen there - passing over, ending, or the robot standing on it: the ground cannot
-be higher (the *upper bound* of the ground). A beam that ends at P at height z has the minimum slope
+A single scan does not distinguish a hill from a wall; many scans do. Ground has a single height at each
+place, and it is nowhere steeper than a slope that a robot drives. So the map keeps for each place the lowest
+height of a beam that passed or ended there, or of the robot that stood there. The ground cannot be higher;
+this is the *upper bound* of the ground. A beam that ends at P at height z has the minimum slope
 
     s = max over Q near P of (z - upper_bound(Q)) / (|PQ| + margin)
 
@@ -36,17 +36,17 @@ BLOCK_BITS = 3
 
 
 Limits = tuple[float, float]
-"""Slopes below the first and from the second on need not be told apart, SLOPE_STEP."""
+"""Slopes below the first, and those from the second on, may be returned as equal, SLOPE_STEP."""
 IN_FULL: Limits = (0.0, 255.0)
 
 
 class Neighbors(NamedTuple):
-    """Cells around a hit: all close by, fewer farther off.
+    """Cells around a hit: all nearby ones, fewer far ones.
 
     Attributes:
-        cell: (k, 2) row and column offsets: those close by, then those farther off, both by distance.
-        distance: (k,) of their middles, and a cell's edge, meters.
-        close: number of those close by.
+        cell: (k, 2) row and column offsets: nearby ones, then far ones, both by distance.
+        distance: (k,) of their centers plus a cell's edge, meters.
+        close: number of the nearby ones.
         close_reach: largest offset among them.
         reach: largest offset of all.
     """
@@ -59,7 +59,7 @@ class Neighbors(NamedTuple):
 
 
 class UpperBound(NamedTuple):
-    """Upper bound of the ground's height for the kernels, meters; inf where nothing was seen.
+    """Upper bound of the ground's height for the kernels, meters; inf where unknown.
 
     Attributes:
         cells: (rows, cols) of each cell.
@@ -91,12 +91,12 @@ NOT_DRAWN = DrawnSlopes(np.zeros((0, 0), np.uint8), np.array((0.0, 0.0, 1.0)))
 
 
 class Margins(NamedTuple):
-    """How far heights may be wrong.
+    """Largest errors of heights.
 
     Attributes:
-        old: what the robot's height may have drifted since the start, meters.
+        old: drift of the robot's height since the start, meters.
         near: of a hit close to the laser, meters.
-        far: what a hit's height may be wrong by more per meter of range.
+        far: growth of a hit's error per meter of range.
     """
 
     old: float
@@ -105,7 +105,7 @@ class Margins(NamedTuple):
 
 
 STANDSTILL = 1e-4
-"""A shorter step is none, meters."""
+"""Length below which a step counts as standing, meters."""
 _Place = tuple[float, float, float, float]
 """x, y, yaw, z of a frame in that of the map."""
 IN_MAP: _Place = (0.0, 0.0, 0.0, 0.0)
@@ -119,7 +119,7 @@ class GroundFilterConfig:
         resolution: edge of a cell of the upper bound, meters.
         attitude_error: of roll and pitch, radians.
         height_error: of a beam's height close to the robot, meters.
-        confidence: how many of these errors a proof must exceed.
+        confidence: factor of these errors that a proof must exceed.
         drift: of the robot's height, per meter driven.
         tilt_lever: drift of the robot's height per radian by which its tilt changes, meters: base_link does
             not rise as steeply as the robot is tilted while an axle climbs or drops.
@@ -129,7 +129,7 @@ class GroundFilterConfig:
         footprint: radius of the ground that the robot stands on, meters.
         flat_tilt: ground on which the robot never tilted more is a floor: every hit is a wall. Radians.
         wall_slope: faces steeper than this are walls, on uneven ground, radians.
-        match_margin: what is steeper than the robot's largest tilt by this is a wall for matching, radians.
+        match_margin: a hit steeper than the robot's largest tilt by this is a wall for matching, radians.
         full_weight_slope: rise over run from which on a hit has full weight in matching; where it is less
             steep, an error of height shifts it more, and its weight falls with the square of the slope.
         first_margin: added to it at the start, when little ground is known, radians.
@@ -163,7 +163,7 @@ class GroundFilterConfig:
 
 
 class GroundFilter:
-    """Upper bound of the ground, the robot's height, and the slope from which on a hit is a wall.
+    """Upper bound of the ground, height of the robot, and slope of walls.
 
     Attributes:
         height: of base_link in the map frame, 0 at the start, meters.
@@ -185,11 +185,11 @@ class GroundFilter:
         self._weights: tuple[int, FloatArray] = -1, np.empty(0)
 
     def move(self, delta: Pose2, scan: LeveledScan, *, registered: bool = True) -> None:
-        """Follow the ground over a step of the base, as steep as the robot is tilted.
+        """Update height, tilt and drift by a step of the base on ground as steep as its tilt.
 
         Args:
             delta: `T_before_now`.
-            scan: tells the tilt.
+            scan: with the tilt.
             registered: whether scans fitted at both ends; else wheels may have slipped on the slope.
         """
         c, step = self.config, math.hypot(delta.x, delta.y)
@@ -213,12 +213,12 @@ class GroundFilter:
 
     @property
     def wall_slope(self) -> int:
-        """Rise over run, in SLOPE_STEP, from which on a hit is drawn as a wall; 0 on a floor."""
+        """Minimum slope from which on a hit is drawn as a wall, SLOPE_STEP; 0 on a floor."""
         return 0 if self.flat else round(math.tan(self.config.wall_slope) / SLOPE_STEP)
 
     @property
     def match_wall_slope(self) -> int:
-        """The same, for matching: ground is hardly steeper than where the robot has been."""
+        """Minimum slope of walls for matching: ground is hardly steeper than the driven slopes."""
         c = self.config
         if self.flat:
             return 0
@@ -227,12 +227,12 @@ class GroundFilter:
         return round(math.tan(math.radians(math.ceil(angle))) / SLOPE_STEP)
 
     def insert(self, scan: LeveledScan, pose: Pose2) -> tuple[ScanPoints, ByteArray]:
-        """Take in a scan; return it in the map frame, and (n,) the minimum slopes of its hits."""
+        """Observe a scan; return it in the map frame, and its hits' (n,) minimum slopes."""
         placed = scan.transformed(pose, self.height)
         return placed, self.observe(placed, pose) if scan.leveled else self.no_min_slope(len(placed.hits))
 
     def observe(self, scan: ScanPoints, base: Pose2) -> ByteArray:
-        """Lower the upper bound by what a scan has seen; return (n,) the minimum slopes of its hits.
+        """Lower the upper bound by a scan; return the (n,) minimum slopes of its hits.
 
         Args:
             scan: in the map frame.
@@ -258,15 +258,16 @@ class GroundFilter:
         drawn: OccupancyMap | None = None,
         limits: Limits = IN_FULL,
     ) -> ByteArray:
-        """Return (n,) the minimum slopes of a scan's hits as known by now, SLOPE_STEP; 0 on a floor.
+        """Return the present (n,) minimum slopes of a scan's hits, SLOPE_STEP; 0 on a floor.
 
         Args:
             scan: leveled.
             pose: `T_map_base`.
             height: of the base in the map frame, meters; None: the present one.
-            known: (n,) what was known of the hits before.
+            known: (n,) minimum slopes of the hits known before.
             drawn: the map whose cells' minimum slopes count as well.
-            limits: slopes below the first and from the second on need not be told apart, which is faster.
+            limits: slopes below the first, and those from the second on, may be returned as equal, which is
+                faster.
         """
         slopes = self.no_min_slope(len(scan.hits)) if known is None else known.copy()
         if self.match_wall_slope == 0:
@@ -285,9 +286,9 @@ class GroundFilter:
         known: ByteArray | None = None,
         drawn: OccupancyMap | None = None,
     ) -> FloatArray:
-        """Return (n,) 1 for hits on walls, 0 for those that may be ground; on a floor every hit is a wall.
+        """Return (n,) 1 for hits on walls, 0 for possible ground.
 
-        Arguments are those of min_slopes.
+        On a floor every hit is a wall. Arguments are those of min_slopes.
         """
         wall = self.match_wall_slope
         limits = float(wall), float(wall)
@@ -297,7 +298,7 @@ class GroundFilter:
     def match_weights(
         self, scan: LeveledScan, pose: Pose2, drawn: OccupancyMap, wall_slope: int
     ) -> FloatArray:
-        """Return (n,) the graded weights of a scan's hits by the minimum slopes as known by now.
+        """Return (n,) graded weights of a scan's hits by their present minimum slopes.
 
         Args:
             scan: leveled.
@@ -316,7 +317,7 @@ class GroundFilter:
         return weights
 
     def graded_weights(self, min_slopes: ByteArray, wall_slope: int) -> FloatArray:
-        """Return (n,) 1 for hits on steep walls, less on a slope, 0 for those that may be ground."""
+        """Return (n,) weights: 1 on steep walls, less on slopes, 0 for possible ground."""
         full = self.config.full_weight_slope / SLOPE_STEP
         weights: FloatArray = np.minimum(1.0, (min_slopes / full) ** 2) * (min_slopes >= wall_slope)
         return weights
@@ -325,14 +326,14 @@ class GroundFilter:
         self, slopes: ByteArray, origin: FloatArray, hits: FloatArray, T: _Place, base: Pose2,
         limits: Limits = IN_FULL, drawn: DrawnSlopes = NOT_DRAWN,
     ) -> ByteArray:  # fmt: skip
-        """Return (n,) minimum slopes of hits raised to what was observed so far, SLOPE_STEP; T is theirs."""
+        """Raise the (n,) minimum slopes of hits in the frame T to those observed so far."""
         raise_min_slopes(
             self._upper_bound, origin, hits, T, self._ground(base), self._margins, limits, drawn, slopes
         )
         return slopes
 
     def _stand(self, base: Pose2) -> None:
-        """Lower the upper bound where the robot stands: the ground is where its wheels are."""
+        """Lower the upper bound under the robot to the height of its wheels."""
         x, y, z = self._ground(base)
         row0, col0, resolution = self._upper_bound.frame.tolist()
         reach = int(self.config.footprint / resolution)
@@ -348,7 +349,7 @@ class GroundFilter:
         return Margins(self.drift, c.confidence * c.height_error, c.confidence * c.attitude_error)
 
     def _ground(self, base: Pose2) -> tuple[float, float, float]:
-        """Return the highest that the ground under the robot may be."""
+        """Return x, y and the largest height of the ground under the robot."""
         c = self.config
         return base.x, base.y, self.height - c.base_height + c.confidence * c.height_error
 
@@ -361,12 +362,12 @@ class GroundFilter:
 
     @staticmethod
     def no_min_slope(n: int) -> ByteArray:
-        """Return the minimum slopes of n hits about whose height nothing is known."""
+        """Return n minimum slopes of 0, for hits of unknown height."""
         return np.zeros(n, np.uint8)
 
 
 def neighbors_of(resolution: float) -> Neighbors:
-    """Return the cells that tell how high the ground before a hit can be."""
+    """Return the cells whose upper bounds limit the ground in front of a hit."""
     reach = round(0.35 / resolution)
     close = [(r, c) for r in range(-reach, reach + 1) for c in range(-reach, reach + 1)]
     rays = [(math.sin(a), math.cos(a)) for a in np.arange(12) * math.tau / 12]
@@ -391,13 +392,13 @@ def blocks_of(cells: Float32Array) -> Float32Array:
 
 
 def limits_for_weights(wall_slope: int, full_weight_slope: float) -> Limits:
-    """Return the slopes between which weights differ, of a wall and of full weight, SLOPE_STEP."""
+    """Return the slopes of a wall and of full weight, between which weights differ, SLOPE_STEP."""
     return float(wall_slope), min(255.0, max(float(wall_slope), full_weight_slope / SLOPE_STEP + 1.0))
 
 
 @njit(cache=True, nogil=True)
 def lower(upper_bound: Any, row: int, col: int, z: Any) -> None:
-    """Lower the upper bound of a cell, and of its block, to z if it is above."""
+    """Lower the upper bounds of a cell and of its block to at most z."""
     r, c = np.uintp(row), np.uintp(col)
     if z < upper_bound.cells[r, c]:
         upper_bound.cells[r, c] = z
@@ -417,11 +418,11 @@ def raise_min_slopes(
         origin: (3,) the laser, meters.
         hits: (n, 3) ends of beams in the same frame.
         pose: x, y, yaw, z of this frame in that of the map.
-        ground: x, y, z of the highest that the ground under the robot may be.
+        ground: x, y and largest height of the ground under the robot.
         margins: of the heights.
-        limits: slopes below the first and from the second on need not be told apart, SLOPE_STEP.
-        drawn: what a map knows of its cells.
-        slopes: (n,) what is known of the hits before; raised in place, SLOPE_STEP.
+        limits: slopes below the first, and those from the second on, may be returned as equal, SLOPE_STEP.
+        drawn: minimum slopes of a map's cells.
+        slopes: (n,) minimum slopes of the hits known before; raised in place, SLOPE_STEP.
     """
     cells, blocks, frame, neighbors = upper_bound
     layer, known = drawn
@@ -462,7 +463,10 @@ def _steepest(
     best: float,
     most: float,
 ) -> float:
-    """Return the largest rise over run from cells around (x, y) to z; at least `best`, told up to `most`."""
+    """Return the largest rise over run from cells around (x, y) to z.
+
+    It is at least `best`, and exact up to `most`.
+    """
     rows, cols = cells.shape
     cell, distance, close, close_reach, reach = neighbors
     row, col = int(np.floor(y / frame[2] - frame[0])), int(np.floor(x / frame[2] - frame[1]))
@@ -475,7 +479,7 @@ def _steepest(
     for first, end, around in ((0, close, close_reach), (close, len(cell), reach)):
         most_rise = z - _lowest(blocks, row, col, around)
         for k in range(first, end):
-            # A product asks what a quotient, four times as slow, would; few cells raise the slope.
+            # A product replaces the quotient, which is four times as slow; few cells raise the slope.
             needed = best * distance[k]
             if most_rise <= needed:
                 break
@@ -489,7 +493,7 @@ def _steepest(
 
 @njit(cache=True, nogil=True, forceinline=True)
 def _lowest(blocks: Any, row: int, col: int, reach: int) -> Any:
-    """Return the smallest upper bound of the blocks that hold the cells up to `reach` from a cell."""
+    """Return the smallest upper bound of the blocks within `reach` cells of a cell."""
     lowest = np.float32(np.inf)
     for r in range((row - reach) >> BLOCK_BITS, ((row + reach) >> BLOCK_BITS) + 1):
         for c in range((col - reach) >> BLOCK_BITS, ((col + reach) >> BLOCK_BITS) + 1):
@@ -498,7 +502,7 @@ def _lowest(blocks: Any, row: int, col: int, reach: int) -> Any:
 
 
 def _drawn_slopes(drawn: OccupancyMap) -> DrawnSlopes:
-    """Return what a map knows of its cells."""
+    """Return the minimum slopes of a map's cells."""
     return DrawnSlopes(drawn.layers.min_slope, drawn.frame)
 
 

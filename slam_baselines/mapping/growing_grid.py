@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 BLOCK = 128
-"""Bounds are multiples of this many cells, so that growing is seldom."""
+"""Bounds are multiples of this number of cells, so that the grid grows seldom."""
 
 
 class GrowingGrid:
@@ -24,7 +24,7 @@ class GrowingGrid:
     """
 
     def __init__(self, resolution: float, layers: Mapping[str, tuple[DTypeLike, float]]) -> None:
-        """Start empty; `layers` gives each layer's type and the value of cells never touched."""
+        """Start empty; `layers` gives each layer's type and initial value."""
         self.resolution = resolution
         self.row0 = 0
         self.col0 = 0
@@ -44,7 +44,7 @@ class GrowingGrid:
         return sum(layer.nbytes for layer in self.layers.values())
 
     def ensure(self, west: float, south: float, east: float, north: float) -> bool:
-        """Make the box (meters) part of the grid; return whether the arrays were replaced."""
+        """Extend the grid by a box (meters); return whether the arrays were replaced."""
         held = self._held
         if west >= held[0] and south >= held[1] and east <= held[2] and north <= held[3]:
             return False
@@ -62,7 +62,7 @@ class GrowingGrid:
             new[at_row : at_row + rows, at_col : at_col + cols] = old
             self.layers[name] = new
         self.row0, self.col0 = r_lo, c_lo
-        # What lies in here needs no other blocks, by the rounding of _blocks.
+        # A box within these bounds needs no other blocks, by the rounding of _blocks.
         res = self.resolution
         self._held = (c_lo + 1) * res, (r_lo + 1) * res, (c_hi - 2) * res, (r_hi - 2) * res
         return True

@@ -1,4 +1,4 @@
-"""Keyframes, the scans that entered a map, and the trajectory of all scans relative to them."""
+"""Keyframes (scans that entered a map), and the trajectory of all scans."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ class Keyframe(Generic[Motion]):
 
 
 LEVER = 0.5
-"""Meters that a radian of turn counts as where an error is spread between keyframes."""
+"""Meters per radian of turn in the distance over which an error is spread."""
 
 
 class KeyframeTrajectory:
-    """Poses of all scans in the frame of the last keyframe before each, 36 bytes a scan."""
+    """Poses of all scans relative to their last keyframes, 36 bytes a scan."""
 
     def __init__(self) -> None:
         self._keyframes, self._numbers = array("i"), array("d")
 
     def add(self, stamp: float, keyframe: int, T_keyframe_scan: Pose2) -> None:
-        """Note a scan; a later scan of the same stamp takes the place of the earlier.
+        """Add a scan; a later scan of the same stamp replaces the earlier one.
 
         Args:
             stamp: seconds.
@@ -69,11 +69,11 @@ class KeyframeTrajectory:
 
         Args:
             keyframes: `T_map_base` of the keyframes.
-            measured: poses of the keyframes by the motion that led from one to the next; what `keyframes`
-                differ from it is spread over the scans between. None: scans stay rigidly beside the
-                keyframe before them, as those that were matched one by one do.
-            T_map_start: of the start frame, for scans before the first keyframe; None: where `measured` puts
-                it, else the map frame.
+            measured: poses of the keyframes by the motion from one to the next; their difference from
+                `keyframes` is spread over the scans between. None: scans keep their poses relative to the
+                keyframe before them, as they were matched one by one.
+            T_map_start: of the start frame, for scans before the first keyframe; None: the pose by
+                `measured`, else the map frame.
         """
         if not self._keyframes:
             return Trajectory.from_poses([], [])
@@ -91,7 +91,7 @@ class KeyframeTrajectory:
         return Trajectory.from_poses(stamps, (Pose2(*pose.tolist()) for pose in poses))
 
     def _by_stamp(self) -> tuple[FloatArray, IntArray, FloatArray]:
-        """Return stamps (n,) in order, keyframes (n,) and poses (n, 3) of the last scan of each stamp."""
+        """Return ordered stamps (n,), keyframes (n,) and poses (n, 3), the last of each stamp."""
         rows = np.array(self._numbers).reshape(-1, 4)
         order = np.argsort(rows[:, 0], kind="stable")
         ordered = rows[order, 0]
@@ -102,7 +102,7 @@ class KeyframeTrajectory:
 def _spread(
     poses: FloatArray, scans: FloatArray, last: IntArray, final: FloatArray, measured: FloatArray
 ) -> FloatArray:
-    """Return poses between those seen from the keyframe before and from the one after, by the distance."""
+    """Interpolate between the poses by the previous and by the next keyframe."""
     after = np.clip(last + 1, 0, len(final) - 1)
     ahead = relative_poses(measured[after], compose_poses(measured[last], scans))
     near, far = (np.hypot(d[:, 0], d[:, 1]) + LEVER * abs(wrap(d[:, 2])) for d in (scans, ahead))

@@ -1,4 +1,4 @@
-"""Mapping with known poses: what the same update makes of the same scans when nobody errs."""
+"""Mapping with known poses, by the map update of the mappers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from slam_baselines.scan.leveling import ScanLeveler
 
 
 class KnownPoseMapper:
-    """Builds a map from scans and the poses at which they were taken, in the frame of the poses."""
+    """Map of scans at known poses, in the frame of the poses."""
 
     def __init__(self, resolution: float = 0.05, config: BuilderConfig | None = None) -> None:
         """Use `config`, or the default one at `resolution`."""
@@ -18,7 +18,7 @@ class KnownPoseMapper:
         self._leveler = ScanLeveler()
 
     def update(self, scan: LaserScan, T_map_base: Pose2, imu: Imu | None) -> None:
-        """Take in a scan; it changes the map where the robot has moved enough."""
+        """Process a scan; it enters the map if the robot has moved enough."""
         level = self._leveler.level(scan, imu)
         self._builder.move_base(level, T_map_base)
         if self._builder.due(level, T_map_base):

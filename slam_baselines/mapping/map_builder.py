@@ -1,4 +1,4 @@
-"""The map of leveled scans at known poses: the part that every mapper and the true-pose map share."""
+"""Map of leveled scans at given poses, for mappers and the true-pose map."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from slam_baselines.scan.leveling import LeveledScan, ScanPoints
 
 @dataclass(frozen=True, kw_only=True)
 class BuilderConfig:
-    """When the map is updated and how fine it is; names as in hector_mapping.
+    """Resolution of the map and conditions of its update; names as in hector_mapping.
 
     Attributes:
         map_resolution: edge of a cell of the finest level, meters.
@@ -28,7 +28,7 @@ class BuilderConfig:
         sparse_distance: distance from the scan before, a radian of turn counted as a meter, from which on a
             scan's hits are interpolated, meters.
         interpolation: of hits along surfaces.
-        update: how a scan changes the map.
+        update: of the log-odds by a scan.
         ground_filter: separates hits on ground from hits on walls.
 
     Raises:
@@ -48,12 +48,12 @@ class BuilderConfig:
     def __post_init__(self) -> None:
         require_above(self, 0, "map_resolution", "sparse_distance", unit="m")
         require_at_least(self, 1, "map_multi_res_levels")
-        thresholds = (f"map_update_{what}_thresh" for what in ("distance", "angle", "tilt"))
+        thresholds = (f"map_update_{motion}_thresh" for motion in ("distance", "angle", "tilt"))
         require_at_least(self, 0, *thresholds)
 
 
 class MapBuilder:
-    """Grows a pyramid of occupancy maps, and filters the ground out where attitude is known."""
+    """Pyramid of occupancy maps, with a ground filter where the attitude is known."""
 
     def __init__(self, config: BuilderConfig) -> None:
         self._config = config
@@ -66,14 +66,14 @@ class MapBuilder:
         self._wall_slope = 0
 
     def restart(self) -> MapPyramid:
-        """Forget the occupancy, but not the ground; return the pyramid that was."""
+        """Clear the occupancy, keep the ground; return the former pyramid."""
         before = self.pyramid
         self.pyramid = MapPyramid(tuple(level.empty_copy() for level in before.maps))
         self._wall_slope = self.ground_filter.match_wall_slope
         return before
 
     def move_base(self, scan: LeveledScan, pose: Pose2, *, registered: bool = True) -> None:
-        """Follow the base to `pose`; keeps its height up to date (see GroundFilter.move)."""
+        """Move the base to `pose` and update its height (see GroundFilter.move)."""
         step = Pose2() if self._last is None else self._last.inverse() @ pose
         self._sparse = math.hypot(step.x, step.y) + abs(step.yaw) >= self._config.sparse_distance
         if scan.leveled:
@@ -83,16 +83,16 @@ class MapBuilder:
     def min_slopes(
         self, scan: LeveledScan, pose: Pose2, height: float | None = None, known: ByteArray | None = None
     ) -> ByteArray:
-        """Return (n,) the minimum slopes of the hits; arguments as of GroundFilter.min_slopes."""
+        """Return (n,) minimum slopes of the hits; arguments as of GroundFilter.min_slopes."""
         drawn = self.pyramid.maps[-1]
         return self.ground_filter.min_slopes(scan, pose, height, known=known, drawn=drawn)
 
     def weights(self, min_slopes: ByteArray) -> FloatArray | None:
-        """Return (n,) weights of hits by their minimum slopes; None on a floor, where every hit is a wall."""
+        """Return (n,) weights of hits by their minimum slopes; None on a floor."""
         return None if self.flat else self.ground_filter.graded_weights(min_slopes, self._wall_slope)
 
     def match_weights(self, scan: LeveledScan, pose: Pose2) -> FloatArray | None:
-        """Return (n,) the weights of a scan's hits as known by now; None on a floor."""
+        """Return the present (n,) weights of a scan's hits; None on a floor."""
         if self.flat:
             return None
         return self.ground_filter.match_weights(scan, pose, self.pyramid.maps[-1], self._wall_slope)
@@ -110,7 +110,7 @@ class MapBuilder:
         return turn > c.map_update_angle_thresh or tilt > c.map_update_tilt_thresh
 
     def enter(self, scan: LeveledScan, pose: Pose2) -> ByteArray:
-        """Update the map with a scan taken at `pose`; return the minimum slopes of its hits."""
+        """Update the map by a scan at `pose`; return the minimum slopes of its hits."""
         placed, min_slopes = self.ground_filter.insert(scan, pose)
         if self.ground_filter.match_wall_slope != self._wall_slope:
             self._wall_slope = self.ground_filter.match_wall_slope
@@ -135,18 +135,18 @@ class MapBuilder:
             self.pyramid.refresh()
 
     def correct_pose(self, pose: Pose2) -> None:
-        """Take note that the last keyframe's pose was corrected; the base has not moved."""
+        """Correct the last keyframe's pose without a motion of the base."""
         self._last = pose
         if self._entered is not None:
             self._entered = pose, self._entered[1]
 
     @property
     def flat(self) -> bool:
-        """Whether the ground has always been a floor, so that every hit is a wall."""
+        """Whether the ground has always been a floor; then every hit is a wall."""
         return self._wall_slope == 0
 
     def map(self, *, walls: bool = True) -> OccupancyGrid:
-        """Return the finest level; without walls, what would be one is unknown."""
+        """Return the finest level; without `walls`, wall cells are unknown."""
         return self.pyramid.maps[0].occupancy_grid(self.ground_filter.wall_slope if walls else NO_WALL)
 
     @property

@@ -1,4 +1,4 @@
-"""The occupancy map and its update: log-odds by ray tracing, every cell at most once a scan.
+"""Occupancy map and its log-odds update by ray tracing, each cell once a scan.
 
 Log-odds are kept in steps of 0.1 as int8, and beside them, as one byte, the probability that scan
 matching reads: small maps stay in the cache.
@@ -31,15 +31,17 @@ SLOPE_STEP = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class UpdateConfig:
-    """How one scan changes the map; names and defaults of the first two as in hector_mapping.
+    """Parameters of the map's update by a scan.
+
+    Names and defaults of the first two are those of hector_mapping.
 
     Attributes:
         update_factor_free: probability that a cell is occupied, given that a beam passed it.
         update_factor_occupied: probability that a cell is occupied, given that a beam ended there.
-        limit: log-odds are kept within +-limit, so that the map can change its mind.
+        limit: log-odds are kept within +-limit, so that the map can adapt to changes.
 
     Raises:
-        ConfigError: a probability on the wrong side of 0.5, or a limit beyond what the map can hold.
+        ConfigError: a probability on the wrong side of 0.5, or a limit beyond the map's number range.
     """
 
     update_factor_free: float = 0.4
@@ -64,8 +66,9 @@ class UpdateConfig:
 class OccupancyMap:
     """An occupancy map of one resolution that grows.
 
-    Layers: `log_odds` (steps), `value` (what the matcher sees: nothing where a hit may have been ground),
-    `min_slope` (largest minimum slope of what was hit there), `top` (largest height at which it was hit).
+    Layers: `log_odds` (steps), `value` (for the matcher, without hits that may be ground), `min_slope`
+        (largest
+    minimum slope of the hits in a cell), `top` (largest height of these hits).
 
     Attributes:
         grid: the layers.
@@ -76,7 +79,7 @@ class OccupancyMap:
     def __init__(
         self, resolution: float, config: UpdateConfig | None = None, tracer: RayTracer | None = None
     ) -> None:
-        """Start empty; `tracer` is one over this lattice that other maps may use as well."""
+        """Start empty; other maps of this lattice may share `tracer`."""
         layers = {"log_odds": (np.int8, UNKNOWN), "value": (np.uint8, UNSEEN), "min_slope": (np.uint8, 0)}
         self.grid = GrowingGrid(resolution, layers | {"top": (np.int16, -32768)})
         self._config = config or UpdateConfig()
@@ -85,7 +88,7 @@ class OccupancyMap:
         self._take_over()
 
     def empty_copy(self) -> OccupancyMap:
-        """Return an empty map over the same lattice that shares the room for tracing."""
+        """Return an empty map over the same lattice, with the same tracer."""
         return OccupancyMap(self.resolution, self._config, self._tracer)
 
     @property
@@ -114,7 +117,7 @@ class OccupancyMap:
         return grew
 
     def reserve(self, box: FloatArray) -> bool:
-        """Make room for scans in a box (4,), as of update; return whether the arrays were replaced."""
+        """Allocate a box (4,), as of update; return whether the arrays were replaced."""
         grew = self.grid.ensure(*box.tolist())
         if grew:
             self._take_over()
@@ -126,12 +129,12 @@ class OccupancyMap:
         self.frame: FloatArray = np.array((g.row0, g.col0, g.resolution), dtype=np.float64)
 
     def take_over_log_odds(self) -> None:
-        """Let the matcher see log-odds that were written into the layer from outside; every hit is a wall."""
+        """Recompute the layer `value` from log-odds written from outside; every hit is a wall."""
         np.take(VALUE, self.layers.log_odds.astype(np.int16) + 128, out=self.layers.value)
 
     def revalue(self, wall_slope: int) -> None:
-        """Let the matcher see as walls only those hits whose minimum slope is at least `wall_slope`."""
-        # What is free or unknown looks the same whatever a wall is.
+        """Recompute the layer `value`: hits below the minimum slope `wall_slope` are no walls."""
+        # Free and unknown cells do not depend on the slope of walls.
         steps, value, min_slope = (
             layer.reshape(-1) for layer in (self.layers.log_odds, self.layers.value, self.layers.min_slope)
         )
@@ -140,7 +143,7 @@ class OccupancyMap:
         value[hits] = np.where(walls, VALUE[steps[hits] + np.int16(128)], np.uint8(UNSEEN))
 
     def occupancy_grid(self, wall_slope: int) -> OccupancyGrid:
-        """Return what is known; hits whose minimum slope is below `wall_slope` are unknown, not occupied."""
+        """Return the known cells; hits below the minimum slope `wall_slope` are unknown."""
         steps, min_slopes = self.layers.log_odds, self.layers.min_slope
         known = (steps != UNKNOWN) & ~((steps > 0) & (min_slopes < wall_slope))
         rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
@@ -155,19 +158,19 @@ class OccupancyMap:
 
 
 NO_WALL = 256
-"""A wall slope that no hit reaches."""
+"""Wall slope above that of any hit."""
 UNKNOWN = -128
-"""Log-odds of a cell that no beam has touched."""
+"""Log-odds of an unknown cell."""
 STEP = 0.1
 """Log-odds of one step of the layer `log_odds`."""
 TOP_STEP = 0.01
 """Meters of one step of the layer `top`."""
 ABOVE = 10
-"""A beam so many steps of `top` above a wall's highest hit passes over the wall."""
+"""Steps of `top` above a wall's highest hit from which on a beam passes over the wall."""
 FULL = 255
-"""A `value` of this is a wall for sure."""
+"""Largest `value`: a certain wall."""
 UNSEEN = 0
-"""A `value` of this says nothing; any other that the cell is known."""
+"""`value` of an unknown cell; any other means known."""
 
 _odds = np.exp(STEP * np.arange(-128, 128))
 VALUE = np.maximum(1, np.round(FULL * (_odds - 1) / (_odds + 1))).astype(np.uint8)
@@ -192,7 +195,7 @@ def enter_trace(
 ) -> None:
     """Raise the cells where beams end, then lower those that beams pass.
 
-    A beam that passes above where a wall was hit says nothing about the wall.
+    A beam that passes above the hits of a wall does not lower it.
 
     Args:
         layers: of the map.
@@ -238,7 +241,7 @@ def enter_trace(
 
 @njit(cache=True, nogil=True, inline="always")
 def _change(layers: Any, r: int, c: int, step: int, wall_slope: int, limit: int) -> None:
-    """Add to the log-odds of a cell and renew what the matcher sees of it."""
+    """Add to the log-odds of a cell and update its `value`."""
     after = _add_step(np.int64(layers.log_odds[r, c]), step, limit)
     layers.log_odds[r, c] = after
     layers.value[r, c] = (
@@ -254,7 +257,7 @@ def _add_step(before: int, step: int, limit: int) -> int:
 
 @njit(cache=True, nogil=True)
 def bounding_box(scan: Any) -> Any:
-    """Return (4,) west, south, east, north of the laser and all ends of a scan's beams, meters."""
+    """Return the (4,) box of a scan: west, south, east, north, meters."""
     west = east = scan.origin[0]
     south = north = scan.origin[1]
     for ends in (scan.hits, scan.free):

@@ -1,7 +1,6 @@
-"""Ray tracing of a scan over a lattice of cells: which cells it hits and which it passes, each once.
+"""Ray tracing of a scan over a lattice: cells hit and cells passed, each once.
 
-What the scan does to a map depends on the map, which cells it meets does not: maps of the same resolution in
-the same frame are all updated by one trace.
+The traced cells do not depend on the map: one trace updates all maps of the same resolution and frame.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ COLUMN = (1 << BITS) - 1
 
 
 class Trace(NamedTuple):
-    """Cells that a scan meets, by their numbers in a window; void after the next trace.
+    """Numbers in a window of the cells that a scan meets; void after the next trace.
 
     Attributes:
         corner: lattice row and column of the window.
@@ -59,7 +58,7 @@ class RayTracer:
         self._steps: Int32Array = np.empty(0, np.int32)
 
     def trace(self, scan: ScanPoints, box: FloatArray) -> Trace:
-        """Return what a scan meets.
+        """Return the cells that a scan meets.
 
         Args:
             scan: in the lattice's frame.
@@ -78,7 +77,7 @@ class RayTracer:
         return trace
 
     def _blank(self, rows: int, cols: int) -> ByteArray:
-        """Return a scratch that nowhere holds the new mark; it is wiped only when the marks run out."""
+        """Return a scratch without the new mark; it is cleared only when marks run out."""
         if len(self._touched) < rows * cols:
             size = rows * cols * 3 // 2
             self._touched, self._mark = np.zeros(size, np.uint8), 0
@@ -92,16 +91,16 @@ class RayTracer:
 
 @njit(cache=True, nogil=True)
 def trace_scan(scan: Any, resolution: float, touched: Any, mark: int, line: Any, out: Any) -> None:
-    """Fill a trace: where beams end, then what they pass; no cell twice, a hit wins.
+    """Fill a trace: cells of the beams' ends, then passed cells; each once, a hit wins.
 
-    The last cell before a hit is spared: noise would wear the wall's near face away and so push it back.
+    The last cell before a hit is spared: noise would erode the near side of the wall and so push it back.
 
     Args:
         scan: in the lattice's frame.
         resolution: edge of a cell, meters.
         touched: (rows, cols) of the window, nowhere `mark`; holds all beams.
         mark: of the cells that this scan has touched.
-        line: (n,) room for the cells of one beam.
+        line: (n,) scratch for the cells of one beam.
         out: the trace.
     """
     origin, hits, free = scan
@@ -123,7 +122,7 @@ def trace_scan(scan: Any, resolution: float, touched: Any, mark: int, line: Any,
         out.rise[b] = (end[2] - z) / n
         count = n - 1 if spared else n + 1
         _number_cells(line, count, np.int64(y * ONE), np.int64(x * ONE), dy / n, dx / n)
-        # Without a branch: whether a cell is new cannot be foreseen.
+        # Without a branch: whether a cell is new is unpredictable.
         for k in range(count):
             cell = np.uintp(line[k])
             at = (cell >> np.uintp(BITS)) * np.uintp(across) + (cell & np.uintp(COLUMN))
@@ -135,7 +134,7 @@ def trace_scan(scan: Any, resolution: float, touched: Any, mark: int, line: Any,
 
 @njit(cache=True, nogil=True)
 def _number_cells(line: Any, count: int, v: int, u: int, dy: float, dx: float) -> None:
-    """Fill the first numbers of `line` with the cells of a beam, in a loop for SIMD."""
+    """Fill the first `count` numbers of `line` with the cells of a beam, by SIMD."""
     dv, du = np.int64(dy * ONE), np.int64(dx * ONE)
     for k in range(count):
         line[k] = ((v + k * dv) & ~COLUMN) | ((u + k * du) >> BITS)
@@ -143,7 +142,7 @@ def _number_cells(line: Any, count: int, v: int, u: int, dy: float, dx: float) -
 
 @njit(cache=True, nogil=True)
 def line_cells(row: int, col: int, last_row: int, last_col: int) -> Any:
-    """Return (n, 2) row and column of the cells from the first to the last, which is left out."""
+    """Return the cells (n, 2) of Bresenham's line: row and column, without the last."""
     dy, dx = last_row - row, last_col - col
     along, across = max(abs(dx), abs(dy)), min(abs(dx), abs(dy))
     cells = np.empty((along, 2), np.int64)

@@ -1,1 +1,1 @@
-"""GMapping as its original behaves: OpenSLAM's program, planar, with its published defaults."""
+"""GMapping as in OpenSLAM's original program: planar, with the published defaults."""

@@ -1,4 +1,4 @@
-"""The parameters of the original, by its names."""
+"""Parameters of the original, by its names."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class GmappingOriginalConfig:
         seed: of the random numbers, as for the C library's `srand48`.
         linearUpdate: meters to drive before the next scan is processed.
         angularUpdate: radians to turn before the next scan is processed.
-        resampleThreshold: particles are drawn anew when N_eff falls below this share of them.
+        resampleThreshold: particles are resampled when N_eff falls below this share of them.
         srr: error of the odometry in translation after one meter, meters.
         srt: error of the odometry in rotation after one meter, radians.
         str: error of the odometry in translation after one radian, meters.
@@ -70,7 +70,7 @@ class GmappingOriginalConfig:
 
     @property
     def matching(self) -> MatchingParameters:
-        """What the matcher needs."""
+        """Parameters of the matcher."""
         return MatchingParameters(
             self.sigma, self.kernelSize, self.lstep, self.astep, self.iterations, self.lsigma
         )

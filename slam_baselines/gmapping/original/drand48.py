@@ -1,4 +1,4 @@
-"""The random numbers of the original: the C library's drand48, and normal numbers made of them.
+"""Random numbers of the original: the C library's drand48, and normal numbers.
 
 The original draws everything from this one stream, so the same seed gives the same trajectory here and there.
 """
@@ -44,7 +44,7 @@ def _uniform(state: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def _fill_normal(state: Any, out: Any) -> None:
-    """Fill `out` by Marsaglia's polar method as the original has it: every second number is thrown away."""
+    """Fill `out` by Marsaglia's polar method; like the original, skip every second number."""
     for k in range(len(out)):
         while True:
             x = 2 * _uniform(state) - 1

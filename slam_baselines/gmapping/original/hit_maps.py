@@ -1,7 +1,7 @@
-"""Maps of hits, one a particle: how many beams ended in each cell, and where on average.
+"""Maps of hits of all particles: number and mean of the beams' ends in each cell.
 
-They are what the original matches against. As there, a map consists of patches that particles share until
-one of them writes (copy on write), and cell (0, 0) has its center in the origin.
+The original matches scans against them. As there, a map consists of patches that particles share until one of
+them writes (copy on write), and cell (0, 0) has its center in the origin.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ class HitPatches(NamedTuple):
 
 
 class HitMap(NamedTuple):
-    """One particle's map as the kernels see it; void after the next change.
+    """One particle's map for the kernels; void after the next change.
 
     Attributes:
         table: (rows, cols) int32, the patch at each place.
         corner: (2,) int64, row and column of the table's first patch in the lattice of patches.
-        patches: what the table points at.
+        patches: targets of the table.
         delta: edge of a cell, meters.
     """
 
@@ -55,7 +55,7 @@ class HitMap(NamedTuple):
 
 
 class HitMaps:
-    """The maps of a set of particles, over one lattice of cells that grows where needed."""
+    """Maps of a set of particles over one growing lattice of cells."""
 
     def __init__(self, particles: int, delta: float) -> None:
         """Start empty; `delta` is the edge of a cell, meters."""
@@ -79,7 +79,7 @@ class HitMaps:
         return len(self._patches.owners) - int(self._patches.free[0])
 
     def descend(self, parents: IntArray) -> None:
-        """Let map i become a copy of what map `parents[i]` was; copies share their patches."""
+        """Replace map i by a copy of the former map `parents[i]`; copies share their patches."""
         self._tables = self._tables[parents]
         owners = np.bincount(self._tables[self._tables != ABSENT], minlength=len(self._patches.owners))
         self._patches.owners[:] = owners
@@ -119,7 +119,7 @@ class HitMaps:
 
 
 def _resize(old: HitPatches | None, size: int) -> HitPatches:
-    """Return `size` patches of which the first are the old ones."""
+    """Return `size` patches; the first are the old ones."""
     cells = PATCH * PATCH
     new = HitPatches(
         np.empty((size, cells), np.int32),
@@ -135,7 +135,7 @@ def _resize(old: HitPatches | None, size: int) -> HitPatches:
 
 
 def _list_free(patches: HitPatches) -> None:
-    """Note which patches nobody owns, the lowest to be taken first."""
+    """List the free patches; the lowest is taken first."""
     unowned = np.flatnonzero(patches.owners == 0)[::-1]
     patches.free[0] = len(unowned)
     patches.free[1 : 1 + len(unowned)] = unowned
@@ -143,14 +143,14 @@ def _list_free(patches: HitPatches) -> None:
 
 @njit(cache=True, inline="always")
 def cell_of(x: float, delta: float) -> int:
-    """Return a coordinate's cell: the nearest center, halves away from 0 as C's `round` has them."""
+    """Return a coordinate's cell: the nearest center, halves away from 0 as in C's `round`."""
     q = x / delta
     return math.floor(q + 0.5) if q >= 0 else -math.floor(0.5 - q)
 
 
 @njit(cache=True, nogil=True)
 def _register(tables: Any, corner: Any, patches: Any, delta: float, poses: Any, ends: Any, first: int) -> int:
-    """Add a scan to the maps from the first on; return how many are done when patches run out."""
+    """Add a scan to the maps from `first` on; return the number done when patches run out."""
     for k in range(first, len(poses)):
         if patches.free[0] < len(ends):
             return k
@@ -172,7 +172,7 @@ def _register(tables: Any, corner: Any, patches: Any, delta: float, poses: Any, 
 
 @njit(cache=True, nogil=True)
 def _own(table: Any, patches: Any, row: int, col: int) -> Any:
-    """Put a patch of its own, new or copied, at a place of a table; return which."""
+    """Give a table its own patch, new or copied, at a place; return its index."""
     p = table[row, col]
     patches.free[0] -= 1
     q = patches.free[1 + patches.free[0]]

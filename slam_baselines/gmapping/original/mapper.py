@@ -1,4 +1,4 @@
-"""GMapping as its original behaves: planar, with the scan matcher and the defaults of OpenSLAM's program.
+"""Planar GMapping with the scan matcher and the defaults of OpenSLAM's program.
 
 Grisetti, Stachniss, Burgard 2007, as the authors' program has it: particles are matched by a hill climb and
 stay where it ends, and a processed scan is registered by its hits alone. No attitude, no ground filter: on
@@ -31,11 +31,11 @@ HEADING = 8
 BEAM = 6
 """Decimals of a beam's angle, degrees: the original's table of beams is in whole or half degrees."""
 WARM_UP = {"resampleThreshold": 1.0}
-"""Configuration with which a short drive reaches every kernel: particles are drawn anew at every scan."""
+"""Configuration with which a short drive reaches every kernel: particles are resampled at every scan."""
 
 
 class GmappingOriginalMapper:
-    """A filter over whole paths, as published by its authors.
+    """Particle filter over paths, as published by its authors.
 
     Attributes:
         lost: always False: the original has no monitor.
@@ -89,7 +89,7 @@ class GmappingOriginalMapper:
 
     @property
     def stats(self) -> MapperStats:
-        """What was done so far."""
+        """Counts, times and memory so far."""
         particles, processed = self._particles, len(self._kept)
         return MapperStats(
             received=self._received,
@@ -128,7 +128,7 @@ def _logged_pose(pose: Pose2) -> Pose2:
 
 
 def _usable(scan: LaserScan, maxrange: float, max_urange: float) -> ProcessedScan:
-    """Return the beams that say something, as a CARMEN log would hold them."""
+    """Return the usable beams, rounded as in a CARMEN log."""
     most = round(scan.range_max, MILLIMETER)
     ranges = np.round(scan.ranges.astype(np.float64), MILLIMETER)
     ranges[scan.ranges == np.inf] = most

@@ -1,4 +1,4 @@
-"""The original's particles: moved with the odometry's noise, matched one by one, weighed and resampled."""
+"""Particles of the original: noisy motion, scan matching, weights, resampling."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class OriginalParticles:
     """Poses, maps, weights and paths of all particles.
 
     Attributes:
-        maps: what the particles match against.
+        maps: that the particles match scans against.
         tree: the paths, a generation each processed scan.
         resamplings: number of resamplings.
     """
@@ -50,7 +50,7 @@ class OriginalParticles:
         return self.tree.path(self.best)
 
     def move(self, delta: Pose2) -> None:
-        """Move every particle by the odometry since the last scan, with noise of its own."""
+        """Move every particle by the odometry since the last scan, with independent noise."""
         c, x, y, turn = self._config, abs(delta.x), abs(delta.y), abs(delta.yaw)
         across = 0.3 * c.srr
         sigma = np.array(

@@ -1,4 +1,4 @@
-"""The original's occupancy map: drawn anew along the path of the best particle."""
+"""Occupancy map of the original, drawn along the path of the best particle."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from slam_baselines.mapping.ray_tracing import line_cells
 
 
 class ProcessedScan(NamedTuple):
-    """What is kept of a scan for the map.
+    """Processed scan, kept for the map.
 
     Attributes:
         laser: (2,) in the base frame, meters.
         ends: (n, 2) of beams in the base frame, meters.
-        hits: (n,) which of the ends are hits; the others are where a long beam leaves the usable range.
+        hits: (n,) whether an end is a hit; else a long beam leaves the usable range there.
     """
 
     laser: FloatArray
@@ -32,7 +32,7 @@ class ProcessedScan(NamedTuple):
 def path_map(
     path: FloatArray, scans: Sequence[ProcessedScan], delta: float, occ_thresh: float
 ) -> OccupancyGrid:
-    """Draw scans from their poses; a cell is occupied, free or unknown, as slam_gmapping publishes it.
+    """Draw scans at their poses; cells are occupied, free or unknown as in slam_gmapping.
 
     Args:
         path: (n, 3) x, y, yaw of `T_map_base`, of each scan.

@@ -1,4 +1,4 @@
-"""The original's scan matcher: a hill climb over x, y and yaw, and the likelihood of where it ends."""
+"""Scan matcher of the original: a hill climb over x, y and yaw, and its likelihood."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class HillClimbMatch(NamedTuple):
     """A matched scan.
 
     Attributes:
-        pose: (3,) x, y, yaw of `T_map_base`; where the scan fits nowhere, as it was expected.
+        pose: (3,) x, y, yaw of `T_map_base`; the expected one if the scan fits nowhere.
         log_likelihood: of the scan there.
     """
 
@@ -56,7 +56,7 @@ def match_scan(
 
 @njit(cache=True, nogil=True)
 def _climb(hits: Any, start: Any, ends: Any, parameters: Any) -> Any:
-    """Go to the best of six neighbors while one is better, in steps that are halved; return its score."""
+    """Climb to the best of six neighbors in halving steps; return pose and score."""
     _, _, linear, angular, iterations, _ = parameters
     pose, best, refinements = start.copy(), -1.0, 0
     score = _score(hits, pose, ends, parameters)[0]
@@ -77,10 +77,10 @@ def _climb(hits: Any, start: Any, ends: Any, parameters: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def _score(hits: Any, pose: Any, ends: Any, parameters: Any) -> Any:
-    """Return the score that the climb raises, and the log-likelihood that weighs a particle.
+    """Return the score of the climb and the log-likelihood of a particle.
 
-    A beam counts by the nearest mean of hits in the cells around its end. The paper asks that the cell before
-    be free; the original's test looks outside the map and passes always.
+    A beam counts by the nearest mean of hits in the cells around its end. In the paper the cell before must
+    be free; the original's test looks outside the map and always passes.
     """
     sigma, kernel, _, _, _, lsigma = parameters
     table, corner, patches, delta = hits
