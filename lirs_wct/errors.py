@@ -58,6 +58,9 @@ def reason_of(error: BaseException) -> str:
             return reason
     if "integer string conversion" in str(error):
         return "holds a number with too many digits"
+    if "validation error" in str(error) and hasattr(error, "errors"):  # of pydantic
+        first = error.errors()[0]
+        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
     text = _CLASS.sub("", " ".join(str(error).split()))
     return text or "is damaged"
 

@@ -15,12 +15,14 @@ from lirs_envs.generators.terrain import KINDS
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.bench.task_worlds import WorldSpec, read_world
 from lirs_wct.errors import ConfigError, SourceError, WctError, reason_of, unknown_name
-from lirs_wct.field_validators import is_finite, require_above, require_seed, require_within
+from lirs_wct.field_validators import require_above, require_seed, require_within
 
 SETS = ("indoor", "hills", "lirs", "generated")
 SPLITS = ("train", "validation", "test")
 TASKS = ("navigation", "mapping", "traverse")
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
+FARTHEST = 1e6
+"""Largest coordinate of a start or goal, meters."""
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 SCHEMA = 1
 """Of a file with a set of tasks."""
 
@@ -84,8 +86,10 @@ class BenchTask:
     def _check_numbers(self) -> None:
         for name, size in (("start", 3), ("goal", 2)):
             value = getattr(self, name)
-            if value is not None and not (len(value) == size and all(map(is_finite, value))):
-                raise ConfigError(f"{self.name}: {name} must be {size} finite numbers, got {value}")
+            if value is not None and not (len(value) == size and all(abs(v) <= FARTHEST for v in value)):
+                raise ConfigError(
+                    f"{self.name}: {name} must be {size} finite numbers up to {FARTHEST:g}, got {value}"
+                )
         if self.path_budget is not None:
             require_above(self, 0, "path_budget", of=self.name, unit="m", finite=True)
         if self.course is not None and self.course not in KINDS:
@@ -142,10 +146,11 @@ def check_name(name: object, of: str) -> None:
     """Check a name that folders get.
 
     Raises:
-        ConfigError: it holds other characters than letters, digits and `_.-`.
+        ConfigError: it holds other characters than letters, digits and `_.-`, or more than 100.
     """
     if not isinstance(name, str) or not NAME.fullmatch(name):
-        raise ConfigError(f"the name of a {of} must be letters, digits and _.- alone, got {name!r}")
+        shown = f"{name[:50]!r} ..." if isinstance(name, str) and len(name) > 100 else repr(name)
+        raise ConfigError(f"the name of a {of} must be 1 to 100 letters, digits and _.-, got {shown}")
 
 
 def task_set(name: str) -> TaskSet:

@@ -82,6 +82,8 @@ def options(
 def main() -> None:
     """Run the command line; bad input is one line on stderr and exit code 2."""
     warnings.showwarning = _one_line
+    # Of NumPy, about numbers in damaged files; a message of ours about the file follows.
+    warnings.filterwarnings("ignore", category=RuntimeWarning)
     try:
         with importable(Path.cwd()):
             code = app(standalone_mode=False)

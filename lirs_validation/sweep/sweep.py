@@ -99,7 +99,7 @@ class Sweep:
     def _settled(self, experiment: Experiment, outcome: Outcome) -> Outcome:
         """Write down what failed outside a run."""
         if len(self.experiments) == 1 and (outcome.bad_input or outcome.unwritable):
-            raise WctError(outcome.reason)
+            raise (OutputError if outcome.unwritable else WctError)(outcome.reason)
         if outcome.written or outcome.unwritable:
             return outcome
         try:

@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.formats.images.geotiff import system_of_keys
 from lirs_wct.formats.images.tiff import METERS
 from lirs_wct.formats.limited import run_limited
@@ -62,8 +62,7 @@ def read_points(path: Path) -> PointFile:
     except SourceError:
         raise
     except Exception as error:  # every reader has errors of its own
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise SourceError(f"{path}: cannot be read as a point cloud: {reason}") from error
+        raise SourceError(f"{path}: cannot be read as a point cloud: {reason_of(error)}") from error
     kept = np.isfinite(found.xyz).all(axis=1)
     if kept.sum() < 3:
         raise SourceError(f"{path}: holds {int(kept.sum())} points, a ground needs at least 3")

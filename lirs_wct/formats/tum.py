@@ -13,6 +13,8 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.files import atomic_write
 from lirs_wct.geometry.trajectory import Trajectory
 
+FARTHEST = 1e9
+"""Largest coordinate, meters; squares of far larger ones overflow."""
 HEADER = "# stamp[s] x y z[m] qx qy qz qw"
 
 
@@ -48,7 +50,10 @@ def read_tum(path: Path) -> Trajectory:
         raise SourceError(f"{path}: not a TUM trajectory: {error}") from error
     if not rows or any(len(row) != 8 for row in rows) or not np.isfinite(rows).all():
         raise SourceError(f"{path}: a TUM trajectory has eight finite numbers a line")
-    return _trajectory(path, np.array(rows))
+    table = np.array(rows)
+    if (farthest := float(np.abs(table[:, 1:4]).max())) > FARTHEST:
+        raise SourceError(f"{path}: a position must be within {FARTHEST:.0e} m, got {farthest:.3g} m")
+    return _trajectory(path, table)
 
 
 def _trajectory(path: Path, rows: FloatArray) -> Trajectory:

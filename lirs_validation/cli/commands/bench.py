@@ -12,7 +12,7 @@ from lirs_validation.cli.console import err, out
 from lirs_validation.cli.progress import manifest_of_command, run_sweep
 from lirs_validation.cli.typer_options import with_options
 from lirs_validation.config import EngineOptions
-from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.errors import ConfigError, OutputError, SourceError, WctError
 
 if TYPE_CHECKING:
     from lirs_validation.bench.policies import PolicyChoice
@@ -81,7 +81,12 @@ def bench(
         for each in chosen
     ]
     sweep = Sweep(experiments, output, manifest=manifest_of_command(), retry_failed=engine.retry_failed)
-    run_sweep(sweep, engine, lambda: _show(output, tasks, chosen, choices))
+    try:
+        run_sweep(sweep, engine, lambda: _show(output, tasks, chosen, choices))
+    except OutputError:
+        raise
+    except WctError as error:  # a start or a goal of the set
+        raise SourceError(f"{set_name}: {error}") from error
 
 
 def _with_sources(tasks: Sequence[BenchTask], data: Path | None) -> list[BenchTask]:

@@ -92,7 +92,10 @@ def read_gdal(path: Path, drivers: tuple[str, ...], max_pixels: int) -> GdalRast
     if not path.is_file():
         raise SourceError(f"{path}: no such file")
     real = path.resolve()
-    files = followed_files(real)
+    try:
+        files = followed_files(real)
+    except SourceError as error:
+        raise SourceError(str(error).replace(str(real), str(path), 1)) from error
     known = set(drivers) | (set().union(*DRIVERS.values()) if "VRT" in drivers else set())
     with rasterio.Env() as library:
         # A driver can be left out only when the library starts: others fetch from a network.

@@ -116,6 +116,8 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
         raise SourceError(f"{path}: holds no triangles, at least one is needed")
     if not np.isfinite(loaded.vertices).all():
         raise SourceError(f"{path}: has vertices that are not finite")
+    if loaded.faces.min() < 0 or loaded.faces.max() >= len(loaded.vertices):
+        raise SourceError(f"{path}: is damaged: a triangle has a corner that is not in the file")
     for reason in files.refused:
         warnings.warn(f"{reason}; left out", stacklevel=3)
     return loaded

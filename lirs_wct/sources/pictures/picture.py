@@ -183,7 +183,10 @@ def _heights(path: Path, raster: Raster, options: BuildOptions) -> tuple[HeightF
     width, depth = _extent(pixels.shape, pixel_of(info), options)
     sx, sy, _ = options.scale or (1.0, 1.0, 1.0)
     rows, cols = above.shape
-    surface = HeightField.centered(above, (width * sx / (cols - 1), depth * sy / (rows - 1)))
+    try:
+        surface = HeightField.centered(above, (width * sx / (cols - 1), depth * sy / (rows - 1)))
+    except ConfigError as error:
+        raise SourceError(f"{path}: {error}") from error
     return surface, base * unit if own else None
 
 

@@ -52,6 +52,7 @@ BAD = {
     "three numbers": b"1 2 3\n",
     "one line short": POSE + b"2 0 0 0\n",
     "words": b"a b c d e f g h\n",
+    "too far": b"1 1e300 0 0 0 0 0 1\n",
     "not finite": b"1 0 nan 0 0 0 0 1\n",
     "no rotation": b"1 0 0 0 0 0 0 0\n",
     "one without rotation": POSE + b"2 0 0 0 0 0 0 0\n",

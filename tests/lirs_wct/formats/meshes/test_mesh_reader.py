@@ -102,6 +102,16 @@ def test_a_glb_has_y_up_and_the_others_z(tmp_path: Path) -> None:
         )
 
 
+def test_a_corner_that_is_not_in_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.glb"
+    trimesh.Trimesh(CORNERS, [[0, 1, 2]], process=False).export(path)
+    data, indices = path.read_bytes(), np.array([0, 1, 2], "<u4").tobytes()
+    assert data.count(indices) == 1
+    path.write_bytes(data.replace(indices, np.array([0, 1, 0xDF000000], "<u4").tobytes()))
+    with pytest.raises(SourceError, match=r"a\.glb: "):
+        read_upright(path)
+
+
 def test_a_suffix_that_is_no_mesh(tmp_path: Path) -> None:
     path = stl(tmp_path / "a.stl", CORNERS[None]).rename(tmp_path / "a.xyz")
     with pytest.raises(SourceError, match=r"a\.xyz: not a mesh that is read; legal: "):
