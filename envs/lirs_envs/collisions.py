@@ -29,11 +29,11 @@ class Collisions:
     """Contact statistics of a run.
 
     Attributes:
-        max_penetration: deepest that the robot was in ground or walls, meters; a loaded tyre's 1 mm counts.
-        penetration_p999: what it stayed below in 99.9 % of the samples, meters.
-        body_contacts: times that the robot came to collide: its body touched something, or a wheel a face
-            steeper than it climbs.
-        body_contact_seconds: time that it did.
+        max_penetration: deepest penetration of ground or walls, meters; the 1 mm of a loaded tyre counts.
+        penetration_p999: 99.9 % quantile of the penetration over the samples, meters.
+        body_contacts: number of collisions: the body touched something, or a wheel a face steeper than the
+            robot climbs.
+        body_contact_seconds: duration of the collisions.
         samples: number of samples, one each control update.
     """
 
@@ -90,7 +90,7 @@ def contact_state(
 ) -> tuple[float, bool]:
     """Return the deepest contact of the robot, meters, and whether any is a collision.
 
-    The ground's and walls' geoms come after the robot's or before; a contact has one of each.
+    A contact has one geom of the robot and one of ground or walls, in either order.
     """
     depth, touching = 0.0, False
     for k in range(len(distance)):
@@ -104,10 +104,10 @@ def contact_state(
 
 @cache
 def compile_contact_state() -> None:
-    """Compile `contact_state` for arrays of any layout, and for none besides.
+    """Compile `contact_state` once for arrays of any layout.
 
-    A single contact lies contiguously in memory, several do not: the first single contact of a drive would
-    wait for the compiler.
+    A single contact is contiguous in memory, several are not. Without this, the first single contact of a
+    drive would wait for the compiler.
     """
     contact_state.compile("Tuple((f8, b1))(f8[:], i4[:, :], f8[:, :], f8[:, ::1], f8[::1])")
     contact_state.disable_compile()

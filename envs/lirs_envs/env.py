@@ -29,15 +29,15 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
 
     Reward: that of the task, less 5 a second of collision and 0.1 a second of full action.
 
-    Terminated: by the task, tipped over, left the world, or the simulation diverged (`info["error"]`); why is
-    `info["reason"]`. Truncated: the time is up.
+    Terminated: by the task, tipped over, left the world, or the simulation diverged (`info["error"]`). The
+    reason is `info["reason"]`. Truncated: the time is up.
 
-    `view` holds what is not observed: true pose, world, goal, and `reading()`, which a mapper takes.
-    `reset(options=...)` takes what the task lists in `option_names`.
+    `view` holds unobserved state: true pose, world, goal, and `reading()` as arguments of a mapper.
+    `reset(options=...)` takes the options that the task lists in `option_names`.
 
     Args:
         task: `mapping`, `navigation` or `traverse`.
-        kind: of the course, where the task is to cross one; None = `mixed`.
+        kind: kind of course, for the traverse task only; None = `mixed`.
         render_mode: `human`, `rgb_array`, `depth_array`, `map` (see `lirs_envs.rendering.views`) or None.
         **options: fields of `EnvConfig`.
     """
@@ -65,19 +65,19 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
         self.episodes.reset(0, self.np_random, options)
         self._path.clear()
         self._show()
-        return self._observed(), self._info()
+        return self._observe(), self._info()
 
     def step(self, action: Float32Array) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
-        """Act for one period (see `Episodes.step`)."""
+        """Apply an action for one period (see `Episodes.step`)."""
         episodes = self.episodes
         reward = episodes.step(ROW, [action])
         ended = bool(episodes.terminated[0]), bool(episodes.truncated[0])
         self._show()
-        return self._observed(), float(reward[0]), *ended, self._info()
+        return self._observe(), float(reward[0]), *ended, self._info()
 
     @property
     def difficulty(self) -> float:
-        """Of the next episode, 0 to 1; to be set."""
+        """Difficulty of the next episode, 0 to 1; settable."""
         return self.view.difficulty
 
     @difficulty.setter
@@ -85,9 +85,9 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
         self.view.difficulty = value
 
     def render(self) -> ByteArray | Float32Array | None:
-        """Return what the render mode shows (see `lirs_envs.rendering.views.Views.render`).
+        """Return the picture of the render mode (see `lirs_envs.rendering.views.Views.render`).
 
-        The path on a map is through the places where `render` was called.
+        The path on a map joins the poses at calls of `render`.
         """
         if self.render_mode is None:
             return None
@@ -96,15 +96,15 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
         return self._views.render(self.render_mode, snapshot, path=self._path, scan=scan)
 
     def _show(self) -> None:
-        """Show each state where the render mode is a window, as Gymnasium's environments do."""
+        """Show each state if the render mode is a window, like Gymnasium's environments."""
         if self.render_mode == "human":
             self.render()
 
     def close(self) -> None:
-        """Free what OpenGL holds, and close the window."""
+        """Release OpenGL resources and close the window."""
         self._views.close()
 
-    def _observed(self) -> Observed:
+    def _observe(self) -> Observed:
         return {name: values[0] for name, values in self.episodes.observations.read(ROW).items()}
 
     def _info(self) -> dict[str, Any]:
@@ -127,7 +127,7 @@ def make_config(options: dict[str, Any]) -> EnvConfig:
 
 
 def snapshot_of(episodes: Episodes, i: int) -> Snapshot:
-    """Return what is drawn of episode `i`."""
+    """Return the snapshot of episode `i` for rendering."""
     simulation, goal = episodes.simulation, episodes.task.goal(i)
     return Snapshot(
         world=simulation.worlds[i],

@@ -1,4 +1,4 @@
-"""Policies without learning, as baselines, and the interface of a policy."""
+"""Interface of a policy, and baseline policies without learning."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Policy(Protocol):
     """Actions from observations, episode by episode."""
 
     def reset(self, info: Mapping[str, Any]) -> None:
-        """Begin an episode; `info` is what the environment's reset said."""
+        """Begin an episode; `info` comes from the environment's reset."""
 
     def act(self, observation: Mapping[str, Any]) -> Float32Array:
         """Return the action of the next step."""

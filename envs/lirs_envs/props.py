@@ -16,7 +16,7 @@ from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.world import World
 
 PROP_GROUP = 1
-"""Geom group of what the lidar sees through MuJoCo's rays; no robot uses it for itself."""
+"""Geom group of props, which the lidar sees through MuJoCo's rays; no robot uses it."""
 STATIC_ROBOT = "static_robot"
 """Prefix of the names of a static robot's bodies and geoms."""
 SHAPES = {

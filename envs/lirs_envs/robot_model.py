@@ -67,8 +67,8 @@ class RobotModel:
         world: ground and walls.
         robot: its MJCF file and figures.
         period: time from scan to scan, seconds: a whole number of steps.
-        props: what else stands there.
-        contact_geometry: what is touched (see `lirs_wct.contact.contact_geometry.CONTACT_GEOMETRIES`).
+        props: further bodies in the world.
+        contact_geometry: contact ground (see `lirs_wct.contact.contact_geometry.CONTACT_GEOMETRIES`).
         mujoco_rays: whether MuJoCo's own rays are to meet the surface, where something else is touched.
         actors: number of walkers that have a body (see `lirs_envs.walkers`).
         height_range: lowest and highest height that `replace_surface` may write, meters; the ground that is

@@ -14,7 +14,7 @@ from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import ConfigError
 
 PICTURES = {None: None, "rgb_array": "rgb_array", "map": "rgb_array"}
-"""Render modes, and what they are called in Stable-Baselines3."""
+"""Render modes and their names in Stable-Baselines3."""
 
 
 def as_vec_env(*vectors: RobotVectorEnv) -> Any:
@@ -65,7 +65,7 @@ def _adapter(base: Any) -> Any:
 
 
 class _RobotVecEnv:
-    """N robots as Stable-Baselines3 steps them; what it lacks is its `VecEnv`'s.
+    """Adapter of N robots to Stable-Baselines3's `VecEnv`, without its base class.
 
     Attributes:
         vectors: whose environments it numbers one after the other.
@@ -100,7 +100,7 @@ class _RobotVecEnv:
             self.reset_infos += split_infos(infos, one.num_envs)
         self._reset_seeds()
         self._reset_options()
-        return _joined(observed)
+        return _join(observed)
 
     def _split(self, rows: Any) -> list[Any]:
         return np.split(rows, self._ends)
@@ -130,7 +130,7 @@ class _RobotVecEnv:
                 self.reset_infos[i] = {k: value for k, value in row.items() if not k.startswith("final_")}
                 rows[i] = row["final_info"] | {"terminal_observation": row["final_obs"]}
             rows[i]["TimeLimit.truncated"] = bool(late[i] and not done[i])
-        return _joined(observed), np.concatenate(rewards).astype(np.float32), done | late, rows
+        return _join(observed), np.concatenate(rewards).astype(np.float32), done | late, rows
 
     def close(self) -> None:
         for one in self.vectors:
@@ -157,7 +157,7 @@ class _RobotVecEnv:
         return [False for _ in self._get_indices(indices)]
 
 
-def _joined(observations: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def _join(observations: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Return the observations of several vectors as those of one."""
     if len(observations) == 1:
         return observations[0]

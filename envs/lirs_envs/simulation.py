@@ -69,15 +69,15 @@ class Simulation:
         preset: specification of the lidar.
         period: time between two scans, seconds; one `advance`.
         body: MuJoCo's model of robot and world.
-        caster: what the lidar sees of the world and of the props; for sensors of your own. Another terrain
-            has another.
+        caster: ray caster of the lidar against world and props; usable by custom sensors. A new terrain has
+            a new caster.
         walkers: the moving obstacles; None = there are none.
         timing: wall-clock seconds since the reset.
 
     Args:
         world: the world.
         config: robot, sensors and props.
-        seed: of every random number; same seed and same commands, same bytes.
+        seed: seed of all random numbers; same seed and same commands, same bytes.
 
     Raises:
         ConfigError: the seed is no whole number from 0 up, or robot, props or contact geometry do not fit the
@@ -114,7 +114,7 @@ class Simulation:
         return actors if self.config.rays == "mujoco" else min(actors, TOUCHABLE)
 
     def _meet_world(self) -> None:
-        """Make what depends on the world's ground: walkers, and what the lidar sees."""
+        """Create walkers and caster, which depend on the world's ground."""
         world, config = self.world, self.config
         self.walkers: Walkers | None = None
         if config.actors:
@@ -123,7 +123,7 @@ class Simulation:
         self.caster = make_caster(world, config.rays, bool(config.props), self.body.data, self.walkers)
 
     def _begin(self) -> None:
-        """Begin records, noise and odometry anew, where the robot stands."""
+        """Restart records, noise and odometry at the robot's present pose."""
         body, config = self.body, self.config
         self._sensors = Sensors(self.robot, body, self.preset, self.caster, config.noise, self._seed)
         self._controller = make_controller(self.robot, body, self.world.surface)
@@ -134,11 +134,11 @@ class Simulation:
         self.timing = Timing()
 
     def reset(self, start: Pose2 | None = None, *, seed: int | None = None) -> Observation:
-        """Set the robot at rest on the ground; time, records and odometry begin anew.
+        """Place the robot at rest on the ground; restart time, records and odometry.
 
         Args:
             start: start pose; None = the config's, or else the world's first.
-            seed: of the noise; None = as before, so that the same run comes again.
+            seed: seed of the noise; None = the former one, which repeats the same run.
 
         Raises:
             ConfigError: the pose is not finite, or the seed no whole number from 0 up.
@@ -160,10 +160,10 @@ class Simulation:
         return self._sensors.observe(0.0, self.period)
 
     def replace_terrain(self, heights: Float32Array, spawn_poses: Sequence[Pose2] = ()) -> None:
-        """Put other ground into the world; `reset` comes next.
+        """Replace the ground of the world; call `reset` next.
 
-        What wheels touch, what the lidar sees and where the robot can be set down change together; a
-        simulation of the same ground made anew behaves the same, bit for bit.
+        Contact ground, lidar surface and possible start poses change together. A new simulation of the same
+        ground gives the same results, bit for bit.
 
         Args:
             heights: (rows, cols) float32 meters, row 0 = north; as many nodes as the world has.
@@ -182,7 +182,7 @@ class Simulation:
         self._initial_state = None
 
     def advance(self, command: Twist | Waypoint) -> Observation:
-        """Drive for one lidar period; return what the sensors then read.
+        """Drive for one lidar period; return the sensor readings at its end.
 
         Raises:
             ConfigError: the command is not finite.
@@ -268,8 +268,8 @@ class Simulation:
         """Send the recorded controls through MuJoCo's step alone; the simulation stays as it is.
 
         Args:
-            reference: whether through the reference physics (see `RobotModel.replay`), where the robot need
-                not come the same way.
+            reference: whether to use the reference physics (see `RobotModel.replay`), in which the robot may
+                take another path.
 
         Raises:
             SimulationError: nothing was driven since the reset, or the reference physics diverged.

@@ -19,7 +19,7 @@ from lirs_wct.geometry.pose import Pose2
 
 @dataclass(frozen=True, kw_only=True)
 class SimulationConfig:
-    """A robot, its sensors and what else stands in the world.
+    """Configuration of a simulation: robot, sensors, props and walkers.
 
     Attributes:
         robot: the robot.
@@ -27,7 +27,7 @@ class SimulationConfig:
         noise: errors of all sensors.
         rays: whose rays meet the world: `builtin`, or `mujoco` for comparison: those of its
             hfield, or with contact geometry `mesh` those of its mesh.
-        contact_geometry: what MuJoCo touches: `hfield`, `mesh` (the same, and its rays meet the mesh),
+        contact_geometry: contact ground in MuJoCo: `hfield`, `mesh` (the same, and its rays meet the mesh),
             `prisms` or `convex`.
         props: bodies and static robots that stand in the world; touched, and seen by the lidar.
         actors: number of walkers on seeded paths (see `lirs_envs.walkers`); touched, and seen by the

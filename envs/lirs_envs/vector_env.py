@@ -104,12 +104,12 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
             SimulationError: see `Episodes.reset`.
         """
         given = dict(check_options(options))
-        ids = self._all if "reset_mask" not in given else self._masked(given.pop("reset_mask"))
+        ids = self._all if "reset_mask" not in given else self._find_rows(given.pop("reset_mask"))
         for i, one in zip(self._all.tolist(), self._seeds(seed), strict=True):
             if one is not None and i in ids:
                 self._rngs[i], _ = seeding.np_random(one)
         self._reset(ids, given)
-        return self._observed(), self._infos(ids)
+        return self._observe(), self._infos(ids)
 
     def step(self, actions: Any) -> Stepped:
         """Act for one period in all environments.
@@ -121,7 +121,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
             SimulationError: an environment was not reset, or with autoreset disabled has ended.
         """
         episodes = self.episodes
-        actions = self._checked(actions)
+        actions = self._check_actions(actions)
         rewards = np.zeros(self.num_envs)
         waiting = self._over if self.autoreset_mode is AutoresetMode.NEXT_STEP else np.zeros_like(self._over)
         ids = np.flatnonzero(~waiting)
@@ -133,7 +133,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         self._over = ended[0] | ended[1]
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._over.any():
             return self._reset_at_once(rewards, ended)
-        return self._observed(), rewards, *ended, self._infos(self._all)
+        return self._observe(), rewards, *ended, self._infos(self._all)
 
     def _reset_at_once(self, rewards: FloatArray, ended: tuple[BoolArray, BoolArray]) -> Stepped:
         over = self._over.copy()
@@ -144,7 +144,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
             final[i] = {name: values[k].copy() for name, values in last.items()}
         self._reset(ids, {})
         infos = {"final_obs": final, "_final_obs": over, "final_info": final_info, "_final_info": over.copy()}
-        return self._observed(), rewards, *ended, infos | self._infos(self._all)
+        return self._observe(), rewards, *ended, infos | self._infos(self._all)
 
     def _reset(self, ids: IntArray, options: dict[str, Any]) -> None:
         for i in ids.tolist():
@@ -198,7 +198,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         for view, value in zip(self.views, each, strict=True):
             setattr(view, name, value)
 
-    def _observed(self) -> Observed:
+    def _observe(self) -> Observed:
         return self.episodes.observations.read(self._all)
 
     def _infos(self, ids: IntArray) -> dict[str, Any]:
@@ -224,13 +224,13 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
             raise ConfigError(f"{self.num_envs} environments need as many seeds, got {len(seed)}")
         return list(seed)
 
-    def _masked(self, mask: Any) -> IntArray:
+    def _find_rows(self, mask: Any) -> IntArray:
         legal = isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == (self.num_envs,)
         if not legal or not mask.any():
             raise ConfigError(f"reset_mask must be a bool array ({self.num_envs},) with a True, got {mask!r}")
         return np.flatnonzero(mask)
 
-    def _checked(self, actions: Any) -> FloatArray:
+    def _check_actions(self, actions: Any) -> FloatArray:
         return action_array(actions, (self.num_envs, *(self.single_action_space.shape or ())))
 
 

@@ -75,7 +75,7 @@ def draw_paths(
     free[free] = ~inside
     cells = np.argwhere(free)
     if len(cells) == 0:
-        raise SimulationError("no ground is free for walkers beside the robot and what stands there")
+        raise SimulationError("no ground is free for walkers besides the robot and the props")
     paths = np.empty((count, WAY_POINTS, 2))
     first = cells[rng.integers(len(cells), size=count)]
     _extend_paths(free, ground.resolution, first, rng.random((count, WAY_POINTS - 1, TRIES, 2)), paths)
@@ -135,7 +135,7 @@ WALKER_STREAM = 14
 WALKER_GROUP = 0
 """Geom group of walkers, which no robot uses."""
 WALKER_BIT = 2
-"""Bit of MuJoCo's contact filter: walkers touch what has it in its affinity, so neither ground nor walls."""
+"""Bit of MuJoCo's contact filter: walkers touch geoms with this affinity, so neither ground nor walls."""
 
 
 WalkerState = tuple[FloatArray, IntArray, FloatArray, FloatArray]
@@ -153,7 +153,7 @@ class Walkers:
         world: whose free ground they walk on.
         count: number of walkers.
         robot_radius: of the robot that they do not walk into, meters.
-        props: x, y and radius of what else stands there.
+        props: x, y and radius of the props.
         bodies: number of walkers that MuJoCo has a body of, m.
 
     Raises:

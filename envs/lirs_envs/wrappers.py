@@ -27,11 +27,11 @@ class Curriculum(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArg
 
     Args:
         env: with a `difficulty` and `info["success"]`.
-        difficulty: of the first episode, 0 to 1.
-        step: of the difficulty.
-        episodes: that are looked at together.
-        raise_at: share of successes.
-        lower_at: share of successes.
+        difficulty: difficulty of the first episode, 0 to 1.
+        step: change of the difficulty.
+        episodes: number of episodes in the success rate.
+        raise_at: least success rate at which the difficulty rises.
+        lower_at: largest success rate at which the difficulty falls.
 
     Raises:
         ConfigError: a value is not legal, or the environment has no difficulty.
@@ -76,7 +76,7 @@ class Curriculum(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArg
         return observation, info | {"difficulty": self.difficulty}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step, and look at the outcome of an episode that ends."""
+        """Step, and count the outcome of an episode that ends."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if terminated or truncated:
             self._outcomes.append(bool(info.get("success", False)))
@@ -100,8 +100,8 @@ UNKNOWN, FREE, OCCUPIED = 0, 127, 255
 """Values of the map's cells."""
 
 
-class Mapper(Protocol):
-    """Any mapper (see `slam_baselines.mapper.Mapper`)."""
+class ScanMapper(Protocol):
+    """Mapper of the wrapper (see `slam_baselines.mapper.Mapper`)."""
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Return `T_map_base` with a scan added."""
@@ -129,7 +129,7 @@ class MapObservation(gym.Wrapper[Any, Any, Any, Any]):
     def __init__(
         self,
         env: gym.Env[Any, Any],
-        make_mapper: Callable[[], Mapper],
+        make_mapper: Callable[[], ScanMapper],
         *,
         cells: int = 64,
         cell: float = 0.25,
@@ -148,7 +148,7 @@ class MapObservation(gym.Wrapper[Any, Any, Any, Any]):
         )
         self._make_mapper, self._cells, self._cell = make_mapper, cells, cell
         self._pose, self._stamp = Pose2(), -math.inf
-        self.mapper: Mapper | None = None
+        self.mapper: ScanMapper | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -159,7 +159,7 @@ class MapObservation(gym.Wrapper[Any, Any, Any, Any]):
         return self._with_map(observation), info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step, and let the mapper see a new scan."""
+        """Step, and update the mapper with a new scan."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         return self._with_map(observation), float(reward), terminated, truncated, info
 

@@ -297,5 +297,5 @@ def test_bad_numbers_and_full_worlds_are_named(plane: World, husky: Robot) -> No
     with pytest.raises(SimulationError, match="steep: no ground is free for walkers"):
         Walkers(world, 3, 0.5)
     walkers = Walkers(plane, 3, 50.0)
-    with pytest.raises(SimulationError, match="no ground is free for walkers beside the robot"):
+    with pytest.raises(SimulationError, match="no ground is free for walkers besides the robot"):
         walkers.reset(Pose2(), np.random.default_rng(0))

@@ -1,6 +1,6 @@
-"""The physics of N robots through `mujoco.batch`, each alone in a world.
+"""Physics of N robots through `mujoco.batch`, each alone in its world.
 
-A simulation is a row of MuJoCo's state: results are those of one simulation alone at any number of threads.
+A simulation is one row of MuJoCo's state. Its results equal those of a single simulation at any thread count.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ class Bodies:
     """N robots in MuJoCo.
 
     Attributes:
-        body: the compiled model, which also says how its values are found.
+        body: the compiled model, which also gives the addresses of its values.
         count: number of robots, N.
-        threads: that step them.
+        threads: number of threads that step the robots.
         qpos: (N, nq) positions, live; the first seven are those of `T_world_base`.
         qvel: (N, nv) velocities, live.
         ctrl: (N, nu) controls, to be written.
-        mocap_pos: (N, m, 3) middles of the walkers that can be touched, to be written.
+        mocap_pos: (N, m, 3) centers of the walkers with a body, to be written.
         models: the model of each robot; one for all unless `own_models`.
 
     Args:
-        robot: whose figures.
+        robot: the robot's figures.
         body: its compiled model, with contact sensors.
         count: number of robots.
         threads: number of threads.
@@ -64,7 +64,7 @@ class Bodies:
 
     def _make_batch(self) -> None:
         model = self.body.model
-        # MuJoCo keeps who sleeps in its data, not in the state.
+        # MuJoCo stores sleeping bodies in its data, not in the state.
         sleeps = bool(model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP)
         self._batch = Batch(model, self.count, self.threads, persistent=sleeps)
         if self._own_models:
@@ -97,12 +97,12 @@ class Bodies:
         return {}
 
     def settle(self, i: int, T_world_base: Pose3, walkers: FloatArray | None = None) -> None:
-        """Let robot `i` go in a pose with its wheels held, and wait (see `RobotModel.settle`).
+        """Release robot `i` in a pose with its wheels held, and settle (see `RobotModel.settle`).
 
         Args:
             i: row of the robot.
             T_world_base: its pose.
-            walkers: (m, 3) middles of those that it could touch, meters.
+            walkers: (m, 3) centers of the walkers within its reach, meters.
         """
         row = np.array((i,), np.int32)
         self._batch.reset(row, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
@@ -123,18 +123,18 @@ class Bodies:
         _add_touching(self._sensordata, self._touch, self._wheels, self._drops, touched)
 
     def specific_force(self) -> FloatArray:
-        """(N, 3) true readings of the accelerometers along the bases' axes, m/s^2."""
+        """Return (N, 3) true readings of the accelerometers along the bases' axes, m/s^2."""
         return self._sensordata[:, self._force : self._force + 3]
 
-    def diverged(self) -> BoolArray:
-        """(N,) whether each robot has diverged."""
+    def find_diverged(self) -> BoolArray:
+        """Return (N,) whether each robot has diverged."""
         found: BoolArray = np.zeros(self.count, np.bool_)
         _find_diverged(self.qpos, self.qvel, self._batch.warning, KINDS, found)
         return found
 
     def divergence(self, i: int) -> str:
         """Return how robot `i` has diverged; empty = it has not."""
-        if not self.diverged()[i]:
+        if not self.find_diverged()[i]:
             return ""
         for warning, reason in DIVERGENCE_WARNINGS.items():
             if self._batch.warning[i, warning, 1]:
@@ -172,7 +172,7 @@ def _contact_sensors(body: RobotModel) -> tuple[IntArray, IntArray, FloatArray]:
 def _add_touching(
     sensordata: FloatArray, touch: IntArray, wheels: IntArray, drops: FloatArray, touched: BoolArray
 ) -> None:
-    """Mark robots as `lirs_envs.collisions.contact_state` does, from what contact sensors hold."""
+    """Mark colliding robots like `lirs_envs.collisions.contact_state`, from readings of contact sensors."""
     for i in range(len(touched)):
         for k in touch:
             touched[i] |= sensordata[i, k] > 0.0
@@ -201,7 +201,7 @@ def _read_poses(rows: IntArray, qpos: FloatArray, out: FloatArray) -> None:
 
 
 class BodyView:
-    """One robot of many as `lirs_envs.robots.flight.FlyingBody` and the sensors see it."""
+    """View of one robot of N for its sensors, and as `lirs_envs.robots.flight.FlyingBody`."""
 
     def __init__(self, bodies: Bodies, i: int) -> None:
         self._bodies, self._i = bodies, i

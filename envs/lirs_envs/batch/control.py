@@ -1,4 +1,4 @@
-"""Control of N robots that drive: the kernel of one, row by row."""
+"""Control of N wheeled robots: the kernel of a single robot for each row."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class DifferentialDrives:
         self._state = np.zeros((count, 3))
 
     def begin(self, i: int) -> None:
-        """Begin anew with robot `i` at rest."""
+        """Reset the control of robot `i` at rest."""
         self._state[i] = 0.0
 
     def update(

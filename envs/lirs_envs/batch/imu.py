@@ -1,4 +1,4 @@
-"""Inertial readings of N robots: the kernels of one, row by row."""
+"""Inertial readings of N robots: the kernels of a single robot for each row."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class ImuReadings:
         self._used_up = True
 
     def begin(self, i: int, qpos: FloatArray, qvel: FloatArray, rng: np.random.Generator) -> None:
-        """Begin with unit `i` at rest, its attitude known."""
+        """Start unit `i` at rest with a known attitude."""
         self._sensors.begin(i, rng)
         self._used_up = True
         self.read_rates(np.array((i,)), qvel)

@@ -1,4 +1,4 @@
-"""Wheel odometry of N robots: the kernel of one, row by row."""
+"""Wheel odometry of N robots: the kernel of a single robot for each row."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class WheelJoints(NamedTuple):
 
 
 class WheelOdometries:
-    """`T_odom_base` of N robots, distance from the wheels and heading from the gyro.
+    """Odometry `T_odom_base` of N robots: distance from the wheels, heading from the gyro.
 
     Attributes:
         pose: (N, 3) x, y, yaw, meters and radians.
@@ -58,7 +58,7 @@ class WheelOdometries:
         )
 
     def read(self, ids: IntArray) -> None:
-        """Nothing is left to be done: the pose is up to date."""
+        """Do nothing: the pose is always up to date."""
 
 
 @njit(cache=True, nogil=True)

@@ -22,7 +22,7 @@ class FlightControllers:
         self._controllers: list[QuadrotorController | None] = [None] * bodies.count
 
     def begin(self, i: int) -> None:
-        """Begin anew with quadrotor `i` where it is."""
+        """Create the controller of quadrotor `i` at its present pose."""
         view = BodyView(self._bodies, i)
         self._controllers[i] = QuadrotorController(self._bodies.robot, view, self._surfaces[i])
 
@@ -41,7 +41,7 @@ class FlightControllers:
 
 
 class Odometries:
-    """`T_odom_base` of N robots, each by an odometry of its own.
+    """Odometry `T_odom_base` of N robots with one odometry object each.
 
     Attributes:
         pose: (N, 3) x, y, yaw, meters and radians.
@@ -74,7 +74,7 @@ class Odometries:
             )
 
     def read(self, ids: IntArray) -> None:
-        """Bring the poses up to date."""
+        """Update the poses of robots `ids`."""
         for i in ids.tolist():
             odometry = self._odometries[i]
             assert odometry is not None, "begin comes first"

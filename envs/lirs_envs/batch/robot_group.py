@@ -20,26 +20,25 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.world import World
 
 LEAST = 4
-"""Robots of a group, where there are as many: what is called for a group costs as much as half a robot's
-step."""
+"""Least number of robots in a group: the calls per group cost as much as half a robot's step."""
 
 
 class RobotGroup:
     """Robots `rows` of a batch; row k of every array is its k-th robot.
 
     Attributes:
-        rows: of the batch.
+        rows: rows of the batch.
         bodies: physics.
         imu: inertial readings.
-        surfaces: ground of each robot; to be replaced.
-        walkers: around each robot; empty = there are none. To be replaced.
+        surfaces: ground of each robot; replaceable.
+        walkers: walkers around each robot; empty = none; replaceable.
         touched: (n,) whether the robot collided in the last `advance` (see `RobotModel.contact_drops`).
 
     Args:
         config: robot and sensors.
-        rows: of the batch.
+        rows: rows of the batch.
         bodies: physics of as many robots.
-        surface: ground of all of them.
+        surface: ground of all robots.
     """
 
     def __init__(self, config: SimulationConfig, rows: range, bodies: Bodies, surface: HeightField) -> None:
@@ -96,7 +95,7 @@ class RobotGroup:
             imu.read_rates(ids, bodies.qvel)
             self._odometry.integrate(ids, bodies.qpos, imu.rates, imu.attitude, dt)
         self.touched[ids] = touched[ids]
-        stopped = {*failed, *ids[bodies.diverged()[ids]].tolist()}
+        stopped = {*failed, *ids[bodies.find_diverged()[ids]].tolist()}
         for k in stopped:
             self.odometry[k] = odometry[k]
         return {k: failed.get(k, "") or bodies.divergence(k) for k in stopped}
@@ -107,7 +106,7 @@ class RobotGroup:
         self._odometry.read(ids)
 
     def _walk(self, ids: IntArray, dt: float) -> None:
-        """Let the walkers walk, before the robots' next step."""
+        """Advance the walkers before the robots' next step."""
         for k in ids.tolist() if self.walkers else ():
             x, y = self.bodies.qpos[k, :2].tolist()
             self.walkers[k].advance(dt, x, y)
@@ -119,7 +118,7 @@ def make_groups(
 ) -> list[RobotGroup]:
     """Return `count` robots in groups of at least `LEAST` robots, one group per thread.
 
-    Threads that get no group of their own are the physics' of the groups.
+    Threads without a group step the physics of the groups.
     """
     number = max(1, min(threads, count // LEAST))
     groups = []

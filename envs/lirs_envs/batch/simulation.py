@@ -30,38 +30,38 @@ from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.world import World
 
 PARTS = 4
-"""Parts that each thread's scans are divided into: they do not take equally long."""
+"""Number of parts of each thread's scans: scans take different times."""
 
 
 class BatchSimulation:
     """N robots of one kind, each alone in its world; array row i is robot i.
 
-    What happens to a robot does not depend on the others, on their number or on the threads. Each thread
-    drives a group of robots through the whole period, and then takes scans of any group that is due.
+    A robot's results do not depend on the other robots, their number or the threads. Each thread drives a
+    group of robots through the whole period, and then computes scans of any group that are due.
 
     Attributes:
-        worlds: of each robot.
+        worlds: the world of each robot.
         config: robot and sensors.
         period: time of one `advance`, seconds.
         count: number of robots, N.
-        body: the compiled model of all robots, but for what their own differ in.
-        groups: of robots, each of which one thread at a time advances.
-        casters: what each robot's lidar sees.
+        body: the compiled model of all robots; own models may differ in friction, mass and heights.
+        groups: groups of robots; one thread at a time advances a group.
+        casters: ray caster of each robot's lidar.
         ranges: (N, beams) float32 of the last scans (see `LaserScan`).
         odometry: (N, 3) `T_odom_base`: x, y, yaw, meters and radians.
         attitude: (N, 2) measured roll and pitch, radians.
         touched: (N,) whether the robot collided in the last `advance` (see `RobotModel.contact_drops`).
         T_world_base: (N, 7) x, y, z, qw, qx, qy, qz of the last valid pose of each robot.
-        errors: of each robot, why its simulation cannot go on; empty = it can.
+        errors: reason why each robot's simulation cannot continue; empty = it can.
 
     Args:
-        world: of all robots, until `replace_terrain`.
+        world: world of all robots, until `replace_terrain`.
         config: robot, sensors, contact geometry.
         count: number of robots, N.
         period: seconds.
         threads: number of threads.
         own_models: whether each robot has a MuJoCo model of its own (see `Bodies`).
-        height_range: of the terrains that may replace the world's, meters; None = the world stays.
+        height_range: lowest and highest height of replacement terrains, meters; None = no replacement.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class BatchSimulation:
         return group.bodies.models[k]
 
     def model_changed(self, i: int) -> None:
-        """Let the physics read the model of robot `i` again."""
+        """Reload the edited model of robot `i` into the physics."""
         self._places[i][0].bodies.models_changed()
 
     def qpos(self, i: int) -> FloatArray:
@@ -164,7 +164,7 @@ class BatchSimulation:
         return make_caster(self.worlds[i], self.config.rays, bool(self.config.props), data, walkers)
 
     def close(self) -> None:
-        """End the threads; whatever comes after runs in one."""
+        """End the threads; later calls run in the calling thread."""
         self._threads.close()
 
     @property
@@ -188,7 +188,7 @@ class BatchSimulation:
         return np.concatenate([group.touched for group in self.groups])
 
     def replace_terrain(self, i: int, world: World) -> None:
-        """Set robot `i` into another world, whose heights its ground takes; a reset comes next.
+        """Replace the world of robot `i` and the heights of its ground; call `reset` next.
 
         Raises:
             ConfigError: the batch was made without a height range, or the heights do not fit it.
@@ -204,7 +204,7 @@ class BatchSimulation:
         self.casters[i] = self._make_caster(i)
 
     def reset(self, i: int, start: Pose2, seed: int) -> None:
-        """Set robot `i` at rest on the ground; its time, odometry and noise begin anew.
+        """Place robot `i` at rest on the ground; restart its time, odometry and noise.
 
         Raises:
             SimulationError: it cannot stand there.
@@ -285,7 +285,7 @@ class BatchSimulation:
         group.bodies.read_poses(ids, self.T_world_base[group.rows.start : group.rows.stop])
 
     def _scan_is_due(self, rows: IntArray) -> BoolArray:
-        """Whether lidars, at their own rate, have begun another scan in the last period."""
+        """Return whether each lidar, at its own rate, has begun a new scan in the last period."""
         scans, ticks = self.period * self.config.preset.rate, self._ticks[rows]
         due: BoolArray = np.floor(ticks * scans + 1e-9) > np.floor((ticks - 1) * scans + 1e-9)
         return due
@@ -313,7 +313,7 @@ class BatchSimulation:
         return float(self._ticks[i] * self.period)
 
     def walkers(self, i: int) -> FloatArray:
-        """Return (n, 3) middles of the walkers around robot `i`, meters."""
+        """Return (n, 3) centers of the walkers around robot `i`, meters."""
         group, k = self._places[i]
         return group.walkers[k].centers.copy() if group.walkers else np.zeros((0, 3))
 
@@ -321,19 +321,19 @@ class BatchSimulation:
         """Return the ground of robot `i`."""
         return self.worlds[i].surface
 
-    def tipped(self) -> BoolArray:
-        """(N,) whether each robot tilts by more than 60 deg or lies on its back."""
+    def find_tipped(self) -> BoolArray:
+        """Return (N,) whether each robot tilts by more than 60 deg or lies on its back."""
         x, y = self.T_world_base[:, 4], self.T_world_base[:, 5]
         return np.asarray(1 - 2 * (x * x + y * y) < TIPPED)
 
     def off_world(self) -> BoolArray:
-        """(N,) whether base_link of each robot is beyond its world's border."""
+        """Return (N,) whether base_link of each robot is beyond its world's border."""
         place = self.T_world_base[:, :2]
         inside = (place >= self._bounds[:, :2]) & (place <= self._bounds[:, 2:])
         return np.asarray(~inside.all(axis=1))
 
     def reading(self, i: int) -> Observation:
-        """Return what the sensors of robot `i` read last, as a mapper takes it."""
+        """Return the last sensor readings of robot `i` as arguments of a mapper."""
         preset, (group, k) = self.config.preset, self._places[i]
         scan = LaserScan(
             self.ranges[i].copy(),

@@ -9,11 +9,11 @@ from threading import Lock
 from typing import Any
 
 Work = Callable[[], Sequence[Any]]
-"""A piece of work; it returns the pieces that can be done after it."""
+"""A piece of work; it returns the pieces that depend on it."""
 
 
 class WorkThreads:
-    """Does work on `count` threads, the calling one among them."""
+    """Pool of `count` threads, including the calling one."""
 
     def __init__(self, count: int) -> None:
         self.count = count
@@ -26,7 +26,7 @@ class WorkThreads:
         self.__init__(**state)  # type: ignore[misc]
 
     def close(self) -> None:
-        """End the threads; whatever comes after runs in one."""
+        """End the threads; later work runs in the calling thread."""
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None
@@ -48,7 +48,7 @@ class WorkThreads:
 
 
 class _Job:
-    """Pieces of work that `count` threads take, each the next one that nobody has taken."""
+    """Queue of pieces of work for `count` threads."""
 
     def __init__(self, pieces: Sequence[Work], count: int) -> None:
         self._count, self._open, self._lock = count, len(pieces), Lock()
@@ -64,7 +64,7 @@ class _Job:
             except BaseException:
                 self._end()
                 raise
-            with self._lock:  # Counted before another thread can take one of them, and be done with it.
+            with self._lock:  # Count them before another thread can take and finish one.
                 self._open += len(more) - 1
                 over = not self._open
             for later in more:

@@ -27,7 +27,7 @@ RANDOMIZED: dict[str, tuple[float, float] | None] = {
     "start": None,
     "terrain": None,
 }
-"""What an episode may draw, with the factors between which it does."""
+"""Quantities that an episode may randomize, with their default ranges of factors."""
 TIMESTEPS = {"husky": 0.004}
 """Longest physics step, seconds, of robots whose step was shorter when the environments' versions came."""
 
@@ -41,7 +41,7 @@ class EnvConfig:
         robot: name of the robot.
         terrain: contact geometry (see `SimulationConfig`).
         lidar: name of a lidar preset; None = the robot's own.
-        noise: of the lidar: `none`, `simulated` or `datasheet`.
+        noise: noise of the lidar: `none`, `simulated` or `datasheet`.
         odometry: `gyro` or `ekf` (see `OdometryConfig`).
         sweep: whether scans are rolling (see `SensorNoise.rolling_scan`).
         control_hz: steps a second, 5 to 50; the lidar keeps its own rate, and an observation holds its last
@@ -50,10 +50,10 @@ class EnvConfig:
         randomize: names from `RANDOMIZED`, or a mapping from names to (lowest, highest) factor, None = the
             default; None = the task's own. `start`: anywhere free, else the world's first spawn pose;
             `terrain`: a new course in each episode; `sensor`: deviations of the lidar.
-        rays: whose rays meet the world: `builtin` or `mujoco` (see `SimulationConfig`).
-        props: what stands in the world: a `Prop`, or a mapping of its fields with `place` as x, y, yaw.
+        rays: ray caster: `builtin` or `mujoco` (see `SimulationConfig`).
+        props: bodies in the world: each a `Prop`, or a mapping of its fields with `place` as x, y, yaw.
         actors: number of walkers (see `lirs_envs.walkers`).
-        difficulty: 0 to 1, where the task has one.
+        difficulty: 0 to 1, for tasks with a difficulty.
         time_limit: seconds until an episode is truncated; None = the task's own.
 
     Raises:
@@ -87,7 +87,7 @@ class EnvConfig:
             odometry=OdometryConfig(method=self.odometry), lidar=self.noise, rolling_scan=self.sweep
         )
         config = SimulationConfig(
-            robot=_paced(make_robot(self.robot)),
+            robot=_limit_flight(make_robot(self.robot)),
             lidar=self.lidar,
             noise=noise,
             rays=resolve_rays(self.rays),
@@ -116,7 +116,7 @@ class EnvConfig:
         return found
 
 
-def _paced(robot: Robot) -> Robot:
+def _limit_flight(robot: Robot) -> Robot:
     """Return a robot whose speed suits worlds of about 50 m if it flies. The limits apply to all commands."""
     return replace(robot, max_speed=3.0, max_acceleration=3.0, max_turn_rate=1.5) if robot.flies else robot
 

@@ -35,7 +35,7 @@ Factors = dict[str, tuple[float, float] | None]
 
 
 class Randomization:
-    """Draws what a config randomizes into the models and lidars of a batch."""
+    """Domain randomization: draw friction, mass and lidar noise of each episode."""
 
     def __init__(self, simulation: BatchSimulation, factors: Factors) -> None:
         self._simulation, self._factors = simulation, factors
@@ -52,7 +52,7 @@ class Randomization:
 
     @staticmethod
     def needs_own_models(factors: Factors) -> bool:
-        """Whether each robot needs a MuJoCo model of its own."""
+        """Return whether each robot needs its own MuJoCo model."""
         return bool(factors.keys() & {"friction", "mass"})
 
     def draw(self, i: int, rng: np.random.Generator) -> None:
@@ -85,7 +85,7 @@ TASKS: dict[str, type[Task]] = {
 CLIMB_RATE = 1.0
 """Climb of a robot that flies at full action, m/s."""
 GROUND_REACH, FLYING_REACH = 1.0, 3.0
-"""Height above the ground up to which a beam sees it, meters."""
+"""Greatest height of a beam above the ground that it sees, meters."""
 
 
 class Episodes:
@@ -94,9 +94,9 @@ class Episodes:
     Attributes:
         config: options.
         simulation: the robots.
-        task: what they are to do.
-        stage: what the task acts on.
-        action_space: of one robot.
+        task: the task of all robots.
+        stage: state on which the task acts.
+        action_space: action space of one robot.
         observations: the chosen groups.
         terminated: (N,) whether the last step ended the episode by the task's rules, or by an accident.
         truncated: (N,) whether the time was up.
@@ -185,7 +185,7 @@ class Episodes:
 
         Raises:
             ConfigError: an option is unknown or has a value that is not legal.
-            SimulationError: the start or goal that was asked for cannot be, or none could be drawn.
+            SimulationError: the given start or goal is impossible, or none could be drawn.
         """
         options, reason = check_options(options), ""
         self._check_options(i, options)
@@ -237,7 +237,7 @@ class Episodes:
         self.stage.difficulty[i] = difficulty
 
     def step(self, ids: IntArray, actions: Any) -> FloatArray:
-        """Act for one period; return the rewards (n,).
+        """Apply actions for one period; return the rewards (n,).
 
         Args:
             ids: rows of the robots, sorted.
@@ -245,10 +245,10 @@ class Episodes:
 
         Raises:
             ConfigError: the actions have a wrong shape, or one is not finite.
-            SimulationError: an episode was not begun, or has ended.
+            SimulationError: an episode has not begun or has ended.
         """
         self._check_ready(ids)
-        taken = self._checked(ids, actions)
+        taken = self._clip_actions(ids, actions)
         commands = np.zeros((self.count, 3))
         commands[ids, : taken.shape[1]] = taken * self._scale[: taken.shape[1]]
         self.simulation.advance(ids, commands, self._see if self.stage.seen else None)
@@ -264,7 +264,7 @@ class Episodes:
 
     def _end(self, ids: IntArray) -> None:
         simulation = self.simulation
-        tipped, off = simulation.tipped().tolist(), simulation.off_world().tolist()
+        tipped, off = simulation.find_tipped().tolist(), simulation.off_world().tolist()
         for i in ids.tolist():
             reason = self.task.end(i)
             if simulation.errors[i]:
@@ -290,14 +290,14 @@ class Episodes:
             reason = self._reasons[int(ids[int(np.argmax(over))])]
             raise SimulationError(f"the episode has ended ({reason}): a reset comes before the next step")
 
-    def _checked(self, ids: IntArray, actions: Any) -> FloatArray:
+    def _clip_actions(self, ids: IntArray, actions: Any) -> FloatArray:
         taken = action_array(actions, (len(ids), *self.action_space.shape))
         if not np.isfinite(taken).all():
             raise ConfigError("an action must be finite")
         return np.clip(taken, -1.0, 1.0)
 
     def infos(self) -> dict[str, Any]:
-        """Return (N, ...) arrays of what `info` says."""
+        """Return (N, ...) arrays of the entries of `info`."""
         poses = np.empty((self.count, 3))
         _planar(self.simulation.T_world_base, poses)
         reasons = np.array(self._reasons, dtype=object)
@@ -352,10 +352,10 @@ def _planar(T_world_base: FloatArray, poses: FloatArray) -> None:
 
 
 class EpisodeView:
-    """One of N episodes: what an environment shows of it.
+    """View of one of N episodes: unobserved state and difficulty.
 
     Attributes:
-        difficulty: of the next episode, 0 to 1; to be set.
+        difficulty: difficulty of the next episode, 0 to 1; settable.
     """
 
     __slots__ = ("_episodes", "_i")
@@ -365,7 +365,7 @@ class EpisodeView:
 
     @property
     def difficulty(self) -> float:
-        """Of the next episode, 0 to 1."""
+        """Difficulty of the next episode, 0 to 1."""
         return float(self._episodes.stage.difficulty[self._i])
 
     @difficulty.setter
@@ -388,7 +388,7 @@ class EpisodeView:
         return self._episodes.task.goal(self._i)
 
     def reading(self) -> Observation:
-        """Return what the sensors read last, as a mapper takes it."""
+        """Return the last sensor readings as arguments of a mapper."""
         return self._episodes.simulation.reading(self._i)
 
 

@@ -31,8 +31,8 @@ class Group:
     """A group of observations.
 
     Attributes:
-        space: of one robot, from what it acts on.
-        read: values (n, ...) of some robots, in an array of their own.
+        space: function that returns the space of one robot.
+        read: function that returns values (n, ...) of some robots in a new array.
     """
 
     space: Callable[[Stage], spaces.Box]
@@ -59,7 +59,7 @@ class Observations:
         self.space = spaces.Dict({name: GROUPS[name].space(stage) for name in self._names})
 
     def read(self, ids: IntArray) -> dict[str, Any]:
-        """Return (n, ...) arrays of the chosen groups; nobody else holds them."""
+        """Return new (n, ...) arrays of the chosen groups."""
         return {name: GROUPS[name].read(self._stage, self._task, ids) for name in self.space.spaces}
 
 

@@ -51,14 +51,14 @@ def steps(difficulty: float, rng: np.random.Generator) -> Obstacles:
     """Return terraces with upright risers, up and down at random."""
     riser = at_difficulty(difficulty, 0.04, 0.22, 0.34)
     treads = rng.uniform(1.2, 2.2, 30)
-    level = _folded(np.cumsum(rng.choice((-1, 1), 30)), 4)
+    level = _fold(np.cumsum(rng.choice((-1, 1), 30)), 4)
     at = np.cumsum(treads) - treads.sum() / 2
     bend = rng.uniform(0.3, 1.0) * np.sin(2 * math.pi * Y / rng.uniform(12, 25) + rng.uniform(0, 2 * math.pi))
     z: FloatArray = np.float64(riser) * level[np.clip(np.searchsorted(at, X + bend) - 1, 0, 29)]
     return z, np.array(cv2.GaussianBlur(z.astype(np.float32), (0, 0), 10), dtype=np.float64)
 
 
-def _folded(level: IntArray, most: int) -> IntArray:
+def _fold(level: IntArray, most: int) -> IntArray:
     """Return a walk in steps of one that turns round at -most and most."""
     folded: IntArray = most - np.abs((level + most) % (4 * most) - 2 * most)
     return -folded

@@ -40,9 +40,9 @@ class Lidar:
 
     Args:
         preset: specification of the device.
-        caster: what the beams meet.
+        caster: geometry that the beams hit.
         T_base_laser: mount.
-        rng: of the noise.
+        rng: random generator of the noise.
         noise: default: Gaussian with the preset's deviation.
         rolling_scan: whether the beams are cast one after the other while the mirror turns, once a period;
             else all at once. The first beam is cast at the stamp, the others while the robot goes on at the

@@ -71,7 +71,7 @@ class PatternLidar:
 
     Args:
         pattern: directions, ranges, noise.
-        caster: what the beams meet, such as `Simulation.caster`.
+        caster: geometry that the beams hit, such as `Simulation.caster`.
         T_base_laser: mount.
         rng: of the noise.
     """

@@ -164,7 +164,7 @@ LIDARS: dict[str, LidarPreset] = {
         # The Husky's simulated SICK, and the one of the data sheet.
         _preset("lms1xx", 720, 270.0, 50.0, (0.1, 30.0), sigma=0.001),
         _preset("lms111", 541, 270.0, 25.0, (0.5, 20.0), sigma=0.012),
-        # Its data sheet gives no deviation but a bound of 0.03 m; this is what simulators use.
+        # Its data sheet gives no deviation but a bound of 0.03 m; simulators use this value.
         _preset("utm30lx", 1081, 270.25, 40.0, (0.2, 30.0), sigma=0.004),
         _preset("urg04lx", 682, 239.77, 10.0, (0.02, 5.6), sigma_relative=0.01),
         _preset("rplidar_a1", 360, 360.0, 5.5, (0.15, 12.0), sigma_relative=0.01),

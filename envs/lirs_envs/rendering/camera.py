@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from lirs_envs.rendering.scene import Scene, Snapshot, scene_options
+from lirs_envs.rendering.scene import RenderScene, Snapshot, scene_options
 from lirs_wct.arrays import ByteArray, Float32Array
 from lirs_wct.errors import SimulationError
 
@@ -27,7 +27,7 @@ class Camera:
     def __init__(self, shape: tuple[int, int] = SHAPE, name: str = CHASE) -> None:
         self._shape, self._name = shape, name
         self._options = scene_options()
-        self._scene: Scene | None = None
+        self._scene: RenderScene | None = None
         self._renderer: mujoco.Renderer | None = None
 
     def rgb(self, snapshot: Snapshot) -> ByteArray:
@@ -65,7 +65,7 @@ class Camera:
     def _see(self, snapshot: Snapshot) -> mujoco.Renderer:
         if self._scene is None or self._scene.world is not snapshot.world:
             self.close()
-            self._scene = Scene(snapshot.world, snapshot.config)
+            self._scene = RenderScene(snapshot.world, snapshot.config)
         self._scene.place(snapshot)
         if self._renderer is None:
             self._renderer = _make_renderer(self._scene.model, self._shape)

@@ -49,7 +49,7 @@ class Snapshot:
 
     @staticmethod
     def of(simulation: Simulation, goal: Pose2 | None = None) -> Snapshot:
-        """Return what a simulation is like now."""
+        """Return the present state of a simulation."""
         walkers = simulation.walkers
         return Snapshot(
             world=simulation.world,
@@ -76,10 +76,10 @@ CREASE = math.radians(35)
 """Angle between two triangles from which on their edge looks sharp."""
 PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 HIDDEN_GROUPS = (3, 4)
-"""Geom groups that no picture shows: what is touched, not seen."""
+"""Hidden geom groups: collision geometry."""
 
 
-class Scene:
+class RenderScene:
     """A world with a robot, props and walkers, to be drawn.
 
     Attributes:

@@ -13,7 +13,7 @@ from typing import Any
 
 from lirs_envs.rendering.camera import Camera
 from lirs_envs.rendering.map_view import MapView
-from lirs_envs.rendering.scene import HIDDEN_GROUPS, Scene, Snapshot
+from lirs_envs.rendering.scene import HIDDEN_GROUPS, RenderScene, Snapshot
 from lirs_wct.arrays import ByteArray, Float32Array
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose2
@@ -28,7 +28,7 @@ class Viewer:
     """A window that shows the latest snapshot; it opens with the first one."""
 
     def __init__(self) -> None:
-        self._scene: Scene | None = None
+        self._scene: RenderScene | None = None
         self._window: Any = None
         self._threads: list[threading.Thread] = []
 
@@ -49,7 +49,7 @@ class Viewer:
     def _open(self, snapshot: Snapshot) -> None:
         self.close()
         check_screen()
-        self._scene = Scene(snapshot.world, snapshot.config)
+        self._scene = RenderScene(snapshot.world, snapshot.config)
         self._scene.place(snapshot)
         viewer: Any = import_module("mujoco.viewer")
         others = set(threading.enumerate())
@@ -160,7 +160,7 @@ class Views:
         self._viewer.close()
 
     def __getstate__(self) -> dict[str, object]:
-        # OpenGL belongs to the process and to what made it.
+        # OpenGL contexts belong to the process and thread that created them.
         return {}
 
     def __setstate__(self, state: dict[str, object]) -> None:

@@ -1,11 +1,13 @@
 """The robots as data: one MJCF file under `assets/` and one row here each.
 
-What a robot's MJCF file must hold: its options (timestep, solver); a body `base_link` with a free joint and
-`sleep="never"`; a velocity actuator for each driven wheel with the name of its joint, or a thrust actuator
-for each rotor; the sensor `accelerometer` on the base; contact geoms with `priority="1"`, so that the robot's
-one friction holds on every ground, those that roll on it named `..._caster`; a camera `chase`.
+Required contents of a robot's MJCF file:
 
-Figures are those of the makers' public descriptions. Where one gives none, the row or the file says so.
+* its options (timestep, solver) and a camera `chase`;
+* a body `base_link` with a free joint and `sleep="never"`;
+* a velocity actuator for each driven wheel with the name of its joint, or a thrust actuator for each rotor;
+* the sensor `accelerometer` on the base;
+* contact geoms with `priority="1"`, so that the robot's friction holds on every ground; casters that roll on
+  it are named `..._caster`.
 """
 
 from __future__ import annotations
@@ -110,11 +112,11 @@ ROBOTS: dict[str, Robot] = {
         Robot(
             name="quadrotor",
             rotors=("front_rotor", "left_rotor", "rear_rotor", "right_rotor"),
-            # Where it begins, and what it keeps above the terrain.
+            # Initial height, and height above the terrain.
             base_height=1.0,
             radius=0.43,
             max_speed=10.0,
-            # No published figures: a usual turn rate, and what a tilt of 45 deg gives.
+            # No published figures: a usual turn rate, and the acceleration at a tilt of 45 deg.
             max_turn_rate=3.0,
             max_acceleration=9.81,
             max_turn_acceleration=10.0,

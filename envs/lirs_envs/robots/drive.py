@@ -18,7 +18,7 @@ from lirs_wct.kernels import njit
 
 @dataclass(frozen=True, kw_only=True)
 class DriveConfig:
-    """Gains of the yaw loop, which trims what the feed-forward leaves.
+    """Gains of the yaw loop, which corrects the error of the feed-forward.
 
     Attributes:
         proportional: extra turn rate per rad/s of error.
@@ -96,21 +96,21 @@ def wheel_speeds(
         parameters: (1,) of `DRIVE`.
     """
     p = parameters[0]
-    v, omega = _limited(v, p.max_speed), _limited(omega, p.max_turn_rate)
-    state[0] += _limited(v - state[0], p.max_acceleration * dt)
-    state[1] += _limited(omega - state[1], p.max_turn_acceleration * dt)
+    v, omega = _limit(v, p.max_speed), _limit(omega, p.max_turn_rate)
+    state[0] += _limit(v - state[0], p.max_acceleration * dt)
+    state[1] += _limit(omega - state[1], p.max_turn_acceleration * dt)
     if state[0] == 0.0 and state[1] == 0.0:
         # Standing: the wheels hold, the gyro's bias must not turn the robot.
         state[2] = 0.0
         return 0.0, 0.0
     error = state[1] - yaw_rate
-    state[2] = _limited(state[2] + p.integral * error * dt, p.integral_limit)
+    state[2] = _limit(state[2] + p.integral * error * dt, p.integral_limit)
     side = (state[1] + p.proportional * error + state[2]) * p.skid_factor * p.track / 2
     return (state[0] - side) / p.wheel_radius, (state[0] + side) / p.wheel_radius
 
 
 @njit(cache=True, inline="always")
-def _limited(value: float, limit: float) -> float:
+def _limit(value: float, limit: float) -> float:
     return max(-limit, min(limit, value))
 
 

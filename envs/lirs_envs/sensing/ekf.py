@@ -19,7 +19,7 @@ import numpy as np
 
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.imu import ImuConfig
-from lirs_envs.sensing.odometry import OdometryConfig, OdometryIncrement, WheelOdometry, integrated
+from lirs_envs.sensing.odometry import OdometryConfig, OdometryIncrement, WheelOdometry, integrate_motion
 from lirs_wct.arrays import FloatArray, Vector3
 from lirs_wct.field_validators import require_at_least
 from lirs_wct.geometry.pose import Pose2
@@ -130,13 +130,13 @@ class EkfOdometry(WheelOdometry):
     ) -> None:
         """Add the motion since the last update (see `WheelOdometry.update`)."""
         robot = self.robot
-        distance = self.noise.measured(turned * robot.wheel_radius)
+        distance = self.noise.measure(turned * robot.wheel_radius)
         wheel_turn = difference * robot.wheel_radius / (robot.track * robot.skid_factor)
         self._add(OdometryIncrement(distance, wheel_turn, rates, roll, pitch, dt))
 
     def _add(self, increment: OdometryIncrement) -> None:
         turn, distance = increment.turn, abs(increment.distance)
-        self._moved = integrated(self._moved, increment.forward, turn)
+        self._moved = integrate_motion(self._moved, increment.forward, turn)
         if self._slip_radius and turn:
             slide = self.filter_config.slide * self._slip_radius * abs(turn) / self.robot.friction
             ahead, left = slide * math.sin(increment.pitch), -slide * math.sin(increment.roll)
@@ -152,7 +152,7 @@ class EkfOdometry(WheelOdometry):
     def _predict(self) -> None:
         """Move by the summed motion, less the estimated errors by bias and scale.
 
-        With (a, b) the summed motion in the frame of its start, the bias turns it by half of what it turns
+        With (a, b) the summed motion in the frame of its start, the bias turns it by half of the turn of
         the end: an even rate is assumed.
         """
         f, a, b = self._filter, self._moved.x, self._moved.y

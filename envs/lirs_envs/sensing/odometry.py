@@ -124,7 +124,7 @@ class DistanceNoise(DistanceNoises):
             self.draw()
         return self.scale, self.normals[0], self.used
 
-    def measured(self, distance: float) -> float:
+    def measure(self, distance: float) -> float:
         """Return the measured distance, meters."""
         meters: float = measured_distance(*self.coming, distance, self.parameters)
         return meters
@@ -281,13 +281,13 @@ class FlowOdometry(Odometry):
         east, north, _ = (T_world_base.rotation @ np.array(velocity) * dt).tolist()
         c, s = math.cos(T_world_base.yaw), math.sin(T_world_base.yaw)
         distance = math.hypot(east, north)
-        scale = self.noise.measured(distance) / distance if distance > 0 else 1.0
+        scale = self.noise.measure(distance) / distance if distance > 0 else 1.0
         turn = yaw_rate(rates, roll, pitch) * dt
-        # True yaw's axes: what the camera sees is turned with the body.
+        # Axes of the true yaw: the camera's picture turns with the body.
         moved = Pose2((c * east + s * north) * scale, (c * north - s * east) * scale, turn)
         self.pose = self.pose @ moved
 
 
-def integrated(pose: Pose2, forward: float, turn: float) -> Pose2:
+def integrate_motion(pose: Pose2, forward: float, turn: float) -> Pose2:
     """Return a pose after a short motion: meters forward while turning by radians."""
     return Pose2(*integrated_pose((pose.x, pose.y, pose.yaw), forward, turn))

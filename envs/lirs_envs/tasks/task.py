@@ -31,8 +31,8 @@ class Stage:
     Attributes:
         simulation: the robots.
         site: of the world that all begin in.
-        seen: the ground that they have seen; None = nobody asks for it.
-        difficulty: of each robot's next episode, 0 to 1.
+        seen: the ground that they have seen; None = not needed.
+        difficulty: difficulty of each robot's next episode, 0 to 1.
         randomize_start: whether starts are drawn.
         randomize_terrain: whether terrains are drawn.
     """
@@ -70,7 +70,7 @@ class Task(ABC):
         time_limit: seconds, where the user gives none.
         option_names: of `reset(options=...)`.
         has_goal: whether there is a goal to observe.
-        stage: what it acts on.
+        stage: state on which the task acts.
     """
 
     observe: ClassVar[tuple[str, ...]]
@@ -89,7 +89,7 @@ class Task(ABC):
 
         Raises:
             ConfigError: an option has a value that is not legal.
-            SimulationError: what the options ask for cannot be reached.
+            SimulationError: the start or goal of the options cannot be reached.
         """
 
     def ground(self, i: int) -> tuple[SeenFrame, BoolArray]:

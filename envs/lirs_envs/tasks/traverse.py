@@ -19,7 +19,7 @@ from lirs_wct.geometry.pose import Pose2
 SUCCESS = 10.0
 """Reward at the goal."""
 HUSKY_RADIUS, HUSKY_FRICTION = 0.58, 0.7
-"""What courses are made for: a robot's radius, meters, and the tangent of the slope on which it slides."""
+"""Reference robot of courses: radius, meters, and tangent of the slope on which it slides."""
 MIXED = "mixed"
 """Kind of course that is any of the kinds, drawn anew for each episode."""
 

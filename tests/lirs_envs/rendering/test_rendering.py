@@ -14,7 +14,7 @@ import pytest
 from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
 from lirs_envs.rendering.camera import CHASE, Camera
 from lirs_envs.rendering.map_view import GOAL, PATH, ROBOT, SCAN, WALKER, MapView
-from lirs_envs.rendering.scene import MAX_ERROR, Scene, Snapshot
+from lirs_envs.rendering.scene import MAX_ERROR, RenderScene, Snapshot
 from lirs_envs.rendering.views import RENDER_MODES, Views
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.robot import Robot
@@ -79,7 +79,7 @@ def test_depths_are_those_of_the_plane(plane: World, husky: Robot, in_ci: bool) 
     depth = drawn(lambda: camera.depth(snapshot), in_ci)
     camera.close()
     assert depth.dtype == np.float32
-    scene = Scene(plane, sim.config)
+    scene = RenderScene(plane, sim.config)
     scene.place(snapshot)
     eye = scene.data.camera(CHASE)
     tangent = math.tan(math.radians(scene.model.camera(CHASE).fovy[0]) / 2)
@@ -92,7 +92,7 @@ def test_depths_are_those_of_the_plane(plane: World, husky: Robot, in_ci: bool) 
 
 def test_the_drawn_ground_is_the_true_one_within_its_error(rough: World, husky: Robot) -> None:
     sim = simulation(rough, husky)
-    scene = Scene(rough, sim.config)
+    scene = RenderScene(rough, sim.config)
     scene.place(Snapshot.of(sim))
     rng, geom, missed = np.random.default_rng(1), np.zeros(1, np.int32), 0
     # Just beside nodes, at which the error is bounded: a ray may slip between triangles at the node itself.
@@ -112,7 +112,7 @@ def test_the_ground_wears_its_texture_where_it_belongs(source: str, in_ci: bool)
     terrain = generate("gaps", 0.9, np.random.default_rng(4)).world()
     world = terrain if source == "terrain" else build_world("examples/data/office.yaml")
     sim = simulation(world, make_robot("turtlebot2"))
-    scene = Scene(world, sim.config)
+    scene = RenderScene(world, sim.config)
     scene.place(Snapshot.of(sim))
     west, south, east, north = world.surface.bounds
     above = mujoco.MjvCamera()

@@ -32,7 +32,7 @@ def test_the_scale_error_wanders_over_its_length() -> None:
     series = []
     for seed in range(400):
         wheels = DistanceNoise(config, np.random.default_rng(seed))
-        series.append([wheels.measured(0.05) / 0.05 - 1 for _ in range(200)])
+        series.append([wheels.measure(0.05) / 0.05 - 1 for _ in range(200)])
     errors = np.array(series)
     assert errors.std() == pytest.approx(config.scale_sigma, rel=0.05)
     # Chi-square of one value each run: they are independent.
