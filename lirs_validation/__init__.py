@@ -1,4 +1,4 @@
-"""Validation: world x robot x mapper x seed becomes a run record; also the command line and the report."""
+"""Validation runs (world x robot x mapper x seed), their records, the report and the command line."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

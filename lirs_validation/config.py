@@ -1,4 +1,4 @@
-"""Declarations of a validation run, of a log's map and of a sweep: every option is defined here once.
+"""Options of a validation run, of a log's map and of a sweep, each defined once.
 
 Command line, sweep axes, page controls, digests, groups of runs and reference docs come from these fields.
 """
@@ -48,7 +48,7 @@ ENGINE, BAG_TOPICS = "Execution of a sweep", "Topics of a bag"
 
 @dataclass(frozen=True, kw_only=True)
 class SourceOptions(BuildOptions):
-    """How a source becomes a world, a laser log included, which is mapped first."""
+    """Options of the construction of a world. A laser log is mapped first."""
 
     log_mapper: str = option(
         "cartographer",
@@ -283,7 +283,7 @@ RUN_AXES = tuple(name for name, found in declared(RunConfig) if found.axis is no
 
 
 def run_name(config: RunConfig, world: str) -> str:
-    """Return the name of the run's folder, with the name part of `module:name` and the driver's kind."""
+    """Return the name of the run's folder, with the mapper's class and the driver's kind."""
     mapper = config.mapper.rpartition(":")[2]
     driver = "" if config.driver == TOUR else f"-{driver_parts(config.driver)[0]}"
     return f"{world}-{config.robot}-{mapper}{driver}-s{config.seed}-{config.digest}"

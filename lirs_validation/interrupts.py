@@ -1,4 +1,4 @@
-"""Ctrl-C, also where it comes in disguise, and the end of a process that works for another one."""
+"""Ctrl-C, also wrapped by compiled kernels, and the end of a worker process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import NoReturn
 
 
 def is_interrupt(error: BaseException) -> bool:
-    """Tell whether an error is a Ctrl-C; inside a compiled kernel it comes out wrapped in a SystemError."""
+    """Whether an error is a Ctrl-C. A compiled kernel wraps it in a SystemError."""
     return isinstance(error, (KeyboardInterrupt, SystemError)) and any(
         isinstance(cause, KeyboardInterrupt) for cause in _causes(error)
     )
@@ -24,9 +24,9 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def end_with(parent: int) -> None:
-    """Let this process end when it is asked to, as by Ctrl-C, and when its parent was killed.
+    """End this process on SIGTERM, as by Ctrl-C, and when its parent was killed.
 
-    Ctrl-C itself is the parent's to handle.
+    The parent handles Ctrl-C itself.
 
     Args:
         parent: process id; even a mapper that hangs does not outlive it.

@@ -60,7 +60,7 @@ def test_drawing_again_gives_the_same_tasks(script: ModuleType) -> None:
 
 def same(drawn: BenchTask, shipped: BenchTask) -> bool:
     """Whether two tasks are one but for the last digit, which may differ between machines."""
-    a, b = drawn.described(), shipped.described()
+    a, b = drawn.describe(), shipped.describe()
     numbers = [
         (x, y) for key in ("start", "goal") for x, y in zip(a.pop(key, ()), b.pop(key, ()), strict=True)
     ]

@@ -1,8 +1,8 @@
-"""Methods as published beside terrain-aware ones and odometry alone: who holds in which world.
+"""Comparison of methods as published, terrain-aware methods and odometry alone, by world.
 
-A run *holds* where it succeeded and its ATE is at most TIMES the odometry's + SLACK: the method did not lose
-what the odometry knew. A method holds in a world where the share MOST of its runs do, and loses its way where
-that share do not. Runs that ended because of the drive, not of the mapper, are not counted.
+A run *holds* if it succeeded and its ATE is at most TIMES the odometry's + SLACK: the method is not worse
+than its odometry. A method holds in a world if the share MOST of its runs hold, and loses its way if that
+share do not. Runs that ended because of the drive, not of the mapper, are not counted.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ from lirs_validation.record.run_record import Status, succeeded
 SUFFIX = "_original"
 """Ends the name of a method as published: `hector_original` beside `hector`."""
 TIMES, SLACK = 1.1, 0.05
-"""Of the odometry's ATE, and meters: what a run that holds may be worse."""
+"""Largest ATE of a run that holds: this factor of the odometry's ATE, plus meters."""
 MOST = 0.8
-"""Share of the runs that decides what a method does in a world."""
+"""Share of runs that must hold, or fail, for a verdict on a method in a world."""
 CLEARLY = 1.5
-"""Times as accurate from which on it is said."""
+"""Smallest ratio of two ATE that a conclusion mentions."""
 UNCHECKED = ("cartographer",)
-"""Methods whose version as published was never compared with runs of its original."""
+"""Methods whose published version was never compared with runs of the original program."""
 OF_THE_DRIVE: tuple[Status, ...] = ("tipped", "stuck", "off world", "diverged")
-"""Ends that say nothing of the mapper."""
+"""Statuses that do not depend on the mapper."""
 
 Planar = Literal["as published", "without attitude"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """How the runs of a method in a world compare with their odometry.
+class MethodOutcome:
+    """Comparison of a method's runs in a world with their odometry.
 
     Attributes:
-        runs: that are counted.
-        held: of these.
-        lost: that ended because the mapper said that it was lost.
-        ate: median over those that succeeded, meters; None where none did.
-        odometry: median of their odometry's ATE, meters; None where none did.
+        runs: number of counted runs.
+        held: number of runs that hold.
+        lost: number of runs that the mapper ended as lost.
+        ate: median over successful runs, meters; None without any.
+        odometry: median of their odometry's ATE, meters; None without any.
     """
 
     runs: int
@@ -62,7 +62,7 @@ class Outcome:
         return self.runs > 0 and self.runs - self.held >= MOST * self.runs
 
     def clause(self, where: str = "") -> str:
-        """Return what the method does, as the end of a sentence about it; `where` is ` here` or nothing."""
+        """Return the verdict as the end of a sentence; `where` is ` here` or empty."""
         if self.runs == 0:
             return f"has no run that counts{where}"
         if self.holds:
@@ -81,7 +81,7 @@ class MethodPair:
         group: of the terrain-aware runs.
         planar: its runs as published, or without attitude.
         aware: its runs with attitude.
-        how: what the planar ones are.
+        how: kind of the planar runs.
     """
 
     group: RunGroup
@@ -96,7 +96,7 @@ class MethodPair:
 
 
 def published_pairs(entries: Iterable[Entry]) -> tuple[MethodPair, ...]:
-    """Return each method of which there are runs both as published and terrain-aware, world by world."""
+    """Return each method with runs both as published and terrain-aware, by world."""
     groups = by_group(entries)
     return tuple(
         MethodPair(group=group, planar=tuple(planar), aware=tuple(aware), how="as published")
@@ -106,9 +106,9 @@ def published_pairs(entries: Iterable[Entry]) -> tuple[MethodPair, ...]:
 
 
 def attitude_pairs(entries: Iterable[Entry]) -> tuple[MethodPair, ...]:
-    """Return each mapper of which there are runs both without attitude and with it, world by world.
+    """Return each mapper with runs both without and with attitude, by world.
 
-    A method as published is left out: it never looks at the attitude.
+    Methods as published are left out: they do not use the attitude.
     """
     groups = by_group(entries)
     return tuple(
@@ -120,12 +120,12 @@ def attitude_pairs(entries: Iterable[Entry]) -> tuple[MethodPair, ...]:
     )
 
 
-def outcome_of(entries: Sequence[Entry]) -> Outcome:
-    """Return how runs of one method in one world compare with their odometry."""
+def outcome_of(entries: Sequence[Entry]) -> MethodOutcome:
+    """Compare the runs of one method in one world with their odometry."""
     counted = [entry for entry in entries if entry["status"] not in OF_THE_DRIVE]
     errors = [ate for e in counted if succeeded(e) and (ate := value_at(e, ATE)) is not None]
     reckoned = [ate for e in counted if succeeded(e) and (ate := value_at(e, ODOMETRY_ATE)) is not None]
-    return Outcome(
+    return MethodOutcome(
         runs=len(counted),
         held=sum(map(holds, counted)),
         lost=sum(entry["status"] == "lost" for entry in counted),
@@ -140,11 +140,11 @@ def holds(entry: Entry) -> bool:
     return succeeded(entry) and None not in (ate, odometry) and ate <= TIMES * odometry + SLACK
 
 
-def conclusion(planar: Outcome, aware: Outcome, how: Planar) -> str:
-    """Return in one sentence what follows for who runs the method on such ground."""
+def conclusion(planar: MethodOutcome, aware: MethodOutcome, how: Planar) -> str:
+    """Return a one-sentence conclusion for users of the method on such ground."""
     first = f"{how.capitalize()} it {planar.clause(' here')}"
     if planar.holds and aware.holds:
-        return f"{first}, {_compared(planar, aware)}."
+        return f"{first}, {_accuracy_clause(planar, aware)}."
     if planar.loses and aware.loses:
         alone = "odometry alone is as good or better"
         if planar.clause() == aware.clause():
@@ -153,16 +153,16 @@ def conclusion(planar: Outcome, aware: Outcome, how: Planar) -> str:
     return f"{first}; with attitude it {aware.clause()}{_by_odometry(aware)}."
 
 
-def _by_odometry(outcome: Outcome) -> str:
-    """Return whether a method that holds adds little to its odometry: it may have found no walls."""
+def _by_odometry(outcome: MethodOutcome) -> str:
+    """Return a remark if a method that holds is hardly more accurate than its odometry."""
     ate, odometry = outcome.ate, outcome.odometry
     if not outcome.holds or ate is None or odometry is None or ate * CLEARLY < odometry:
         return ""
     return ", but is not clearly more accurate than its odometry"
 
 
-def _compared(planar: Outcome, aware: Outcome) -> str:
-    """Return how accurate two methods are that both hold."""
+def _accuracy_clause(planar: MethodOutcome, aware: MethodOutcome) -> str:
+    """Return the accuracy ratio of two methods that both hold, as a clause."""
     if not planar.ate or not aware.ate:
         return "and with attitude"
     ratio = planar.ate / aware.ate
@@ -174,6 +174,6 @@ def _compared(planar: Outcome, aware: Outcome) -> str:
 
 
 def _as_published(group: RunGroup, groups: Mapping[RunGroup, list[Entry]]) -> list[Entry] | None:
-    """Return the runs of a group's method as published; it gets no attitude, whatever was asked for."""
+    """Return the runs of a group's method as published, which get no attitude."""
     original = group.replaced(mapper=group["mapper"] + SUFFIX)
     return groups.get(original) or groups.get(original.replaced(attitude="none"))

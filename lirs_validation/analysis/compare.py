@@ -1,9 +1,9 @@
-"""Two results side by side: which differences are statistically significant, and which may be chance.
+"""Statistical comparison of two results.
 
-Runs are paired by group and seed: both of a pair had the same world, tour and noise, so that only what was
-changed can differ. Per group and metric the mean of the paired differences gets its 95 % confidence interval
-and a two-sided p value; all p values of a comparison are corrected together after Holm, "A Simple
-Sequentially Rejective Multiple Test Procedure" (Scandinavian Journal of Statistics, 1979).
+Runs are paired by group and seed: both of a pair had the same world, tour and noise, so that only the
+change under test can differ. Per group and metric the mean of the paired differences gets its 95 %
+confidence interval and a two-sided p value; all p values of a comparison are corrected together after Holm,
+"A Simple Sequentially Rejective Multiple Test Procedure" (Scandinavian Journal of Statistics, 1979).
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ LEVEL = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """How a metric of a group differs between two results, b minus a, over the seeds that both have.
+    """Difference of a group's metric between two results, b minus a, over common seeds.
 
     Attributes:
-        group: which.
-        metric: which; all values are in its unit.
+        group: group of runs.
+        metric: compared metric; all values are in its unit.
         a: mean in the first result.
         b: mean in the second.
         difference: mean of the paired differences.
         low: lower end of its 95 % interval; None of one pair.
         high: upper end.
-        pairs: how many seeds both results have, and the metric in both.
-        seeds: in how many seeds both runs succeeded, with the metric or without.
+        pairs: number of seeds with the metric in both results.
+        seeds: number of seeds in which both runs succeeded, with the metric or without.
         test: paired t; Wilcoxon's signed ranks where the differences are plainly not normal (the interval is
             then bootstrapped); the sign test where all are the same; none of one pair, or
             where a metric is not tested.
-        p: two-sided, as tested; None where nothing was.
-        p_corrected: after Holm, over all tests of the comparison.
+        p: two-sided p value of the test; None without a test.
+        p_corrected: p value after Holm's correction over all tests of the comparison.
     """
 
     group: RunGroup
@@ -61,7 +61,7 @@ class Difference:
 
     @property
     def significant(self) -> bool | None:
-        """Whether it is statistically significant (Holm); None where one pair cannot say."""
+        """Whether the difference is statistically significant (Holm); None without a test."""
         return None if self.p_corrected is None else self.p_corrected < LEVEL
 
 
@@ -96,8 +96,8 @@ def compare(
     Args:
         a: records of the first result.
         b: records of the second.
-        metrics: what to compare.
-        across: fields of a group in which the two may differ, such as `mapper`.
+        metrics: metrics to compare.
+        across: fields of a group in which the results may differ, such as `mapper`.
 
     Raises:
         ConfigError: a field has no such name, no group is in both, or one holds a seed twice.
@@ -116,7 +116,7 @@ def compare(
         if (difference := _difference(group, metric, runs_a[group], runs_b[group])) is not None
     ]
     return Comparison(
-        differences=corrected(found),
+        differences=correct_p_values(found),
         only_a=tuple(group for group in runs_a if group not in runs_b),
         only_b=tuple(group for group in runs_b if group not in runs_a),
         failed_a={group: _counts(runs_a[group]) for group in common},
@@ -127,14 +127,14 @@ def compare(
 
 
 def by_shared(entries: Sequence[Entry], across: Sequence[str]) -> dict[RunGroup, dict[int, Entry]]:
-    """Return the runs of each group by seed, the fields in `across` left open.
+    """Return the runs of each group by seed, with the fields in `across` ignored.
 
     Raises:
         ConfigError: a group holds a seed twice.
     """
     found: dict[RunGroup, dict[int, Entry]] = {}
     for entry in entries:
-        runs = found.setdefault(_shared(RunGroup.of(entry), across), {})
+        runs = found.setdefault(_open_fields(RunGroup.of(entry), across), {})
         seed = int(entry["seed"])
         if seed in runs:
             raise ConfigError(_ambiguous(runs[seed], entry, across))
@@ -142,7 +142,7 @@ def by_shared(entries: Sequence[Entry], across: Sequence[str]) -> dict[RunGroup,
     return found
 
 
-def corrected(differences: Sequence[Difference]) -> tuple[Difference, ...]:
+def correct_p_values(differences: Sequence[Difference]) -> tuple[Difference, ...]:
     """Return the differences with their p values corrected after Holm."""
     tested = [k for k, d in enumerate(differences) if d.p is not None]
     raw = np.array([differences[k].p for k in tested], dtype=np.float64)
@@ -155,7 +155,7 @@ def corrected(differences: Sequence[Difference]) -> tuple[Difference, ...]:
 def _difference(
     group: RunGroup, metric: Metric, a: dict[int, Entry], b: dict[int, Entry]
 ) -> Difference | None:
-    """Compare one metric over the seeds in which both runs succeeded; None where none has it."""
+    """Compare one metric over seeds with two successful runs; None without values."""
     seeds = [seed for seed in sorted(set(a) & set(b)) if succeeded(a[seed]) and succeeded(b[seed])]
     values = [
         (x, y)
@@ -181,8 +181,8 @@ def _difference(
     )
 
 
-def _shared(group: RunGroup, across: Sequence[str]) -> RunGroup:
-    """Return the group with the fields in `across` left open."""
+def _open_fields(group: RunGroup, across: Sequence[str]) -> RunGroup:
+    """Return the group with placeholders in the fields of `across`."""
     return group.replaced(**{name: 0.0 if name == "seconds" else "*" for name in FIELDS if name in across})
 
 
@@ -192,7 +192,7 @@ def _counts(runs: dict[int, Entry]) -> tuple[int, int]:
 
 
 def _ambiguous(first: Entry, second: Entry, across: Sequence[str]) -> str:
-    """Say what two runs of one result differ in that are to be paired with the same run of the other."""
+    """Return the message for two runs of one result with the same group and seed."""
     groups = RunGroup.of(first), RunGroup.of(second)
     differing = [f for f in FIELDS if f in across and groups[0][f] != groups[1][f]]
     runs = f"one result holds two runs of one group and seed, {first['name']} and {second['name']}"
@@ -224,7 +224,7 @@ def _text(group: RunGroup, field: str) -> str:
 
 
 def _nothing_common(a: Sequence[RunGroup], b: Sequence[RunGroup]) -> str:
-    """Say in which fields the two results have nothing in common."""
+    """Return the message for two results without a common group."""
     apart = [f for f in FIELDS if not {group[f] for group in a} & {group[f] for group in b}]
     differing = ", ".join(
         f"{f} ({'/'.join(sorted({str(c[f]) for c in a}))} and {'/'.join(sorted({str(c[f]) for c in b}))})"

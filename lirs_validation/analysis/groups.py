@@ -1,4 +1,4 @@
-"""Groups: runs that differ in nothing but their seed."""
+"""Groups of runs that differ only in their seed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class RunGroup:
 
     @staticmethod
     def of(entry: Entry) -> RunGroup:
-        """Return the group of a record; the lidar is the robot's own if the config names none."""
+        """Return the group of a record, with the robot's default lidar filled in."""
         given = {"world": entry["world"]["name"], **DEFAULTS, **entry["config"]}
         given |= {"lidar": given["lidar"] or _own_lidar(given["robot"]), "seconds": float(given["seconds"])}
         return RunGroup(tuple(given[name] for name in FIELDS))
@@ -42,7 +42,7 @@ class RunGroup:
         """Return the group with other values of some fields."""
         return RunGroup(tuple(values.get(name, self[name]) for name in FIELDS))
 
-    def named(self, fields: Iterable[str] = FIELDS) -> str:
+    def label(self, fields: Iterable[str] = FIELDS) -> str:
         """Return the group's name: its fields, or some of them, in one line."""
         forms = {name: option.shown for name, option in declared(RunConfig)}
         wanted = set(fields)
@@ -61,7 +61,7 @@ def _is_unusual(group: RunGroup, name: str) -> bool:
 
 
 def by_group(entries: Iterable[Entry]) -> dict[RunGroup, list[Entry]]:
-    """Return the records of each group, by seed; groups in the order in which they first come."""
+    """Return the records of each group by seed, groups in order of appearance."""
     found: dict[RunGroup, list[Entry]] = {}
     for entry in entries:
         found.setdefault(RunGroup.of(entry), []).append(entry)

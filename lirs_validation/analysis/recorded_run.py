@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from lirs_wct.formats.rosbag.writer import BagDrive
 
 SAME_STAMP = 1e-4
-"""Stamps of the same scan in two files differ by no more, seconds."""
+"""Largest difference between stamps of the same scan in two files, seconds."""
 FORMATS = ("bag", "csv", "npz", "carmen")
-"""What a run can be exported to."""
+"""Export formats."""
 POSE_HEADER = "stamp,x,y,z,qw,qx,qy,qz"
 
 
@@ -74,7 +74,7 @@ def recorded_config(entry: Mapping[str, Any]) -> RunConfig:
 
 
 def _fits(value: object, default: object) -> bool:
-    """Whether an option's value is of its default's kind; of an option without one, any plain value."""
+    """Whether an option's value has its default's type; without a default, any plain type."""
     if isinstance(value, tuple) and (default is None or isinstance(default, tuple)):
         return all(isinstance(part, (int, float)) for part in value)
     if default is None:
@@ -83,16 +83,16 @@ def _fits(value: object, default: object) -> bool:
 
 
 def recorded_world_config(entry: Mapping[str, Any]) -> RunConfig:
-    """Return the config of a record with the very source that the run was made from, wherever one stands.
+    """Return the config of a record with the path of the source that the run used.
 
     Raises:
-        SourceError: it has options that this version does not know, or its source is no longer what it was.
+        SourceError: it has options that this version does not know, or its source has changed.
     """
     return with_recorded_source(recorded_config(entry), entry["world"].get("files", ()))
 
 
 def recorded_truth(folder: Path) -> Trajectory:
-    """Return the true poses of base_link in the world frame; the first is where the map frame lies.
+    """Return the true poses of base_link in the world frame; the map frame is the first.
 
     Raises:
         SourceError: missing, damaged or empty.
@@ -105,9 +105,9 @@ def recorded_truth(folder: Path) -> Trajectory:
 
 
 def true_pose_map(folder: Path, config: RunConfig, resolution: float) -> OccupancyGrid:
-    """Return the map, in the world frame, that the recorded scans give at the true poses.
+    """Return the map of the recorded scans at the true poses, world frame.
 
-    The log's messages have the laser's mount in the plane only: all of it comes from the robot.
+    The log's messages hold only the planar part of the laser's mount; the robot gives all of it.
 
     Raises:
         SourceError: scans, poses or inertial readings are missing, damaged, or not of one drive.
@@ -131,14 +131,14 @@ def true_pose_map(folder: Path, config: RunConfig, resolution: float) -> Occupan
 def export_run(
     run: RunFolder, out: Path, formats: tuple[str, ...], *, storage: Storage = "mcap", slam: bool = True
 ) -> list[Path]:
-    """Export a run; return what was written.
+    """Export a run; return the written paths.
 
     Args:
-        run: that was recorded.
+        run: recorded run.
         out: folder that receives a folder or file for each format.
-        formats: of `FORMATS`.
+        formats: names of `FORMATS`.
         storage: of the bag.
-        slam: whether the bag holds what the mapper made: the frame `map` on /tf, and /map.
+        slam: whether the bag holds the mapper's results: the frame `map` on /tf, and /map.
 
     Raises:
         WctError: there is no such format, the run cannot be read, rosbags is absent, or out not writable.
@@ -158,9 +158,9 @@ def export_run(
 
 
 def recorded_drive(run: RunFolder, *, slam: bool = True) -> BagDrive:
-    """Return what a run recorded, in the map frame: the first base pose.
+    """Return a recorded drive in the map frame, that of the first base pose.
 
-    Ranges are in the millimeters' steps of `scans.clf.gz`; the estimates are the mapper's final ones.
+    Ranges have the millimeter steps of `scans.clf.gz`; the estimates are the mapper's final ones.
 
     Raises:
         SourceError: scans, poses or inertial readings are missing, damaged, or not of one drive.
@@ -228,7 +228,7 @@ def _export_carmen(run: RunFolder, out: Path) -> Path:
 
 
 def _tables(run: RunFolder) -> dict[str, FloatArray]:
-    """Return what a run recorded as tables, a row a scan, stamps first; trajectories in the world frame."""
+    """Return the recorded data as tables, one row per scan; trajectories in the world frame."""
     log = read_carmen(run.folder / "scans.clf.gz")
     tables = {"scans": np.column_stack((log.stamps, np.array([scan.ranges for scan in log.scans])))}
     tables["beams"] = log.scans[0].angles

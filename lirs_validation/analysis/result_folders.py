@@ -1,4 +1,4 @@
-"""Reading what runs and sweeps left: the good records, and by name what cannot be read."""
+"""Readers of result folders: valid records, and the names of unreadable folders."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ class RunFolder:
 
 @dataclass(frozen=True)
 class ResultFolder:
-    """What a folder of results holds.
+    """Contents of a folder of results.
 
     Attributes:
         root: the folder.
         runs: by name of their folders.
         collisions: verdicts of collision validations.
-        broken: names of collision validations that came to nothing, and why.
+        broken: names of collision validations without a result, and why.
         skipped: names of folders that cannot be read, and why.
-        manifest: what the sweep was asked for; empty without a `sweep.json`.
+        manifest: content of `sweep.json`; empty without one.
     """
 
     root: Path
@@ -54,7 +54,7 @@ def read_run(folder: Path) -> RunFolder:
 
 
 def read_results(root: Path) -> ResultFolder:
-    """Read a run's folder, or a folder of such folders; what cannot be read is named and left out.
+    """Read a run's folder, or a folder of such folders; unreadable ones are listed.
 
     Raises:
         SourceError: there is no such folder, or no record in it can be read.
@@ -87,7 +87,7 @@ def read_results(root: Path) -> ResultFolder:
 
 
 def _read_folder(folder: Path) -> RunFolder | CollisionVerdict | str | None:
-    """Return a run, a verdict, why a collision validation came to nothing, or None: it is no result.
+    """Return a run, a verdict, a failed validation's reason, or None for other folders.
 
     Raises:
         SourceError: it is damaged or of another version.
@@ -102,7 +102,7 @@ def _read_folder(folder: Path) -> RunFolder | CollisionVerdict | str | None:
 
 
 def _failure(path: Path) -> str | None:
-    """Return why a collision validation came to nothing; None where it did not."""
+    """Return the reason of a failed collision validation; None of a successful one."""
     entry = _json(path)
     status, reason = entry.get("status"), entry.get("reason")
     if not isinstance(status, str) or not isinstance(reason, str):

@@ -1,4 +1,4 @@
-"""Scoring what another program made of a run's recorded scans, by the metrics of the run's own record."""
+"""Scores of another program's trajectory and map from a run's recorded scans."""
 
 from __future__ import annotations
 
@@ -27,22 +27,23 @@ from lirs_wct.geometry.trajectory import Trajectory
 Frame = Literal["auto", "map", "world"]
 FRAMES: tuple[Frame, ...] = ("auto", "map", "world")
 NEAR, NEAR_SHARE, NEAR_YAW = 0.5, 0.1, math.radians(20)
-"""A trajectory begins where the run was: within so many meters, this share of the way driven until then, and
-this angle; else it is in another frame."""
+"""Tolerances of a trajectory's first pose: meters, share of the path driven until then, and angle. Beyond
+them, the trajectory is in another frame."""
 TOLD_APART = 0.2
-"""Difference of F1 from which on one of two frames is the right one."""
+"""Smallest difference of F1 that identifies one of two frames."""
 SAME_RESOLUTION = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """What a result scored.
+    """Score of a trajectory and a map, by the metrics of a record.
 
     Attributes:
         run: name of the run.
-        status: `ok`, or `incomplete` where the trajectory leaves out scans; `reason` says how many.
-        frame: in which the result was given.
-        given: poses of the trajectory; 0 without one.
+        status: `ok`, or `incomplete` if the trajectory leaves out scans.
+        reason: number of missing scans; empty if the status is `ok`.
+        frame: frame of the result.
+        given: number of poses of the trajectory; 0 without one.
         trajectory: as in a record; empty without a trajectory.
         map: as in a record; empty without a map.
     """
@@ -128,11 +129,11 @@ def frame_of(path: Path, estimate: Trajectory, truth: Trajectory, frame: Frame) 
     if frame in fits or (frame == "auto" and fits):
         return "map" if (frame if frame in fits else fits[0]) == "map" else "world"
     places = " or ".join(
-        f"{_formatted(pose)} in the {name} frame" for name, pose in there.items() if frame in ("auto", name)
+        f"{_pose_text(pose)} in the {name} frame" for name, pose in there.items() if frame in ("auto", name)
     )
     hint = f"; it fits the {fits[0]} frame: --frame {fits[0]}" if fits else ""
     raise SourceError(
-        f"{path}: another frame: at {estimate.stamps[j[0]]:.2f} s it begins at {_formatted(first)}, where "
+        f"{path}: another frame: at {estimate.stamps[j[0]]:.2f} s it begins at {_pose_text(first)}, where "
         f"the run was at {places}; the map frame's origin is the first base pose{hint}"
     )
 
@@ -144,7 +145,7 @@ def frame_of_map(run: RunFolder, path: Path, truth: Trajectory) -> Literal["map"
         SourceError: it agrees as well, or as badly, in the other frame.
     """
     built, reference = read_map(path), read_map(run.folder / "map_true_pose.yaml")
-    in_map, in_world = (_agreed(grid, reference) for grid in (built.moved(truth.pose2(0)), built))
+    in_map, in_world = (_f1(grid, reference) for grid in (built.moved(truth.pose2(0)), built))
     if in_map == in_world:  # the frames are the same, or the map is of another place
         return "map"
     if abs(in_map - in_world) < TOLD_APART:
@@ -155,7 +156,7 @@ def frame_of_map(run: RunFolder, path: Path, truth: Trajectory) -> Literal["map"
     return "map" if in_map > in_world else "world"
 
 
-def _agreed(built: OccupancyGrid, reference: OccupancyGrid) -> float:
+def _f1(built: OccupancyGrid, reference: OccupancyGrid) -> float:
     return agreement(decided(built), decided(reference)).f1 or 0.0
 
 
@@ -163,7 +164,7 @@ def _near(a: Pose2, b: Pose2, driven: float) -> bool:
     return a.distance(b) <= NEAR + NEAR_SHARE * driven and abs(wrap_angle(a.yaw - b.yaw)) <= NEAR_YAW
 
 
-def _formatted(pose: Pose2) -> str:
+def _pose_text(pose: Pose2) -> str:
     return f"({pose.x:.2f}, {pose.y:.2f}) m, {math.degrees(pose.yaw):.0f} deg"
 
 
@@ -196,10 +197,10 @@ def _score_trajectory(
 def _score_map(
     run: RunFolder, path: Path, T_world_frame: Pose2, alignment: StartAlignment | None
 ) -> dict[str, Any]:
-    """Compare with the recorded true-pose map, or with one made anew where the cells have another size.
+    """Compare a map with the true-pose map, which is rebuilt for another cell size.
 
     Raises:
-        SourceError: the map knows nothing of where the run took place.
+        SourceError: the map does not cover the place of the run.
     """
     config = recorded_world_config(run.entry)
     built = read_map(path).moved(T_world_frame)

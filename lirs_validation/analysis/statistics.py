@@ -52,13 +52,13 @@ def repeats(values: Sequence[float]) -> Repeats | None:
 
 
 def paired_test(d: FloatArray) -> tuple[Test, float | None, float | None, float | None]:
-    """Return the test that suits paired differences (n,), its p value, and the mean's 95 % interval."""
+    """Return the test for paired differences (n,), its p value, and the mean's 95 % interval."""
     found = repeats(d.tolist())
     if found is None or found.half_width is None:
         return "none", None, None, None
     low, high = found.mean - found.half_width, found.mean + found.half_width
     if np.ptp(d) <= 1e-12 * max(1.0, float(np.abs(d).max())):
-        # No spread to hold the mean against: only that all point one way.
+        # Without spread there is no t test, only the common sign.
         return "sign", 1.0 if abs(found.mean) <= 1e-12 else 2.0 ** (1 - len(d)), low, high
     if len(d) >= RANKED and float(stats.shapiro(d).pvalue) < PLAINLY:
         interval = stats.bootstrap(
@@ -69,7 +69,10 @@ def paired_test(d: FloatArray) -> tuple[Test, float | None, float | None, float 
 
 
 def holm(p: FloatArray) -> FloatArray:
-    """Return p values (n,) corrected for being n: the k-th smallest times n - k + 1, never decreasing."""
+    """Correct p values (n,) after Holm.
+
+    The k-th smallest is multiplied by n - k + 1; the results never decrease.
+    """
     order = np.argsort(p, kind="stable")
     raised = p[order] * np.arange(len(p), 0, -1)
     result = np.empty_like(p)

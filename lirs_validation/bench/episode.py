@@ -139,8 +139,8 @@ def _drive(
     log: EpisodeLog,
     progress: Progress,
 ) -> None:
-    policy = _asked(lambda: choice.make(env, task), "cannot be made")
-    _asked(lambda: policy.reset(dict(log.first)), "reset(info)")
+    policy = _call_policy(lambda: choice.make(env, task), "cannot be made")
+    _call_policy(lambda: policy.reset(dict(log.first)), "reset(info)")
     driven, steps = 0.0, 0
     budget = math.inf if task.path_budget is None else task.path_budget
     while not log.reason:
@@ -159,7 +159,7 @@ def _drive(
                 env.render()
 
 
-def _asked(ask: Callable[[], Any], what: str) -> Any:
+def _call_policy(ask: Callable[[], Any], what: str) -> Any:
     """Return what a policy answers.
 
     Raises:
@@ -183,7 +183,7 @@ def _action(env: RobotEnv, policy: Policy, observation: Observed) -> Float32Arra
     Raises:
         PolicyError: it raised, or the action has a wrong shape or is not finite.
     """
-    given = _asked(lambda: policy.act(observation), "act(observation)")
+    given = _call_policy(lambda: policy.act(observation), "act(observation)")
     size = env.episodes.action_space.shape[0]
     try:
         action = np.asarray(given, dtype=np.float32)

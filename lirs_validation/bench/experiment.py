@@ -28,7 +28,7 @@ RECORD, PICTURE = "episode.json", "episode.png"
 SCHEMA = 1
 """Of an episode's record."""
 NO_METRICS = {"score": 0.0, "success": False, "collision": False, "path_length": 0.0, "time": 0.0}
-"""Of an episode that came to nothing."""
+"""Metrics of an episode that failed."""
 SPACING = 1.0
 """Seconds between the poses that a record keeps."""
 
@@ -56,7 +56,7 @@ class BenchExperiment:
     @cached_property
     def name(self) -> str:
         """Name of its folder."""
-        text = json.dumps(self._asked(), sort_keys=True)
+        text = json.dumps(self._identity(), sort_keys=True)
         digest = hashlib.sha256(text.encode()).hexdigest()[:8]
         return f"{self.set_name}-{self.task.name}-{self.policy.short}-{digest}"
 
@@ -94,7 +94,7 @@ class BenchExperiment:
         with atomic_folder(out / self.name) as folder:
             if pictures:
                 cv2.imwrite(str(folder / PICTURE), pictures[0][..., ::-1])
-            self._write(folder, outcome, episode_metrics(self.task, log), _sampled(log))
+            self._write(folder, outcome, episode_metrics(self.task, log), _sample_series(log))
         return outcome
 
     def write_failure(self, out: Path, outcome: Outcome) -> None:
@@ -102,7 +102,7 @@ class BenchExperiment:
         with atomic_folder(out / self.name) as folder:
             self._write(folder, outcome, NO_METRICS, {})
 
-    def finished(self, out: Path) -> Outcome | None:
+    def find_outcome(self, out: Path) -> Outcome | None:
         """Return how the episode ended, if this code and this policy wrote its record."""
         folder = out / self.name
         try:
@@ -120,21 +120,21 @@ class BenchExperiment:
         """Groups of observations that the policy is given."""
         return self.policy.observe or ENVIRONMENT_TASKS[self.task.task].observe
 
-    def described(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, Any]:
         """Return name and what was asked."""
-        return {"name": self.name} | self._asked()
+        return {"name": self.name} | self._identity()
 
-    def _asked(self) -> dict[str, Any]:
+    def _identity(self) -> dict[str, Any]:
         return {
             "set": self.set_name,
             "set_version": self.set_version,
-            "task": self.task.described(),
+            "task": self.task.describe(),
             "policy": self.policy.name,
             "arguments": dict(self.policy.arguments),
         }
 
     def _write(self, folder: Path, outcome: Outcome, metrics: dict[str, Any], series: dict[str, Any]) -> None:
-        entry = {"schema": SCHEMA} | self._asked()
+        entry = {"schema": SCHEMA} | self._identity()
         entry |= {"observe": self.observe, "status": outcome.status, "reason": outcome.reason}
         entry |= {"metrics": metrics, "trace": outcome.trace, "versions": versions()} | series
         text = json.dumps(entry, indent=1, default=plain)
@@ -149,7 +149,7 @@ def _check_policy(policy: PolicyChoice, task: str) -> None:
     _ = policy.observe
 
 
-def _sampled(log: EpisodeLog) -> dict[str, Any]:
+def _sample_series(log: EpisodeLog) -> dict[str, Any]:
     """Return a pose a second, and where ground is to be seen the coverage with it."""
     step = max(1, round(SPACING * (len(log.poses) - 1) / max(float(log.last["time"]), 1e-9)))
     kept = sorted({*range(0, len(log.poses), step), len(log.poses) - 1})

@@ -9,7 +9,7 @@ from typing import Any
 
 from lirs_validation.bench.experiment import RECORD, read_episode
 from lirs_validation.bench.policies import UPPER_BOUND, PolicyChoice
-from lirs_validation.bench.scores import Score, score_of
+from lirs_validation.bench.scores import PolicyScore, score_of
 from lirs_validation.bench.tasks import BenchTask, TaskSet
 from lirs_validation.record.provenance import same_code
 from lirs_wct.errors import SourceError
@@ -29,7 +29,7 @@ class PolicyResult:
     """
 
     policy: PolicyChoice
-    score: Score
+    score: PolicyScore
     episodes: dict[str, dict[str, Any]]
 
     @property
@@ -44,7 +44,7 @@ class PolicyResult:
 
     @property
     def failed(self) -> int:
-        """Episodes in which the policy itself failed, or that came to nothing."""
+        """Episodes in which the policy itself failed, or that could not run."""
         return sum(entry["status"] != "ok" for entry in self.episodes.values())
 
     @property
@@ -72,7 +72,7 @@ def read_results(out: Path, tasks: TaskSet, chosen: Sequence[BenchTask]) -> list
 
     Episodes of other code, of another version of the set, or of a task that has changed are left out.
     """
-    described = {task.name: task.described() for task in chosen}
+    described = {task.name: task.describe() for task in chosen}
     found: dict[PolicyChoice, dict[str, dict[str, Any]]] = {}
     for path in sorted(out.glob(f"{tasks.name}-*/{RECORD}")):
         try:

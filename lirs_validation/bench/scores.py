@@ -18,7 +18,7 @@ SEED = 1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Score:
+class PolicyScore:
     """A mean over tasks.
 
     Attributes:
@@ -34,15 +34,15 @@ class Score:
     count: int
 
 
-def score_of(values: Sequence[float]) -> Score | None:
+def score_of(values: Sequence[float]) -> PolicyScore | None:
     """Return the mean of tasks' scores with its interval; None of no score."""
     if not values:
         return None
     scores, mean = np.array(values, dtype=np.float64), float(np.mean(values))
     if len(scores) == 1:
-        return Score(mean=mean, low=None, high=None, count=1)
+        return PolicyScore(mean=mean, low=None, high=None, count=1)
     if np.ptp(scores) == 0:
-        return Score(mean=mean, low=mean, high=mean, count=len(scores))
+        return PolicyScore(mean=mean, low=mean, high=mean, count=len(scores))
     found = stats.bootstrap(
         (scores,),
         np.mean,
@@ -51,7 +51,7 @@ def score_of(values: Sequence[float]) -> Score | None:
         method="percentile",
         rng=np.random.default_rng(SEED),
     ).confidence_interval
-    return Score(mean=mean, low=float(found.low), high=float(found.high), count=len(scores))
+    return PolicyScore(mean=mean, low=float(found.low), high=float(found.high), count=len(scores))
 
 
 def success_by_path_length(success: bool, shortest: float, driven: float) -> float:

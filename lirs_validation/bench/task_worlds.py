@@ -70,7 +70,7 @@ class WorldSpec:
             SourceError: a file is missing or cannot be used.
         """
         if not self.files:
-            return _made(self.name, self.maker, self.options)
+            return _make_world(self.name, self.maker, self.options)
         return _from_files(tuple(self.places(data)), self.options)
 
     def places(self, data: Path | None) -> list[Path]:
@@ -86,14 +86,14 @@ class WorldSpec:
                 raise SourceError(f"{self.name}: {where}: {file.origin} (sha256 {file.sha256[:12]}...)")
         return [path for path in found if path is not None]
 
-    def described(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, Any]:
         """Return the JSON value."""
         entry: dict[str, Any] = {"maker": self.maker} | dict(self.options)
         return entry | ({"files": [vars(file) for file in self.files]} if self.files else {})
 
 
 def read_world(name: str, entry: Mapping[str, Any]) -> WorldSpec:
-    """Return a world of its JSON value (see `WorldSpec.described`).
+    """Return a world of its JSON value (see `WorldSpec.describe`).
 
     Options of the maker `files` are those of `BuildOptions`.
 
@@ -110,7 +110,7 @@ def read_world(name: str, entry: Mapping[str, Any]) -> WorldSpec:
     return WorldSpec(name=name, maker=maker, options=tuple(options.items()), files=specs)
 
 
-def _bundled(name: str, *, source: str) -> World:
+def _bundled_world(name: str, *, source: str) -> World:
     if source not in RECIPES:
         raise unknown_name("bundled world", source, RECIPES)
     return cached_world(source)
@@ -148,7 +148,7 @@ def _floor_plan(name: str, *, seed: int) -> World:
 
 
 MAKERS: Mapping[str, Callable[..., World]] = {
-    "bundled": _bundled,
+    "bundled": _bundled_world,
     "natural": _natural,
     "boulders": _boulders,
     "course": _course,
@@ -158,7 +158,7 @@ MAKERS: Mapping[str, Callable[..., World]] = {
 
 
 @lru_cache(maxsize=4)
-def _made(name: str, maker: str, options: tuple[tuple[str, Any], ...]) -> World:
+def _make_world(name: str, maker: str, options: tuple[tuple[str, Any], ...]) -> World:
     try:
         return MAKERS[maker](name, **dict(options))
     except TypeError as error:

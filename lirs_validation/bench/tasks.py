@@ -102,10 +102,10 @@ class BenchTask:
         """Name of its world, or kind and difficulty of its course."""
         return self.world.name if self.world is not None else f"{self.course} {self.difficulty:g}"
 
-    def described(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, Any]:
         """Return everything that decides the episode, as JSON."""
         entry = {key: value for key, value in asdict(self).items() if value is not None and key != "world"}
-        return entry | ({} if self.world is None else {"world": self.world.described()})
+        return entry | ({} if self.world is None else {"world": self.world.describe()})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +161,7 @@ def task_set(name: str) -> TaskSet:
         SourceError: the file cannot be read or is no set of tasks.
     """
     if name in SETS:
-        return _shipped(name)
+        return _read_shipped_set(name)
     if not name.endswith(".json"):
         raise unknown_name("set", name, [*SETS, "FILE.json"])
     path = Path(name)
@@ -176,7 +176,7 @@ def task_set(name: str) -> TaskSet:
 
 
 @cache
-def _shipped(name: str) -> TaskSet:
+def _read_shipped_set(name: str) -> TaskSet:
     file = resources.files("lirs_validation.bench") / "task_sets" / f"{name}.json"
     return read_task_set(json.loads(file.read_text(encoding="utf-8")), name)
 
@@ -216,8 +216,8 @@ def _read_task(entry: Mapping[str, Any], worlds: Mapping[str, WorldSpec]) -> Ben
 
 def set_entry(found: TaskSet) -> dict[str, Any]:
     """Return the JSON value of a set (see `read_task_set`)."""
-    worlds = {t.world.name: t.world.described() for t in found.tasks if t.world is not None}
-    tasks = [t.described() | ({} if t.world is None else {"world": t.world.name}) for t in found.tasks]
+    worlds = {t.world.name: t.world.describe() for t in found.tasks if t.world is not None}
+    tasks = [t.describe() | ({} if t.world is None else {"world": t.world.name}) for t in found.tasks]
     return {
         "schema": SCHEMA,
         "name": found.name,

@@ -29,7 +29,7 @@ def with_logs_mapped(given: dict[str, Any], options: SourceOptions) -> tuple[dic
     if not logs:
         return given, options
     out = _folder(given.get("output"))
-    maps = {log: _mapped(log, options, out) for log in logs}
+    maps = {log: _map_log(log, options, out) for log in logs}
     found = [maps.get(source, source) for source in sources]
     rest = replace(options, log_mapper=type(options)().log_mapper)
     if len(logs) == len(sources):
@@ -44,7 +44,7 @@ def _folder(output: Path | None) -> Path:
     return output.parent if output.suffix else output
 
 
-def _mapped(log: str, options: SourceOptions, out: Path) -> str:
+def _map_log(log: str, options: SourceOptions, out: Path) -> str:
     from lirs_validation.logs.log_source import resolve_source
 
     with progress_bar(log, err) as progress:

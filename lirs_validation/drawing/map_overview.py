@@ -59,7 +59,7 @@ def map_overview(
     c = record.config
     headline(figure, f"{Path(c.log).name}: mapped by {c.mapper}, seed {c.seed}")
     halves = figure.add_gridspec(1, 2, width_ratios=(WIDTH, 4.0))
-    _map(figure.add_subplot(halves[0]), canvas, grid, estimate, _moved(reference, accuracy))
+    _map(figure.add_subplot(halves[0]), canvas, grid, estimate, _reference_in_map(reference, accuracy))
     rows = max(len(plots), LEAST_PLOTS)
     cells = halves[1].subgridspec(1 + rows, 1, height_ratios=(1.5, *[1.0] * rows))
     value_list(figure.add_subplot(cells[0]), map_lines(record))
@@ -97,7 +97,7 @@ def _plots(record: MapRecord, accuracy: Accuracy) -> list[tuple[str, str, FloatA
     return plots
 
 
-def _moved(reference: Trajectory | None, accuracy: Accuracy) -> Trajectory | None:
+def _reference_in_map(reference: Trajectory | None, accuracy: Accuracy) -> Trajectory | None:
     """Return the reference in the map frame, if the two could be compared."""
     if reference is None or accuracy.reference is None or not len(accuracy.reference.stamps):
         return None

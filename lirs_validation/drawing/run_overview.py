@@ -63,14 +63,14 @@ def elevation_panels(axes: tuple[Axes, Axes], canvas: Canvas, world: World, buil
 def height_picture(canvas: Canvas, world: World, built: ElevationMap) -> FloatArray:
     """Return (rows, cols, 3) heights on the colors of the world's terrain; gray = not seen."""
     low, high = float(world.surface.z.min()), float(world.surface.z.max())
-    z = _sampled(canvas, built, built.mean)
+    z = _sample(canvas, built, built.mean)
     picture = height_colors()((np.nan_to_num(z, nan=low) - low) / max(high - low, 1.0))[..., :3]
     return _with_unknown(picture, z, canvas, world)
 
 
 def error_picture(canvas: Canvas, world: World, built: ElevationMap) -> FloatArray:
     """Return (rows, cols, 3) white = right, blue = too low, vermillion = too high, gray = none."""
-    error = _sampled(canvas, built, built.error(world.surface, world.walls))
+    error = _sample(canvas, built, built.error(world.surface, world.walls))
     share = np.clip(np.nan_to_num(error) / FULL, -1, 1)[..., None]
     color = np.where(share > 0, rgb(VERMILLION), rgb(BLUE))
     return _with_unknown(1 - np.abs(share) * (1 - color), error, canvas, world)
@@ -83,7 +83,7 @@ def _with_unknown(picture: FloatArray, values: FloatArray, canvas: Canvas, world
     return picture
 
 
-def _sampled(canvas: Canvas, grid: ElevationMap, values: FloatArray) -> FloatArray:
+def _sample(canvas: Canvas, grid: ElevationMap, values: FloatArray) -> FloatArray:
     """Return (rows, cols) the values (of the grid's cells) at the canvas' pixels; NaN off the grid."""
     index = np.floor((canvas.centers - grid.origin) / grid.cell).astype(np.int64)
     col, row = index[..., 0], index[..., 1]
@@ -128,10 +128,10 @@ def overview_figure(
         panels = figure.add_subplot(grid[1, 1]), figure.add_subplot(grid[1, 2])
         elevation_panels(panels, canvas, world, elevation)
     if built is not None:
-        _built(figure.add_subplot(grid[1, 1]), canvas, built, true_pose, record.map.get("f1"))
+        _draw_built_map(figure.add_subplot(grid[1, 1]), canvas, built, true_pose, record.map.get("f1"))
     if aligned is not None:
         axes = figure.add_subplot(grid[1, 2])
-        _built(axes, canvas, aligned, true_pose, record.map.get("f1_aligned"))
+        _draw_built_map(axes, canvas, aligned, true_pose, record.map.get("f1_aligned"))
         title(axes, "Built map, aligned")
     return figure
 
@@ -182,7 +182,7 @@ def _reference(axes: Axes, canvas: Canvas, true_pose: OccupancyGrid) -> None:
     title(axes, "Map at the true poses")
 
 
-def _built(
+def _draw_built_map(
     axes: Axes, canvas: Canvas, built: OccupancyGrid, true_pose: OccupancyGrid, f1: float | None
 ) -> None:
     """Show a built map over the true-pose map: what is more than 0.10 m off or missing stands out."""

@@ -12,7 +12,7 @@ from typing import Any
 import rich
 import viser
 
-from lirs_validation.gui.session.uploads import Limits
+from lirs_validation.gui.session.uploads import PageLimits
 from lirs_validation.gui.view.page import Page
 from lirs_validation.gui.view.scene import Detail
 from lirs_wct.errors import ConfigError
@@ -40,11 +40,11 @@ class Server:
         runs: Path | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
-        limits: Limits | None = None,
+        limits: PageLimits | None = None,
         detail: Detail | None = None,
     ) -> None:
         self._source, self._runs = source, runs
-        self._limits, self._detail = limits or Limits(), detail or Detail()
+        self._limits, self._detail = limits or PageLimits(), detail or Detail()
         self._pages: dict[int, Page] = {}
         self._lock = threading.Lock()
         _check_free(host, port)

@@ -161,7 +161,7 @@ def distribution_chart(entries: Sequence[Entry], metrics: Sequence[Metric]) -> t
     for axes, metric in zip(columns, kept, strict=True):
         plain(axes, metric.heading)
         _strip(axes, metric, shown, mappers)
-    columns[0].set_yticks(range(len(shown)), [group.named(fields) for group in shown])
+    columns[0].set_yticks(range(len(shown)), [group.label(fields) for group in shown])
     columns[0].set_ylim(len(shown) - 0.5, -0.5)
     label = "Metrics of every run as dots, one row a group, medians as bars; the numbers stand in the tables"
     return as_svg(figure, label, "spread"), len(groups) - len(shown)
@@ -226,7 +226,7 @@ def _together(panels: dict[RunGroup, Any]) -> dict[RunGroup, Any]:
 
 def _title(group: RunGroup, groups: Mapping[RunGroup, Any]) -> str:
     """Return what distinguishes a panel from the others, its world first."""
-    return group.named({"world", *distinguishing_fields(groups)})
+    return group.label({"world", *distinguishing_fields(groups)})
 
 
 def _legend(figure: Figure, mappers: Sequence[str]) -> None:

@@ -80,7 +80,7 @@ class Report:
 def report_of(results: ResultFolder) -> Report:
     """Return the contents of a report on a folder of results."""
     manifest = results.manifest or {}
-    runs = _ordered(results.runs, manifest)
+    runs = _order_runs(results.runs, manifest)
     entries = [run.entry for run in runs]
     suite = manifest.get("suite")
     seeds = _seeds(entries)
@@ -92,7 +92,7 @@ def report_of(results: ResultFolder) -> Report:
         runs=runs,
         failures=failures_table(entries),
         checks_failed=checks_failed_table(failed, results.broken),
-        skipped=_skipped(results),
+        skipped=_skipped_table(results),
         summary=summary_table(entries),
         sections=_sections(entries),
         collisions=collision_table(results.collisions),
@@ -106,7 +106,7 @@ def report_of(results: ResultFolder) -> Report:
     )
 
 
-def _ordered(runs: Sequence[RunFolder], manifest: Entry) -> tuple[RunFolder, ...]:
+def _order_runs(runs: Sequence[RunFolder], manifest: Entry) -> tuple[RunFolder, ...]:
     place = {cell.get("name"): k for k, cell in enumerate(manifest.get("cells", ()))}
     return tuple(sorted(runs, key=lambda run: place.get(run.entry["name"], len(place))))
 
@@ -118,7 +118,7 @@ def _missing(results: ResultFolder, manifest: Entry) -> int:
     return asked - held - len(results.broken)
 
 
-def _skipped(results: ResultFolder) -> ReportTable:
+def _skipped_table(results: ResultFolder) -> ReportTable:
     caption = "Folders that are damaged or of another version: in no table below."
     return ReportTable("skipped", "Not read", caption, ("folder", "reason"), results.skipped, 2)
 

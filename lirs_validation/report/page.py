@@ -43,7 +43,7 @@ INTROS: dict[Section, str] = {
 
 
 @dataclass(frozen=True)
-class Picture:
+class PagePicture:
     """A run's picture on the page."""
 
     name: str
@@ -79,14 +79,14 @@ def _context(report: Report) -> dict[str, Any]:
         "title": report.title,
         "subtitle": report.subtitle,
         "tiles": _tiles(report),
-        "failures": _filled(report.failures),
-        "checks_failed": _filled(report.checks_failed),
-        "skipped": _filled(report.skipped),
+        "failures": _table_or_none(report.failures),
+        "checks_failed": _table_or_none(report.checks_failed),
+        "skipped": _table_or_none(report.skipped),
         "summary": report.summary,
         "methods": report.methods,
         "paper": report.paper,
         "sections": [_section(report, key, groups, runs) for key, groups, runs in report.sections],
-        "collisions": _filled(report.collisions),
+        "collisions": _table_or_none(report.collisions),
         "spread": _spread(report),
         "pictures": pictures,
         "pictures_note": note,
@@ -97,7 +97,7 @@ def _context(report: Report) -> dict[str, Any]:
     }
 
 
-def _filled(table: ReportTable) -> ReportTable | None:
+def _table_or_none(table: ReportTable) -> ReportTable | None:
     return table if table.rows else None
 
 
@@ -134,7 +134,7 @@ def _spread(report: Report) -> dict[str, str] | None:
     return {"svg": made[0], "caption": caption}
 
 
-def _pictures(runs: Sequence[RunFolder]) -> tuple[list[Picture], str]:
+def _pictures(runs: Sequence[RunFolder]) -> tuple[list[PagePicture], str]:
     """Return the pictures of runs that have maps, failures included, and which are shown."""
     drawn = [run for run in runs if run.entry["map"]]
     chosen, note = drawn, ""
@@ -146,10 +146,10 @@ def _pictures(runs: Sequence[RunFolder]) -> tuple[list[Picture], str]:
     for run in chosen:
         picture, group = painter.paint(run), RunGroup.of(run.entry)
         shown = {"world", "robot", "mapper", "terrain", "rays", *unusual_fields([group])}
-        name = f"{group.named(shown)}, seed {run.entry['seed']}"
+        name = f"{group.label(shown)}, seed {run.entry['seed']}"
         name += "" if run.entry["status"] == "ok" else f": {run.entry['status']}"
         name += f": {WORSE}" if worse_than_odometry(run.entry) else ""
-        pictures.append(Picture(name, picture.url, f"Paths and maps of {name}", picture.note))
+        pictures.append(PagePicture(name, picture.url, f"Paths and maps of {name}", picture.note))
     return pictures, note
 
 

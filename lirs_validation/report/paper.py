@@ -11,7 +11,7 @@ from lirs_validation.record.formatting import Entry, significant, span
 from lirs_validation.record.metric_catalog import Metric, metrics_named
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.tables.run_tables import EXTRAPOLATED, over_runs
-from lirs_validation.report.tables.table import Content, ReportTable, Spread
+from lirs_validation.report.tables.table import Content, MetricSpread, ReportTable
 
 HEIGHTMAP, SOLID, OURS = "heightmap-based", "solid-based", "ours"
 VIEWS: Final = {HEIGHTMAP: ("hfield", "mujoco"), SOLID: ("mesh", "mujoco"), OURS: ("hfield", "builtin")}
@@ -61,7 +61,7 @@ def _world_table(world: str, entries: Sequence[Entry]) -> ReportTable:
         row: list[Content] = [name]
         for view in VIEWS:
             if view != OURS:
-                row.append(_published(PUBLISHED_RTF.get((world, mapper, view))))
+                row.append(_published_text(PUBLISHED_RTF.get((world, mapper, view))))
             row.append(over_runs(RTF, husky_runs(entries, world, mapper, view)))
         rows.append(tuple(row))
     headings = (
@@ -84,7 +84,7 @@ def _robot_table(entries: Sequence[Entry]) -> ReportTable:
     for robot, value in ROBOT_MEANS.items():
         runs = [entry for entry in entries if entry["config"]["robot"] == robot]
         here = [over_runs(RTF, [e for e in runs if _view(e) == view]) for view in (SOLID, OURS)]
-        rows.append((robot, _published(value), *(_without_interval(spread) for spread in here)))
+        rows.append((robot, _published_text(value), *(_without_interval(spread) for spread in here)))
     caption = (
         "Mean RTF over all worlds, methods and seeds; without an interval, since worlds and methods are no "
         "repeats. The paper's are means on its solid worlds (Section III-D)."
@@ -93,11 +93,11 @@ def _robot_table(entries: Sequence[Entry]) -> ReportTable:
     return ReportTable("robots", "Average RTF by robot", caption, headings, tuple(rows))
 
 
-def _without_interval(spread: Spread) -> Content:
+def _without_interval(spread: MetricSpread) -> Content:
     return RTF.formatted(None if spread.values is None else spread.values.mean) + spread.mark
 
 
-def _published(value: float | None) -> str:
+def _published_text(value: float | None) -> str:
     return "lost" if value is None else f"{value:.2f}" if value > 0.02 else f"{value:.3f}"
 
 
@@ -131,8 +131,8 @@ def findings(entries: Sequence[Entry]) -> tuple[Finding, ...]:
     return (
         _collapse(means),
         _worse_with_terrain(means),
-        _ranked(means, "hector", "fastest", max),
-        _ranked(means, "gmapping", "slowest", min),
+        _rank_finding(means, "hector", "fastest", max),
+        _rank_finding(means, "gmapping", "slowest", min),
         _comfortable(means),
     )
 
@@ -192,7 +192,7 @@ def _worse_with_terrain(means: Means) -> Finding:
     )
 
 
-def _ranked(means: Means, mapper: str, rank: str, best: Callable[[Iterable[float]], float]) -> Finding:
+def _rank_finding(means: Means, mapper: str, rank: str, best: Callable[[Iterable[float]], float]) -> Finding:
     """One method is always the fastest, or the slowest."""
     claim = f"{MAPPERS[mapper]} is the {rank} of the three methods."
     won: dict[str, list[str]] = {m: [] for m in MAPPERS}

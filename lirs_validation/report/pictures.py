@@ -61,7 +61,7 @@ class Painter:
         """Return the run's picture."""
         try:
             truth, estimate = (read_tum(run.folder / f"{name}.tum") for name in ("truth", "estimate"))
-            true_pose, built = read_map(run.folder / "map_true_pose.yaml"), _built(run)
+            true_pose, built = read_map(run.folder / "map_true_pose.yaml"), _read_built_map(run)
         except WctError as error:
             return RunPicture("", str(error))
         if not true_pose.known.any():
@@ -102,7 +102,7 @@ class Painter:
         return _beside(panels), note
 
 
-def _built(run: RunFolder) -> OccupancyGrid | ElevationMap | None:
+def _read_built_map(run: RunFolder) -> OccupancyGrid | ElevationMap | None:
     """Read what the mapper mapped; None of a mapper of point clouds in a world with overhangs.
 
     Raises:

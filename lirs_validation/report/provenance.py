@@ -63,14 +63,14 @@ def _arguments(options: Options, stated: tuple[str, ...] = ()) -> Iterator[str]:
         if name not in stated:
             yield flags[name]
             if value is not True:
-                yield _formatted(value)
+                yield _option_text(value)
 
 
-def _formatted(value: Any) -> str:
+def _option_text(value: Any) -> str:
     if isinstance(value, Pose2):
         value = tuple(value.as_array().tolist())
     if isinstance(value, tuple):
-        return ",".join(map(_formatted, value))
+        return ",".join(map(_option_text, value))
     if isinstance(value, (str, Path)):
         return str(value)
     return f"{value:.12g}"

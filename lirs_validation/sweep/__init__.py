@@ -1,1 +1,1 @@
-"""Many runs: experiments at the crossings of axes, engines that run them, resuming what was interrupted."""
+"""Sweeps: experiments at every combination of options, engines that run them, resumption."""

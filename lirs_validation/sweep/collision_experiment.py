@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from lirs_validation.collision.validation import CollisionVerdict
 
 TEXTS = ("world", "robot", "terrain", "diverged")
-"""Of a verdict, what is not a number."""
+"""Fields of a verdict that are text."""
 STATUS = "cell.json"
-"""How the experiment ended, and which code says so."""
+"""File with the experiment's outcome and the versions of the code that wrote it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,7 @@ class CollisionExperiment:
     Attributes:
         source: the world.
         robot: name.
-        terrain: what is touched.
+        terrain: contact geometry.
         seconds: simulated time of the random drive.
         seed: of the random drive.
     """
@@ -54,7 +54,7 @@ class CollisionExperiment:
 
     @property
     def world_config(self) -> RunConfig:
-        """A config that stands for the world, and for the name: `collisions` drives in the mapper's place."""
+        """Config that gives the world and the name; its mapper is called `collisions`."""
         return RunConfig(
             source=self.source,
             robot=self.robot,
@@ -65,14 +65,14 @@ class CollisionExperiment:
         )
 
     def check(self) -> None:
-        """Look for source and robot."""
+        """Check that source and robot exist."""
         make_robot(self.robot)
         world_name(self.world_config)
 
     def perform(
         self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
     ) -> Outcome:
-        """Check the contacts; a metric over its limit is a finding, and no failure of the experiment."""
+        """Check the contacts. A metric over its limit is no failure of the experiment."""
         from lirs_validation.collision.validation import check_collisions, write_verdicts
 
         progress("build", 0.0)
@@ -88,13 +88,13 @@ class CollisionExperiment:
         return outcome
 
     def write_failure(self, out: Path, outcome: Outcome) -> None:
-        """Write how the experiment failed, and where."""
+        """Write the outcome and the traceback of a failed experiment."""
         with atomic_folder(out / self.name) as folder:
             self._write_status(folder, outcome)
             (folder / "error.txt").write_text(outcome.trace or outcome.reason, encoding="utf-8")
 
-    def finished(self, out: Path) -> Outcome | None:
-        """Return how the experiment ended, if this code wrote it after the source changed last."""
+    def find_outcome(self, out: Path) -> Outcome | None:
+        """Return the recorded outcome, if this code wrote it after the source's last change."""
         path = out / self.name / STATUS
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
@@ -109,7 +109,7 @@ class CollisionExperiment:
             return None
         return Outcome(experiment=self.name, status=status, reason=reason, written=True)
 
-    def described(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, Any]:
         """Return name and config."""
         return {"name": self.name, "world": world_name(self.world_config), "tables": ["collisions"]} | asdict(
             self

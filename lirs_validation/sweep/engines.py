@@ -26,30 +26,30 @@ from lirs_wct.files import remove_leftovers, remove_orphans
 from lirs_wct.progress import Progress
 
 MOST_MEMORY = 1e18
-"""Bytes that the system can be asked to keep a process below."""
+"""Largest memory limit that the system accepts, bytes."""
 
 ProgressOf = Callable[[str], Progress]
-"""Gives each experiment, by its name, the progress of its own work."""
+"""Function that returns the progress callback of an experiment by name."""
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
 """Environment of a worker: as many threads as workers, or they fight for the cores."""
 GRACE = 3.0
-"""Seconds that a worker is given to tidy up before it is killed."""
+"""Seconds that a worker has to clean up before it is killed."""
 TRACE = "lirs-wct-trace-"
-"""Beginning of the names of the files in which workers say where they crashed."""
+"""Prefix of the files with tracebacks of crashed workers."""
 SPAWN = multiprocessing.get_context("spawn")
 TRIES = 2
-"""An experiment whose process dies is given another one; not a third."""
+"""Processes that an experiment gets in all, if they die."""
 LONGEST_WAIT = 3600.0
-"""Seconds; the system cannot wait for weeks."""
+"""Seconds of one wait, at most; longer waits are not supported by the system."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What an experiment may use before it is stopped; a limit needs a process of its own.
+    """Limits of an experiment's time and memory. A limit requires a separate process.
 
     Attributes:
-        seconds: wall-clock time of a whole experiment; None = any.
-        memory: private memory of its process, bytes; None = any.
+        seconds: wall-clock time of a whole experiment; None = no limit.
+        memory: private memory of its process, bytes; None = no limit.
 
     Raises:
         ConfigError: a limit is not above 0, or not finite.
@@ -71,15 +71,15 @@ class Limits:
 
 
 class Executor(Protocol):
-    """Runs experiments, each at least once, and yields one outcome for each, as it ends."""
+    """Interface of an engine: run each experiment at least once, yield one outcome each."""
 
     def run(self, experiments: Sequence[Experiment], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
-        """Run experiments into folders of `out`; failures are outcomes, which the caller writes."""
+        """Run experiments into folders of `out`. The caller writes the outcomes of failures."""
         ...
 
 
 class Serial:
-    """One experiment after the other in this process: nothing beside it, so its real-time factors count."""
+    """Run one experiment after the other in this process; real-time factors are valid."""
 
     def run(self, experiments: Sequence[Experiment], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
         """Run experiments into folders of `out`."""
@@ -90,7 +90,7 @@ class Serial:
 
 @dataclass(frozen=True)
 class Job:
-    """What a worker is asked to do; a scenario that was built elsewhere spares it building."""
+    """Job of a worker. A scenario that is already built saves its construction."""
 
     experiment: Experiment
     out: Path
@@ -99,9 +99,9 @@ class Job:
 
 
 class Worker:
-    """Another process, one job at a time.
+    """Worker process that runs one job at a time and can be killed.
 
-    What it says comes through `pipe`: `("begun",)`, then `("progress", step, share)` any number of
+    Its messages come through `pipe`: `("begun",)`, then `("progress", step, share)` any number of
     times, then `("done", outcome)`.
     """
 
@@ -126,7 +126,7 @@ class Worker:
         return self._process.pid
 
     def begin(self, job: Job) -> None:
-        """Give it a job; its time counts from when it says that it began."""
+        """Send a job to the worker. Its time starts with the message `begun`."""
         self.job, self._since = job, float("inf")
         with contextlib.suppress(OSError):  # it has died: the pipe will say so
             self.pipe.send(job)
@@ -135,14 +135,14 @@ class Worker:
         """Start the clock of the job."""
         self._since = time.monotonic()
 
-    def left(self) -> float | None:
-        """Return the seconds that the job may still take; None = any."""
+    def seconds_left(self) -> float | None:
+        """Return the seconds left for the job; None = no limit."""
         if self._limits.seconds is None or self._since == float("inf"):
             return None
         return max(0.0, self._since + self._limits.seconds - time.monotonic())
 
     def where(self) -> str:
-        """Return where in Python it crashed, or ask where it is at present; empty if it does not say."""
+        """Return the traceback of the crash or of the present state; empty if there is none."""
         if hasattr(signal, "SIGUSR1") and self._process.is_alive():
             os.kill(self.pid, signal.SIGUSR1)
             time.sleep(0.3)
@@ -157,11 +157,11 @@ class Worker:
         return f"signal {signal.Signals(-code).name}"
 
     def ask_to_end(self) -> None:
-        """Let it tidy up and end; `stop` sees to it that it does."""
+        """Ask the process to clean up and end; `stop` enforces it."""
         self._process.terminate()
 
     def stop(self) -> None:
-        """End it: it may tidy up for a moment, then it is killed."""
+        """End the process: wait GRACE seconds for its cleanup, then kill it."""
         self.ask_to_end()
         self._process.join(GRACE)
         if self._process.is_alive():
@@ -228,7 +228,7 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _ignore_sigint() -> Iterator[None]:
-    """Let a process start so that Ctrl-C does not reach it before it can say how it takes it."""
+    """Ignore Ctrl-C during a process start, until the process has its own handler."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -246,13 +246,15 @@ def cores() -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class Processes:
-    """Experiments in processes of their own, `jobs` at a time.
+    """Run experiments in separate processes, `jobs` at a time.
+
+    A process that is killed, hangs or leaks costs only its own run.
 
     Attributes:
-        jobs: how many at a time; with one, its real-time factors count as those of `Serial` do.
+        jobs: number of concurrent runs; with one, real-time factors are valid as in `Serial`.
         limits: of an experiment.
-        scenario: a world that was built elsewhere.
-        concurrent: whether others work beside this engine too.
+        scenario: world that is already built.
+        concurrent: whether other engines run at the same time.
     """
 
     jobs: int
@@ -270,7 +272,7 @@ class Processes:
 
 
 class _Pool:
-    """The workers of one sweep and what each of them is at."""
+    """Workers of one sweep and their jobs."""
 
     def __init__(
         self, engine: Processes, experiments: Sequence[Experiment], out: Path, progress_of: ProgressOf
@@ -288,11 +290,11 @@ class _Pool:
                 outcome = self._listen(worker)
                 if outcome is not None:
                     yield outcome
-            for worker in [w for w in self._busy if w.left() == 0.0]:
+            for worker in [w for w in self._busy if w.seconds_left() == 0.0]:
                 yield self._give_up(worker)
 
     def stop(self) -> None:
-        """End every process; they tidy up beside each other."""
+        """End all processes; they clean up concurrently."""
         for worker in self._workers:
             worker.ask_to_end()
         while self._workers:
@@ -303,7 +305,7 @@ class _Pool:
         return [worker for worker in self._workers if worker.job is not None]
 
     def _hand_out(self) -> None:
-        """Give every idle worker an experiment, and make workers while there are too few."""
+        """Give every idle worker an experiment; start workers while there are too few."""
         while self._waiting and len(self._busy) < self._engine.jobs:
             idle = [worker for worker in self._workers if worker.job is None]
             if not idle:
@@ -313,8 +315,8 @@ class _Pool:
             idle[0].begin(Job(self._waiting.popleft(), self._out, concurrent, self._engine.scenario))
 
     def _talking(self) -> list[Worker]:
-        """Wait until a worker speaks or dies, or until one's time is over."""
-        left = [seconds for w in self._busy if (seconds := w.left()) is not None]
+        """Wait until a worker sends a message, dies or exceeds its time; return those ready."""
+        left = [seconds for w in self._busy if (seconds := w.seconds_left()) is not None]
         ready = wait([w.pipe for w in self._busy], min([*left, LONGEST_WAIT]))
         return [worker for worker in self._busy if worker.pipe in ready]
 
@@ -332,13 +334,13 @@ class _Pool:
                 self._progress_of(name)(step, share)
             case ("done", Outcome() as outcome):
                 worker.job = None
-                if outcome.status == "error":  # what it leaked goes with it
+                if outcome.status == "error":  # frees leaked memory
                     self._dismiss(worker)
                 return outcome
         return None
 
     def _handle_crash(self, worker: Worker) -> Outcome | None:
-        """Give the experiment of a dead worker to another one, or give it up."""
+        """Retry the experiment of a dead worker, or return its failure."""
         assert worker.job is not None
         experiment, cause, trace = worker.job.experiment, worker.cause_of_death(), worker.where()
         self._dismiss(worker)

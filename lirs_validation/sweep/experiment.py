@@ -23,16 +23,16 @@ MANIFEST_SCHEMA = 1
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How an experiment ended.
+    """Outcome of an experiment; small enough to keep thousands of them.
 
     Attributes:
         experiment: its name.
         status: that of its record.
         reason: one line.
-        trace: where it failed, several lines; empty where it did not.
-        bad_input: whether something that the user gave cannot be used.
+        trace: traceback of the failure; empty without a failure.
+        bad_input: whether the user's input cannot be used.
         written: whether its folder is written.
-        unwritable: whether its results could not be written: it is worth running again.
+        unwritable: whether its results could not be written; it is run again.
     """
 
     experiment: str
@@ -70,7 +70,7 @@ def outcome_of(error: BaseException, experiment: str) -> Outcome:
 
 
 class Experiment(Protocol):
-    """A unit of a sweep: it gives the same folder, wherever and however often it is run."""
+    """Unit of a sweep. Every repetition on any machine gives the same folder."""
 
     @property
     def name(self) -> str:
@@ -79,11 +79,11 @@ class Experiment(Protocol):
 
     @property
     def world_config(self) -> RunConfig | None:
-        """A config of the world that it takes place in; None = it makes its world itself."""
+        """Config of its world; None = the experiment makes its world itself."""
         ...
 
     def check(self) -> None:
-        """Look at everything that can be looked at before the world is built.
+        """Check everything that can be checked before the world is built.
 
         Raises:
             WctError: the experiment cannot be run as it was asked for.
@@ -93,7 +93,7 @@ class Experiment(Protocol):
     def perform(
         self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
     ) -> Outcome:
-        """Run, and write the folder whole or not at all.
+        """Run the experiment and write its folder atomically.
 
         Raises:
             WctError: it cannot be run, or not written.
@@ -101,29 +101,29 @@ class Experiment(Protocol):
         ...
 
     def write_failure(self, out: Path, outcome: Outcome) -> None:
-        """Write the folder of an experiment that came to nothing: its record, and `error.txt`.
+        """Write the folder of a failed experiment: its record, and `error.txt`.
 
         Raises:
             OutputError: the folder cannot be written.
         """
         ...
 
-    def finished(self, out: Path) -> Outcome | None:
-        """Return how the experiment ended when its folder was written; None where it is to be run (again)."""
+    def find_outcome(self, out: Path) -> Outcome | None:
+        """Return the outcome in an existing folder; None = the experiment must run."""
         ...
 
-    def described(self) -> dict[str, Any]:
-        """Return what the sweep's file says about the experiment."""
+    def describe(self) -> dict[str, Any]:
+        """Return the experiment's entry in `sweep.json`."""
         ...
 
 
 def attempt(
     experiment: Experiment, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
 ) -> Outcome:
-    """Perform an experiment; whatever it raises becomes its outcome, `SystemExit` too.
+    """Perform an experiment. All exceptions, also `SystemExit`, become outcomes.
 
     Raises:
-        KeyboardInterrupt: the user, or who waits for this process, wants it to end.
+        KeyboardInterrupt: the user or the parent process ends this process.
     """
     try:
         return experiment.perform(out, scenarios, progress, concurrent=concurrent)
@@ -135,12 +135,12 @@ def attempt(
 
 @dataclass(frozen=True, kw_only=True)
 class Manifest:
-    """What was asked for.
+    """Content of `sweep.json`: the requested experiments.
 
     Attributes:
         command: the command line.
-        suite: name of the suite; None = the experiments were asked for one by one.
-        cells: of each experiment its name, world and config, and the suite's tables that it belongs to.
+        suite: name of the suite; None = the experiments were given one by one.
+        cells: name, world, config and the suite's tables of each experiment.
     """
 
     command: str = ""

@@ -1,6 +1,6 @@
-"""The engine of many machines: Ray runs the experiments, and this process alone writes what comes back.
+"""Engine of a cluster: Ray runs the experiments, and only this process writes the results.
 
-An experiment whose worker dies is run again elsewhere (at least once); its result arrives once.
+An experiment whose worker dies is run again elsewhere (at least once); its result is written once.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from lirs_wct.files import atomic_folder
 from lirs_wct.progress import no_progress
 
 RETRIES = 3
-"""Times that an experiment is given to another worker when one dies."""
+"""Retries of an experiment after the death of its worker."""
 AHEAD = 2
 """Experiments handed to Ray for each of its cores: enough to keep it busy, few enough to stay small."""
 PATIENCE = 5.0
-"""Seconds that a cluster has to answer."""
+"""Timeout of the connection to a cluster, seconds."""
 TOKEN = Path.home() / ".ray" / "auth_token"
 
 Files = dict[str, bytes]
@@ -37,11 +37,11 @@ Files = dict[str, bytes]
 
 @dataclass(frozen=True, kw_only=True)
 class RayCluster:
-    """Experiments on a Ray cluster. Its machines need this package; worlds go to them, results come back.
+    """Run experiments on a Ray cluster whose machines have this package.
 
     Attributes:
-        address: of the cluster; None = one is started on this machine, and stopped after the sweep.
-        jobs: experiments at a time on a cluster of its own; None = one a core.
+        address: of the cluster; None = start one on this machine, and stop it after the sweep.
+        jobs: concurrent experiments on a local cluster; None = one per core.
         limits: of an experiment.
     """
 
@@ -55,12 +55,12 @@ class RayCluster:
         Raises:
             ConfigError: Ray is not installed, or no cluster answers at the address.
         """
-        with _connected(self.address, self.jobs) as ray:
+        with _ray_session(self.address, self.jobs) as ray:
             yield from _Flight(ray, self.limits).outcomes(experiments, out, progress_of)
 
 
 class _Flight:
-    """The experiments that Ray has at present."""
+    """Experiments that Ray is running or holds in its queue."""
 
     def __init__(self, ray: Any, limits: Limits) -> None:
         self._ray, self._limits = ray, limits
@@ -82,7 +82,7 @@ class _Flight:
                     yield outcome_of(error, experiment.name)
             for done in self._ray.wait(list(self._flying), timeout=1.0)[0]:
                 experiment = self._flying.pop(done)
-                outcome = self._collected(done, experiment, out)
+                outcome = self._collect(done, experiment, out)
                 progress_of(experiment.name)("evaluate", 1.0)
                 yield outcome
 
@@ -92,7 +92,7 @@ class _Flight:
         self._flying[task] = experiment
 
     def _scenario(self, config: RunConfig | None) -> Any:
-        """Return where Ray holds the scenario of a config; None = the experiment makes its world itself."""
+        """Return Ray's reference to the scenario of a config; None without a config."""
         if config is None:
             return None
         key = (config.source, config.build)
@@ -101,8 +101,8 @@ class _Flight:
             self._scenarios = {key: self._ray.put(build_scenario(config))}
         return self._scenarios[key]
 
-    def _collected(self, done: Any, experiment: Experiment, out: Path) -> Outcome:
-        """Write what came back; only here, so that an experiment run twice is in the results once."""
+    def _collect(self, done: Any, experiment: Experiment, out: Path) -> Outcome:
+        """Write a returned folder. An experiment that ran twice is written once."""
         try:
             outcome, files = self._ray.get(done)
         except Exception as error:
@@ -140,8 +140,8 @@ def perform_remotely(
 
 
 @contextmanager
-def _connected(address: str | None, jobs: int | None) -> Iterator[Any]:
-    """Give Ray, connected; a cluster that was there before stays."""
+def _ray_session(address: str | None, jobs: int | None) -> Iterator[Any]:
+    """Connect to Ray for a `with` block. An existing cluster keeps running."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     if address is not None:
@@ -197,6 +197,6 @@ def _probe_address(address: str) -> None:
 
 
 def _show_token() -> None:
-    """Use Ray's token where this machine has one, as `ray start` does; read when Ray is imported."""
+    """Use Ray's token if this machine has one. Ray reads it at import."""
     if any(name in os.environ for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")) or TOKEN.exists():
         os.environ.setdefault("RAY_AUTH_MODE", "token")

@@ -34,9 +34,9 @@ class SlamExperiment:
     """One validation run of a sweep.
 
     Attributes:
-        config: what to run.
-        tables: parts of the suite that its metrics belong to; empty outside suites.
-        folder: name of its folder; None = what tells it from other runs.
+        config: configuration of the run.
+        tables: tables of the suite that its metrics belong to; empty outside suites.
+        folder: name of its folder; None = the run's unique name.
     """
 
     config: RunConfig
@@ -59,7 +59,7 @@ class SlamExperiment:
         return self.config
 
     def check(self) -> None:
-        """Look for source, robot, LRF and mapper, and at the file that the driver needs."""
+        """Check source, robot, lidar, mapper, and the file of the driver."""
         c = self.config
         _check_names(c.robot, c.lidar, c.mapper, driver_parts(c.driver)[0] == "frontier")
         check_driver(self.config)
@@ -82,7 +82,7 @@ class SlamExperiment:
         return Outcome(experiment=self.name, status=record.status, reason=record.reason, written=True)
 
     def write_failure(self, out: Path, outcome: Outcome) -> None:
-        """Write a record without metrics, and where the run failed."""
+        """Write a record without metrics, and the traceback."""
         record = RunRecord(
             config=self.config,
             world={"name": self.world},
@@ -94,8 +94,8 @@ class SlamExperiment:
             (folder / "error.txt").write_text(outcome.trace or outcome.reason, encoding="utf-8")
             replace(record, file_sizes=file_sizes(folder)).save(folder)
 
-    def finished(self, out: Path) -> Outcome | None:
-        """Return how the run ended, if this code wrote it, whole, after source and mapper changed last."""
+    def find_outcome(self, out: Path) -> Outcome | None:
+        """Return the recorded outcome if the folder is complete and newer than all inputs."""
         folder = out / self.name
         try:
             record = read_whole_record(folder)
@@ -107,7 +107,7 @@ class SlamExperiment:
         inputs = [*world_files(self.config), source_file(self.config.mapper), *driver_files(self.config)]
         if is_stale(folder / "record.json", record.get("versions"), inputs):
             return None
-        if record["name"] != run_name(self.config, self.world) or not _recorded(record, self.config):
+        if record["name"] != run_name(self.config, self.world) or not _has_bag(record, self.config):
             return None
         if not package_versions(self.config.mapper).items() <= record["versions"].items():
             return None
@@ -115,14 +115,14 @@ class SlamExperiment:
             return None
         return Outcome(experiment=self.name, status=status, reason=reason, written=True)
 
-    def described(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, Any]:
         """Return name, world and config, and the parts of the suite."""
         config = asdict(self.config)
         return {"name": self.name, "world": self.world, "tables": list(self.tables)} | config
 
 
-def _recorded(record: Mapping[str, Any], config: RunConfig) -> bool:
-    """Whether a run holds the bag that a config asks for; one that came to nothing holds none."""
+def _has_bag(record: Mapping[str, Any], config: RunConfig) -> bool:
+    """Whether a run has the bag of its config; a failed run needs none."""
     if config.bag is None or record["status"] in ("error", "timeout"):
         return True
     held = record["config"]

@@ -1,4 +1,4 @@
-"""A sweep: run the experiments that have no result yet, and keep a folder of results."""
+"""Sweep: run the experiments without a result, and keep a folder of results."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ class Sweep:
     """Experiments and the folder for their results.
 
     Args:
-        experiments: what to run; of several with one name, one is.
-        out: folder that receives a folder an experiment, and `sweep.json`.
-        manifest: what `sweep.json` says beside the experiments.
+        experiments: experiments to run; of several with one name, the last.
+        out: folder for the experiments' folders and `sweep.json`.
+        manifest: content of `sweep.json` except the experiments.
         listed: whether `sweep.json` is written.
         retry_failed: run experiments again that failed before.
 
     Attributes:
         outcomes: of the experiments that are finished, by name; small, for thousands of experiments.
-        kept: how many were finished before.
+        kept: number of experiments with a result from before.
         unwritten: experiments whose results could not be written, with the reason.
 
     Raises:
@@ -50,10 +50,10 @@ class Sweep:
             experiment.check()
         self.experiments = list({experiment.name: experiment for experiment in experiments}.values())
         self.out = out
-        described = tuple(experiment.described() for experiment in self.experiments)
+        described = tuple(experiment.describe() for experiment in self.experiments)
         self._manifest = replace(manifest or Manifest(), cells=described) if listed else None
         remove_leftovers(out / experiment.name for experiment in self.experiments)
-        found = {experiment.name: experiment.finished(out) for experiment in self.experiments}
+        found = {experiment.name: experiment.find_outcome(out) for experiment in self.experiments}
         self.outcomes = {
             name: outcome
             for name, outcome in found.items()
@@ -75,7 +75,7 @@ class Sweep:
     def run(
         self, executor: Executor, progress_of: ProgressOf = lambda name: no_progress
     ) -> Iterator[Outcome]:
-        """Run what is pending; yield each outcome once its folder is written.
+        """Run pending experiments; yield each outcome once its folder is written.
 
         Raises:
             WctError: the only experiment cannot be run as it was asked for, or not be written.
@@ -86,7 +86,7 @@ class Sweep:
             experiments = {experiment.name: experiment for experiment in self.pending}
             self.unwritten.clear()
             for outcome in executor.run(list(experiments.values()), self.out, progress_of):
-                settled = self._settled(experiments[outcome.experiment], outcome)
+                settled = self._settle(experiments[outcome.experiment], outcome)
                 if settled.written:
                     self.outcomes[settled.experiment] = settled
                     self._save_manifest()
@@ -96,8 +96,8 @@ class Sweep:
             if not self.unwritten:
                 break
 
-    def _settled(self, experiment: Experiment, outcome: Outcome) -> Outcome:
-        """Write down what failed outside a run."""
+    def _settle(self, experiment: Experiment, outcome: Outcome) -> Outcome:
+        """Write the folder of an experiment that failed outside a run."""
         if len(self.experiments) == 1 and (outcome.bad_input or outcome.unwritable):
             raise (OutputError if outcome.unwritable else WctError)(outcome.reason)
         if outcome.written or outcome.unwritable:

@@ -48,7 +48,9 @@ def collide(
     verdicts: list[CollisionVerdict] = []
     refused: list[WctError] = []
     try:
-        for found in _checked(sources, options, robots, terrains, seconds, read_numbers(seeds, "--seeds")):
+        for found in _make_experiments(
+            sources, options, robots, terrains, seconds, read_numbers(seeds, "--seeds")
+        ):
             if isinstance(found, WctError):
                 refused.append(found)
             else:
@@ -66,7 +68,7 @@ def collide(
         raise typer.Exit(RUN_FAILED)
 
 
-def _checked(
+def _make_experiments(
     sources: list[str],
     options: SourceOptions,
     robots: list[Robot],

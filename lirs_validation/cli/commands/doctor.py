@@ -54,7 +54,7 @@ PATIENCE = 60
 
 
 @dataclass(frozen=True)
-class Check:
+class InstallationCheck:
     """One thing that was looked at.
 
     Attributes:
@@ -84,18 +84,20 @@ def doctor() -> None:
         raise typer.Exit(RUN_FAILED)
 
 
-def _checks() -> Iterator[Check]:
-    yield Check("python", f"{platform.python_version()}, {sys.executable}")
+def _checks() -> Iterator[InstallationCheck]:
+    yield InstallationCheck("python", f"{platform.python_version()}, {sys.executable}")
     for name in ("lirs-wct", *REQUIRED):
         version = _version(name)
-        yield Check(name, version or "-", "" if version else "pip install lirs-wct", needed=True)
+        yield InstallationCheck(name, version or "-", "" if version else "pip install lirs-wct", needed=True)
     yield from _opengl()
     yield _numba_cache()
     yield _world_cache()
     for extra, packages in EXTRAS.items():
         found = {name: _version(name) for name in packages}
         text = ", ".join(f"{name} {version or '-'}" for name, version in found.items())
-        yield Check(f"[{extra}]", text, "" if all(found.values()) else f"pip install 'lirs-wct[{extra}]'")
+        yield InstallationCheck(
+            f"[{extra}]", text, "" if all(found.values()) else f"pip install 'lirs-wct[{extra}]'"
+        )
 
 
 def _version(package: str) -> str | None:
@@ -105,14 +107,16 @@ def _version(package: str) -> str | None:
         return None
 
 
-def _opengl() -> Iterator[Check]:
+def _opengl() -> Iterator[InstallationCheck]:
     """Draw a picture with each backend, in processes of their own: MuJoCo chooses one for its life.
 
     Only pictures of the simulation need one.
     """
     for backend, mend in BACKENDS.items():
         works = _draws(backend)
-        yield Check(f"OpenGL by {backend}", "draws" if works else "no picture", "" if works else mend)
+        yield InstallationCheck(
+            f"OpenGL by {backend}", "draws" if works else "no picture", "" if works else mend
+        )
 
 
 def _draws(backend: str) -> bool:
@@ -130,7 +134,7 @@ def _draws(backend: str) -> bool:
     return drawn.returncode == 0
 
 
-def _numba_cache() -> Check:
+def _numba_cache() -> InstallationCheck:
     """Look where compiled kernels are kept: without such a place each start compiles for a minute."""
     import lirs_wct
 
@@ -140,19 +144,21 @@ def _numba_cache() -> Check:
     usable = next((place for place in places if _writable(place)), None)
     if usable is None:
         mend = "set NUMBA_CACHE_DIR to a folder that can be written"
-        return Check("numba cache", f"{places[0]}: cannot be written", mend)
-    return Check("numba cache", str(usable))
+        return InstallationCheck("numba cache", f"{places[0]}: cannot be written", mend)
+    return InstallationCheck("numba cache", str(usable))
 
 
-def _world_cache() -> Check:
+def _world_cache() -> InstallationCheck:
     from lirs_envs.episodes.world_cache import cache_folder
 
     folder = cache_folder()
     if folder is None:
-        return Check("world cache", "switched off (LIRS_WCT_CACHE is empty)")
+        return InstallationCheck("world cache", "switched off (LIRS_WCT_CACHE is empty)")
     if _writable(folder):
-        return Check("world cache", str(folder))
-    return Check("world cache", f"{folder}: cannot be written", "set LIRS_WCT_CACHE to a folder that can be")
+        return InstallationCheck("world cache", str(folder))
+    return InstallationCheck(
+        "world cache", f"{folder}: cannot be written", "set LIRS_WCT_CACHE to a folder that can be"
+    )
 
 
 def _writable(folder: Path) -> bool:

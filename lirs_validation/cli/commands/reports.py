@@ -92,7 +92,7 @@ def compare(
         write_compare_json,
     )
 
-    names = (_named(a, only_a), _named(b, only_b))
+    names = (_result_name(a, only_a), _result_name(b, only_b))
     first, second = read_results(a), read_results(b)
     _print_skipped(first.skipped + second.skipped)
     comparison = compared(
@@ -153,7 +153,7 @@ def score(
         raise typer.Exit(RUN_FAILED)
 
 
-def _named(folder: Path, only: str | None) -> str:
+def _result_name(folder: Path, only: str | None) -> str:
     return str(folder) if only is None else f"{folder} ({only})"
 
 

@@ -93,7 +93,7 @@ def draw(robot: Robot, path: Path) -> None:
     import lirs_envs  # noqa: F401  chooses OpenGL without a screen, before MuJoCo is imported
 
     try:
-        picture = _rendered(robot)
+        picture = _render(robot)
     except Exception:
         # MuJoCo and PyOpenGL raise whatever the platform gives them; the outline needs neither.
         _outline(robot, path)
@@ -104,7 +104,7 @@ def draw(robot: Robot, path: Path) -> None:
     path.write_bytes(data.tobytes())
 
 
-def _rendered(robot: Robot) -> ByteArray:
+def _render(robot: Robot) -> ByteArray:
     import mujoco
 
     spec = mujoco.MjSpec.from_file(str(robot.mjcf))

@@ -180,7 +180,7 @@ class Construction:
         self._scenarios.clear()
 
 
-def zipped(folder: Path) -> bytes:
+def zip_folder(folder: Path) -> bytes:
     """Return a folder as a zip archive; entries begin with the folder's own name."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:

@@ -15,7 +15,7 @@ from lirs_validation.analysis.recorded_run import recorded_truth, recorded_world
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Facts
 from lirs_validation.gui.session.playback import MapSnapshot, Moment, ate, scan_points
-from lirs_validation.gui.session.uploads import Limits
+from lirs_validation.gui.session.uploads import PageLimits
 from lirs_validation.record.run_record import maps_clouds, read_record
 from lirs_wct.errors import SourceError, WctError
 from lirs_wct.formats.carmen.log import read_carmen
@@ -46,7 +46,7 @@ class FinishedRun:
         uploaded: whether a browser sent it: its record then names no file of this machine.
 
     Raises:
-        SourceError: it is no run's folder, damaged, or of a run that came to nothing.
+        SourceError: it is no run's folder, damaged, or of a run without a result.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class FinishedRun:
     ) -> None:
         self.record = read_record(folder)
         if not self.record.get("trajectory"):
-            raise SourceError(f"{folder}: this run came to nothing ({self.record['reason']})")
+            raise SourceError(f"{folder}: this run has no result ({self.record['reason']})")
         self.robot = str(self.record["config"]["robot"])
         self._truth, self._estimate = recorded_truth(folder), read_tum(folder / "estimate.tum")
         mount = make_robot(self.robot).T_base_laser
@@ -119,7 +119,7 @@ class FinishedRun:
         )
 
 
-def unpacked_run(content: bytes, folder: Path, limits: Limits) -> Path:
+def unpacked_run(content: bytes, folder: Path, limits: PageLimits) -> Path:
     """Write what is looked at of a run's zipped folder; no name in the archive becomes a path.
 
     Raises:

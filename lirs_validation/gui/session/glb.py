@@ -62,10 +62,10 @@ def _shown_mesh(world: World, most: int) -> TriangleMesh:
     rows, cols = surface.shape
     if plain and 2 * rows * cols <= most:
         return world.mesh
-    return solid_mesh(_thinned(surface, most))
+    return solid_mesh(_thin(surface, most))
 
 
-def _thinned(surface: HeightField, most: int) -> HeightField:
+def _thin(surface: HeightField, most: int) -> HeightField:
     """Return the surface on fewer nodes, its border kept."""
     rows, cols = surface.shape
     share = min(1.0, (most / 2 / (rows * cols)) ** 0.5)

@@ -218,7 +218,7 @@ class LiveDrive:
         log = self._drive.log
         walls = sum(log.walls[:scan])
         speed = f"{scan * self._ready.simulation.period / walls:.1f}" if walls > 0 else "-"
-        ended = f"{log.status}{': ' if log.reason else ''}{log.reason}" if self.over else "on its way"
+        ended = f"{log.status}{': ' if log.reason else ''}{log.reason}" if self.over else "driving"
         return (
             ("time", f"{log.observations[scan].scan.stamp:.1f} of {self.config.seconds:g} s"),
             ("RTF", speed),

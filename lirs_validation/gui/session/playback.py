@@ -156,7 +156,7 @@ def map_picture(moment: Moment) -> ByteArray:
     low, high = corners.min(axis=0) - MARGIN, corners.max(axis=0) + MARGIN
     scale = SIDE / float((high - low).max())
     width, height = (math.ceil(side * scale) for side in (high - low).tolist())
-    picture = _drawn(found.pixels, found.origin, found.resolution, low, scale, (width, height))
+    picture = _draw_cells(found.pixels, found.origin, found.resolution, low, scale, (width, height))
     walls = _pixels(found.walls, low, scale, height)  # thinner than a pixel, and yet what matters
     picture[np.clip(walls[:, 1], 0, height - 1), np.clip(walls[:, 0], 0, width - 1)] = BLACK
     for path, color in ((moment.truth[:, :2], BLUE), (moment.estimate, VERMILLION)):
@@ -165,7 +165,7 @@ def map_picture(moment: Moment) -> ByteArray:
     return picture
 
 
-def _drawn(
+def _draw_cells(
     pixels: ByteArray, origin: Pose2, resolution: float, low: FloatArray, scale: float, size: tuple[int, int]
 ) -> ByteArray:
     """Return the cells, turned as the map lies in the world, in a picture of a size."""

@@ -32,7 +32,7 @@ PREFIX = "lirs-wct-gui-"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class PageLimits:
     """What a page may ask of the server.
 
     Attributes:
@@ -53,7 +53,7 @@ class Limits:
 class Uploads:
     """The files of one page, in a folder that goes with it."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: PageLimits) -> None:
         parent = Path(tempfile.gettempdir())
         remove_orphans(parent, PREFIX)
         self.folder = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=parent))
@@ -96,7 +96,7 @@ class Uploads:
     def _check_unpacked(self, name: str, content: bytes) -> None:
         most, size = UNPACKED * self._limits.upload, 0
         try:
-            for part in _unpacked(name, content):
+            for part in _decompress(name, content):
                 size += len(part)
                 if size > most:
                     break
@@ -110,7 +110,7 @@ class Uploads:
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def _unpacked(name: str, content: bytes) -> Iterator[bytes]:
+def _decompress(name: str, content: bytes) -> Iterator[bytes]:
     """Yield what a compressed file holds, in parts.
 
     Raises:

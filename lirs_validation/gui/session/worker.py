@@ -9,7 +9,7 @@ from collections.abc import Callable
 Job = Callable[[], None]
 
 
-class Worker:
+class PageWorker:
     """Runs the jobs of one page one after the other, so that its state needs no locks.
 
     Args:
@@ -59,9 +59,9 @@ class Worker:
 
     def _run(self) -> None:
         while (job := self._next()) is not None:
-            self._guarded(job)
+            self._run_job(job)
         if self._at_end is not None:
-            self._guarded(self._at_end)
+            self._run_job(self._at_end)
 
     def _next(self) -> Job | None:
         with self._changed:
@@ -71,7 +71,7 @@ class Worker:
                 return None
             return self._jobs.popitem(last=False)[1] if self._jobs else self._idle
 
-    def _guarded(self, job: Job) -> None:
+    def _run_job(self, job: Job) -> None:
         try:
             job()
         except Exception as error:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import viser
 
 from lirs_validation.config import RunConfig
-from lirs_validation.gui.session.construction import Shown, zipped
+from lirs_validation.gui.session.construction import Shown, zip_folder
 from lirs_validation.gui.session.controls import read_run_controls
 from lirs_validation.gui.session.live_drive import LiveDrive
 from lirs_validation.gui.view.page_context import PageContext
@@ -104,7 +104,7 @@ class DriveTab:
         config = read_run_controls(self._controls.values(), shown.source, shown.options)
         self._begun()
         self.drive = None
-        with self._progress.shown(config.robot) as progress:
+        with self._progress.show(config.robot) as progress:
             drive = LiveDrive(config, self._page.scenarios, progress)
             self._page.scene.show_world(drive.world, coarse=False)
         self.drive = drive
@@ -140,10 +140,12 @@ class DriveTab:
     def _save_now(self) -> None:
         if self.drive is None:
             return
-        with self._progress.shown("run") as progress:
+        with self._progress.show("run") as progress:
             folder = self.drive.save(self._page.uploads.folder / "runs", progress).folder
         if folder is not None:
-            self._page.client.send_file_download(f"{folder.name}.zip", zipped(folder), save_immediately=True)
+            self._page.client.send_file_download(
+                f"{folder.name}.zip", zip_folder(folder), save_immediately=True
+            )
         self._pace.wind()
 
     def _steer(self, forward: float, left: float) -> None:

@@ -10,12 +10,12 @@ from viser import _messages
 
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Shown
-from lirs_validation.gui.session.uploads import Limits, Uploads
-from lirs_validation.gui.session.worker import Worker
+from lirs_validation.gui.session.uploads import PageLimits, Uploads
+from lirs_validation.gui.session.worker import PageWorker
 from lirs_validation.gui.view.drive_tab import DriveTab
 from lirs_validation.gui.view.page_context import Guard, PageContext
 from lirs_validation.gui.view.replay_tab import ReplayTab
-from lirs_validation.gui.view.scene import Detail, DriveScene, Scene
+from lirs_validation.gui.view.scene import Detail, DriveScene, WorldScene
 from lirs_validation.gui.view.world_tab import WorldTab, first_sources
 from lirs_wct.errors import WctError
 
@@ -30,7 +30,7 @@ def limit_uploads(
 
     Args:
         client: the page.
-        check: called with name and bytes as announced, and again with what has come; raises WctError.
+        check: called with name and bytes as check_announced, and again with what has come; raises WctError.
         refused: called with that error.
     """
     gui = client.gui
@@ -40,14 +40,14 @@ def limit_uploads(
         gui._current_file_upload_states.pop(transfer, None)
         refused(error)
 
-    def announced(_: int, message: _messages.FileTransferStartUpload) -> None:
+    def check_announced(_: int, message: _messages.FileTransferStartUpload) -> None:
         if message.transfer_uuid in gui._current_file_upload_states:
             try:
                 check(message.filename, message.size_bytes)
             except WctError as error:
                 drop(message.transfer_uuid, error)
 
-    def arrived(_: int, message: _messages.FileTransferPart) -> None:
+    def check_arrived(_: int, message: _messages.FileTransferPart) -> None:
         state = gui._current_file_upload_states.get(message.transfer_uuid)
         if state is not None and state["transferred_bytes"] > state["total_bytes"]:
             try:
@@ -55,8 +55,8 @@ def limit_uploads(
             except WctError as error:
                 drop(message.transfer_uuid, error)
 
-    connection.register_handler(_messages.FileTransferStartUpload, announced)
-    connection.register_handler(_messages.FileTransferPart, arrived)
+    connection.register_handler(_messages.FileTransferStartUpload, check_announced)
+    connection.register_handler(_messages.FileTransferPart, check_arrived)
 
 
 class Page:
@@ -75,20 +75,20 @@ class Page:
         client: viser.ClientHandle,
         source: str | None,
         runs: Path | None,
-        limits: Limits,
+        limits: PageLimits,
         detail: Detail,
     ) -> None:
         self.client_id = client.client_id
         self.uploads = Uploads(limits)
         self.guard = Guard(client, self.uploads.folder)
-        self.worker = Worker(self.guard.show, name=f"page {client.client_id}")
+        self.worker = PageWorker(self.guard.show, name=f"page {client.client_id}")
         limit_uploads(client, self.uploads.check_room, self.guard.show)
         self._drive_scene = DriveScene(client)
         context = PageContext(
             client,
             self.worker,
             self.guard,
-            Scene(client, detail),
+            WorldScene(client, detail),
             self._drive_scene,
             self.uploads,
             ScenarioCache(),

@@ -11,9 +11,9 @@ from typing import Any
 import viser
 
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.gui.session.uploads import Limits, Uploads
-from lirs_validation.gui.session.worker import Worker
-from lirs_validation.gui.view.scene import DriveScene, Scene
+from lirs_validation.gui.session.uploads import PageLimits, Uploads
+from lirs_validation.gui.session.worker import PageWorker
+from lirs_validation.gui.view.scene import DriveScene, WorldScene
 from lirs_wct.errors import WctError
 
 Callback = Callable[[Any], None]
@@ -36,19 +36,19 @@ class Guard:
     def __call__(self, callback: Callback) -> Callback:
         """Return a callback whose errors are shown."""
 
-        def guarded(event: Any) -> None:
+        def run(event: Any) -> None:
             try:
                 callback(event)
             except Exception as error:
                 self.show(error)
 
-        return guarded
+        return run
 
     def show(self, error: Exception) -> None:
         """Show an error in place of the one before; what is no user's mistake is logged, too."""
         self._notes.clear()
         if isinstance(error, WctError):
-            self._say("This does not work", str(error), "red")
+            self._say("Input cannot be used", str(error), "red")
             return
         _LOG.error("a page failed", exc_info=error)
         self._say("The program failed", f"{type(error).__name__}: {error}", "red")
@@ -93,10 +93,10 @@ class PageContext:
     """
 
     client: viser.ClientHandle
-    worker: Worker
+    worker: PageWorker
     guard: Guard
-    scene: Scene
+    scene: WorldScene
     drive_scene: DriveScene
     uploads: Uploads
     scenarios: ScenarioCache
-    limits: Limits
+    limits: PageLimits

@@ -43,7 +43,7 @@ class Player:
         self.playback: Playback | None = None
         self.scan, self._shown_at = 0, 0.0
         self._slider = gui.add_slider("timeline [s]", 0.0, 1.0, 0.1, 0.0, visible=False)
-        self._slider.on_update(guard(self._dragged))
+        self._slider.on_update(guard(self._go_to_slider))
         self._facts = gui.add_markdown("")
 
     def begin(self, playback: Playback, seconds: float) -> None:
@@ -78,7 +78,7 @@ class Player:
         """Whether it is time for another picture."""
         return time.monotonic() - self._shown_at >= PERIOD
 
-    def _dragged(self, event: Any) -> None:
+    def _go_to_slider(self, event: Any) -> None:
         if event.client_id is None or self.playback is None:
             return  # moved by `show`
         wanted = float(self._slider.value)  # now: a moment that is still being shown moves the timeline back

@@ -78,7 +78,7 @@ class ReplayTab:
     def _show(self, folder: Path, *, uploaded: bool) -> None:
         self.pause()
         self._begun()
-        with self._progress.shown("run") as progress:
+        with self._progress.show("run") as progress:
             progress("read", 0.0)
             run = FinishedRun(folder, self._page.scenarios, uploaded=uploaded)
             if run.world is not None:

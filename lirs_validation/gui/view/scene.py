@@ -44,7 +44,7 @@ class Detail:
     built: int = 200_000
 
 
-class Scene:
+class WorldScene:
     """The world of a page.
 
     Args:

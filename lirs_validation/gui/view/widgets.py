@@ -139,7 +139,7 @@ class ProgressLine:
         self._bar = gui.add_progress_bar(0.0, animated=True, visible=False)
 
     @contextmanager
-    def shown(self, work: str) -> Iterator[Progress]:
+    def show(self, work: str) -> Iterator[Progress]:
         """Show the progress of a piece of work."""
         begun = last = time.monotonic()
 
@@ -242,7 +242,7 @@ class OptionControls:
         guard: of its callbacks.
         options: the class.
         changed: called after a change.
-        keep_file: keeps an uploaded file and returns its path.
+        keep_file: keeps an keep_upload file and returns its path.
         first: names of options above all headings; None = every option stands under its own heading.
     """
 
@@ -309,12 +309,12 @@ class OptionControls:
     def _add_file(self, control: Control) -> Any:
         handle = self._gui.add_upload_button(f"{control.title} ...", hint=control.hint)
 
-        def uploaded(_: Any) -> None:
+        def keep_upload(_: Any) -> None:
             self._files[control.name] = self._keep_file(handle.value.name, handle.value.content)
             handle.label = f"{control.title}: {handle.value.name}"
             self._changed()
 
-        handle.on_upload(self._guard(uploaded))
+        handle.on_upload(self._guard(keep_upload))
         return handle
 
 

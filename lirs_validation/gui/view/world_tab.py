@@ -9,7 +9,7 @@ from typing import Any
 import viser
 
 from lirs_validation.config import SourceOptions
-from lirs_validation.gui.session.construction import Construction, Facts, Shown, zipped
+from lirs_validation.gui.session.construction import Construction, Facts, Shown, zip_folder
 from lirs_validation.gui.session.controls import read_controls
 from lirs_validation.gui.view.page_context import PageContext
 from lirs_validation.gui.view.player import as_table
@@ -107,7 +107,7 @@ class WorldTab:
     def _preview(self) -> None:
         source, options = self._read()
         self._options.show_for(self._construction.kind(source, options))
-        with self._progress.shown(self._source.value) as progress:
+        with self._progress.show(self._source.value) as progress:
             shown = self._construction.preview(source, options, progress)
             triangles = self._page.scene.show_world(shown.world, coarse=True)
         self._download.disabled = True
@@ -119,7 +119,7 @@ class WorldTab:
             formats = [name for name, box in self._formats.items() if box.value]
             if not formats:
                 raise ConfigError(f"nothing to write; legal: {', '.join(FORMATS)}")
-            with self._progress.shown(self._source.value) as progress:
+            with self._progress.show(self._source.value) as progress:
                 shown = self._construction.build(source, options, formats, self._terrain.value, progress)
                 triangles = self._page.scene.show_world(shown.world, coarse=False)
         finally:
@@ -137,7 +137,7 @@ class WorldTab:
         if self.shown is None or self.shown.package is None:
             raise ConfigError("nothing is built yet: Build comes first")
         folder = self.shown.package
-        self._page.client.send_file_download(f"{folder.name}.zip", zipped(folder), save_immediately=True)
+        self._page.client.send_file_download(f"{folder.name}.zip", zip_folder(folder), save_immediately=True)
 
 
 def first_sources(given: str | None) -> dict[str, str]:

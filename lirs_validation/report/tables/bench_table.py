@@ -8,7 +8,7 @@ from pathlib import Path
 
 from lirs_validation.bench.policies import UPPER_BOUND
 from lirs_validation.bench.results import PolicyResult, share_of_bound
-from lirs_validation.bench.scores import Score
+from lirs_validation.bench.scores import PolicyScore
 from lirs_validation.record.formatting import NOTHING
 from lirs_validation.report.tables.table import FittedTable, ReportTable
 from lirs_wct.files import atomic_write
@@ -29,7 +29,7 @@ def score_line(result: PolicyResult, tasks: str) -> str:
     return f"{result.policy.label}: {score.mean:.3f}{ends}, {tasks}"
 
 
-def interval(score: Score) -> str:
+def interval(score: PolicyScore) -> str:
     """Return the ends of a score's interval."""
     return NOTHING if score.low is None else f"{score.low:.3f}, {score.high:.3f}"
 

@@ -26,10 +26,10 @@ def compare_table(comparison: Comparison, names: tuple[str, str]) -> FittedTable
     rows: list[tuple[str, ...]] = []
     styles: list[str] = []
     for group, held in groupby(differences, key=lambda d: d.group):
-        rows.append((group.named(shown), *[""] * (len(HEADINGS) - 1)))
+        rows.append((group.label(shown), *[""] * (len(HEADINGS) - 1)))
         styles.append("italic")
         for d in held:
-            name, *rest = formatted(d)
+            name, *rest = difference_texts(d)
             rows.append((f"  {name}", *rest))
             styles.append("bold" if d.significant else "")
     table = ReportTable("compare", "", reading(comparison), HEADINGS, tuple(rows), 1, remarks=False)
@@ -42,7 +42,7 @@ HEADINGS = ("metric", "a", "b", "b - a", "95 %", "n", "p", "verdict")
 """Of the table on the screen."""
 
 
-def formatted(d: Difference) -> tuple[str, ...]:
+def difference_texts(d: Difference) -> tuple[str, ...]:
     """Return metric, means, difference, interval, pairs, corrected p and the verdict, as text."""
     text = d.metric.formatted
     interval = NOTHING if d.low is None else f"{text(d.low)} .. {text(d.high)}"
@@ -69,7 +69,7 @@ def reading(comparison: Comparison) -> str:
     tests = sum(d.p is not None for d in comparison.differences)
     lines = []
     if any(d.pairs == 1 and d.metric.tested for d in comparison.differences):
-        lines.append("One seed in common: of its differences nothing can be said. Run more: --seeds 1-5.")
+        lines.append("One common seed: no confidence interval. Run more seeds: --seeds 1-5.")
     if tests:
         significant = sum(d.significant is True for d in comparison.differences)
         lines.append(
@@ -82,7 +82,7 @@ def reading(comparison: Comparison) -> str:
         lines.append(f"Tests beside the paired t: {', '.join(used)}.")
     for name, groups in (("a", comparison.only_a), ("b", comparison.only_b)):
         if groups:
-            lines.append(f"Only in {name}: {'; '.join(group.named() for group in groups)}.")
+            lines.append(f"Only in {name}: {'; '.join(group.label() for group in groups)}.")
     lines += _failures(comparison) + _worse(comparison)
     return "\n".join(lines)
 
@@ -90,7 +90,7 @@ def reading(comparison: Comparison) -> str:
 def _worse(comparison: Comparison) -> list[str]:
     """Return of which groups the mapper is worse than its odometry, and in how many runs."""
     return [
-        f"{group.named()}: {WORSE} in {in_a} of {sum(comparison.failed_a[group])} runs of a, "
+        f"{group.label()}: {WORSE} in {in_a} of {sum(comparison.failed_a[group])} runs of a, "
         f"{comparison.worse_b[group]} of {sum(comparison.failed_b[group])} of b."
         for group, in_a in comparison.worse_a.items()
         if in_a or comparison.worse_b[group]
@@ -152,7 +152,7 @@ def _failures(comparison: Comparison) -> list[str]:
         good_b, failed_b = comparison.failed_b[group]
         if failed_a or failed_b:
             lines.append(
-                f"{group.named()}: {failed_a} of {good_a + failed_a} runs failed in a, "
+                f"{group.label()}: {failed_a} of {good_a + failed_a} runs failed in a, "
                 f"{failed_b} of {good_b + failed_b} in b; their seeds are left out."
             )
     return lines

@@ -38,7 +38,7 @@ from lirs_validation.record.metric_catalog import (
     worse_than_odometry,
 )
 from lirs_validation.record.run_record import RunRecord, succeeded
-from lirs_validation.report.tables.table import Content, FittedTable, ReportTable, Spread
+from lirs_validation.report.tables.table import Content, FittedTable, MetricSpread, ReportTable
 
 EXTRAPOLATED = "†"
 SECTIONS: dict[Section, str] = {
@@ -92,7 +92,7 @@ def failure_lines(entries: Sequence[Entry]) -> list[str]:
     fields = distinguishing_fields(by_group(entries))
     fields = tuple(field for field in FIELDS if field in {"world", "robot", "mapper", *fields})
     lines = [
-        f"{RunGroup.of(e).named(fields)}, seed {e['seed']} failed: {e['status']}"
+        f"{RunGroup.of(e).label(fields)}, seed {e['seed']} failed: {e['status']}"
         + (f": {e['reason']}" if e["reason"] else "")
         for e in failed
     ]
@@ -143,18 +143,18 @@ def group_table(
         counted = (f"{len(good)} of {len(runs)}",) if count else ()
         rows.append((*group_texts(group, fields), *counted, *(over_runs(metric, good) for metric in kept)))
     caption = _caption(kept, entries)
-    if any(isinstance(cell, Spread) and cell.partial for row in rows for cell in row):
+    if any(isinstance(cell, MetricSpread) and cell.partial for row in rows for cell in row):
         caption += " (n of N): n of the N runs have this value."
     return ReportTable(key, title, caption, headings, tuple(rows), len(fields) + count)
 
 
-def over_runs(metric: Metric, entries: Sequence[Entry]) -> Spread:
+def over_runs(metric: Metric, entries: Sequence[Entry]) -> MetricSpread:
     """Return a metric over runs; the RTF of runs that were not alone on the machine is left out."""
     values = [v for e in entries if (v := metric.comparable(e)) is not None]
     stopped = metric.section == "rtf" and any(e["rtf"]["extrapolated"] for e in entries if rtf_counts(e))
     worse = metric.key == ATE and any(map(worse_than_odometry, entries))
     mark = EXTRAPOLATED if stopped else WORSE_MARK if worse else ""
-    return Spread(metric, repeats(values), mark, len(entries))
+    return MetricSpread(metric, repeats(values), mark, len(entries))
 
 
 def _caption(metrics: Sequence[Metric], entries: Sequence[Entry]) -> str:
@@ -186,7 +186,7 @@ def _worse(entries: Sequence[Entry]) -> list[str]:
     for group, runs in groups.items():
         worse = sum(map(worse_than_odometry, runs))
         if worse:
-            named.append(f"{group.named(fields)} ({worse} of {len(runs)} run{'s' if len(runs) > 1 else ''})")
+            named.append(f"{group.label(fields)} ({worse} of {len(runs)} run{'s' if len(runs) > 1 else ''})")
     more = f" and {len(named) - MOST_NAMED} more" if len(named) > MOST_NAMED else ""
     return [f"{WORSE_MARK} {WORSE}: {'; '.join(named[:MOST_NAMED])}{more}."] if named else []
 
@@ -227,10 +227,12 @@ def _table(key: str, title: str, pairs: Sequence[MethodPair]) -> ReportTable:
         "what follows",
     )
     rows = tuple((*group_texts(pair.group, fields), *_row(pair)) for pair in pairs)
-    return ReportTable(key, title, CAPTION + _unchecked(pairs), headings, rows, len(fields), remarks=True)
+    return ReportTable(
+        key, title, CAPTION + _unchecked_sentences(pairs), headings, rows, len(fields), remarks=True
+    )
 
 
-def _unchecked(pairs: Sequence[MethodPair]) -> str:
+def _unchecked_sentences(pairs: Sequence[MethodPair]) -> str:
     """Return which methods as published have no reference, as sentences; nothing where all have one."""
     names = dict.fromkeys(pair.group["mapper"] for pair in pairs if pair.how == "as published")
     return "".join(
@@ -274,7 +276,7 @@ def results_table(records: Sequence[RunRecord | Entry]) -> FittedTable:
 
     What all runs have in common stands above it, so that the table fits a terminal of 80 characters.
     """
-    entries = ordered(records)
+    entries = failures_first(records)
     shown = _columns(entries)
     common = [c for c in shown if c.heading in COMMON and len({c.text(e) for e in entries}) == 1]
     columns = [c for c in shown if c not in common]
@@ -286,13 +288,13 @@ def results_table(records: Sequence[RunRecord | Entry]) -> FittedTable:
         tuple(tuple(column.text(entry) for column in columns) for entry in entries),
         sum(column.fact for column in columns),
     )
-    title = ", ".join(_named(entries[0], column) for column in common)
+    title = ", ".join(_column_title(entries[0], column) for column in common)
     return FittedTable(table, title=title, styles=[_style(entry) for entry in entries], drop=LEAST)
 
 
 def markdown_table(records: Sequence[RunRecord | Entry]) -> str:
     """Return the same table as Markdown, as it stands in a README."""
-    entries = ordered(records)
+    entries = failures_first(records)
     columns = _columns(entries)
     lines = [
         "| " + " | ".join(c.heading for c in columns) + " |",
@@ -305,7 +307,7 @@ def markdown_table(records: Sequence[RunRecord | Entry]) -> str:
     return "\n".join(lines) + "\n" + (f"\n{remarks}\n" if remarks else "")
 
 
-def ordered(records: Sequence[RunRecord | Entry]) -> list[Entry]:
+def failures_first(records: Sequence[RunRecord | Entry]) -> list[Entry]:
     """Return the records as nested dicts: failures first, else as they came."""
     return sorted((as_entry(r) for r in records), key=succeeded)
 
@@ -327,7 +329,7 @@ def _metric_column(metric: Metric) -> Column:
     return Column(metric.short or metric.heading, lambda entry: metric.formatted(metric.of(entry)))
 
 
-def _named(entry: Entry, column: Column) -> str:
+def _column_title(entry: Entry, column: Column) -> str:
     text = column.text(entry)
     return text if column.heading in ("robot", "mapper") else f"{column.heading} {text}"
 

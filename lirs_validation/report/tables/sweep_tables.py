@@ -79,7 +79,7 @@ def _over(check: Check) -> str:
 
 
 def checks_failed_table(failed: Sequence[CollisionVerdict], broken: Sequence[tuple[str, str]]) -> ReportTable:
-    """Return the limits that were exceeded, and validations that came to nothing."""
+    """Return the limits that were exceeded, and validations without a result."""
     rows = [(v.world, v.robot, line) for v in failed for line in over_limits(v)]
     rows += [(name, NOTHING, reason) for name, reason in broken]
     return ReportTable(

@@ -28,7 +28,7 @@ FEWEST = 2
 
 
 @dataclass(frozen=True)
-class Spread:
+class MetricSpread:
     """A metric over the repeats of a group, or of one run.
 
     Attributes:
@@ -59,12 +59,12 @@ class Spread:
         return (mean if reach is None else f"{mean} ± {self.metric.formatted(reach)}") + self.mark + held
 
     @property
-    def without_interval(self) -> Spread:
+    def without_interval(self) -> MetricSpread:
         """The mean alone."""
         return self if self.values is None else replace(self, values=replace(self.values, half_width=None))
 
 
-Content = str | Spread
+Content = str | MetricSpread
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def as_markdown(table: ReportTable) -> str:
 
 def as_csv(table: ReportTable) -> str:
     """Return the table as CSV with all digits: of repeated metrics mean, std, half width, values, runs."""
-    columns = [_expanded(h, [row[k] for row in table.rows]) for k, h in enumerate(table.headings)]
+    columns = [_expand_column(h, [row[k] for row in table.rows]) for k, h in enumerate(table.headings)]
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow([heading for headings, _ in columns for heading in headings])
@@ -126,9 +126,9 @@ def as_csv(table: ReportTable) -> str:
     return file.getvalue()
 
 
-def _expanded(heading: str, contents: Sequence[Content]) -> tuple[list[str], list[list[str]]]:
+def _expand_column(heading: str, contents: Sequence[Content]) -> tuple[list[str], list[list[str]]]:
     """Return the headings of a column and its rows; several of a metric with repeats."""
-    spreads = [c for c in contents if isinstance(c, Spread)]
+    spreads = [c for c in contents if isinstance(c, MetricSpread)]
     if not any(s.values is not None and max(s.values.count, s.of) > 1 for s in spreads):
         return [heading], [
             [c if isinstance(c, str) else _digits(c.values.mean if c.values else None)] for c in contents
@@ -190,22 +190,22 @@ class FittedTable:
         wide = options.update(width=UNBOUNDED)
         shown = Table()
         for form in self._forms():
-            shown = self._drawn(form, whole=True)
+            shown = self._draw(form, whole=True)
             if console.measure(shown, options=wide).maximum <= options.max_width:
                 yield shown
                 return
-        yield self._drawn(form, whole=False)
+        yield self._draw(form, whole=False)
 
     def _forms(self) -> Iterator[ReportTable]:
         """Yield the table as it is, without intervals, and with fewer and fewer columns."""
         yield self.table
         table, gone = self.table, list[str]()
-        if any(isinstance(c, Spread) and c != c.without_interval for row in table.rows for c in row):
+        if any(isinstance(c, MetricSpread) and c != c.without_interval for row in table.rows for c in row):
             table, gone = _means_alone(table), ["intervals (±)"]
-            yield _noted(table, gone)
+            yield _note_hidden(table, gone)
         for column in self._dropped_in_order():
             gone.append(self.table.headings[column])
-            yield _noted(_without(table, gone), gone)
+            yield _note_hidden(_without(table, gone), gone)
 
     def _dropped_in_order(self) -> list[int]:
         """Return the columns that may be left out, the first to go first."""
@@ -219,10 +219,10 @@ class FittedTable:
         if heading in self._drop:
             return 0, self._drop.index(heading)
         contents = [row[column] for row in self.table.rows]
-        detail = any(isinstance(c, Spread) and "runs" not in c.metric.selections for c in contents)
+        detail = any(isinstance(c, MetricSpread) and "runs" not in c.metric.selections for c in contents)
         return 1 if detail else 2, -column
 
-    def _drawn(self, table: ReportTable, *, whole: bool) -> Table:
+    def _draw(self, table: ReportTable, *, whole: bool) -> Table:
         """Return a table for the screen; its cells are plain text, for a name may hold brackets."""
         shown = screen_table(self._title, table.caption)
         for k, heading in enumerate(table.headings):
@@ -252,7 +252,7 @@ def _means_alone(table: ReportTable) -> ReportTable:
     """Return a table of the means alone."""
 
     def mean(content: Content) -> Content:
-        return content.without_interval if isinstance(content, Spread) else content
+        return content.without_interval if isinstance(content, MetricSpread) else content
 
     return replace(table, rows=tuple(tuple(map(mean, row)) for row in table.rows))
 
@@ -267,6 +267,7 @@ def _without(table: ReportTable, headings: Sequence[str]) -> ReportTable:
     )
 
 
-def _noted(table: ReportTable, gone: Sequence[str]) -> ReportTable:
-    """Return a table whose caption says what there is no room for."""
-    return replace(table, caption=f"{table.caption}\nNo room here for {', '.join(gone)}.".lstrip())
+def _note_hidden(table: ReportTable, gone: Sequence[str]) -> ReportTable:
+    """Return a table whose caption lists the hidden columns."""
+    note = f"Columns hidden (widen the terminal): {', '.join(gone)}."
+    return replace(table, caption=f"{table.caption}\n{note}".lstrip())

@@ -10,7 +10,7 @@ import pytest
 from lirs_validation.analysis.as_published import (
     SLACK,
     TIMES,
-    Outcome,
+    MethodOutcome,
     attitude_pairs,
     conclusion,
     holds,
@@ -19,7 +19,7 @@ from lirs_validation.analysis.as_published import (
 )
 from lirs_validation.record.formatting import Entry
 from lirs_validation.report.tables.run_tables import method_tables
-from lirs_validation.report.tables.table import Spread
+from lirs_validation.report.tables.table import MetricSpread
 from tests.lirs_validation.records import entry
 
 ODOMETRY = 0.2
@@ -27,8 +27,8 @@ ODOMETRY = 0.2
 LIMIT = TIMES * ODOMETRY + SLACK
 
 
-def outcome(held: int, *, runs: int = 5, lost: int = 0, ate: float | None = 0.1) -> Outcome:
-    return Outcome(runs=runs, held=held, lost=lost, ate=ate)
+def outcome(held: int, *, runs: int = 5, lost: int = 0, ate: float | None = 0.1) -> MethodOutcome:
+    return MethodOutcome(runs=runs, held=held, lost=lost, ate=ate)
 
 
 def runs(mapper: str, ates: Sequence[float], world: str = "medium", **more: str) -> list[Entry]:
@@ -55,7 +55,7 @@ def test_ends_of_the_drive_are_not_counted_and_those_of_the_mapper_are() -> None
             entry(status="timeout"),
         ]
     )
-    assert found == Outcome(runs=6, held=2, lost=1, ate=0.1, odometry=0.2)
+    assert found == MethodOutcome(runs=6, held=2, lost=1, ate=0.1, odometry=0.2)
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_four_of_five_runs_decide(held: int, of: int, holds: bool, loses: bool) 
         ),
     ],
 )
-def test_the_sentence_says_what_follows(planar: Outcome, aware: Outcome, sentence: str) -> None:
+def test_the_sentence_says_what_follows(planar: MethodOutcome, aware: MethodOutcome, sentence: str) -> None:
     assert conclusion(planar, aware, "as published") == sentence
 
 
@@ -163,7 +163,7 @@ def test_a_method_without_a_reference_says_so() -> None:
 def test_the_odometry_is_counted_once_a_seed() -> None:
     (table,) = method_tables([*runs("hector", [0.02] * 2), *runs("hector_original", [2.0] * 3)])
     spread = table.rows[0][table.headings.index("odometry")]
-    assert isinstance(spread, Spread)
+    assert isinstance(spread, MetricSpread)
     assert spread.values is not None
     assert spread.values.count == 3
 

@@ -105,7 +105,7 @@ def test_what_may_be_chance_is_not_called_significant() -> None:
 def test_one_seed_says_nothing() -> None:
     comparison = compare(results(0, 0.01, 1), results(0.5, 0.01, 1), metrics_selected("compared"))
     assert all(d.significant is None and d.p is None and d.low is None for d in comparison.differences)
-    assert "nothing can be said" in shown(comparison)
+    assert "no confidence interval" in shown(comparison)
 
 
 def test_failed_runs_and_shared_processors_are_left_out() -> None:
@@ -142,7 +142,7 @@ def test_the_verdict_stands_however_narrow_the_screen() -> None:
     console.print(compare_table(compare(a, b, ATE), ("a", "b")))
     text = console.export_text()
     assert "b worse" in text
-    assert "No room here for 95 %, p" in " ".join(text.split())
+    assert "Columns hidden (widen the terminal): 95 %, p" in " ".join(text.split())
 
 
 def test_runs_are_chosen_by_the_fields_of_their_groups() -> None:

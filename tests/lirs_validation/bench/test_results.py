@@ -73,7 +73,7 @@ def test_the_best_comes_first_and_the_bound_is_shared_over_common_tasks(tmp_path
 
 @pytest.mark.parametrize(
     "changed",
-    [{"set_version": 2}, {"versions": {"code": "00000000"}}, {"task": COURSE.described() | {"seed": 9}}],
+    [{"set_version": 2}, {"versions": {"code": "00000000"}}, {"task": COURSE.describe() | {"seed": 9}}],
 )
 def test_what_does_not_compare_is_left_out(changed: dict[str, Any], tmp_path: Path) -> None:
     write(tmp_path, "straight", {"a": 0.1})

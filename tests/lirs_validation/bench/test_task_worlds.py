@@ -58,7 +58,7 @@ def test_a_missing_file_is_named_by_origin_and_content(data: Path) -> None:
 def test_generated_worlds_are_the_same_each_time() -> None:
     for set_name in ("hills", "generated"):
         world = next(t.world for t in task_set(set_name).tasks if t.world is not None and not t.world.files)
-        again = read_world(world.name, world.described())
+        again = read_world(world.name, world.describe())
         assert again == world
         assert np.array_equal(world.world(None).surface.z, again.world(None).surface.z)
 

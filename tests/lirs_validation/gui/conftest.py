@@ -46,10 +46,10 @@ def browser() -> Iterator[Any]:
 def server() -> Iterator[Any]:
     _chromium()
     from lirs_validation.gui.server import Server
-    from lirs_validation.gui.session.uploads import Limits
+    from lirs_validation.gui.session.uploads import PageLimits
     from lirs_validation.gui.view.scene import Detail
 
-    server = Server(port=0, limits=Limits(upload=2 * 2**20), detail=Detail(preview=6_000, built=8_000))
+    server = Server(port=0, limits=PageLimits(upload=2 * 2**20), detail=Detail(preview=6_000, built=8_000))
     yield server
     server.stop()
     working = [thread for thread in threading.enumerate() if thread.name.startswith("page ")]

@@ -12,9 +12,9 @@ import trimesh
 
 from lirs_validation.config import RunConfig, SourceOptions
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.gui.session.construction import Construction, zipped
+from lirs_validation.gui.session.construction import Construction, zip_folder
 from lirs_validation.gui.session.glb import world_glb
-from lirs_validation.gui.session.uploads import Limits, Uploads
+from lirs_validation.gui.session.uploads import PageLimits, Uploads
 from lirs_wct import build_world, write_package
 from lirs_wct.errors import ConfigError, WctError
 
@@ -69,7 +69,7 @@ def test_the_package_is_that_of_the_command_line(tmp_path: Path, picture: Path) 
     assert mine.keys() == theirs.keys()
     assert all(mine[name] == theirs[name] for name in mine if not name.endswith((".npz", ".config")))
     assert dict(shown.facts)["triangles"] == f"{len(shown.world.mesh.faces):,}"
-    names = zipfile.ZipFile(io.BytesIO(zipped(folder))).namelist()
+    names = zipfile.ZipFile(io.BytesIO(zip_folder(folder))).namelist()
     assert "hill/world.json" in names
     assert all(name.startswith("hill/") for name in names)
 
@@ -113,7 +113,7 @@ def test_a_budget_of_triangles_is_shown_as_it_is(tmp_path: Path, dunes: str) -> 
 
 
 def test_an_uploaded_map_is_its_yaml_and_its_picture() -> None:
-    uploads = Uploads(Limits())
+    uploads = Uploads(PageLimits())
     pixels = np.full((60, 80), 254, np.uint8)
     pixels[:2] = pixels[-2:] = pixels[:, :2] = pixels[:, -2:] = 0
     yaml = b"image: /home/me/maps/my room.pgm\nresolution: 0.1\norigin: [1, 2, 0]\n"

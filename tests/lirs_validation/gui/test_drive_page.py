@@ -21,7 +21,7 @@ def test_drive_steer_save_and_replay(open_page: Open, server: Any, tmp_path: Pat
     page = open_page()
     page.get_by_role("tab", name="Drive").click()
     page.get_by_role("button", name="Start").click()
-    page.get_by_text("on its way").wait_for()
+    page.get_by_text("driving").wait_for()
     drive = server.pages[0].drive.drive
     first = drive.moment(0).map
     wait_for(lambda: drive.time > 4.0)
@@ -82,7 +82,7 @@ def test_closing_the_page_frees_its_simulation(open_page: Open, server: Any) -> 
     page = open_page()
     page.get_by_role("tab", name="Drive").click()
     page.get_by_role("button", name="Start").click()
-    page.get_by_text("on its way").wait_for()
+    page.get_by_text("driving").wait_for()
     served = server.pages[0]
     assert served.drive.drive is not None
     page.close()

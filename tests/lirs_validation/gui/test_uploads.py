@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 import yaml
 
-from lirs_validation.gui.session.uploads import LONGEST, Limits, Uploads
+from lirs_validation.gui.session.uploads import LONGEST, PageLimits, Uploads
 from lirs_wct.errors import ConfigError, SourceError
 
 
 @pytest.fixture
 def uploads() -> Iterator[Uploads]:
-    found = Uploads(Limits(upload=10_000))
+    found = Uploads(PageLimits(upload=10_000))
     yield found
     found.close()
     assert not found.folder.exists()
@@ -82,4 +82,4 @@ def test_a_map_that_is_none_is_refused(uploads: Uploads, content: bytes) -> None
 
 def test_limits_are_above_zero() -> None:
     with pytest.raises(ConfigError, match="upload"):
-        Limits(upload=0)
+        PageLimits(upload=0)

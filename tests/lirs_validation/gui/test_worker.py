@@ -2,13 +2,13 @@
 
 import threading
 
-from lirs_validation.gui.session.worker import Worker
+from lirs_validation.gui.session.worker import PageWorker
 
 
 def test_the_newest_of_a_kind_is_done_in_order() -> None:
     done: list[str] = []
     begun, go = threading.Event(), threading.Event()
-    worker = Worker(lambda error: done.append(str(error)))
+    worker = PageWorker(lambda error: done.append(str(error)))
 
     def first() -> None:
         begun.set()
@@ -31,7 +31,7 @@ def test_the_newest_of_a_kind_is_done_in_order() -> None:
 
 def test_it_survives_errors_and_stops_repeating() -> None:
     errors: list[Exception] = []
-    worker = Worker(errors.append)
+    worker = PageWorker(errors.append)
     failed = threading.Event()
 
     def fails() -> None:
@@ -49,7 +49,7 @@ def test_it_survives_errors_and_stops_repeating() -> None:
 
 
 def test_jobs_come_between_the_slices_of_idle_work() -> None:
-    worker, slices = Worker(lambda _: None), []
+    worker, slices = PageWorker(lambda _: None), []
     enough, done = threading.Event(), threading.Event()
 
     def work() -> None:

@@ -58,10 +58,10 @@ def test_what_is_wrong_is_said_once_and_the_page_lives_on(
     page.get_by_text("height must be a number, got 'tall'").wait_for()
     field(page, "height").fill("-3")
     page.get_by_text("height must be a finite number above 0, got -3").wait_for()
-    wait_for(lambda: page.get_by_text("This does not work").count() == 1)
+    wait_for(lambda: page.get_by_text("Input cannot be used").count() == 1)
     field(page, "height").fill("4")
     page.get_by_text("0.00 to 4.00 m").wait_for()
-    page.get_by_text("This does not work").wait_for(state="detached")
+    page.get_by_text("Input cannot be used").wait_for(state="detached")
     holes = np.linspace(0, 9, 64 * 64, dtype=np.float32).reshape(64, 64)
     holes[20:30, 20:30] = np.nan
     cv2.imwrite(str(tmp_path / "holes.tif"), holes)

@@ -23,7 +23,7 @@ from lirs_validation.report.contents import Report, report_of
 from lirs_validation.report.page import page
 from lirs_validation.report.pictures import BUDGET, MOST_BYTES, Painter
 from lirs_validation.report.tables.run_tables import group_table, summary_table
-from lirs_validation.report.tables.table import ReportTable, Spread, as_csv, as_markdown
+from lirs_validation.report.tables.table import MetricSpread, ReportTable, as_csv, as_markdown
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.tum import write_tum
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -110,7 +110,7 @@ def test_failures_come_first_and_are_in_no_mean(mixed: Path) -> None:
     assert "not a run&#39;s record, or damaged" in html
     advanced = next(row for row in report.summary.rows if row[0] == "advanced" and row[1] == "hector")
     assert advanced[2] == "0 of 1"
-    assert all(isinstance(c, Spread) and c.values is None for c in advanced[3:])
+    assert all(isinstance(c, MetricSpread) and c.values is None for c in advanced[3:])
 
 
 def test_means_and_intervals_are_those_of_the_records(mixed: Path) -> None:
@@ -122,7 +122,7 @@ def test_means_and_intervals_are_those_of_the_records(mixed: Path) -> None:
     table = group_table("t", "T", [ate], report.entries)
     row = next(r for r in table.rows if r[:2] == ("simple", "gmapping"))
     spread = row[-1]
-    assert isinstance(spread, Spread)
+    assert isinstance(spread, MetricSpread)
     assert spread.values == expected
     assert spread.text == f"{expected.mean:.3f} ± {expected.half_width:.3f}"
     rows = list(csv.DictReader(io.StringIO(as_csv(table))))
@@ -141,7 +141,7 @@ def test_a_mean_says_how_many_values_it_holds(tmp_path: Path) -> None:
     report, html = reported(tmp_path)
     heading = report.summary.headings.index("F1")
     spread = report.summary.rows[0][heading]
-    assert isinstance(spread, Spread)
+    assert isinstance(spread, MetricSpread)
     assert spread.text == "0.800 (1 of 3)"
     assert "(n of N): n of the N runs have this value." in report.summary.caption
     assert "median F1 (1 of 3 runs)" in html
@@ -199,9 +199,9 @@ def test_what_ran_beside_others_has_no_rtf_and_what_was_stopped_is_marked() -> N
     table = summary_table(runs + stopped)
     column = table.headings.index("RTF")
     here, there = (row[column] for row in table.rows)
-    assert isinstance(here, Spread)
+    assert isinstance(here, MetricSpread)
     assert here.values == repeats([40.0, 42.0])
-    assert isinstance(there, Spread)
+    assert isinstance(there, MetricSpread)
     assert there.text == "0.0200†"
     assert "1 run with something running beside has no RTF here." in table.caption
     assert "† extrapolated" in table.caption
@@ -310,7 +310,7 @@ def test_numbers_have_three_digits_that_count() -> None:
         "0",
         "10.00",
     ]
-    assert Spread(metrics_in("rtf")[0], None).text == "-"
+    assert MetricSpread(metrics_in("rtf")[0], None).text == "-"
     assert as_markdown(ReportTable("k", "T", "c", ("a|b",), (("x|y",),))).count("x\\|y") == 1
 
 

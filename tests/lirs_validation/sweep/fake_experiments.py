@@ -77,7 +77,7 @@ class FakeExperiment:
         with atomic_folder(out / self.name) as folder:
             (folder / "failed").write_text(f"{outcome.status}\n{outcome.reason}\n{outcome.trace}")
 
-    def finished(self, out: Path) -> Outcome | None:
+    def find_outcome(self, out: Path) -> Outcome | None:
         folder = out / self.name
         if (folder / "result").exists():
             return Outcome(experiment=self.name, status="ok", written=True)
@@ -86,5 +86,5 @@ class FakeExperiment:
             return Outcome(experiment=self.name, status=status, reason=reason, written=True)  # type: ignore[arg-type]
         return None
 
-    def described(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, Any]:
         return {"name": self.name}

@@ -45,10 +45,10 @@ def edited(file: Path, **changes: Any) -> None:
 
 def test_a_finished_run_is_kept(tmp_path: Path) -> None:
     experiment = SlamExperiment(RunConfig(source="simple"))
-    assert experiment.finished(tmp_path) is None
+    assert experiment.find_outcome(tmp_path) is None
     saved(experiment, tmp_path)
-    assert experiment.finished(tmp_path) == Outcome(experiment=experiment.name, status="ok", written=True)
-    assert SlamExperiment(RunConfig(source="simple", seed=2)).finished(tmp_path) is None
+    assert experiment.find_outcome(tmp_path) == Outcome(experiment=experiment.name, status="ok", written=True)
+    assert SlamExperiment(RunConfig(source="simple", seed=2)).find_outcome(tmp_path) is None
 
 
 def test_a_run_of_another_schema_version_or_code_is_not_kept(tmp_path: Path) -> None:
@@ -68,10 +68,10 @@ def test_a_run_of_another_schema_version_or_code_is_not_kept(tmp_path: Path) -> 
     ):
         saved(experiment, tmp_path)
         edited(file, **changes)
-        assert experiment.finished(tmp_path) is None, changes
+        assert experiment.find_outcome(tmp_path) is None, changes
     for text in ('{"schema": 3, "sta', "[]", '"ok"', "3", "[" * 100_000):
         file.write_text(text)
-        assert experiment.finished(tmp_path) is None
+        assert experiment.find_outcome(tmp_path) is None
 
 
 @pytest.mark.parametrize("name", WITH_RESULTS)
@@ -84,7 +84,7 @@ def test_a_run_whose_folder_is_not_whole_is_run_again(name: str, how: str, tmp_p
     file.write_text(content[: len(content) // 2] if how == "cut off" else "")
     if how == "gone":
         file.unlink()
-    assert experiment.finished(tmp_path) is None
+    assert experiment.find_outcome(tmp_path) is None
 
 
 def test_a_run_whose_record_does_not_say_how_long_its_files_are_is_run_again(tmp_path: Path) -> None:
@@ -94,20 +94,20 @@ def test_a_run_whose_record_does_not_say_how_long_its_files_are_is_run_again(tmp
     entry = json.loads(file.read_text())
     del entry["file_sizes"]["map.pgm"]
     edited(file, file_sizes=entry["file_sizes"])
-    assert experiment.finished(tmp_path) is None
+    assert experiment.find_outcome(tmp_path) is None
     del entry["file_sizes"]
     file.write_text(json.dumps(entry))
     assert read_whole_record(file.parent)["status"] == "ok"
-    assert experiment.finished(tmp_path) is None
+    assert experiment.find_outcome(tmp_path) is None
 
 
 def test_a_failure_whose_trace_is_cut_off_is_run_again(tmp_path: Path) -> None:
     experiment = SlamExperiment(RunConfig(source="simple"))
     outcome = Outcome(experiment=experiment.name, status="error", reason="it broke", trace="line 7")
     experiment.write_failure(tmp_path, outcome)
-    assert experiment.finished(tmp_path) == replace(outcome, trace="", written=True)
+    assert experiment.find_outcome(tmp_path) == replace(outcome, trace="", written=True)
     (tmp_path / experiment.name / "error.txt").write_text("line")
-    assert experiment.finished(tmp_path) is None
+    assert experiment.find_outcome(tmp_path) is None
 
 
 def test_a_run_is_done_again_when_its_picture_changed(tmp_path: Path) -> None:
@@ -117,21 +117,21 @@ def test_a_run_is_done_again_when_its_picture_changed(tmp_path: Path) -> None:
     file = saved(experiment, tmp_path)
     now = picture.stat().st_ctime
     os.utime(file, (now + 10, now + 10))
-    assert experiment.finished(tmp_path) is not None
+    assert experiment.find_outcome(tmp_path) is not None
     os.utime(picture, (now + 20, now + 20))
-    assert experiment.finished(tmp_path) is None
+    assert experiment.find_outcome(tmp_path) is None
 
 
 def test_a_run_that_hit_a_wall_limit_counts_for_that_limit_only(tmp_path: Path) -> None:
     experiment = SlamExperiment(RunConfig(source="simple", wall_limit=60.0))
     saved(experiment, tmp_path, "wall limit")
-    assert experiment.finished(tmp_path) is not None
+    assert experiment.find_outcome(tmp_path) is not None
     for limit in (None, 90.0):
         other = SlamExperiment(replace(experiment.config, wall_limit=limit))
         assert other.name == experiment.name
-        assert other.finished(tmp_path) is None
+        assert other.find_outcome(tmp_path) is None
     saved(experiment, tmp_path, "ok")
-    assert SlamExperiment(replace(experiment.config, wall_limit=None)).finished(tmp_path) is not None
+    assert SlamExperiment(replace(experiment.config, wall_limit=None)).find_outcome(tmp_path) is not None
 
 
 def test_the_digest_tells_experiments_apart_and_no_more() -> None:

@@ -42,13 +42,13 @@ def test_no_name_is_broken_and_what_is_left_out_is_said(width: int) -> None:
     for heading in table.headings[2:]:
         last = heading.split()[-1]
         assert last in head or f"{heading}" in said, heading
-    assert ("No room here for" in text) == (width < 200)
+    assert ("Columns hidden (widen the terminal):" in text) == (width < 200)
     assert ("±" in text.split("Mean over")[0]) == (width == 200)
 
 
 def test_metrics_that_the_table_of_runs_leaves_out_go_first() -> None:
     text = shown(FittedTable(summary_table(ENTRIES)), 80)
-    note = " ".join(text.split("No room here for ")[1].split())
+    note = " ".join(text.split("Columns hidden (widen the terminal): ")[1].split())
     assert note.startswith("intervals (±), false occupied, aligned, IoU, F1 aligned")
     assert "ATE" in text.split("─")[0]
     assert "odometry" in text.split("─")[0]
@@ -67,7 +67,7 @@ def test_a_screen_too_narrow_for_names_breaks_them_and_shows_two_columns_of_numb
     )
     text = shown(FittedTable(table), 20)
     assert max(map(len, text.splitlines())) <= 20
-    assert "No room here for c." in " ".join(text.split())
+    assert "Columns hidden (widen the terminal): c." in " ".join(text.split())
 
 
 def test_headings_stand_in_lines_that_keep_a_unit_whole() -> None:
