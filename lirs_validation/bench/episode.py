@@ -1,4 +1,4 @@
-"""One episode: a policy on a task, from its first scan to its end, and what it is worth."""
+"""One episode: a policy on a task, from the first scan to the end, and its score."""
 
 from __future__ import annotations
 
@@ -22,25 +22,26 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.progress import Progress, no_progress
 
 SPENT = "path driven"
-"""Why an episode of mapping ends when the way that it may take is driven."""
+"""Reason for the end of a mapping episode with a used-up path budget."""
 REPORTED = 20
 """Steps between two reports of progress."""
 
 
 class PolicyError(Exception):
-    """A policy raised, or gave what is no action; the cause, if any, is chained."""
+    """A policy raised or returned an invalid action; the cause, if any, is chained."""
 
 
 @dataclass
 class EpisodeLog:
-    """What happened in an episode; grows by one entry a step.
+    """Log of an episode; each step adds one entry.
 
     Attributes:
-        poses: true x, y, yaw, meters and radians, the start's first.
-        infos: what the environment said last.
-        coverage: share of the reachable ground seen, one a pose; empty where nothing is to be mapped.
-        reason: why it ended.
-        trace: where the policy failed, several lines; empty where it did not.
+        poses: true x, y, yaw, meters and radians, beginning with the start.
+        first: info of the environment after the reset.
+        last: latest info of the environment.
+        coverage: share of the reachable ground seen, one per pose; empty except in mapping tasks.
+        reason: reason for the end.
+        trace: traceback of the policy's failure; empty without a failure.
     """
 
     poses: list[FloatArray] = field(default_factory=list)
@@ -51,7 +52,7 @@ class EpisodeLog:
     trace: str = ""
 
     def add(self, info: Mapping[str, Any]) -> None:
-        """Note what the environment says after the reset or a step."""
+        """Add the environment's info after the reset or a step."""
         self.first = self.first or info
         self.last = info
         self.poses.append(np.array(info["T_world_base"]))
@@ -102,14 +103,14 @@ def run_episode(
     progress: Progress = no_progress,
     picture: Callable[[Any], None] | None = None,
 ) -> EpisodeLog:
-    """Run a policy on a task; what the policy does wrong ends the episode and is in its log.
+    """Run a policy on a task. A policy's error ends the episode and is logged.
 
     Args:
-        task: what to do.
+        task: task of the episode.
         choice: the policy.
         data: folder with the files that do not ship.
         progress: of the time limit.
-        picture: is given the map with the path at the end.
+        picture: called at the end with the map and the path.
 
     Raises:
         WctError: the task's world cannot be made, or its start or goal cannot be.
@@ -160,10 +161,10 @@ def _drive(
 
 
 def _call_policy(ask: Callable[[], Any], what: str) -> Any:
-    """Return what a policy answers.
+    """Call a method of a policy and return its result.
 
     Raises:
-        PolicyError: it raised, or ended the program.
+        PolicyError: the policy raised, or ended the program.
     """
     try:
         return ask()
@@ -196,7 +197,7 @@ def _action(env: RobotEnv, policy: Policy, observation: Observed) -> Float32Arra
 
 
 def episode_metrics(task: BenchTask, log: EpisodeLog) -> dict[str, Any]:
-    """Return score, success and what they were made of; a policy that failed scores 0."""
+    """Return score, success and their inputs; a failed policy scores 0."""
     driven, last = log.driven, log.last
     entry: dict[str, Any] = {
         "score": 0.0,

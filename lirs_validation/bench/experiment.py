@@ -1,4 +1,4 @@
-"""An episode as an experiment of a sweep: it fills one folder, and is run once."""
+"""An episode as an experiment of a sweep, with its folder and record."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ class BenchExperiment:
     Attributes:
         set_name: of the task's set.
         set_version: of that set.
-        task: what to do.
-        policy: who does it.
+        task: task of the episode.
+        policy: policy that is scored.
         data: folder with the files that do not ship.
         pictures: whether a picture of the map with the path is written.
     """
@@ -62,11 +62,11 @@ class BenchExperiment:
 
     @property
     def world_config(self) -> RunConfig | None:
-        """None: it makes its world itself."""
+        """None: the experiment makes its world itself."""
         return None
 
     def check(self) -> None:
-        """Look for the policy and the files of the world."""
+        """Check the policy and the files of the world."""
         _check_policy(self.policy, self.task.task)
         if self.task.world is not None:
             self.task.world.places(self.data)
@@ -74,7 +74,7 @@ class BenchExperiment:
     def perform(
         self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
     ) -> Outcome:
-        """Run the episode, and write its record; a policy that failed is an error of this episode alone."""
+        """Run the episode and write its record; a failed policy fails only this episode."""
         progress("build", 0.0)
         pictures: list[Any] = []
         log = run_episode(
@@ -98,12 +98,12 @@ class BenchExperiment:
         return outcome
 
     def write_failure(self, out: Path, outcome: Outcome) -> None:
-        """Write a record with score 0, and where the episode failed."""
+        """Write a record with score 0 and the traceback."""
         with atomic_folder(out / self.name) as folder:
             self._write(folder, outcome, NO_METRICS, {})
 
     def find_outcome(self, out: Path) -> Outcome | None:
-        """Return how the episode ended, if this code and this policy wrote its record."""
+        """Return the recorded outcome, if this code and this policy wrote it."""
         folder = out / self.name
         try:
             entry = read_episode(folder)
@@ -121,7 +121,7 @@ class BenchExperiment:
         return self.policy.observe or ENVIRONMENT_TASKS[self.task.task].observe
 
     def describe(self) -> dict[str, Any]:
-        """Return name and what was asked."""
+        """Return name, task and policy."""
         return {"name": self.name} | self._identity()
 
     def _identity(self) -> dict[str, Any]:
@@ -150,7 +150,7 @@ def _check_policy(policy: PolicyChoice, task: str) -> None:
 
 
 def _sample_series(log: EpisodeLog) -> dict[str, Any]:
-    """Return a pose a second, and where ground is to be seen the coverage with it."""
+    """Return one pose per second, with the coverage in mapping tasks."""
     step = max(1, round(SPACING * (len(log.poses) - 1) / max(float(log.last["time"]), 1e-9)))
     kept = sorted({*range(0, len(log.poses), step), len(log.poses) - 1})
     series: dict[str, Any] = {"path": [[round(float(v), 3) for v in log.poses[k]] for k in kept]}

@@ -1,4 +1,9 @@
-"""Policies of a benchmark by name: baselines, drivers of validation runs, and your own."""
+"""Policies of the benchmark: baselines, drivers of validation runs, and the user's own.
+
+The upper bound plans on the true map. To a goal it drives the shortest comfortable path. To map, it drives
+to the place with the most unseen ground around it per path length: the next best view of Gonzalez-Banos and
+Latombe ("Navigation strategies for exploring indoor environments", 2002), who estimate the unseen ground.
+"""
 
 from __future__ import annotations
 
@@ -45,20 +50,20 @@ from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapper import make_mapper
 
 MAPPER = "hector"
-"""SLAM method on whose map it plans."""
+"""SLAM method whose map the explorer plans on."""
 MARGINS = (MARGIN, 0.1, 0.05, 0.0)
-"""Meters beyond the robot's radius that a plan keeps: the largest at which a way leads to the goal."""
+"""Clearances beyond the robot's radius, meters; a plan takes the largest with a path to the goal."""
 VIEW = 4.0
-"""Unseen ground so far east, west, north and south counts for a place, meters."""
+"""Half side of the square in which unseen ground counts for a place, meters."""
 DECAY = 0.15
-"""Share by which a place loses worth with each meter of way (lambda of the paper), 1/m."""
+"""Decay of a place's value with path length (lambda of the paper), 1/m."""
 ARC = 1.0
-"""Radius in which the robot turns round where there is room, meters."""
+"""Radius of the robot's turns in open space, meters."""
 METHODS = ("reset", "act")
 
 
 class DrivenPolicy(ABC):
-    """A policy that asks a driver for its command at each step; of a robot that flies the height stays."""
+    """Policy that takes its actions from a driver; a flying robot keeps its height."""
 
     def __init__(self, context: PolicyContext) -> None:
         self.context = context
@@ -87,14 +92,14 @@ class DrivenPolicy(ABC):
 
 
 class Explorer(DrivenPolicy):
-    """Sees scans, odometry and attitude as a mapper does, and the polar goal where there is one."""
+    """Frontier exploration, or drive to a goal, on a mapper's map by the mapper's pose."""
 
     def __init__(self, env: RobotEnv, context: PolicyContext) -> None:
         super().__init__(context)
         self._env = env
 
     def driver(self) -> Driver:
-        """Return the explorer, with a mapper that has seen nothing."""
+        """Return the explorer with a new mapper."""
         robot = self.context.robot
         self._mapper = make_mapper(MAPPER, seed=self.context.seed)
         self._pose, self._stamp = Pose2(), -math.inf
@@ -107,7 +112,7 @@ class Explorer(DrivenPolicy):
         return PathDriver(self._route, Pose2(), pace)
 
     def pose(self, observation: Mapping[str, Any]) -> Pose2:
-        """Let the mapper see a new scan, and return its pose."""
+        """Update the mapper with a new scan and return its pose."""
         reading = self._env.view.reading()
         if reading.scan.stamp > self._stamp:
             self._pose = self._mapper.update(reading.scan, reading.odometry, reading.imu)
@@ -121,7 +126,7 @@ class Explorer(DrivenPolicy):
 
 
 class OnTrueMap(DrivenPolicy):
-    """Drives on the true map by the true pose, which no other policy is given."""
+    """Upper bound: drive on the true map by the true pose."""
 
     def __init__(self, env: RobotEnv, context: PolicyContext) -> None:
         super().__init__(context)
@@ -132,7 +137,7 @@ class OnTrueMap(DrivenPolicy):
         return self._env.view.T_world_base.to_pose2()
 
     def driver(self) -> Driver:
-        """Return a driver to the goal, or to what is unseen."""
+        """Return a driver to the goal, or to unseen ground."""
         view, pace = self._env.view, driver_config(self.context.robot)
         start, surface = view.T_world_base.to_pose2(), view.world.surface
         if view.goal is not None:
@@ -143,7 +148,7 @@ class OnTrueMap(DrivenPolicy):
         return PathDriver(UnseenRoute(free, start, self._unseen(), pace, surface), start, pace)
 
     def _free(self, start: Pose2, goal: tuple[float, float] | None) -> OccupancyGrid:
-        """Return the grid of the largest margin at which the robot can set off, and reach the goal."""
+        """Return the free grid of the largest margin that connects start and goal."""
         robot, world = self.context.robot, self._env.view.world
         for margin in MARGINS:
             free = world.traversable(clearance=robot.radius + margin, max_slope=robot.max_slope)
@@ -156,7 +161,7 @@ class OnTrueMap(DrivenPolicy):
         return free
 
     def _unseen(self) -> Callable[[], FloatArray]:
-        """Return a function that gives (n, 2) the middles of the reachable cells that nobody saw yet."""
+        """Return a function that gives the (n, 2) centers of reachable unseen cells."""
         stage = self._env.episodes.stage
         frame, wanted = self._env.episodes.task.ground(0)
 
@@ -170,14 +175,14 @@ class OnTrueMap(DrivenPolicy):
 
 
 class UnseenRoute:
-    """Leads to where the most unseen ground is for the way, again and again.
+    """Next-best-view route: most unseen area per meter of path.
 
     Args:
-        free: free cells = where the robot's center may be, world frame.
-        start: pose where the robot is set down.
-        unseen: returns (n, 2) middles of unseen cells, meters.
-        config: how paths are driven.
-        surface: the ground, for slower driving where it is steep.
+        free: cells that the robot's center may enter, world frame.
+        start: start pose of the robot.
+        unseen: returns (n, 2) centers of unseen cells, meters.
+        config: configuration of the driver.
+        surface: the ground; steep parts are driven more slowly.
     """
 
     frame: Frame = "world"
@@ -200,14 +205,14 @@ class UnseenRoute:
         self._goal: tuple[int, int] | None = None
 
     def path(self, pose: Pose2, time: float, undriven: float | None) -> DrivenPath | None:
-        """Return the path to the best place; None where nothing unseen is left that can be reached."""
+        """Return the path to the best place; None without reachable unseen ground."""
         resolution = self._grid.resolution
         first = nearest(self._free, self._grid.cells((pose.x, pose.y)))
         unseen = self._unseen_cells()
         heading = pose.yaw - self._grid.origin.yaw
         weight = penalize_behind(self._weight, first, heading, ARC / resolution)
         reach = search(weight, first[None], resolution)
-        # What is not seen from beside it never will be.
+        # A cell that is not seen from close by cannot be seen at all.
         self._tried |= unseen & (reach.cost <= 2 * self._config.step)
         possible = unseen & self._free & ~self._tried & np.isfinite(reach.cost)
         if not possible.any():
@@ -222,13 +227,13 @@ class UnseenRoute:
         return DrivenPath(points, speed_profile(points, room, self._config.pursuit, height))
 
     def avoid(self, point: tuple[float, float], radius: float) -> None:
-        """Penalize the ground round a place: only the last resort leads there."""
+        """Penalize the ground around a place."""
         cells = np.argwhere(self._free)
         near = cells[np.linalg.norm(self._grid.centers(cells) - np.array(point), axis=1) < radius]
         self._weight[near[:, 0], near[:, 1]] += 50.0
 
     def _unseen_cells(self) -> BoolArray:
-        """Return (rows, cols) cells of the plan's grid that hold the middle of an unseen one."""
+        """Return (rows, cols) mask of grid cells that hold the center of an unseen cell."""
         unseen = np.zeros(self._free.shape, np.bool_)
         cells = np.clip(self._grid.cells(self._unseen()), 0, np.array(unseen.shape) - 1)
         unseen[cells[:, 0], cells[:, 1]] = True
@@ -244,12 +249,12 @@ def _around(unseen: BoolArray, resolution: float) -> FloatArray:
 
 
 class Baseline(NamedTuple):
-    """A policy that ships.
+    """A policy of this package.
 
     Attributes:
-        make: of what it drives and of its context.
-        tasks: that it can be asked for.
-        observe: groups of observations that it is given; None = the task's own.
+        make: function of environment and context that returns the policy.
+        tasks: tasks that the policy can run.
+        observe: groups of observations that the policy gets; None = the task's own.
     """
 
     make: Callable[[RobotEnv, PolicyContext], Policy]
@@ -266,7 +271,7 @@ BASELINES: Mapping[str, Baseline] = {
     "frontier": Baseline(Explorer, ("navigation", "mapping")),
     "astar": Baseline(OnTrueMap),
 }
-"""Policies that ship, by name; the last one plans on the true map and is the upper bound."""
+"""Policies of this package by name; the last one plans on the true map and is the upper bound."""
 UPPER_BOUND = "astar"
 
 
@@ -295,14 +300,14 @@ class PolicyChoice:
 
     @property
     def files(self) -> list[Path]:
-        """Files that decide what it does, as far as they are known: its module's and its arguments'."""
+        """Known files that the policy depends on: its module and files among its arguments."""
         source = own_source_file(self.name, "policy")
         given = [Path(value) for _, value in self.arguments if Path(value).is_file()]
         return [*([source] if source else []), *given]
 
     @property
     def observe(self) -> tuple[str, ...] | None:
-        """Groups of observations that it asks for; None = the task's own.
+        """Groups of observations that the policy requires; None = the task's own.
 
         Raises:
             ConfigError: the module cannot be imported, or `observe` is no list of names.
@@ -317,10 +322,10 @@ class PolicyChoice:
         return tuple(names)
 
     def check(self, task: str) -> None:
-        """Look for the policy.
+        """Check that the policy exists and fits the task.
 
         Raises:
-            ConfigError: there is none of that name, or it cannot be asked for this task.
+            ConfigError: there is no such policy, or it cannot run this task.
         """
         if self.name not in BASELINES:
             self._maker()
@@ -336,7 +341,7 @@ class PolicyChoice:
     def make(self, env: RobotEnv, task: BenchTask) -> Policy:
         """Make the policy for an episode of a task.
 
-        A class of the user's own gets as keywords what it takes of `context` (see `PolicyContext`),
+        A user's class gets the keywords that its signature names: `context` (see `PolicyContext`),
         `observation_space`, `action_space`, `seed`, and its arguments.
 
         Raises:

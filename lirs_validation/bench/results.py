@@ -1,4 +1,4 @@
-"""What a folder holds of the benchmark: the scores of policies over the same tasks."""
+"""Results of the benchmark in a folder: scores of policies over the same tasks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lirs_validation.record.provenance import same_code
 from lirs_wct.errors import SourceError
 
 TRUE_GROUPS = {"height_map", "seen_map"}
-"""Groups of observations that hold what only a simulator knows."""
+"""Groups of observations with simulator-only data."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,9 +23,9 @@ class PolicyResult:
     """A policy over the chosen tasks.
 
     Attributes:
-        policy: who.
-        score: over the tasks that it ran.
-        episodes: records of these, by the task's name.
+        policy: policy that was scored.
+        score: score over its tasks.
+        episodes: records by the task's name.
     """
 
     policy: PolicyChoice
@@ -44,12 +44,12 @@ class PolicyResult:
 
     @property
     def failed(self) -> int:
-        """Episodes in which the policy itself failed, or that could not run."""
+        """Number of episodes in which the policy failed or that could not run."""
         return sum(entry["status"] != "ok" for entry in self.episodes.values())
 
     @property
     def privileged(self) -> bool:
-        """Whether it is given what only a simulator knows."""
+        """Whether the policy gets simulator-only data."""
         seen = {name for entry in self.episodes.values() for name in entry.get("observe") or ()}
         return self.policy.name == UPPER_BOUND or bool(seen & TRUE_GROUPS)
 
@@ -58,7 +58,7 @@ class PolicyResult:
 
 
 def share_of_bound(result: PolicyResult, bound: PolicyResult | None) -> float | None:
-    """Return a policy's share of the upper bound's score over the tasks that both ran; None = no bound."""
+    """Return a policy's share of the upper bound's score over common tasks."""
     if bound is None:
         return None
     common = result.episodes.keys() & bound.episodes.keys()

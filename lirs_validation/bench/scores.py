@@ -1,4 +1,4 @@
-"""Scores of episodes, 0 to 1, and of policies: a mean over tasks with its interval."""
+"""Scores of episodes, 0 to 1, and mean scores of policies with intervals."""
 
 from __future__ import annotations
 
@@ -55,12 +55,14 @@ def score_of(values: Sequence[float]) -> PolicyScore | None:
 
 
 def success_by_path_length(success: bool, shortest: float, driven: float) -> float:
-    """Return an episode's part of SPL (Anderson et al., "On evaluation of embodied navigation agents", 2018).
+    """Return an episode's term of success weighted by path length (SPL).
+
+    See Anderson et al., "On evaluation of embodied navigation agents" (2018).
 
     Args:
         success: whether the goal was reached.
-        shortest: way from start to goal over drivable ground, meters.
-        driven: length of the path that was driven, meters.
+        shortest: length of the shortest path from start to goal over drivable ground, meters.
+        driven: length of the driven path, meters.
     """
     return shortest / max(shortest, driven) if success else 0.0
 
@@ -68,8 +70,8 @@ def success_by_path_length(success: bool, shortest: float, driven: float) -> flo
 def coverage_area(driven: Sequence[float], coverage: Sequence[float], budget: float) -> float:
     """Return the area under newly covered ground over path length, 0 to 1.
 
-    The ground that the first scan saw counts for nothing, the share at which the task ends for 1; after the
-    episode's end the coverage stays as it was.
+    Ground in the first scan counts as 0, the share that completes the task as 1. After the episode's end the
+    coverage stays constant.
 
     Args:
         driven: (n,) meters of path at each step, from 0 at the first scan.
@@ -85,10 +87,10 @@ def coverage_area(driven: Sequence[float], coverage: Sequence[float], budget: fl
 
 
 def distance_share(gained: float, whole: float) -> float:
-    """Return the share of the distance to the goal that was gained by the end, 0 to 1.
+    """Return the gained share of the distance to the goal, 0 to 1.
 
     Args:
-        gained: meters.
+        gained: distance gained by the end, meters.
         whole: distance from start to goal, meters.
     """
     return float(np.clip(gained / whole, 0.0, 1.0))

@@ -1,4 +1,4 @@
-"""Tasks of the benchmark as data, in sets with splits: which robot is to do what, where, from which start."""
+"""Tasks of the benchmark as data (task, robot, world, start, goal), in sets with splits."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ SCHEMA = 1
 
 @dataclass(frozen=True, kw_only=True)
 class BenchTask:
-    """One episode that every policy is asked for.
+    """One episode that every policy runs.
 
     Attributes:
-        name: unlike every other in its set.
+        name: unique in its set.
         task: `navigation`, `mapping` or `traverse`.
         split: `train`, `validation` or `test`; worlds of one split are in no other.
         robot: name.
         seed: of the episode; of a course to traverse, too.
         time_limit: seconds.
-        world: where it takes place; None = on a course.
+        world: world of the episode; None = on a course.
         start: x, y, yaw in the world frame, meters and radians; None = the course's.
         goal: x, y; None = the task has none, or the course's.
-        path_budget: meters of way after which mapping ends.
+        path_budget: path length that ends a mapping task, meters.
         course: kind of the course to traverse.
         difficulty: of the course, 0 to 1.
 
@@ -143,7 +143,7 @@ class TaskSet:
 
 
 def check_name(name: object, of: str) -> None:
-    """Check a name that folders get.
+    """Check a name that folder names contain.
 
     Raises:
         ConfigError: it holds other characters than letters, digits and `_.-`, or more than 100.

@@ -1,4 +1,4 @@
-"""The picture of a mapped log: the map with the path in it, what is known of the errors, metrics."""
+"""Overview picture of a mapped log: map, path, errors and metrics."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from lirs_wct.geometry.trajectory import Trajectory
 WIDTH = 6.4
 """Of the map, inches."""
 LEAST_PLOTS = 2
-"""Plots for which room is left under the metrics."""
+"""Smallest number of plot slots under the metrics."""
 
 
 def map_overview(
@@ -49,7 +49,7 @@ def map_overview(
         grid: the map.
         estimate: pose of every scan in the map.
         reference: in its own frame.
-        accuracy: errors pose by pose; what was not asked for is not drawn.
+        accuracy: errors of each pose; missing ones are not drawn.
     """
     canvas = Canvas.over(bounds_shown(estimate, grid))
     rows, cols = canvas.shape
@@ -69,7 +69,7 @@ def map_overview(
 
 
 def _plots(record: MapRecord, accuracy: Accuracy) -> list[tuple[str, str, FloatArray, FloatArray]]:
-    """Return name, unit, stamps and errors of each plot that there is something for."""
+    """Return name, unit, stamps and errors of each plot with data."""
     plots = []
     constraints, reference = accuracy.constraints, accuracy.reference
     if reference is not None and len(reference.stamps):
@@ -98,7 +98,7 @@ def _plots(record: MapRecord, accuracy: Accuracy) -> list[tuple[str, str, FloatA
 
 
 def _reference_in_map(reference: Trajectory | None, accuracy: Accuracy) -> Trajectory | None:
-    """Return the reference in the map frame, if the two could be compared."""
+    """Return the reference in the map frame; None if it was not compared."""
     if reference is None or accuracy.reference is None or not len(accuracy.reference.stamps):
         return None
     return reference.moved(accuracy.reference.T_map_reference)

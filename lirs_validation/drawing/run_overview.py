@@ -42,13 +42,13 @@ from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.world import World
 
 FULL = 0.20
-"""Meters that a height is off where its color is full."""
+"""Height error at full color, meters."""
 PANEL = 4.7
 """Width of a panel, inches."""
 
 
 def elevation_panels(axes: tuple[Axes, Axes], canvas: Canvas, world: World, built: ElevationMap) -> None:
-    """Show the mapper's elevation map, and by how much it differs from the true surface."""
+    """Show the mapper's elevation map and its difference from the true surface."""
     map_axes(axes[0], canvas, height_picture(canvas, world, built))
     title(axes[0], "Elevation by the mapper's poses")
     map_axes(axes[1], canvas, error_picture(canvas, world, built))
@@ -61,7 +61,7 @@ def elevation_panels(axes: tuple[Axes, Axes], canvas: Canvas, world: World, buil
 
 
 def height_picture(canvas: Canvas, world: World, built: ElevationMap) -> FloatArray:
-    """Return (rows, cols, 3) heights on the colors of the world's terrain; gray = not seen."""
+    """Return (rows, cols, 3) heights in the terrain's colors; gray = not seen."""
     low, high = float(world.surface.z.min()), float(world.surface.z.max())
     z = _sample(canvas, built, built.mean)
     picture = height_colors()((np.nan_to_num(z, nan=low) - low) / max(high - low, 1.0))[..., :3]
@@ -69,7 +69,10 @@ def height_picture(canvas: Canvas, world: World, built: ElevationMap) -> FloatAr
 
 
 def error_picture(canvas: Canvas, world: World, built: ElevationMap) -> FloatArray:
-    """Return (rows, cols, 3) white = right, blue = too low, vermillion = too high, gray = none."""
+    """Return (rows, cols, 3) height errors as colors.
+
+    White = exact, blue = too low, vermillion = too high, gray = not seen.
+    """
     error = _sample(canvas, built, built.error(world.surface, world.walls))
     share = np.clip(np.nan_to_num(error) / FULL, -1, 1)[..., None]
     color = np.where(share > 0, rgb(VERMILLION), rgb(BLUE))
@@ -84,7 +87,7 @@ def _with_unknown(picture: FloatArray, values: FloatArray, canvas: Canvas, world
 
 
 def _sample(canvas: Canvas, grid: ElevationMap, values: FloatArray) -> FloatArray:
-    """Return (rows, cols) the values (of the grid's cells) at the canvas' pixels; NaN off the grid."""
+    """Return (rows, cols) cell values at the canvas' pixels; NaN off the grid."""
     index = np.floor((canvas.centers - grid.origin) / grid.cell).astype(np.int64)
     col, row = index[..., 0], index[..., 1]
     inside = (row >= 0) & (row < values.shape[0]) & (col >= 0) & (col < values.shape[1])
@@ -104,14 +107,14 @@ def overview_figure(
     """Draw a run on one page.
 
     Args:
-        world: where it took place.
+        world: world of the run.
         record: its metrics.
         truth: true poses, world frame.
         estimate: estimated poses, world frame (moved by the true start pose).
         true_pose: map made with the true poses, world frame.
-        built: the mapper's map, world frame (moved by the true start pose); None where there is none.
-        aligned: the same after the trajectory's alignment; None where there is none.
-        elevation: what the clouds make by the mapper's poses, world frame; None of a planar mapper.
+        built: the mapper's map, world frame (moved by the true start pose); None without a map.
+        aligned: the same after the trajectory's alignment; None without a map.
+        elevation: elevation map of the clouds at the mapper's poses, world frame; None of a planar mapper.
     """
     canvas = Canvas.over(shown_bounds(world, truth, true_pose), round(PANEL * DPI))
     rows, cols = canvas.shape
@@ -139,7 +142,7 @@ def overview_figure(
 def shown_bounds(
     world: World, truth: Trajectory, true_pose: OccupancyGrid
 ) -> tuple[float, float, float, float]:
-    """Return west, south, east, north of what is worth showing: what was seen, within the world, meters."""
+    """Return west, south, east, north bounds of the seen part of the world, meters."""
     seen = np.array(bounds_shown(truth, true_pose))
     low = np.maximum(seen[:2], world.surface.bounds[:2])
     high = np.minimum(seen[2:], world.surface.bounds[2:])
@@ -185,7 +188,7 @@ def _reference(axes: Axes, canvas: Canvas, true_pose: OccupancyGrid) -> None:
 def _draw_built_map(
     axes: Axes, canvas: Canvas, built: OccupancyGrid, true_pose: OccupancyGrid, f1: float | None
 ) -> None:
-    """Show a built map over the true-pose map: what is more than 0.10 m off or missing stands out."""
+    """Show a built map over the true-pose map; mark walls over 0.10 m off or missing."""
     picture = canvas.grid_picture(built)
     for asked, other, color in ((true_pose, built, BLUE), (built, true_pose, VERMILLION)):
         wrong = contradicted(asked, other)
