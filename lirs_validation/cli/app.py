@@ -32,9 +32,9 @@ from lirs_validation.interrupts import is_interrupt
 from lirs_wct.errors import MapperError, WctError
 
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-"""What the system says of a disk without room."""
+"""Error numbers of a full disk."""
 LONGEST = 900
-"""Characters of a complaint; a longer one quotes a damaged file, of which the middle is left out."""
+"""Characters of an error message, at most; of longer ones the middle is omitted."""
 app = typer.Typer(
     name="lirs-wct",
     no_args_is_help=True,
@@ -103,7 +103,7 @@ def main() -> None:
     except OSError as error:
         if error.errno not in NO_ROOM:
             raise
-        # What is still buffered for the terminal would fail again at the end.
+        # Output that is still buffered would fail again at exit.
         with suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         _fail(f"{error.filename or 'output'}: cannot be written: {error.strerror}")

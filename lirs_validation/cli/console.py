@@ -1,4 +1,4 @@
-"""Where commands speak: results on stdout, progress and complaints on stderr."""
+"""Consoles of commands: results on stdout, progress and errors on stderr."""
 
 from __future__ import annotations
 

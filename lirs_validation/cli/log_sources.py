@@ -21,7 +21,7 @@ def with_logs_mapped(given: dict[str, Any], options: SourceOptions) -> tuple[dic
     Raises:
         WctError: a log cannot be mapped, or its map cannot be written.
     """
-    # What tells sources apart loads half of SciPy, which `--help` should not wait for.
+    # The import loads much of SciPy, which would delay `--help`.
     from lirs_wct.sources.source import is_log
 
     sources = given.get("sources") or [given.get("source", "")]
@@ -38,7 +38,7 @@ def with_logs_mapped(given: dict[str, Any], options: SourceOptions) -> tuple[dic
 
 
 def _folder(output: Path | None) -> Path:
-    """Return where maps go: a command's output folder, or that of the file that it writes, or here."""
+    """Return the folder for maps: the output folder, the output file's folder, or here."""
     if output is None:
         return Path()
     return output.parent if output.suffix else output

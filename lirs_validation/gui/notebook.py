@@ -22,7 +22,7 @@ class EmbeddedPage:
     """A live page that Jupyter shows below the cell; it lives until `close` or the kernel's end.
 
     Attributes:
-        address: where a browser on this machine finds it, too.
+        address: URL of the page, for browsers on this machine.
         height: of the frame, pixels.
     """
 
@@ -41,10 +41,10 @@ class EmbeddedPage:
 
 
 def show(shown: World | str | Path, *, height: int = 640, port: int = 0) -> EmbeddedPage:
-    """Return a live page with a world: look at it, drive in it, change it.
+    """Return a live page with a world to view, drive in and change.
 
     Args:
-        shown: a world, or what `build_world` takes as its source.
+        shown: a world, or a source of `build_world`.
         height: of the frame, pixels.
         port: to listen at, on this machine alone; 0 = any free one.
 

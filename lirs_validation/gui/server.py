@@ -1,4 +1,4 @@
-"""The server of the live page: a page for each client, gone when the client goes."""
+"""Server of the live page: one page per client, closed when the client disconnects."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class Server:
     """Serves pages until it is stopped.
 
     Args:
-        source: shown first; None = the first bundled world.
-        runs: folder of finished runs that pages may open; None = there is none.
+        source: source shown first; None = the first bundled world.
+        runs: folder of finished runs that pages may open; None = no folder.
         host: address to listen at.
         port: to listen at; 0 = any free one.
         limits: of uploads.
-        detail: triangles that browsers are given.
+        detail: numbers of triangles sent to browsers.
 
     Raises:
         ConfigError: the address cannot be listened at.
@@ -51,7 +51,7 @@ class Server:
         self._show_warning = warnings.showwarning
         warnings.showwarning = self._warn
         warnings.filterwarnings("always", category=UserWarning, module="lirs_")
-        # A page may go while it is spoken to.
+        # A client may disconnect while messages to it are queued.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         rich.get_console().quiet = True  # viser's own announcements; ours have a console of their own
         self._viser = viser.ViserServer(host=host, port=port, label="LIRS-WCT", verbose=False)
@@ -65,13 +65,13 @@ class Server:
 
     @property
     def address(self) -> str:
-        """Where a browser finds it."""
+        """URL of the server."""
         host = self._viser.get_host()
         return f"http://{'127.0.0.1' if host == '0.0.0.0' else host}:{self._viser.get_port()}"
 
     @property
     def pages(self) -> tuple[Page, ...]:
-        """The pages that are open."""
+        """Open pages."""
         with self._lock:
             return tuple(self._pages.values())
 
@@ -96,7 +96,7 @@ class Server:
         self._viser.stop()
 
     def _warn(self, message: Warning | str, *where: Any, **more: Any) -> None:
-        """Show a warning in the page whose work it came from."""
+        """Show a warning in the page whose worker raised it."""
         page = next((page for page in self.pages if page.worker.here), None)
         if page is None:
             self._show_warning(message, *where, **more)
@@ -118,7 +118,7 @@ class Server:
 
 
 def _check_free(host: str, port: int) -> None:
-    """Raise ConfigError unless the address can be listened at: viser would go on to other ports for ever."""
+    """Raise ConfigError unless the address is free; viser would try other ports endlessly."""
     try:
         family, kind, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind) as probe:

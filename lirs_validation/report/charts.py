@@ -23,7 +23,7 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.drawing.style import BLUE, GREEN, VERMILLION, Drawing
 
 INK = "#123456"
-"""Drawn in this color, a line or letter takes the page's own."""
+"""Placeholder that the SVG replaces by the page's text color."""
 NAMED = {BLUE: "var(--blue)", VERMILLION: "var(--vermillion)", GREEN: "var(--green)"}
 """Colors that the page makes lighter on a dark ground."""
 MAPPER_COLORS = {"hector": BLUE, "cartographer": VERMILLION, "gmapping": GREEN}
@@ -31,13 +31,13 @@ OTHERS = ("#CC79A7", "#B8860B", "#7B6BD6", "#56B4E9")
 """Okabe and Ito's colors, those for other mappers strong enough on light and on dark."""
 SMALL = 8.0
 DIGITS = re.compile(r"(\.\d)\d+")
-"""A path is drawn to a tenth of a point: finer is not seen, and makes the page heavy."""
+"""Digits beyond a tenth of a point, which are removed to save space."""
 ACROSS = 3
 AROUND = 4
-"""Of one run the RTF is averaged over so many seconds before and after."""
+"""Half width of the averaging window for a single run's RTF, seconds."""
 MOST_PANELS, MOST_ROWS = 36, 72
 WIDE = 20.0
-"""Where RTF differ by more than this factor, a logarithmic scale shows them all."""
+"""Ratio of largest and smallest RTF above which the scale is logarithmic."""
 
 
 def color_of(name: str, names: list[str]) -> str:
@@ -47,7 +47,7 @@ def color_of(name: str, names: list[str]) -> str:
 
 
 def plain(axes: Axes, title: str = "") -> None:
-    """Draw an axes' frame and letters in the page's ink, thin and open to the right."""
+    """Style axes in the page's ink: thin, without top and right border."""
     axes.set_facecolor("none")
     axes.tick_params(colors=INK, labelsize=SMALL, length=3, width=0.6)
     for side, spine in axes.spines.items():
@@ -62,12 +62,12 @@ def plain(axes: Axes, title: str = "") -> None:
 
 
 def as_svg(figure: Figure, label: str, key: str) -> str:
-    """Return a figure as an SVG element for a page, with a label for those who do not see it.
+    """Return a figure as an SVG element with a label for screen readers.
 
     Args:
-        figure: drawn in `INK` where the page's color is wanted.
-        label: what it shows.
-        key: tells its inner names from those of other drawings on the page.
+        figure: figure; `INK` stands for the page's text color.
+        label: description of the figure.
+        key: prefix of the SVG's inner names, unique on the page.
     """
     figure.patch.set_alpha(0.0)
     text = io.StringIO()
@@ -90,7 +90,7 @@ def as_svg(figure: Figure, label: str, key: str) -> str:
 
 
 def rtf_chart(entries: Sequence[Entry]) -> tuple[str, int] | None:
-    """Return RTF over simulated time as SVG, and how many panels were left out; None without any RTF."""
+    """Return RTF over time as SVG, and the number of omitted panels; None without RTF."""
     drawn = rtf_figure(entries)
     if drawn is None:
         return None
@@ -144,10 +144,10 @@ def series_band(runs: Sequence[Entry]) -> tuple[FloatArray, FloatArray]:
 
 
 def distribution_chart(entries: Sequence[Entry], metrics: Sequence[Metric]) -> tuple[str, int] | None:
-    """Return every run as a dot, group by group and metric by metric, as SVG; None where none succeeded.
+    """Return dots of all runs by group and metric as SVG; None without successful runs.
 
-    The bar is the median, a dotted one that of the metric's baseline. Also returned is how many groups were
-    left out.
+    A bar is the median, a dotted bar the median of the metric's baseline. The second value is the number of
+    omitted groups.
     """
     groups = by_group([e for e in entries if succeeded(e)])
     shown = dict(list(groups.items())[:MOST_ROWS])
@@ -217,7 +217,7 @@ def _rtf_panel(axes: Axes, held: Mapping[str, Sequence[Entry]], mappers: list[st
 
 
 def _together(panels: dict[RunGroup, Any]) -> dict[RunGroup, Any]:
-    """Return the panels with those of one world and robot side by side, else in their order."""
+    """Return the panels ordered by world and robot."""
     first = list(dict.fromkeys((group["world"], group["robot"]) for group in panels))
     worlds = list(dict.fromkeys(group["world"] for group in panels))
     order = sorted(panels, key=lambda c: (worlds.index(c["world"]), first.index((c["world"], c["robot"]))))
@@ -225,7 +225,7 @@ def _together(panels: dict[RunGroup, Any]) -> dict[RunGroup, Any]:
 
 
 def _title(group: RunGroup, groups: Mapping[RunGroup, Any]) -> str:
-    """Return what distinguishes a panel from the others, its world first."""
+    """Return the title of a panel: its world and the fields that distinguish it."""
     return group.label({"world", *distinguishing_fields(groups)})
 
 

@@ -1,4 +1,4 @@
-"""The contents of a report, before it is HTML, Markdown or CSV."""
+"""Contents of a report, independent of HTML, Markdown or CSV."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ class Report:
     """The contents of a report on a folder of results.
 
     Attributes:
-        runs: in the order in which they were asked for.
+        runs: runs in the order of the sweep.
         sections: key, table by group and table by run of each section of metrics.
         checks: collision validations that passed, and all.
-        methods: methods as published, or without attitude, beside terrain-aware ones.
-        paper: only of the paper's suite.
-        seeds: fewest and most seeds that succeeded, over the groups; (0, 0) where none did.
+        methods: comparison of methods as published, or without attitude, with terrain-aware ones.
+        paper: comparison with the paper; None except for the paper's suite.
+        seeds: fewest and most successful seeds of a group; (0, 0) without any.
     """
 
     title: str
@@ -112,7 +112,7 @@ def _order_runs(runs: Sequence[RunFolder], manifest: Entry) -> tuple[RunFolder, 
 
 
 def _missing(results: ResultFolder, manifest: Entry) -> int:
-    """Return how many of those that were asked for are not there."""
+    """Return the number of requested experiments without a result."""
     held = len(results.runs) + len(results.collisions)
     asked = len(manifest.get("cells", ())) or held
     return asked - held - len(results.broken)
@@ -124,7 +124,7 @@ def _skipped_table(results: ResultFolder) -> ReportTable:
 
 
 def _sections(entries: Sequence[Entry]) -> tuple[tuple[Section, ReportTable, ReportTable], ...]:
-    """Return the sections of which a record has a metric."""
+    """Return the sections with at least one metric."""
     tables = ((section, section_by_group(section, entries)) for section in SECTIONS)
     return tuple(
         (section, groups, section_by_run(section, entries))
@@ -134,7 +134,7 @@ def _sections(entries: Sequence[Entry]) -> tuple[tuple[Section, ReportTable, Rep
 
 
 def _seeds(entries: Sequence[Entry]) -> tuple[int, int]:
-    """Return the fewest and the most seeds that succeeded, over the groups in which one did."""
+    """Return the fewest and the most successful seeds of a group with any."""
     counts = [len({e["seed"] for e in runs if succeeded(e)}) for runs in by_group(entries).values()]
     kept = [count for count in counts if count] or [0]
     return min(kept), max(kept)

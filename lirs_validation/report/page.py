@@ -1,4 +1,4 @@
-"""The report as one HTML page that needs nothing else: no network, no scripts, no files beside it."""
+"""The report as one self-contained HTML page: no network, no scripts, no other files."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from lirs_validation.report.pictures import Painter
 from lirs_validation.report.tables.table import ReportTable
 
 MOST_PICTURES = 120
-"""Runs that are shown in pictures; of more, the first seed of each group."""
+"""Largest number of runs with pictures; of more runs, the first seed of each group is shown."""
 INTROS: dict[Section, str] = {
-    "rtf": "Simulated seconds per wall second of the whole loop, compilation left out; its parts in wall "
-    "milliseconds per simulated second (with two threads the mapper works beside the others); and the same "
+    "rtf": "Simulated seconds per wall second of the whole loop, without compilation; its parts in wall "
+    "milliseconds per simulated second (with two threads the mapper runs concurrently); and the same "
     "drive replayed through MuJoCo's step alone.",
     "trajectory": "Errors of the mapper's final trajectory in the plane, against the simulator's truth.",
-    "map": "The built map as the true start pose puts it, and aligned as the path is for the ATE, against "
-    "the map that the same update makes of the same scans at the true poses; false occupied against the "
-    "world's geometry, that of the true-pose map too: what both maps draw wrongly, F1 does not see.",
-    "contacts": "What the robot touched, and how deeply, while it was mapping.",
+    "map": "F1 compares the built map with one built from the same scans at the true poses, both placed by "
+    "the true start pose, and once more after the alignment of the ATE. False occupied compares both maps "
+    "with the world's geometry, because F1 does not show errors that both maps share.",
+    "contacts": "Contacts of the robot while mapping, and their penetration.",
     "cost": "Processor time of the drive, peak memory of the process, compilation before the clock starts, "
-    "and what a scan costs the mapper.",
+    "and the mapper's time per scan.",
 }
 
 
@@ -73,7 +73,7 @@ def page(report: Report, command: str) -> str:
 
 
 def _context(report: Report) -> dict[str, Any]:
-    """Return what the template shows; None where a table has no rows."""
+    """Return the template's variables; tables without rows are None."""
     pictures, note = _pictures(report.runs)
     return {
         "title": report.title,
@@ -135,7 +135,7 @@ def _spread(report: Report) -> dict[str, str] | None:
 
 
 def _pictures(runs: Sequence[RunFolder]) -> tuple[list[PagePicture], str]:
-    """Return the pictures of runs that have maps, failures included, and which are shown."""
+    """Return the pictures of runs with maps, and a note on omitted ones."""
     drawn = [run for run in runs if run.entry["map"]]
     chosen, note = drawn, ""
     if len(drawn) > MOST_PICTURES:
@@ -154,7 +154,7 @@ def _pictures(runs: Sequence[RunFolder]) -> tuple[list[PagePicture], str]:
 
 
 def first_seeds(runs: Sequence[RunFolder]) -> list[RunFolder]:
-    """Return of each group the run with the smallest seed, in the order of the runs."""
+    """Return the run with the smallest seed of each group, in the given order."""
     first: dict[RunGroup, RunFolder] = {}
     for run in sorted(runs, key=lambda r: int(r.entry["seed"])):
         first.setdefault(RunGroup.of(run.entry), run)
@@ -190,7 +190,7 @@ def _tiles(report: Report) -> list[dict[str, Any]]:
 
 
 def _contents(context: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return anchors and names of the sections that the page has."""
+    """Return anchors and names of the page's sections."""
     failed = context["failures"] or context["checks_failed"] or context["skipped"]
     sections = [
         ("failed", "Failures", failed),

@@ -15,7 +15,7 @@ from lirs_validation.report.tables.table import Content, MetricSpread, ReportTab
 
 HEIGHTMAP, SOLID, OURS = "heightmap-based", "solid-based", "ours"
 VIEWS: Final = {HEIGHTMAP: ("hfield", "mujoco"), SOLID: ("mesh", "mujoco"), OURS: ("hfield", "builtin")}
-"""Ways to represent a terrain: what is touched, and whose rays meet it. The first two are the paper's."""
+"""Contact geometry and ray caster of each terrain representation. The first two are the paper's."""
 MAPPERS: Final = {"gmapping": "GMapping", "hector": "HectorSLAM", "cartographer": "Cartographer"}
 WORLDS: Final = {"simple": "II", "medium": "III", "advanced": "IV"}
 """Worlds, and the tables that hold their RTF."""
@@ -45,11 +45,11 @@ Means = Mapping[tuple[str, str, str], float]
 Answer = Literal["holds", "holds in part", "does not hold", "cannot be said"]
 
 COLLAPSE = 10.0
-"""Heightmaps collapse where they are so many times as slow as solids, as all of the paper's are."""
+"""Slowdown against solids from which on a heightmap collapses; all heightmaps of the paper do."""
 
 
 def paper_tables(entries: Sequence[Entry]) -> tuple[ReportTable, ...]:
-    """Return Tables II to IV and the means by robot, each with the paper's values beside ours."""
+    """Return Tables II to IV and the means by robot, with the paper's values and ours."""
     good = [entry for entry in entries if succeeded(entry)]
     return (*(_world_table(world, good) for world in WORLDS), _robot_table(good))
 
@@ -102,7 +102,7 @@ def _published_text(value: float | None) -> str:
 
 
 def husky_runs(entries: Sequence[Entry], world: str, mapper: str, view: str) -> list[Entry]:
-    """Return the runs of the paper's main robot in a world, with a mapper, in one representation."""
+    """Return the Husky's runs in a world, with a mapper, in one representation."""
     return [
         e
         for e in entries
@@ -118,7 +118,7 @@ def _view(entry: Entry) -> str | None:
 
 @dataclass(frozen=True)
 class Finding:
-    """A finding of the paper, and what the runs here say of it."""
+    """A finding of the paper, and its check against the runs here."""
 
     claim: str
     answer: Answer
@@ -126,7 +126,7 @@ class Finding:
 
 
 def findings(entries: Sequence[Entry]) -> tuple[Finding, ...]:
-    """Return the paper's findings, each with whether it holds here, computed from the runs."""
+    """Return the paper's findings, each checked against the runs."""
     means = _means([entry for entry in entries if succeeded(entry)])
     return (
         _collapse(means),
@@ -150,14 +150,14 @@ def _means(entries: Sequence[Entry]) -> Means:
 
 
 def _answer(yes: int, of: int) -> Answer:
-    """Return what so many cases of all say: in part means half of them or more."""
+    """Return the answer for `yes` of `of` cases; in part = at least half."""
     if of == 0:
         return "cannot be said"
     return "holds" if yes == of else "holds in part" if 2 * yes >= of else "does not hold"
 
 
 def _collapse(means: Means) -> Finding:
-    """Heightmap-based worlds are hopelessly slow where solid-based ones are not."""
+    """Check the finding that only heightmap-based worlds are unusably slow."""
     claim = "Heightmap-based worlds collapse: their RTF falls towards zero, solid-based ones stay usable."
     ratios = {
         key[:2]: means[(*key[:2], SOLID)] / rtf
@@ -179,7 +179,7 @@ def _collapse(means: Means) -> Finding:
 
 
 def _worse_with_terrain(means: Means) -> Finding:
-    """The rougher the terrain, the slower the heightmap."""
+    """Check the finding that heightmaps get slower with rougher terrain."""
     claim = "Heightmaps get slower with the terrain's complexity (0.09, 0.05, 0.011)."
     worlds = list(WORLDS)
     found = {m: [means.get((w, m, HEIGHTMAP)) for w in worlds] for m in MAPPERS}
@@ -193,7 +193,7 @@ def _worse_with_terrain(means: Means) -> Finding:
 
 
 def _rank_finding(means: Means, mapper: str, rank: str, best: Callable[[Iterable[float]], float]) -> Finding:
-    """One method is always the fastest, or the slowest."""
+    """Check the finding that one method is always the fastest, or the slowest."""
     claim = f"{MAPPERS[mapper]} is the {rank} of the three methods."
     won: dict[str, list[str]] = {m: [] for m in MAPPERS}
     for world in WORLDS:
@@ -214,7 +214,7 @@ def _rank_finding(means: Means, mapper: str, rank: str, best: Callable[[Iterable
 
 
 def _comfortable(means: Means) -> Finding:
-    """On solid worlds all methods run fast enough to work with."""
+    """Check the finding that all methods are fast enough on solid worlds."""
     claim = f"On solid-based worlds every method reaches RTF {COMFORTABLE:g} or more (0.42 to 0.73)."
     values = [rtf for key, rtf in means.items() if key[2] == SOLID]
     ours = [rtf for key, rtf in means.items() if key[2] == OURS]
@@ -227,7 +227,7 @@ def _comfortable(means: Means) -> Finding:
 
 
 def _published_ratios() -> list[float]:
-    """Return how many times as fast as on heightmaps the paper's methods ran on solids."""
+    """Return the paper's ratios of RTF on solids to RTF on heightmaps."""
     return [
         PUBLISHED_RTF[(*key[:2], SOLID)] / rtf for key, rtf in PUBLISHED_RTF.items() if key[2] == HEIGHTMAP
     ]

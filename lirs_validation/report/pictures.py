@@ -1,6 +1,6 @@
-"""The picture of a run in a report: paths over the hillshade, the true-pose map, the built map; few bytes.
+"""Small picture of a run in a report: paths over the hillshade, true-pose map, built map.
 
-Of a mapper of point clouds, its elevation map less the true surface stands in the built map's place.
+For a mapper of point clouds, the error of its elevation map replaces the built map.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory
 
 BUDGET = 3_000_000
-"""Bytes of all pictures together, as they stand in the page."""
+"""Bytes of all pictures on the page, encoded."""
 MOST_BYTES = 60_000
-"""Of one run's picture, as it stands in the page."""
+"""Largest size of one run's encoded picture, bytes."""
 TILES = (340, 280, 220, 160)
-"""Edge of a panel, pixels: the largest that keeps the budget."""
+"""Edges of a panel, pixels; the largest within the budget is used."""
 QUALITY = 62
 GAP = 8
 FINE = 4
@@ -43,17 +43,17 @@ FINE = 4
 
 @dataclass(frozen=True)
 class RunPicture:
-    """A run's picture as a data URL; `note` says what is missing, and `url` is empty where all is."""
+    """A run's picture as a data URL, empty without a picture; `note` lists missing parts."""
 
     url: str
     note: str = ""
 
 
 class Painter:
-    """Paints runs; keeps the last worlds, since runs of one world follow each other."""
+    """Painter of runs with a cache of worlds, since runs come world by world."""
 
     def __init__(self, runs: int) -> None:
-        """Share the budget among so many runs."""
+        """Divide the budget among the runs."""
         self._budget = min(MOST_BYTES, BUDGET // max(runs, 1))
         self._scenarios = ScenarioCache()
 
@@ -81,7 +81,7 @@ class Painter:
         built: OccupancyGrid | ElevationMap | None,
         tile: int,
     ) -> tuple[FloatArray, str]:
-        """Return the panels side by side, and what is not in them; the truth comes first."""
+        """Return the panels side by side, the truth first, and a note on missing parts."""
         truth, estimate = tracks
         world, note = None, ""
         try:
@@ -103,7 +103,7 @@ class Painter:
 
 
 def _read_built_map(run: RunFolder) -> OccupancyGrid | ElevationMap | None:
-    """Read what the mapper mapped; None of a mapper of point clouds in a world with overhangs.
+    """Read the built map; None for point-cloud mappers in worlds with overhangs.
 
     Raises:
         SourceError: it is missing or damaged.

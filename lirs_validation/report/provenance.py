@@ -19,7 +19,7 @@ from lirs_wct.option import Options, changed, declared
 
 @dataclass(frozen=True)
 class Origin:
-    """Runs that the same software made on the same machine."""
+    """Software and machine of a number of runs."""
 
     runs: int
     versions: str
@@ -27,7 +27,7 @@ class Origin:
 
 
 def origins_of(entries: Sequence[Entry]) -> tuple[Origin, ...]:
-    """Return with which software and on which machines the runs were made."""
+    """Return the software and machines of the runs."""
     found: dict[tuple[str, str], int] = {}
     for entry in entries:
         versions = ", ".join(f"{name} {version}" for name, version in entry["versions"].items())

@@ -26,7 +26,7 @@ POLICY_HELP = (
 SetName = Annotated[
     str, typer.Option("--set", metavar="indoor|hills|lirs|generated|FILE.json", help="Set of tasks.")
 ]
-TaskName = Annotated[str, typer.Option(metavar="navigation|mapping|traverse", help="What is to be done.")]
+TaskName = Annotated[str, typer.Option(metavar="navigation|mapping|traverse", help="Task.")]
 Split = Annotated[str, typer.Option(metavar="train|validation|test|all", help="Which part of the set.")]
 Data = Annotated[
     Path | None,
@@ -57,7 +57,7 @@ def bench(
     *,
     engine: EngineOptions,
 ) -> None:
-    """Score policies on fixed tasks, and compare them with all that ran on these into the same folder.
+    """Score policies on fixed tasks, and compare them with earlier ones in the folder.
 
     The same command resumes an interrupted run.
     """
@@ -90,7 +90,7 @@ def bench(
 
 
 def _with_sources(tasks: Sequence[BenchTask], data: Path | None) -> list[BenchTask]:
-    """Return the tasks whose worlds can be made; say of each other world why it cannot.
+    """Return the tasks whose worlds can be made; print the errors of the others.
 
     Raises:
         SourceError: the folder is none, or no world can be made.

@@ -28,7 +28,7 @@ def collide(
     sources: Sources,
     robot: Annotated[str, typer.Option(metavar="R,R,...", help="Robots.")] = "husky,jackal,turtlebot2",
     terrain: Annotated[
-        str, typer.Option(metavar="T,T,...", help="What MuJoCo touches: hfield, mesh, prisms, convex.")
+        str, typer.Option(metavar="T,T,...", help="Contact geometry: hfield, mesh, prisms, convex.")
     ] = "hfield",
     seconds: Annotated[float, typer.Option(help="Simulated seconds to drive each.")] = 60.0,
     seeds: Annotated[str, typer.Option(metavar="N,N-M", help="Seeds of the random drives.")] = "1",
@@ -38,7 +38,7 @@ def collide(
     *,
     options: SourceOptions,
 ) -> None:
-    """Drive robots at random into everything, and evaluate every contact: penetration, energy, slopes."""
+    """Drive robots at random into obstacles and evaluate contacts: penetration, energy, slopes."""
     from lirs_envs.robots.catalog import make_robot
     from lirs_validation.collision.validation import write_verdicts
     from lirs_validation.report.tables.sweep_tables import verdicts_table
@@ -76,7 +76,7 @@ def _make_experiments(
     seconds: float,
     seeds: tuple[int, ...],
 ) -> Iterator[CollisionVerdict | WctError]:
-    """Yield a verdict for each robot, terrain and seed in each world, or why there can be none."""
+    """Yield an experiment for each robot, terrain and seed in each world."""
     from lirs_validation.collision.validation import check_collisions
     from lirs_validation.config import RunConfig
     from lirs_validation.experiment.scenario import build_scenario

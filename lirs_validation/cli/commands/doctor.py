@@ -1,4 +1,4 @@
-"""The command `doctor`: whether the installation is whole, and how to mend what is missing."""
+"""The command `doctor`: checks of the installation, with repair commands."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ EXTRAS = {
     "notebooks": ("ipykernel", "nbclient"),
     "usd": ("usd-core",),
 }
-"""What each extra brings that is looked for."""
+"""Packages of each extra."""
 BACKENDS = {
     "egl": "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0",
     "osmesa": "apt-get install libosmesa6",
     "glfw": "needs a screen (DISPLAY)",
 }
-"""Ways to OpenGL that MuJoCo knows, and what brings them."""
+"""OpenGL backends of MuJoCo, and the packages that install them."""
 _RENDER = (
     'import mujoco as m; model = m.MjModel.from_xml_string(\'<mujoco><worldbody><geom size=".1"/>'
     "</worldbody></mujoco>'); r = m.Renderer(model, 16, 16); d = m.MjData(model); m.mj_forward(model, d); "
@@ -71,7 +71,7 @@ class InstallationCheck:
 
 
 def doctor() -> None:
-    """Check the installation: versions, OpenGL, caches, extras; say how to mend what is missing."""
+    """Check the installation (versions, OpenGL, caches, extras) and print repair commands."""
     checks = list(_checks())
     table = Table(show_header=True, title="lirs-wct doctor", title_justify="left")
     for heading in ("", "what", "found", "how to mend it"):
@@ -108,7 +108,7 @@ def _version(package: str) -> str | None:
 
 
 def _opengl() -> Iterator[InstallationCheck]:
-    """Draw a picture with each backend, in processes of their own: MuJoCo chooses one for its life.
+    """Draw a picture with each backend in its own process; MuJoCo chooses one per process.
 
     Only pictures of the simulation need one.
     """
@@ -135,7 +135,7 @@ def _draws(backend: str) -> bool:
 
 
 def _numba_cache() -> InstallationCheck:
-    """Look where compiled kernels are kept: without such a place each start compiles for a minute."""
+    """Check the cache of compiled kernels; without it, each start compiles for a minute."""
     import lirs_wct
 
     given = os.environ.get("NUMBA_CACHE_DIR")
@@ -162,7 +162,7 @@ def _world_cache() -> InstallationCheck:
 
 
 def _writable(folder: Path) -> bool:
-    """Whether a file can be made in a folder, or in the nearest one above it that exists."""
+    """Whether a folder, or its nearest existing parent, is writable."""
     there = next((place for place in (folder, *folder.parents) if place.exists()), folder)
     try:
         with tempfile.TemporaryFile(dir=there):

@@ -26,7 +26,7 @@ def export(
         Path | None, typer.Option("-o", "--output", help="Folder to write to; default: export/ in RUN.")
     ] = None,
 ) -> None:
-    """Write a finished run as a ROS 2 bag (no ROS needed), CSV, NumPy archive or CARMEN log."""
+    """Export a finished run as ROS 2 bag, CSV, NumPy archive or CARMEN log."""
     from lirs_validation.analysis.recorded_run import export_run
     from lirs_validation.analysis.result_folders import read_run
     from lirs_wct.option import chosen, read_names

@@ -1,4 +1,4 @@
-"""Facts of a world: size, heights, slopes, where robots can drive, its mesh and its error."""
+"""Facts of a world: size, heights, slopes, drivable area, mesh and mesh error."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class WorldFacts:
         triangles: of the mesh that is written.
         watertight: whether a reader of its STL finds it closed.
         volume: enclosed, cubic meters.
-        support: what a planar scanner of a robot has to hold on to.
+        support: walls in sight of a robot's planar scanner.
         error: largest vertical distance of the mesh from the surface at its nodes, meters; None for the
             walls of a laser map, which are exact.
     """
@@ -57,7 +57,7 @@ class WorldFacts:
 
 
 def world_facts(world: World, robot: str = "husky") -> WorldFacts:
-    """Measure a world; what a scanner sees, for a robot.
+    """Measure a world, and the view of a robot's scanner.
 
     Raises:
         ConfigError: there is no such robot.
@@ -111,7 +111,7 @@ def facts_table(world: World, facts: WorldFacts) -> Table:
 
 
 def _support(found: ScanSupport) -> str:
-    """Return what the beams of a scan meet, in words."""
+    """Return the hits of a scan's beams in words."""
     if not found.poses:
         return "-"
     return (
@@ -134,7 +134,7 @@ def _cells(world: World) -> str:
 
 
 def _slopes(surface: HeightField) -> Float32Array:
-    """Return (rows, cols) slopes at the nodes, degrees; by strips, which take a fifth of the memory."""
+    """Return (rows, cols) slopes at the nodes, degrees, computed in strips to save memory."""
     slopes = np.empty(surface.shape, np.float32)
     for start in range(0, len(slopes), STRIP):
         strip, above = slopes[start : start + STRIP], min(start, 1)

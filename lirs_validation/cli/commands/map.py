@@ -24,7 +24,7 @@ Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for the map
 
 @with_options
 def map_log(log: Log, output: Output = Path("out"), *, given: Annotated[dict[str, Any], MapConfig]) -> None:
-    """Map a laser log: map.pgm and map.yaml for ROS, the path, a picture, and its accuracy."""
+    """Map a laser log: map.pgm and map.yaml for ROS, path, picture and accuracy."""
     from lirs_validation.logs.map_log import run_mapping
 
     config = MapConfig(log=log, **given)
@@ -37,7 +37,7 @@ def map_log(log: Log, output: Output = Path("out"), *, given: Annotated[dict[str
 
 
 def figures_table(record: MapRecord) -> Table:
-    """Return the metrics of a mapped log, and what was wrong with it, as a table to print."""
+    """Return the metrics and repairs of a mapped log as a table to print."""
     from lirs_validation.record.map_record import map_lines, repair_lines
     from lirs_validation.record.metric_catalog import WORSE
 

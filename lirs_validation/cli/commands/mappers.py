@@ -1,4 +1,4 @@
-"""The command `mappers`: what can be asked for by `--mapper`, and what each one needs."""
+"""The command `mappers`: names for `--mapper`, and the requirements of each."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def mappers() -> None:
-    """List the mappers: planar or 3D, what each one needs, and how to install what is not there."""
+    """List the mappers: planar or 3D, required sensors, and how to install them."""
     out.print(mapper_table())
     out.print("Your own: --mapper MODULE:CLASS (docs/bring_your_own_mapper.md).", highlight=False)
 

@@ -26,9 +26,9 @@ Across = Annotated[
 ]
 OnlyA = Annotated[
     str | None,
-    typer.Option(metavar="FIELD=VALUE,...", help="Of A take these runs only, such as mapper=hector."),
+    typer.Option(metavar="FIELD=VALUE,...", help="Only these runs of A, such as mapper=hector."),
 ]
-OnlyB = Annotated[str | None, typer.Option(metavar="FIELD=VALUE,...", help="Of B take these runs only.")]
+OnlyB = Annotated[str | None, typer.Option(metavar="FIELD=VALUE,...", help="Only these runs of B.")]
 Figures = Annotated[
     str | None,
     typer.Option(metavar="KEY,...", help="Metrics of the record to compare, such as map.f1,rtf.mean."),
@@ -133,7 +133,7 @@ def score(
     ] = "auto",
     output: Annotated[Path, typer.Option("-o", "--output", help="JSON to write.")] = Path("score.json"),
 ) -> None:
-    """Score what another program made of a run's recorded scans (scans.clf.gz, or its bag)."""
+    """Score another program's results from a run's recorded scans (scans.clf.gz or bag)."""
     from lirs_validation.analysis.result_folders import read_run
     from lirs_validation.analysis.score import check_frame
     from lirs_validation.analysis.score import score as scored

@@ -1,4 +1,4 @@
-"""What is known of a robot: a table of its data, a picture, and its description for ROS."""
+"""The command `robot`: a table of its data, a picture, and a description for ROS."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def card(robot: Robot) -> Table:
 
 
 def draw(robot: Robot, path: Path) -> None:
-    """Draw the robot as a PNG: by MuJoCo's renderer; without OpenGL, its outline from two sides."""
+    """Draw the robot as a PNG with MuJoCo; without OpenGL, as an outline."""
     import cv2
 
     import lirs_envs  # noqa: F401  chooses OpenGL without a screen, before MuJoCo is imported
@@ -129,7 +129,7 @@ def _render(robot: Robot) -> ByteArray:
 
 
 def _outline(robot: Robot, path: Path) -> None:
-    """Draw the boxes round all geoms, from above and from the right."""
+    """Draw the bounding boxes of all geoms, from above and from the right."""
     import mujoco
     from matplotlib.figure import Figure
     from matplotlib.patches import Polygon

@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from lirs_wct.world import World
 
 MESHES = {"dae", "stl", "obj", "glb", "usd"}
-"""What `--to` writes as meshes."""
+"""Mesh formats of `--to`."""
 
 
 Formats = Annotated[
     str,
-    typer.Option(metavar="F,F,...", help="What to write: dae, stl, sdf, mjcf, obj, hfield, glb, usd, map."),
+    typer.Option(metavar="F,F,...", help="Files to write: dae, stl, sdf, mjcf, obj, hfield, glb, usd, map."),
 ]
 GazeboModel = Annotated[
     str,
@@ -36,7 +36,7 @@ GazeboModel = Annotated[
 ]
 MapHeight = Annotated[
     float | None,
-    typer.Option(metavar="METERS", show_default="0.3", help="Height of the lidar that --to map is made for."),
+    typer.Option(metavar="METERS", show_default="0.3", help="Height of the lidar for --to map."),
 ]
 
 
@@ -81,7 +81,7 @@ def view(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="PNG to write; default: NAME-view.png here.")
     ] = None,
-    oblique: Annotated[bool, typer.Option("--oblique", help="At an angle alone, large.")] = False,
+    oblique: Annotated[bool, typer.Option("--oblique", help="Oblique view only.")] = False,
     *,
     options: SourceOptions,
 ) -> None:
@@ -99,11 +99,11 @@ def info(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="PNG to draw; default: no picture.")
     ] = None,
-    robot: Annotated[str, typer.Option(metavar="R", help="Whose lidar looks round.")] = "husky",
+    robot: Annotated[str, typer.Option(metavar="R", help="Robot whose lidar the forecast uses.")] = "husky",
     *,
     options: SourceOptions,
 ) -> None:
-    """Say what a source is: size, heights, slopes, where robots drive, walls in sight, triangles, error."""
+    """Print facts of a source: size, heights, slopes, drivable area, walls in sight, mesh."""
     from lirs_envs.robots.catalog import make_robot
     from lirs_validation.cli.commands.info import facts_table, world_facts
     from lirs_wct.sources.build import build_world
@@ -122,7 +122,10 @@ def convert(
     target: Annotated[Path, typer.Argument(metavar="OUT", help="Mesh in another of these formats.")],
     rotate_x: Annotated[float, typer_option(ExportOptions, "rotate_x")] = 0.0,
 ) -> None:
-    """Convert a mesh between stl, dae, obj, ply and glb; up stays up, dae, obj and glb keep the texture."""
+    """Convert a mesh between stl, dae, obj, ply and glb.
+
+    The up direction stays; dae, obj and glb keep the texture.
+    """
     from lirs_wct.export.mesh_conversion import convert_mesh
 
     with err.status(f"converting {source}"):

@@ -1,1 +1,1 @@
-"""What a page of the browser is about, without the browser: construction, drive, replay."""
+"""State of a browser page without the browser: construction, drive, replay."""

@@ -33,7 +33,7 @@ PREVIEW_NODES = 129
 
 
 def preview_facts(world: World) -> Facts:
-    """Return what is known of a world before it is built."""
+    """Return the facts of a world before it is built."""
     surface = world.surface
     width, depth = surface.size
     facts = [("world", f"{world.name} ({world.kind})"), ("size", f"{width:.5g} x {depth:.5g} m")]
@@ -49,7 +49,7 @@ def preview_facts(world: World) -> Facts:
 
 
 def built_facts(world: World) -> Facts:
-    """Return what is known of a built world: also its mesh, its error and where the meters come from."""
+    """Return the facts of a built world, with mesh, mesh error and source of scale."""
     surface, mesh = world.surface, world.file_mesh
     error = "exact" if world.walls is not None else f"{mesh_error(world, mesh):.4f} m at the nodes"
     grid = () if world.walls is not None else (("grid", f"{surface.shape[1]} x {surface.shape[0]} nodes"),)
@@ -71,11 +71,11 @@ class Shown:
     """A world to look at.
 
     Attributes:
-        world: itself; of a preview, coarser and without start poses.
-        facts: names and values of what it is.
-        source: that it was made of: of a log, its map.
-        options: that it was made with.
-        package: folder of what `build` writes; None of a preview.
+        world: the world; coarser and without start poses in a preview.
+        facts: names and values for the page's table.
+        source: source of the world; for a log, its map.
+        options: options of its construction.
+        package: folder of the package; None for a preview.
     """
 
     world: World
@@ -102,7 +102,7 @@ class Construction:
         self._opened: tuple[Source, TerrainPicture] | None = None
 
     def kind(self, source: str, options: SourceOptions) -> SourceKind:
-        """Return what a source is.
+        """Return the kind of a source.
 
         Raises:
             SourceError: there is none of that name.
@@ -110,7 +110,7 @@ class Construction:
         return find_source(source, options).kind
 
     def preview(self, source: str, options: SourceOptions, progress: Progress = no_progress) -> Shown:
-        """Return what a source becomes, coarsely; a log is mapped the first time.
+        """Return a coarse world of a source; a log is mapped the first time.
 
         Raises:
             WctError: the source or an option cannot be used.
@@ -175,7 +175,7 @@ class Construction:
         return self._opened[1]
 
     def forget(self) -> None:
-        """Read all files anew next time: another one may have the name of one before."""
+        """Drop all cached files; a new file may have the name of an old one."""
         self._opened = None
         self._scenarios.clear()
 

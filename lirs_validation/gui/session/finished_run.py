@@ -1,4 +1,4 @@
-"""A finished run, read from its folder to be looked at again."""
+"""A finished run, read from its folder for replay."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.world import World
 
 FILES = ("record.json", "truth.tum", "estimate.tum", "scans.clf.gz")
-"""What of a run's folder is looked at."""
+"""Files of a run that a replay reads."""
 MAP_FILES = ("map.yaml", "map.pgm")
-"""The same, of planar mappers alone."""
+"""Additional files of planar mappers."""
 
 
 class FinishedRun:
@@ -37,13 +37,13 @@ class FinishedRun:
     Attributes:
         record: of the run, nested dicts.
         robot: its name.
-        world: where it took place; None where its source is not there any more, as `missing` says.
-        missing: why there is no world.
+        world: world of the run; None if its source no longer exists.
+        missing: reason for a missing world.
 
     Args:
         folder: of the run.
         scenarios: worlds that the page built before.
-        uploaded: whether a browser sent it: its record then names no file of this machine.
+        uploaded: whether a browser sent the run; its record then names no file of this machine.
 
     Raises:
         SourceError: it is no run's folder, damaged, or of a run without a result.
@@ -80,7 +80,7 @@ class FinishedRun:
 
     @property
     def scans(self) -> int:
-        """How many scans there are."""
+        """Number of scans."""
         return len(self._scans)
 
     def scan_at(self, time: float) -> int:
@@ -88,7 +88,7 @@ class FinishedRun:
         return max(0, int(np.searchsorted(self._truth.stamps, time, side="right")) - 1)
 
     def moment(self, scan: int) -> Moment:
-        """Return the drive at a scan, 0 being the one before anything moves; the map is the final one."""
+        """Return the drive at a scan, 0 = before the first motion, with the final map."""
         stamp = float(self._truth.stamps[scan])
         T_world_base = Pose3.from_arrays(self._truth.positions[scan], self._truth.quaternions[scan])
         truth = self._truth.positions[: scan + 1]
@@ -120,7 +120,7 @@ class FinishedRun:
 
 
 def unpacked_run(content: bytes, folder: Path, limits: PageLimits) -> Path:
-    """Write what is looked at of a run's zipped folder; no name in the archive becomes a path.
+    """Extract the needed files of a zipped run; names in the archive do not become paths.
 
     Raises:
         SourceError: it is no such archive, holds no run, or unpacks to more than the limit.
@@ -145,14 +145,14 @@ def unpacked_run(content: bytes, folder: Path, limits: PageLimits) -> Path:
 
 
 def _name_picture(folder: Path) -> None:
-    """Let a map's YAML mean the picture beside it, whatever picture it names."""
+    """Set the picture of a map's YAML to `map.pgm`."""
     lines = (folder / "map.yaml").read_text(encoding="utf-8", errors="replace").splitlines()
     kept = [line for line in lines if not line.startswith("image:")]
     (folder / "map.yaml").write_text("\n".join(["image: map.pgm", *kept]) + "\n", encoding="utf-8")
 
 
 def runs_in(folder: Path) -> dict[str, Path]:
-    """Return the runs in a folder of results by name, the newest first; of a run's own folder, itself."""
+    """Return the runs in a folder by name, newest first; a run's folder is itself a run."""
     if (folder / "record.json").is_file():
         return {folder.name: folder}
     records = sorted(folder.glob("*/record.json"), key=lambda path: path.stat().st_mtime, reverse=True)

@@ -23,12 +23,12 @@ from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.world import World
 
 TEXTURE = 1024
-"""Pixels of a texture's longer side, at most; of a preview, which is to come fast, fewer."""
+"""Largest side of a texture, pixels; smaller in previews, for speed."""
 PREVIEW_TEXTURE = 384
 VISUAL = 2
-"""Group of the geoms that are seen."""
+"""Group of the visible geoms."""
 SECTIONS = 20
-"""Sides of what is round."""
+"""Sections of cylinders, capsules and spheres."""
 
 
 def world_glb(world: World, most: int, texture: int = TEXTURE) -> tuple[bytes, int]:

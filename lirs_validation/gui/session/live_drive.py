@@ -1,4 +1,4 @@
-"""A drive that runs while the page shows it, with a driver that can be exchanged."""
+"""A drive that runs while the page shows it, with manual or automatic driver."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.progress import Progress, no_progress
 
 MAP_SECONDS, MAP_WALL_SECONDS = 1.0, 0.5
-"""A map is drawn and kept as often as this, simulated and real, at most."""
+"""Shortest simulated and wall-clock periods between two kept maps, seconds."""
 
 
 class HandOverDriver:
-    """Drives as another driver does, or as a person says.
+    """Driver that switches between another driver and manual control.
 
     Attributes:
         by_hand: whether a person drives.
         touched: whether a person drove at any time.
 
     Args:
-        driver: that drives otherwise.
-        robot: whose limits hold for the person, too.
+        driver: automatic driver.
+        robot: robot whose speed limits also hold for manual control.
     """
 
     def __init__(self, driver: Driver, robot: Robot) -> None:
@@ -43,19 +43,19 @@ class HandOverDriver:
         self.by_hand = self.touched = False
 
     def steer(self, forward: float, left: float) -> None:
-        """Take in where the stick is, from -1 to 1 each: forward, and to the left."""
+        """Set the stick's position: forward and left, -1 to 1 each."""
         self._wanted = Twist(
             clip(forward, 1.0) * self._robot.max_speed, clip(left, 1.0) * self._robot.max_turn_rate
         )
 
     @property
     def start(self) -> Pose2:
-        """Where the robot is set down."""
+        """Start pose of the robot."""
         return self._driver.start
 
     @property
     def frame(self) -> Frame:
-        """Which poses it is given."""
+        """Frame of the poses that the driver gets."""
         return self._driver.frame
 
     @property
@@ -65,7 +65,7 @@ class HandOverDriver:
 
     @property
     def finished(self) -> str:
-        """Why nothing is left to drive; empty while there is."""
+        """Reason for the end of the drive; empty before the end."""
         return "" if self.by_hand else self._driver.finished
 
     def command(self, pose: Pose2, time: float) -> Twist:
@@ -81,7 +81,7 @@ class LiveDrive:
 
     Attributes:
         config: of the run.
-        world: where it takes place.
+        world: world of the drive.
         robot: its name.
         driver: the config's, from which a person can take over.
 
@@ -128,7 +128,7 @@ class LiveDrive:
 
     @property
     def scans(self) -> int:
-        """How many scans there are so far."""
+        """Number of scans so far."""
         return len(self._drive.log.truth)
 
     def step(self) -> None:
@@ -146,11 +146,11 @@ class LiveDrive:
             self._keep_map()
 
     def go_on(self, until: float, time_limit: float) -> bool:
-        """Drive on; return whether the drive has come to its limit, and waits for it to move.
+        """Continue the drive; return whether it reached `time_limit`.
 
         Args:
-            until: reading of `time.monotonic` at which to come back.
-            time_limit: simulated time beyond which not to drive now, seconds.
+            until: reading of `time.monotonic` at which the method returns.
+            time_limit: simulated time at which the drive pauses, seconds.
 
         Raises:
             MapperError: the mapper failed.
@@ -163,7 +163,7 @@ class LiveDrive:
         return False
 
     def moment(self, scan: int) -> Moment:
-        """Return the drive at a scan, 0 being the one before anything moves."""
+        """Return the drive at a scan, 0 = before the first motion."""
         log, until = self._drive.log, scan + 1
         observation, T_world_base = log.observations[scan], log.truth[scan]
         truth = log.truth.as_array()[:until, :3]
@@ -181,9 +181,9 @@ class LiveDrive:
         )
 
     def save(self, out: Path, progress: Progress = no_progress) -> Run:
-        """Evaluate and write the drive so far, as `validate` would have; it can go on afterwards.
+        """Evaluate and write the drive so far like `validate`; the drive can continue.
 
-        The processor was shared with the page: the record says so of its real-time factor. Where a person
+        The page shared the processor, so the record marks the real-time factor as concurrent. If a person
         drove, the record's driver is `manual`.
 
         Raises:

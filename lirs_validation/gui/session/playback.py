@@ -1,4 +1,4 @@
-"""Playback of a drive: what is seen at each scan, and the picture of its map."""
+"""Playback of a drive: its state at each scan, and the picture of its map."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MARGIN = 1.0
 
 @dataclass(frozen=True)
 class MapSnapshot:
-    """A map at one moment, packed: a drive has many.
+    """Compressed map at one moment of a drive.
 
     Attributes:
         time: seconds since the start.
@@ -47,7 +47,7 @@ class MapSnapshot:
 
     @staticmethod
     def of(grid: OccupancyGrid, time: float) -> MapSnapshot:
-        """Pack what is known of a map of the world frame."""
+        """Compress the known part of a map in the world frame."""
         pixels = np.full(grid.shape, UNKNOWN, np.uint8)
         p = grid.probability
         pixels[p > OCCUPIED] = BLACK
@@ -75,13 +75,13 @@ class MapSnapshot:
 
     @property
     def known(self) -> int:
-        """Number of cells about which something is known."""
+        """Number of known cells."""
         return int((self.pixels != UNKNOWN).sum())
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What is seen of a drive at one scan.
+    """State of a drive at one scan.
 
     Attributes:
         time: seconds since the start.
@@ -103,7 +103,7 @@ class Moment:
 
 
 class Playback(Protocol):
-    """A drive that can be looked at."""
+    """Interface of a drive for the page: moments by scan."""
 
     @property
     def robot(self) -> str:
@@ -112,21 +112,21 @@ class Playback(Protocol):
 
     @property
     def world(self) -> World | None:
-        """Where it took place; None where that is not known any more."""
+        """World of the drive; None if it is no longer known."""
         ...
 
     @property
     def scans(self) -> int:
-        """How many scans there are."""
+        """Number of scans."""
         ...
 
     def moment(self, scan: int) -> Moment:
-        """Return the drive at a scan, 0 being the one before anything moves."""
+        """Return the drive at a scan, 0 = before the first motion."""
         ...
 
 
 def scan_points(scan: LaserScan, T_world_base: Pose3) -> Float32Array:
-    """Return (n, 3) where the beams of a scan hit something, world frame, meters."""
+    """Return (n, 3) hit points of a scan's beams, world frame, meters."""
     hits = scan.hits
     r, angle = scan.ranges[hits].astype(np.float64), scan.angles[hits]
     points = np.stack((r * np.cos(angle), r * np.sin(angle), np.zeros_like(r)), axis=-1)
@@ -134,7 +134,7 @@ def scan_points(scan: LaserScan, T_world_base: Pose3) -> Float32Array:
 
 
 def latest(maps: list[MapSnapshot], time: float) -> MapSnapshot | None:
-    """Return the last map that was there at a time."""
+    """Return the latest map at a time."""
     return next((found for found in reversed(maps) if found.time <= time + 1e-9), None)
 
 
@@ -145,7 +145,7 @@ def ate(true: FloatArray, estimated: FloatArray) -> float:
 
 
 def map_picture(moment: Moment) -> ByteArray:
-    """Return (rows, cols, 3) RGB: the map north up, the true path blue, the estimated one vermillion."""
+    """Return (rows, cols, 3) RGB: map north up, true path blue, estimated path vermillion."""
     found = moment.map
     if found is None or not found.known:
         return np.full((SIDE, SIDE, 3), UNKNOWN, np.uint8)
@@ -157,7 +157,7 @@ def map_picture(moment: Moment) -> ByteArray:
     scale = SIDE / float((high - low).max())
     width, height = (math.ceil(side * scale) for side in (high - low).tolist())
     picture = _draw_cells(found.pixels, found.origin, found.resolution, low, scale, (width, height))
-    walls = _pixels(found.walls, low, scale, height)  # thinner than a pixel, and yet what matters
+    walls = _pixels(found.walls, low, scale, height)  # thinner than a pixel, yet important
     picture[np.clip(walls[:, 1], 0, height - 1), np.clip(walls[:, 0], 0, width - 1)] = BLACK
     for path, color in ((moment.truth[:, :2], BLUE), (moment.estimate, VERMILLION)):
         points = _pixels(path, low, scale, height)
@@ -168,7 +168,7 @@ def map_picture(moment: Moment) -> ByteArray:
 def _draw_cells(
     pixels: ByteArray, origin: Pose2, resolution: float, low: FloatArray, scale: float, size: tuple[int, int]
 ) -> ByteArray:
-    """Return the cells, turned as the map lies in the world, in a picture of a size."""
+    """Return the cells in world orientation, in a picture of the given size."""
     width, height = size
     c, s = math.cos(origin.yaw) * resolution * scale, math.sin(origin.yaw) * resolution * scale
     x, y = (origin.x - low[0]) * scale, (origin.y - low[1]) * scale

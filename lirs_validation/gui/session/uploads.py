@@ -1,4 +1,4 @@
-"""Files that a browser sends: capped, under harmless names, in a folder of the page's own."""
+"""Uploaded files of a page: limited in size, with safe names, in the page's folder."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ PREFIX = "lirs-wct-gui-"
 
 @dataclass(frozen=True, kw_only=True)
 class PageLimits:
-    """What a page may ask of the server.
+    """Limits of a page's uploads.
 
     Attributes:
         upload: bytes of all files that a page sends.
@@ -51,7 +51,7 @@ class PageLimits:
 
 
 class Uploads:
-    """The files of one page, in a folder that goes with it."""
+    """Files of one page, in a folder that is removed with the page."""
 
     def __init__(self, limits: PageLimits) -> None:
         parent = Path(tempfile.gettempdir())
@@ -64,7 +64,7 @@ class Uploads:
         """Keep a file; another of its name is replaced.
 
         Args:
-            name: as the browser says it; only its last part counts, and of that only harmless characters.
+            name: name from the browser; folders and unsafe characters are removed.
             content: of the file.
 
         Raises:
@@ -111,7 +111,7 @@ class Uploads:
 
 
 def _decompress(name: str, content: bytes) -> Iterator[bytes]:
-    """Yield what a compressed file holds, in parts.
+    """Yield the decompressed content of a file in parts.
 
     Raises:
         OSError, EOFError: it is damaged.
@@ -140,7 +140,7 @@ def harmless(name: str) -> str:
 
 
 def _beside(name: str, content: bytes) -> bytes:
-    """Return a map's YAML whose picture is the uploaded file of that name, and no other of this machine."""
+    """Return a map's YAML whose picture is the uploaded file of that name."""
     try:
         entry = load_yaml(content.decode("utf-8"))
         entry["image"] = harmless(str(entry["image"]))

@@ -1,4 +1,4 @@
-"""One thread for all work of one page: jobs in order, the newest of a kind alone, and a loop while idle."""
+"""Worker thread of a page: queued jobs, at most one of a kind, and an idle loop."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ Job = Callable[[], None]
 
 
 class PageWorker:
-    """Runs the jobs of one page one after the other, so that its state needs no locks.
+    """Run the jobs of one page in sequence, so that its state needs no locks.
 
     Args:
-        on_error: called with what a job raised; the thread goes on.
+        on_error: called with the exception of a job; the thread continues.
         name: of the thread.
     """
 
@@ -28,20 +28,20 @@ class PageWorker:
         self._thread.start()
 
     def submit(self, kind: str, job: Job) -> None:
-        """Queue a job; one of the same kind that still waits is forgotten."""
+        """Queue a job; it replaces a waiting one of the same kind."""
         with self._changed:
             if not self._closing:
                 self._jobs[kind] = job
                 self._changed.notify()
 
     def repeat(self, slice_of_work: Job | None) -> None:
-        """Call a short piece of work again and again while no job waits; None = stop."""
+        """Call a short function repeatedly while no job waits; None = stop."""
         with self._changed:
             self._idle = slice_of_work
             self._changed.notify()
 
     def close(self, at_end: Job | None = None) -> None:
-        """Forget what waits, and end the thread after the present job; `at_end` is the last one."""
+        """Drop waiting jobs and end the thread after the present job, then `at_end`."""
         with self._changed:
             self._closing, self._idle, self._at_end = True, None, at_end
             self._jobs.clear()
@@ -54,7 +54,7 @@ class PageWorker:
 
     @property
     def here(self) -> bool:
-        """Whether it is the worker's own thread that asks."""
+        """Whether the caller runs in the worker's thread."""
         return threading.current_thread() is self._thread
 
     def _run(self) -> None:

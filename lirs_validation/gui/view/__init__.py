@@ -1,1 +1,1 @@
-"""What a page shows, and its controls; viser alone is spoken to here."""
+"""View of a page: scene and controls. Only this package uses viser."""

@@ -1,4 +1,4 @@
-"""The tab where a robot drives and maps, by itself or by hand."""
+"""Tab in which a robot drives and maps, automatically or manually."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from lirs_validation.gui.view.widgets import (
 from lirs_wct.errors import ConfigError
 
 SLICE = 0.05
-"""Wall seconds of driving between two looks at what else there is to do."""
+"""Wall seconds of driving between two checks of the job queue."""
 FIRST = ("robot", "mapper", "lidar", "driver")
 """Options of a run above the folded ones."""
 
@@ -153,7 +153,7 @@ class DriveTab:
             self.drive.driver.steer(forward, left)
 
     def _apply(self) -> None:
-        """Give the drive what the switches say."""
+        """Apply the switches to the drive."""
         self._follow()
         if self._stick.visible != self._by_hand.value:
             self._stick.visible = self._by_hand.value

@@ -30,7 +30,7 @@ def limit_uploads(
 
     Args:
         client: the page.
-        check: called with name and bytes as check_announced, and again with what has come; raises WctError.
+        check: called with name and announced size, and again with received bytes; raises WctError.
         refused: called with that error.
     """
     gui = client.gui
@@ -60,14 +60,14 @@ def limit_uploads(
 
 
 class Page:
-    """What one client sees and does; nothing of it is shared with another.
+    """State and tabs of one client, separate from other clients.
 
     Args:
         client: the page.
-        source: shown first; None = the first bundled world.
-        runs: folder of finished runs on the server; None = there is none.
-        limits: of the server.
-        detail: triangles that the browser is given.
+        source: source shown first; None = the first bundled world.
+        runs: folder of finished runs on the server; None = no folder.
+        limits: limits of the server.
+        detail: numbers of triangles sent to the browser.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class Page:
         self._drive_scene.clear()
 
     def close(self) -> None:
-        """End the page's work; its simulation and its files go with it."""
+        """End the page's work; free its simulation and its files."""
         self.worker.close(at_end=self._free)
 
     def _free(self) -> None:

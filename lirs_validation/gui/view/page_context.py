@@ -21,11 +21,11 @@ _LOG = logging.getLogger(__name__)
 
 
 class Guard:
-    """Wraps the callbacks of one page; shows errors and hints there.
+    """Wrap the callbacks of one page, and show their errors and hints there.
 
     Args:
         client: the page.
-        folder: of the page, whose path is left out of messages.
+        folder: folder of the page; messages omit its path.
     """
 
     def __init__(self, client: viser.ClientHandle, folder: Path) -> None:
@@ -45,7 +45,7 @@ class Guard:
         return run
 
     def show(self, error: Exception) -> None:
-        """Show an error in place of the one before; what is no user's mistake is logged, too."""
+        """Show an error instead of the last one; log it unless it is a WctError."""
         self._notes.clear()
         if isinstance(error, WctError):
             self._say("Input cannot be used", str(error), "red")
@@ -58,7 +58,7 @@ class Guard:
         self._notes.append(message)
 
     def done(self) -> None:
-        """Take the error before away, since it is mended; show the hints that came instead."""
+        """Remove the last error and show the collected hints."""
         notes, self._notes = self._notes, []
         if notes:
             self._say("Note", "; ".join(dict.fromkeys(notes)), "yellow")
@@ -82,14 +82,14 @@ class PageContext:
     """The parts of one page.
 
     Attributes:
-        client: whose page it is.
-        worker: does the page's work.
-        guard: shows its errors.
-        scene: shows its world.
-        drive_scene: shows its drive.
-        uploads: keeps its files.
-        scenarios: its worlds.
-        limits: of the server.
+        client: connection to the browser.
+        worker: thread of the page's jobs.
+        guard: display of errors.
+        scene: display of the world.
+        drive_scene: display of the drive.
+        uploads: files of the page.
+        scenarios: cache of worlds.
+        limits: limits of the server.
     """
 
     client: viser.ClientHandle

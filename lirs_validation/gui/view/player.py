@@ -1,4 +1,4 @@
-"""Shows a drive over time: the latest moment while it goes on, any other by its timeline."""
+"""Player of a drive: the latest moment while it runs, others by the timeline."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Player:
         self._facts = gui.add_markdown("")
 
     def begin(self, playback: Playback, seconds: float) -> None:
-        """Show another drive, whose timeline is to reach so many seconds."""
+        """Show another drive with a timeline of the given length."""
         self.playback, self.scan, self._shown_at = None, 0, 0.0
         self._slider.max = max(0.1, seconds)
         self._slider.visible = True
@@ -56,7 +56,7 @@ class Player:
         self.show(0)
 
     def end(self) -> None:
-        """Show no drive any more."""
+        """Show no drive."""
         self.playback = None
         self._slider.visible = False
         self._facts.content = ""
@@ -75,7 +75,7 @@ class Player:
 
     @property
     def due(self) -> bool:
-        """Whether it is time for another picture."""
+        """Whether another picture is due."""
         return time.monotonic() - self._shown_at >= PERIOD
 
     def _go_to_slider(self, event: Any) -> None:

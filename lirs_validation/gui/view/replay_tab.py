@@ -95,7 +95,7 @@ class ReplayTab:
         self._play.enable(True)
 
     def play(self) -> None:
-        """Go on from the moment that is shown; from the start, after the last."""
+        """Continue from the shown moment; after the last one, from the start."""
         if self.run is None:
             return
         if self._player.scan >= self.run.scans - 1:
@@ -105,12 +105,12 @@ class ReplayTab:
         self._page.worker.repeat(self._play_slice)
 
     def pause(self) -> None:
-        """Stand still at the moment that is shown."""
+        """Stop at the shown moment."""
         self._page.worker.repeat(None)
         self._play.show(running=False)
 
     def forget(self) -> None:
-        """Drop the run: the page shows something else."""
+        """Drop the run, since the page shows something else."""
         self.pause()
         self.run = None
         self._play.enable(False)

@@ -17,27 +17,27 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.world import World
 
 POINTS = 1500
-"""Points of a path that are drawn, at most."""
+"""Largest number of drawn path points."""
 ABOVE = 0.15
-"""Meters of the estimated path and the map above the ground."""
+"""Height of the estimated path and the map above the ground, meters."""
 FOOT = 0.5
-"""Meters around a cell of the map where the ground is looked for: the cell may be up on an obstacle."""
+"""Radius of the ground search around a cell, meters; the cell may be on top of an obstacle."""
 WALLS = 20_000
-"""Cells of the map that are drawn in the scene, at most."""
+"""Largest number of drawn map cells."""
 SCAN = (220, 30, 60)
 BEHIND = np.array((0.0, -9.0, 7.0))
-"""From the robot to the camera at first, meters."""
+"""Initial offset of the camera from the robot, meters."""
 TURNING = 2.0
-"""Seconds for which the browser may still say where its camera was before it was turned."""
+"""Seconds during which the browser may still report the old camera pose."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Detail:
-    """How many triangles a browser is given.
+    """Numbers of triangles sent to a browser.
 
     Attributes:
-        preview: while controls are moved.
-        built: after Build.
+        preview: triangles while controls are moved.
+        built: triangles after Build.
     """
 
     preview: int = 33_000
@@ -60,7 +60,7 @@ class WorldScene:
         client.scene.configure_default_lights(True, cast_shadow=False)
 
     def show_world(self, world: World, *, coarse: bool) -> int:
-        """Show a world in place of the one before; return its number of triangles as shown."""
+        """Show a world instead of the last one; return its number of triangles."""
         detail = self._detail
         most, texture = (detail.preview, PREVIEW_TEXTURE) if coarse else (detail.built, TEXTURE)
         content, triangles = world_glb(world, most, texture)
@@ -75,7 +75,7 @@ class WorldScene:
         self._world = self._bounds = None
 
     def _look_at(self, world: World) -> None:
-        """Move the camera to where another extent is seen as a whole; the user's own view stays."""
+        """Show the whole world if its bounds changed; else keep the user's view."""
         bounds = world.surface.bounds
         if bounds == self._bounds:
             return
@@ -91,7 +91,7 @@ class WorldScene:
 
 
 class DriveScene:
-    """Shows moments of a drive, and the map from above in a panel of its own.
+    """Display of a drive's moments, with the map in a separate panel.
 
     Args:
         client: the page.
@@ -125,14 +125,14 @@ class DriveScene:
         self._panel.visible = True
 
     def clear(self) -> None:
-        """Take the drive out of the scene."""
+        """Remove the drive from the scene."""
         if self._root is not None:
             self._root.remove()
         self._root = self._robot = self._map = None
         self._panel.visible = False
 
     def approach(self, position: FloatArray) -> None:
-        """Look at a place from the south and above, so that north is up as in the map."""
+        """Look at a place from the south and above; north is up, as in the map."""
         self._turning_until = time.monotonic() + TURNING
         self._look_at(position, BEHIND)
 
@@ -167,20 +167,20 @@ class DriveScene:
         )
 
     def _on_ground(self, points: FloatArray, otherwise: float) -> FloatArray:
-        """Return points (n, 3) a little above the ground, or above a height where there is none."""
+        """Return points (n, 3) slightly above the ground, or above `otherwise` without ground."""
         z = np.full(len(points), np.nan)
         if self._surface is not None:
             z = self._surface.height_at(points[:, 0], points[:, 1])
         return np.column_stack((points, np.where(np.isfinite(z), z, otherwise) + ABOVE))
 
     def _at_foot(self, points: FloatArray) -> FloatArray:
-        """Return points (n, 3) a little above the lowest ground near them."""
+        """Return points (n, 3) slightly above the lowest ground near them."""
         around = [(0.0, 0.0), (FOOT, 0.0), (-FOOT, 0.0), (0.0, FOOT), (0.0, -FOOT)]
         placed = [self._on_ground(points + np.array(shift), 0.0)[:, 2] for shift in around]
         return np.column_stack((points, np.min(placed, axis=0)))
 
     def _follow(self, position: FloatArray) -> None:
-        """Look at the robot from as far, and from the side, as the user has chosen to."""
+        """Look at the robot from the user's chosen distance and direction."""
         if not self.follow:
             return
         camera, turning = self._client.camera, time.monotonic() < self._turning_until

@@ -19,7 +19,7 @@ from lirs_wct.progress import Progress
 from lirs_wct.sources.options import SourceKind
 
 PATIENCE = 0.4
-"""Seconds before a bar appears: what is faster needs none."""
+"""Seconds before a bar appears; shorter work shows none."""
 PERIOD = 0.1
 """Seconds between two updates."""
 SPEEDS = {"1 x real time": 1.0, "2 x": 2.0, "5 x": 5.0, "10 x": 10.0, "as fast as it goes": float("inf")}
@@ -132,7 +132,7 @@ def with_script(html: str, script: str) -> str:
 
 
 class ProgressLine:
-    """A bar with a line of text, hidden while nothing goes on."""
+    """Progress bar with a line of text, hidden while idle."""
 
     def __init__(self, gui: viser.GuiApi) -> None:
         self._text = gui.add_markdown("", visible=False)
@@ -160,7 +160,7 @@ class ProgressLine:
 
 
 class Pace:
-    """A dropdown of speeds, and the simulated time that the chosen one leads to.
+    """Dropdown of speeds, and the simulated time at the chosen speed.
 
     Args:
         gui: of the page.
@@ -178,17 +178,17 @@ class Pace:
         self._speed.on_update(guard(lambda _: self.wind()))
 
     def wind(self) -> None:
-        """Let the pace begin at this moment."""
+        """Restart the clock at the shown simulated time."""
         self._clock = time.monotonic(), self._now()
 
     def time(self, ahead: float = 0.0) -> float:
-        """Return the simulated time to which the pace leads, so many wall seconds from now."""
+        """Return the simulated time at `ahead` wall seconds from now."""
         wall, simulated = self._clock
         return simulated + SPEEDS[self._speed.value] * (time.monotonic() - wall + ahead)
 
 
 class PlayButton:
-    """Starts and pauses; says which of both it would do.
+    """Button that starts and pauses, labeled with its next action.
 
     Args:
         gui: of the page.
@@ -213,18 +213,18 @@ class PlayButton:
         self._button.on_click(guard(lambda _: pause() if self.running else play()))
 
     def show(self, running: bool) -> None:
-        """Show whether the drive goes on."""
+        """Show whether the drive is running."""
         self.running = running
         self._button.label = "Pause" if running else self._label
         self._button.icon = viser.Icon.PLAYER_PAUSE if running else viser.Icon.PLAYER_PLAY
 
     def enable(self, enabled: bool) -> None:
-        """Let it be clicked, or not."""
+        """Enable or disable the button."""
         self._button.disabled = not enabled
 
 
 def add_follow(gui: viser.GuiApi, guard: Guard, scene: DriveScene) -> Callable[[], None]:
-    """Add the choice whether the view follows the robot; return what tells it to the scene anew."""
+    """Add a check box for a view that follows the robot; return its apply function."""
     box = gui.add_checkbox("follow robot", True)
 
     def apply() -> None:
@@ -319,9 +319,9 @@ class OptionControls:
 
 
 def add_drop_zone(gui: viser.GuiApi, label: str) -> None:
-    """Let files be dropped onto the page while this part of it is seen.
+    """Accept files dropped onto the page while this part is visible.
 
-    Of several files, as a map's picture and its YAML, the YAML comes last: it names the others.
+    Of several files, such as a map's picture and its YAML, the YAML is sent last because it names the others.
 
     Args:
         gui: of the page.
@@ -331,7 +331,10 @@ def add_drop_zone(gui: viser.GuiApi, label: str) -> None:
 
 
 class Stick:
-    """A stick with its field.
+    """Stick for manual driving, by pointer or the keys W A S D and arrows.
+
+    viser has no such widget. The stick is HTML that writes its position into the text field below it; the
+    page gets an event for each change of the field.
 
     Args:
         gui: of the page.

@@ -1,4 +1,4 @@
-"""The tab where worlds are made: source, options, figures, package."""
+"""Tab for the construction of worlds: source, options, facts, package."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class WorldTab:
 
     Args:
         page: whose tab it is.
-        sources: names and what they stand for, the first one is shown.
+        sources: sources by name; the first one is shown.
         changed: called with each world that is shown.
     """
 
@@ -79,11 +79,11 @@ class WorldTab:
             )
 
     def preview(self) -> None:
-        """Show what the controls say, soon and coarsely."""
+        """Show a coarse preview for the present controls."""
         self._page.worker.submit("preview", self._preview)
 
     def build(self) -> None:
-        """Show what the controls say at full quality, and write the package."""
+        """Build the world of the present controls, show it and write its package."""
         self._build.disabled = True
         self._page.worker.submit("build", self._build_now)
 
@@ -141,6 +141,6 @@ class WorldTab:
 
 
 def first_sources(given: str | None) -> dict[str, str]:
-    """Return the sources of a fresh page: the one that the command line named, and the bundled worlds."""
+    """Return the sources of a new page: the command line's, then the bundled worlds."""
     named = {} if given is None else {given if given in RECIPES else Path(given).name: given}
     return named | {name: name for name in RECIPES if name not in named}

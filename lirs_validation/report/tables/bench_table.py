@@ -1,4 +1,4 @@
-"""The benchmark's scores: one line for a policy, and a table of all that ran on the same tasks."""
+"""The benchmark's scores: one line per policy, and a table of all policies."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ MEASURES = {
     "mapping": "area under newly covered ground over path length",
     "traverse": "share of the distance gained",
 }
-"""What a score is, by task."""
+"""Definition of the score by task."""
 HEADINGS = ("policy", "score", "95 %", "success", "collision", "failed", "of astar", "tasks")
 
 
 def score_line(result: PolicyResult, tasks: str) -> str:
-    """Return a policy's score in one line; `tasks` says of which."""
+    """Return a policy's score in one line that ends with `tasks`."""
     score = result.score
     ends = "" if score.low is None else f" [{interval(score)}]"
     return f"{result.policy.label}: {score.mean:.3f}{ends}, {tasks}"
@@ -43,7 +43,7 @@ def bench_table(results: Sequence[PolicyResult], task: str) -> FittedTable:
         "of astar: share of the upper bound's score on the same tasks."
     )
     if any(result.privileged for result in results):
-        caption += " *: is given what only a simulator knows."
+        caption += " *: gets simulator-only data."
     if len({result.score.count for result in results}) > 1:
         caption += " Not every policy has run on every task: their scores do not compare."
     return FittedTable(ReportTable("bench", "", caption, HEADINGS, rows), drop=("failed", "collision"))

@@ -20,7 +20,7 @@ from lirs_wct.files import atomic_write
 
 
 def compare_table(comparison: Comparison, names: tuple[str, str]) -> FittedTable:
-    """Return the differences group by group, significant ones bold; below, how to read them."""
+    """Return the differences by group, significant ones bold, with a caption."""
     differences = comparison.differences
     shown = distinguishing_fields(d.group for d in differences)
     rows: list[tuple[str, ...]] = []
@@ -52,7 +52,7 @@ def difference_texts(d: Difference) -> tuple[str, ...]:
 
 
 def verdict(d: Difference) -> str:
-    """Return in short what the difference is."""
+    """Return the verdict on a difference in one or two words."""
     if not d.metric.tested:
         return "not tested"
     if d.significant is None:
@@ -65,7 +65,7 @@ def verdict(d: Difference) -> str:
 
 
 def reading(comparison: Comparison) -> str:
-    """Return how the table is to be read, what could not be compared, and what failed."""
+    """Return the caption: tests, groups without a partner, failed runs."""
     tests = sum(d.p is not None for d in comparison.differences)
     lines = []
     if any(d.pairs == 1 and d.metric.tested for d in comparison.differences):
@@ -88,7 +88,7 @@ def reading(comparison: Comparison) -> str:
 
 
 def _worse(comparison: Comparison) -> list[str]:
-    """Return of which groups the mapper is worse than its odometry, and in how many runs."""
+    """Return a line per group with runs that are worse than their odometry."""
     return [
         f"{group.label()}: {WORSE} in {in_a} of {sum(comparison.failed_a[group])} runs of a, "
         f"{comparison.worse_b[group]} of {sum(comparison.failed_b[group])} of b."
@@ -146,7 +146,7 @@ def _as_dicts(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
 
 
 def _failures(comparison: Comparison) -> list[str]:
-    """Return of which groups runs failed: they are in no mean."""
+    """Return a line per group with failed runs, which are in no mean."""
     lines = []
     for group, (good_a, failed_a) in comparison.failed_a.items():
         good_b, failed_b = comparison.failed_b[group]
@@ -159,7 +159,7 @@ def _failures(comparison: Comparison) -> list[str]:
 
 
 def score_table(score: Score, record: Mapping[str, Any]) -> FittedTable:
-    """Return the metrics of the score and of the run's own mapper; below, which is worse than odometry."""
+    """Return the metrics of the score and of the run's own mapper."""
     lines = [f"{score.status}: {score.reason}"] if score.reason else []
     lines.append(f"read in the {score.frame} frame")
     if score.trajectory:

@@ -50,7 +50,7 @@ SECTIONS: dict[Section, str] = {
 }
 """Sections of the report and their titles."""
 MOST_NAMED = 12
-"""Groups that a caption names one by one."""
+"""Largest number of groups that a caption names one by one."""
 ERROR, ODOMETRY_ERROR = metrics_named((ATE, ODOMETRY_ATE))
 CAPTION = (
     "ATE [m], mean over the runs that succeeded. A run holds where its ATE is at most "
@@ -64,15 +64,15 @@ KINDS: tuple[tuple[str, str, Callable[[Iterable[Entry]], tuple[MethodPair, ...]]
 FACTS = {"world": "world.name", **{name: f"config.{name}" for name in RUN_AXES}, "status": "status"}
 """Columns before the metrics, and their keys in the record."""
 ALWAYS = ("world", "robot", "mapper", "seed", "status")
-"""Columns that are shown even if every run has the default."""
+"""Columns that are always shown."""
 LEAST = ("driven [m]",)
-"""Columns that are left out first where the screen is narrow."""
+"""Columns that a narrow screen hides first."""
 COMMON = RUN_AXES
-"""Columns that move into the title where all runs have the same."""
+"""Columns whose common value moves into the title."""
 
 
 def failures_table(entries: Sequence[Entry]) -> ReportTable:
-    """Return the runs that failed, and why."""
+    """Return the failed runs with their reasons."""
     failed = [entry for entry in entries if not succeeded(entry)]
     groups = [RunGroup.of(e) for e in entries]
     fields = tuple(dict.fromkeys(("world", "robot", "mapper", *unusual_fields(groups))))
@@ -87,7 +87,7 @@ def failures_table(entries: Sequence[Entry]) -> ReportTable:
 
 
 def failure_lines(entries: Sequence[Entry]) -> list[str]:
-    """Return the runs that failed and why, a line each, and how many they are."""
+    """Return a line per failed run with its reason, then their number."""
     failed = [entry for entry in entries if not succeeded(entry)]
     fields = distinguishing_fields(by_group(entries))
     fields = tuple(field for field in FIELDS if field in {"world", "robot", "mapper", *fields})
@@ -102,7 +102,7 @@ def failure_lines(entries: Sequence[Entry]) -> list[str]:
 
 
 def summary_table(entries: Sequence[Entry]) -> ReportTable:
-    """Return the metrics that one asks for first, group by group, with how many runs succeeded."""
+    """Return the most important metrics by group, with the number of successful runs."""
     return group_table("summary", "Summary", metrics_selected("summary"), entries, count=True)
 
 
@@ -132,7 +132,7 @@ def section_by_run(section: Section, entries: Sequence[Entry]) -> ReportTable:
 def group_table(
     key: str, title: str, metrics: Sequence[Metric], entries: Sequence[Entry], *, count: bool = False
 ) -> ReportTable:
-    """Return means over the runs of each group that succeeded, with 95 % intervals over seeds."""
+    """Return means over each group's successful runs, with 95 % intervals over seeds."""
     groups = by_group(entries)
     fields = _fields(groups)
     kept = _existing(metrics, entries)
@@ -149,7 +149,7 @@ def group_table(
 
 
 def over_runs(metric: Metric, entries: Sequence[Entry]) -> MetricSpread:
-    """Return a metric over runs; the RTF of runs that were not alone on the machine is left out."""
+    """Return a metric over runs, without the RTF of concurrent runs."""
     values = [v for e in entries if (v := metric.comparable(e)) is not None]
     stopped = metric.section == "rtf" and any(e["rtf"]["extrapolated"] for e in entries if rtf_counts(e))
     worse = metric.key == ATE and any(map(worse_than_odometry, entries))
@@ -158,7 +158,7 @@ def over_runs(metric: Metric, entries: Sequence[Entry]) -> MetricSpread:
 
 
 def _caption(metrics: Sequence[Metric], entries: Sequence[Entry]) -> str:
-    """Return what the numbers are, over how many seeds, and what was left out."""
+    """Return the caption: statistics, seeds and omitted runs."""
     seeds = {sum(map(succeeded, runs)) for runs in by_group(entries).values()}
     if max(seeds, default=0) <= 1:
         lines = ["One seed: one run's values, without any interval."]
@@ -170,7 +170,7 @@ def _caption(metrics: Sequence[Metric], entries: Sequence[Entry]) -> str:
         beside = sum(bool(e["rtf"]) and not rtf_counts(e) for e in entries)
         if beside:
             runs, have = ("run", "has") if beside == 1 else ("runs", "have")
-            lines.append(f"{beside} {runs} with something running beside {have} no RTF here.")
+            lines.append(f"{beside} concurrent {runs} {have} no RTF here.")
         if any(e["rtf"] and e["rtf"]["extrapolated"] for e in entries):
             lines.append(f"{EXTRAPOLATED} extrapolated: some drives were stopped at their wall limit.")
     if any(metric.key == ATE for metric in metrics):
@@ -179,7 +179,7 @@ def _caption(metrics: Sequence[Metric], entries: Sequence[Entry]) -> str:
 
 
 def _worse(entries: Sequence[Entry]) -> list[str]:
-    """Return which groups have runs that are worse than their odometry, in one sentence; none where none."""
+    """Return one sentence on groups with runs worse than their odometry, if any."""
     groups = by_group([entry for entry in entries if succeeded(entry)])
     fields = _fields(groups)
     named = []
@@ -192,7 +192,7 @@ def _worse(entries: Sequence[Entry]) -> list[str]:
 
 
 def _fields(groups: Mapping[RunGroup, Any]) -> tuple[str, ...]:
-    """Return the fields that distinguish the groups, world and mapper always."""
+    """Return world, mapper and the fields that distinguish the groups."""
     different = {"world", "mapper", *distinguishing_fields(groups)}
     return tuple(field for field in FIELDS if field in different)
 
@@ -209,7 +209,7 @@ def _existing(metrics: Sequence[Metric], entries: Sequence[Entry]) -> tuple[Metr
 
 
 def method_tables(entries: Sequence[Entry]) -> tuple[ReportTable, ...]:
-    """Return the tables of methods as published and of mappers without attitude, as far as there are runs."""
+    """Return the tables of methods as published and of mappers without attitude."""
     tables = (_table(key, title, pairs_of(entries)) for key, title, pairs_of in KINDS)
     return tuple(table for table in tables if table.rows)
 
@@ -233,7 +233,7 @@ def _table(key: str, title: str, pairs: Sequence[MethodPair]) -> ReportTable:
 
 
 def _unchecked_sentences(pairs: Sequence[MethodPair]) -> str:
-    """Return which methods as published have no reference, as sentences; nothing where all have one."""
+    """Return a sentence per method as published without a reference."""
     names = dict.fromkeys(pair.group["mapper"] for pair in pairs if pair.how == "as published")
     return "".join(
         f" {name}{SUFFIX} was never compared with runs of its original."
@@ -256,7 +256,7 @@ def _row(pair: MethodPair) -> tuple[Content, ...]:
 
 
 def _method_fields(groups: Sequence[RunGroup]) -> tuple[str, ...]:
-    """Return the fields that distinguish the rows, world and method always; attitudes are columns."""
+    """Return world, mapper and distinguishing fields except the attitude, which has columns."""
     different = distinguishing_fields(groups) if groups else ()
     rest = (field for field in different if field not in ("world", "mapper", "attitude"))
     return ("world", "mapper", *rest)
@@ -264,7 +264,7 @@ def _method_fields(groups: Sequence[RunGroup]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Column:
-    """A column: its heading, the text of a run in it, whether it is one of FACTS and no metric."""
+    """A column: heading, function of a run's text, and whether it is one of FACTS."""
 
     heading: str
     text: Callable[[Entry], str]
@@ -272,9 +272,9 @@ class Column:
 
 
 def results_table(records: Sequence[RunRecord | Entry]) -> FittedTable:
-    """Return the runs for the screen; below them why runs failed, and which are worse than their odometry.
+    """Return the runs for the screen, with remarks on failed and inaccurate runs.
 
-    What all runs have in common stands above it, so that the table fits a terminal of 80 characters.
+    Values that all runs share are in the title, so that the table fits a terminal of 80 characters.
     """
     entries = failures_first(records)
     shown = _columns(entries)
@@ -293,7 +293,7 @@ def results_table(records: Sequence[RunRecord | Entry]) -> FittedTable:
 
 
 def markdown_table(records: Sequence[RunRecord | Entry]) -> str:
-    """Return the same table as Markdown, as it stands in a README."""
+    """Return the same table as Markdown, for a README."""
     entries = failures_first(records)
     columns = _columns(entries)
     lines = [
@@ -308,7 +308,7 @@ def markdown_table(records: Sequence[RunRecord | Entry]) -> str:
 
 
 def failures_first(records: Sequence[RunRecord | Entry]) -> list[Entry]:
-    """Return the records as nested dicts: failures first, else as they came."""
+    """Return the records as nested dicts, failures first."""
     return sorted((as_entry(r) for r in records), key=succeeded)
 
 
@@ -341,7 +341,7 @@ def _style(entry: Entry) -> str:
 
 
 def _remarks(entries: Sequence[Entry]) -> str:
-    """Return what failed or was stopped and why, and what is worse than its odometry, one line each."""
+    """Return a line per run that failed, was stopped or is worse than its odometry."""
     ended = [entry for entry in entries if entry["status"] != "ok"]
     lines = []
     for entry in ended:

@@ -36,17 +36,17 @@ COLUMNS: tuple[tuple[str, Callable[[CollisionVerdict], str]], ...] = (
     ("slope [deg]", lambda v: "-" if v.slope is None else f"{v.slope:.0f}"),
     ("tips", lambda v: str(v.tip_overs)),
 )
-"""Heading and content; the energy gained stands as a share of its limit."""
+"""Heading and content; the gained energy is a share of its limit."""
 COMMON = ("robot", "terrain", "seed")
-"""Columns that move into the title where all verdicts have the same, so that the table fits 80 characters."""
+"""Columns whose common value moves into the title, so that the table fits 80 characters."""
 TEXTS = ("world", *COMMON, "")
 """Columns of text; the last one is the verdict."""
 FIELDS = {"world", "robot", "mapper"}
-"""Fields that the table of single runs has columns for, beside the seed."""
+"""Fields with columns in the table of single runs, in addition to the seed."""
 
 
 def verdicts_table(verdicts: Sequence[CollisionVerdict]) -> FittedTable:
-    """Return the verdicts as a table, failures first; below it each metric that is over its limit."""
+    """Return the verdicts, failures first, with a line per metric over its limit."""
     ordered = sorted(verdicts, key=lambda verdict: verdict.passed)
     common = [c for c in COLUMNS if c[0] in COMMON and len({c[1](v) for v in ordered}) == 1]
     columns = [c for c in COLUMNS if c not in common]
@@ -63,7 +63,7 @@ def verdicts_table(verdicts: Sequence[CollisionVerdict]) -> FittedTable:
 
 
 def over_limits(verdict: CollisionVerdict) -> list[str]:
-    """Return a line for each metric that is over its limit."""
+    """Return a line for each metric over its limit."""
     who = f"{verdict.world}, {verdict.robot}, {verdict.terrain}, seed {verdict.seed}"
     return [
         f"{who}: {verdict.diverged if check.name == 'diverged' else _over(check)}"
@@ -79,7 +79,7 @@ def _over(check: Check) -> str:
 
 
 def checks_failed_table(failed: Sequence[CollisionVerdict], broken: Sequence[tuple[str, str]]) -> ReportTable:
-    """Return the limits that were exceeded, and validations without a result."""
+    """Return the exceeded limits, and validations without a result."""
     rows = [(v.world, v.robot, line) for v in failed for line in over_limits(v)]
     rows += [(name, NOTHING, reason) for name, reason in broken]
     return ReportTable(
@@ -114,7 +114,7 @@ def collision_table(verdicts: Sequence[CollisionVerdict]) -> ReportTable:
 
 
 def sweep_tables(sweep: Sweep) -> Iterator[RenderableType]:
-    """Yield tables of what is finished: means of groups or single runs, methods as published, verdicts."""
+    """Yield tables of finished experiments: runs or groups, methods as published, verdicts."""
     finished = [found for found in sweep.experiments if found.name in sweep.outcomes]
     entries = [_entry(sweep, run.name) for run in finished if not isinstance(run, CollisionExperiment)]
     groups = by_group(entries)
@@ -139,7 +139,7 @@ def _by_group(entries: Sequence[dict[str, Any]]) -> Iterator[RenderableType]:
 
 
 def _entry(sweep: Sweep, name: str) -> dict[str, Any]:
-    """Return a record without its series: thousands of them fit."""
+    """Return a record without its series, to save memory."""
     entry = read_record(sweep.out / name)
     entry["rtf"].pop("series", None)
     return entry

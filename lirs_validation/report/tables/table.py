@@ -20,11 +20,11 @@ from lirs_validation.record.formatting import NOTHING
 from lirs_validation.record.metric_catalog import Metric
 
 UNBOUNDED = 100_000
-"""Columns of a screen on which every table fits."""
+"""Width of a screen that fits every table, characters."""
 BETWEEN_WORDS = re.compile(r"(?<=[\w,.]) (?=\w)| (?=\[)")
-"""Where headings go on in the next line: between words and before a unit, not within `99.9 %` or `b - a`."""
+"""Line breaks of headings: between words and before a unit, not within `99.9 %` or `b - a`."""
 FEWEST = 2
-"""Columns of numbers that are shown however narrow the screen is."""
+"""Smallest number of shown number columns."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,10 @@ class MetricSpread:
     """A metric over the repeats of a group, or of one run.
 
     Attributes:
-        metric: which, in whose unit the values are.
-        values: None where no run has it.
-        mark: a sign that the caption explains.
-        of: how many runs were asked; where fewer have the metric, the text says how many.
+        metric: metric, with the unit of the values.
+        values: statistics; None if no run has the metric.
+        mark: sign that the caption explains.
+        of: number of runs; if fewer have the metric, the text states their number.
     """
 
     metric: Metric
@@ -50,7 +50,7 @@ class MetricSpread:
 
     @property
     def text(self) -> str:
-        """Mean and, of several repeats, the half width of its 95 % interval; how many have it, if not all."""
+        """Mean, half width of its 95 % interval, and the number of values if incomplete."""
         if self.values is None:
             return NOTHING
         mean = self.metric.formatted(self.values.mean)
@@ -73,10 +73,10 @@ class ReportTable:
 
     Attributes:
         key: short name, for links and files.
-        title: what it shows.
-        caption: how to read it.
-        headings: of the columns.
-        rows: contents, as many a row as there are headings.
+        title: title of the table.
+        caption: explanation below the table.
+        headings: headings of the columns.
+        rows: contents of the cells, one per heading.
         text_columns: number of leading columns that hold text; the first is the row's heading.
         remarks: whether the last column holds text, too.
     """
@@ -116,7 +116,7 @@ def as_markdown(table: ReportTable) -> str:
 
 
 def as_csv(table: ReportTable) -> str:
-    """Return the table as CSV with all digits: of repeated metrics mean, std, half width, values, runs."""
+    """Return the table as CSV with all digits; repeated metrics get five columns."""
     columns = [_expand_column(h, [row[k] for row in table.rows]) for k, h in enumerate(table.headings)]
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
@@ -164,11 +164,10 @@ def screen_table(title: str = "", caption: str = "") -> Table:
 
 
 class FittedTable:
-    """A table that fits the screen without a name, a number or a unit being broken.
+    """A table that fits the screen without broken names, numbers or units.
 
-    One that is too wide is shown without the intervals of its means, then without columns, named below it:
-    those that are said to go first, then metrics that the table of runs leaves out, else the last ones.
-    Remarks stand below, a line each.
+    A table that is too wide loses the intervals of its means, then columns, which the caption lists: first
+    those in `drop`, then metrics that the table of runs omits, then the last ones. Remarks are lines below.
     """
 
     def __init__(
@@ -180,7 +179,7 @@ class FittedTable:
         drop: Sequence[str] = (),
         keep: Sequence[str] = (),
     ) -> None:
-        """Take a table, the style of each row, headings of columns that go first, and of those that stay."""
+        """Store a table, its row styles, the headings to drop first and those to keep."""
         self.table = _remarks_below(table)
         self._title, self._drop, self._keep = title, tuple(drop), tuple(keep)
         self._styles = tuple(styles) or ("",) * len(table.rows)
@@ -208,13 +207,13 @@ class FittedTable:
             yield _note_hidden(_without(table, gone), gone)
 
     def _dropped_in_order(self) -> list[int]:
-        """Return the columns that may be left out, the first to go first."""
+        """Return the columns that may be hidden, the first to hide first."""
         headings = self.table.headings
         numbers = [k for k, h in enumerate(headings) if not self.table.is_text(k) and h not in self._keep]
         return sorted(numbers, key=self._rank)[: max(0, len(numbers) - FEWEST)]
 
     def _rank(self, column: int) -> tuple[int, int]:
-        """Return a column's place: as said, then metrics that the table of runs leaves out, then others."""
+        """Return a column's rank: `drop`, metrics outside the table of runs, others."""
         heading = self.table.headings[column]
         if heading in self._drop:
             return 0, self._drop.index(heading)
@@ -223,7 +222,7 @@ class FittedTable:
         return 1 if detail else 2, -column
 
     def _draw(self, table: ReportTable, *, whole: bool) -> Table:
-        """Return a table for the screen; its cells are plain text, for a name may hold brackets."""
+        """Return a table for the screen; cells are plain text, since names may hold brackets."""
         shown = screen_table(self._title, table.caption)
         for k, heading in enumerate(table.headings):
             justify: Literal["left", "right"] = "left" if table.is_text(k) else "right"
@@ -235,7 +234,7 @@ class FittedTable:
 
 
 def _remarks_below(table: ReportTable) -> ReportTable:
-    """Return a table whose remarks are lines of its caption, each after the texts of its row."""
+    """Return the table with its remarks as lines of the caption."""
     if not table.remarks:
         return table
     lines = [f"{', '.join(row[: table.text_columns])}: {row[-1]}" for row in table.texts()]
