@@ -39,11 +39,11 @@ from lirs_wct.geometry.geodesy import (
 
 @dataclass(frozen=True, slots=True)
 class Raster:
-    """Pixels that are, or become, heights; row 0 is the northernmost as far as that is known.
+    """Pixels that hold or encode heights; row 0 is the northernmost if that is known.
 
     Attributes:
-        pixels: (rows, cols) gray or (rows, cols, 3) BGR, in the file's own type.
-        info: what the file says of them.
+        pixels: (rows, cols) gray or (rows, cols, 3) BGR, in the file's data type.
+        info: georeference and units of the pixels.
     """
 
     pixels: NDArray[Any]
@@ -80,7 +80,7 @@ def read_raster(path: Path, max_pixels: int = MAX_PIXELS) -> Raster:
 
 
 def _by_proj(path: Path, found: Georeference, shape: tuple[int, ...]) -> Georeference:
-    """Let GDAL, if it is there, say where a GeoTIFF lies whose system is defined by its parameters."""
+    """Locate a GeoTIFF with a user-defined coordinate system through GDAL, if installed."""
     if found.system.name or not found.located or path.suffix.lower() == ".asc" or not rasterio_there():
         return found
     system = system_of(read_gdal(path, DRIVERS[".tif"], 0).crs)
@@ -93,7 +93,7 @@ def _by_proj(path: Path, found: Georeference, shape: tuple[int, ...]) -> Georefe
 
 
 def _read_by_gdal(path: Path, max_pixels: int) -> tuple[NDArray[Any], RasterInfo]:
-    """Read the first band of a raster, and what GDAL says of it."""
+    """Read the first band of a raster and its metadata through GDAL."""
     found = read_gdal(path, DRIVERS[path.suffix.lower()], max_pixels)
     check_size(path, found.width, found.height, max_pixels)
     assert found.pixels is not None
@@ -110,7 +110,7 @@ def _read_by_gdal(path: Path, max_pixels: int) -> tuple[NDArray[Any], RasterInfo
 
 
 def system_of(crs: Any) -> CoordinateSystem:
-    """Return the coordinate system of rasterio's CRS; None is unknown."""
+    """Convert rasterio's CRS to a coordinate system; None = unknown."""
     if crs is None:
         return CoordinateSystem()
     code = crs.to_epsg()
@@ -135,7 +135,9 @@ _KEYS = (
 
 
 def read_ascii_grid(path: Path, max_pixels: int) -> tuple[FloatArray, RasterInfo]:
-    """Return (rows, cols) heights, row 0 = north, and what header and projection file say of them.
+    """Read (rows, cols) heights of an ESRI ASCII grid, row 0 = north, and their metadata.
+
+    The format has a header of six lines, then heights in rows from the north.
 
     Raises:
         SourceError: the file is missing or damaged, or of another size than is legal.
@@ -164,7 +166,7 @@ def read_ascii_grid(path: Path, max_pixels: int) -> tuple[FloatArray, RasterInfo
 
 
 def _header(path: Path, file: TextIO) -> tuple[dict[str, float], str]:
-    """Return the header's values by their names in lower case, and the first line after it."""
+    """Return the header's values by lower-case name, and the first line after it."""
     header: dict[str, float] = {}
     first = ""
     for line in file:
@@ -193,7 +195,7 @@ def _affine(path: Path, header: dict[str, float], rows: int) -> Affine:
 
 
 def _system(path: Path, affine: Affine) -> CoordinateSystem:
-    """Return the coordinate system of a projection file beside the grid, else degrees where they fit."""
+    """Return the system of a projection file next to the grid, else plausible degrees."""
     projection = path.with_suffix(".prj")
     if projection.is_file():
         return system_of_text(projection.read_text(encoding="utf-8", errors="replace"))
@@ -210,10 +212,12 @@ _NAME = re.compile(r"([NS])(\d{2})([EW])(\d{3})", re.IGNORECASE)
 
 
 def read_hgt(path: Path, max_pixels: int) -> tuple[NDArray[np.int16], RasterInfo]:
-    """Return (rows, cols) heights in meters, row 0 = north, and where they lie, which the file's name says.
+    """Read (rows, cols) heights of an SRTM file in meters, row 0 = north, and their metadata.
+
+    A file holds 16-bit heights of a square degree; its name is that of the south-west corner.
 
     Raises:
-        SourceError: the file is missing, of another length, or its name says no place.
+        SourceError: the file is missing, of another length, or its name states no place.
     """
     named = _NAME.match(path.stem)
     if named is None:
@@ -238,7 +242,7 @@ def read_hgt(path: Path, max_pixels: int) -> tuple[NDArray[np.int16], RasterInfo
 Encoding = Literal["gray", "terrain-rgb", "terrarium"]
 ENCODINGS: tuple[Encoding, ...] = ("gray", "terrain-rgb", "terrarium")
 LOWEST, HIGHEST = -11_500.0, 9_000.0
-"""Heights of the earth, meters: colors that mean others are those of a picture."""
+"""Heights on the earth, meters; colors that encode others belong to a photo."""
 _TILE = re.compile(r"(\d{1,2})/(\d+)/(\d+)(@2x)?")
 _WORLD = 2 * math.pi * WGS84[0]
 """Meters of web Mercator around the world."""
@@ -257,10 +261,10 @@ def decode(pixels: NDArray[Any], encoding: Encoding) -> FloatArray:
 
 
 def guess(pixels: NDArray[Any]) -> Encoding | None:
-    """Return how the colors of a picture are likely heights; None where they are just colors.
+    """Guess the encoding of heights in the colors of a picture; None for plain colors.
 
-    Heights of the earth fill a hundredth of what either encoding can say. Red hardly changes then, green
-    jumps where it does, since it begins anew, and blue, the smallest digit, seldom stands still.
+    Heights of the earth fill a hundredth of either encoding's range. Red, the largest digit, then hardly
+    changes, green jumps where red changes, and blue, the smallest digit, is seldom constant.
     """
     if pixels.ndim != 3 or pixels.dtype != np.uint8:
         return None
@@ -276,7 +280,7 @@ def guess(pixels: NDArray[Any]) -> Encoding | None:
 
 
 def tile_georeference(path: Path, shape: tuple[int, int]) -> Georeference | None:
-    """Return where a tile lies that is stored as .../z/x/y.png; None of a file with another name."""
+    """Return the georeference of a tile stored as .../z/x/y.png; None for other names."""
     named = _TILE.fullmatch("/".join((*path.resolve().parts[-3:-1], path.stem)))
     if named is None:
         return None

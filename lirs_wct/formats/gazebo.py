@@ -1,4 +1,7 @@
-"""Gazebo's files: model packages, worlds and heightmaps."""
+"""Gazebo's files: model packages, worlds and heightmaps.
+
+Models and worlds are SDF 1.6, which Gazebo 9 to Harmonic read; worlds for gz-sim are SDF 1.9.
+"""
 
 from __future__ import annotations
 
@@ -27,12 +30,12 @@ FRICTION = 0.9
 
 @dataclass(frozen=True, kw_only=True)
 class Physics:
-    """How Gazebo steps the world.
+    """Settings of Gazebo's physics engine.
 
     Attributes:
         timestep: seconds.
-        real_time_factor: simulated seconds a wall second aimed at; 0 = as fast as possible.
-        gravity: meters a second squared along x, y, z.
+        real_time_factor: target of simulated seconds per wall second; 0 = as fast as possible.
+        gravity: m/s^2 along x, y, z.
 
     Raises:
         ConfigError: the timestep is not above 0, or the factor is negative.
@@ -101,7 +104,7 @@ def model_sdf(name: str, *, mesh: str | None = None, friction: float = FRICTION)
 
 
 def spherical_coordinates(place: Place | None) -> str:
-    """Return the element that says where the world lies; nothing where its latitude is not known.
+    """Return the element of the world's place on the earth; empty without a known latitude.
 
     The heading is the angle from east to the world's x axis, counter-clockwise, as gz-sim's NavSat applies it
     (gz-math, `LOCAL2`). Gazebo classic needs 180 deg minus this value (gazebo-classic #2022).
@@ -158,11 +161,12 @@ def world_sdf(
 
     Args:
         name: of the world.
-        model: name of the included model; default the same.
+        model: name of the included model; default = name.
         physics: timestep, pace, gravity.
         view: of the user's camera as the window opens; None = Gazebo's, near the origin.
         place: of the world on the earth.
-        starts: of robots, on the ground. Gazebo classic keeps no such poses: a comment has the commands.
+        starts: start poses of robots on the ground. Gazebo classic stores no such poses; a comment holds the
+            commands.
     """
     step = physics or Physics()
     # Without a target update rate Gazebo runs as fast as it can.
@@ -186,7 +190,7 @@ def world_sdf(
 
 
 def _spawning(starts: Sequence[Pose3]) -> str:
-    """Return a comment with the commands that set a robot down at a start."""
+    """Return a comment with the commands that place a robot at a start."""
     if not starts:
         return ""
     at, *others = (f"-x {p.x:.3f} -y {p.y:.3f} -z {p.z:.3f} -Y {p.yaw:.4f}" for p in starts)
@@ -214,7 +218,7 @@ def model_uri(name: str, inside: str = "") -> str:
     """Return the URI of a model package or of a file in it.
 
     Raises:
-        ConfigError: spaces, which Gazebo does not find.
+        ConfigError: the name holds spaces, which Gazebo does not accept.
     """
     uri = f"model://{name}/{inside}" if inside else f"model://{name}"
     if any(c.isspace() for c in uri):
@@ -231,17 +235,17 @@ SYSTEMS = (
     ("gz-sim-imu-system", "gz::sim::systems::Imu"),
     ("gz-sim-sensors-system", "gz::sim::systems::Sensors"),
 )
-"""What gz-sim does with a world only if the file says so: step it, show it, run lidars, cameras and IMUs."""
+"""Plugins that gz-sim needs in the file to step and show a world and to run lidars, cameras and IMUs."""
 
 
 def gz_world_sdf(classic: str, model: str, *, starts: Sequence[Pose3] = (), albedo: str | None = None) -> str:
-    """Return a world file for gz-sim without search path: the model stands in it, its files are relative.
+    """Return a world file for gz-sim that contains the model, with relative paths.
 
     Args:
         classic: world file of Gazebo classic, whose physics, light, scene and place on earth are kept.
         model: file of the included model.
-        starts: frames `start`, `start1`, ... that robots are set down in.
-        albedo: path of the texture that the model's one visual wears; None = what its mesh file says.
+        starts: poses of the frames `start`, `start1`, ... for robots.
+        albedo: path of the texture of the model's visual; None = the mesh file's material.
     """
     root = ElementTree.fromstring(classic)
     root.set("version", GZ_VERSION)
@@ -264,7 +268,7 @@ def gz_world_sdf(classic: str, model: str, *, starts: Sequence[Pose3] = (), albe
 
 
 def _included_model(text: str, albedo: str | None) -> ElementTree.Element:
-    """Return the model of a model file with paths relative to its folder, and a material for PBR."""
+    """Return the model element with paths relative to its folder, and a PBR material."""
     model = ElementTree.fromstring(text).find("model")
     assert model is not None
     prefix = f"model://{model.get('name')}/"
@@ -285,7 +289,7 @@ def _included_model(text: str, albedo: str | None) -> ElementTree.Element:
 
 
 SIDES = tuple(2**n + 1 for n in range(4, 13))
-"""Legal pixels a side: 17 to 4097."""
+"""Legal pixels per side: 17 to 4097."""
 
 
 def heightmap_side(surface: HeightField) -> int:
@@ -296,6 +300,8 @@ def heightmap_side(surface: HeightField) -> int:
 
 def heightmap_pixels(surface: HeightField, side: int | None = None) -> ByteArray:
     """Return (side, side) gray levels: 0 is the lowest point, 255 the highest.
+
+    The picture has 8 bits, since Gazebo reads 16 bits as infinite heights.
 
     Raises:
         ConfigError: side is not 2^n + 1.
@@ -321,11 +327,11 @@ def write_heightmap(path: Path, surface: HeightField, side: int | None = None) -
 
 @dataclass(frozen=True)
 class Layer:
-    """What a heightmap wears.
+    """Texture of a heightmap.
 
     Attributes:
         diffuse: path of the texture inside the package.
-        normal: path of its normal map inside the package; `flat_normals` where it has none.
+        normal: path of its normal map inside the package (`flat_normals` without one).
         span: meters that the texture spans before it repeats.
     """
 
@@ -335,7 +341,7 @@ class Layer:
 
 
 def flat_normals() -> ByteArray:
-    """Return (16, 16, 3) BGR: the normal map of a texture that is flat (x 0, y 0, z 1)."""
+    """Return (16, 16, 3) BGR: the normal map of a flat texture (x 0, y 0, z 1)."""
     return np.full((16, 16, 3), (255, 128, 128), np.uint8)
 
 
@@ -344,9 +350,9 @@ def heightmap_sdf(name: str, surface: HeightField, picture: str, layer: Layer | 
 
     Args:
         name: of the model and of its folder.
-        surface: gives the meters.
+        surface: the surface that the heightmap shows.
         picture: path of the heightmap inside the package.
-        layer: what it wears; None = Gazebo's gray.
+        layer: texture; None = Gazebo's gray.
     """
     width, depth = surface.size
     west, south, east, north = surface.bounds

@@ -1,4 +1,7 @@
-"""Files of point clouds: PLY, LAS, LAZ and PCD."""
+"""Files of point clouds: PLY, LAS, LAZ and PCD.
+
+Headers are checked against the size of the file before a library allocates memory for the points.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from lirs_wct.formats.meshes.mesh_reader import ply_elements, require_positions,
 from lirs_wct.geometry.geodesy import CoordinateSystem, system_of_text, units_of_text
 
 VERTICAL_UNITS = 4099
-"""GeoKey of the unit of z."""
+"""GeoKey of the vertical unit."""
 EXTRA = "pip install 'lirs-wct[clouds]'"
 GROUND, NOISE = 2, (7, 18)
 """Classes of the ASPRS LAS specification 1.4, table 17."""
@@ -31,9 +34,9 @@ class PointFile:
 
     Attributes:
         xyz: (n, 3) float64 in units of the file's coordinates; finite.
-        ground: (n,) whether the file says that a point is on the ground; None where it says nothing.
+        ground: (n,) whether the file classifies a point as ground; None without classes.
         system: coordinate system of x and y.
-        height_unit: meters a unit of z.
+        height_unit: meters per unit of z.
     """
 
     xyz: FloatArray
@@ -61,7 +64,7 @@ def read_points(path: Path) -> PointFile:
         found = readers.get(path.suffix.lower(), _read_ply)(path)
     except SourceError:
         raise
-    except Exception as error:  # every reader has errors of its own
+    except Exception as error:  # every reader raises different errors
         raise SourceError(f"{path}: cannot be read as a point cloud: {reason_of(error)}") from error
     kept = np.isfinite(found.xyz).all(axis=1)
     if kept.sum() < 3:
@@ -71,7 +74,7 @@ def read_points(path: Path) -> PointFile:
 
 
 def _read_ply(path: Path) -> PointFile:
-    import trimesh  # here: a log's first scan does not wait for it
+    import trimesh  # imported here to keep the start of logs fast
 
     require_positions(path)
     # Points have no texture.
@@ -96,7 +99,7 @@ def _read_las(path: Path) -> PointFile:
     if not compressed:
         return _las_points(path)
     _require(path, "lazrs")
-    # The header does not bound what compressed points unpack to.
+    # The header does not bound the size of decompressed points.
     return run_limited(path, _las_points, path)
 
 
@@ -112,7 +115,7 @@ def _las_points(path: Path) -> PointFile:
 
 
 def _las_system(header: Any) -> tuple[CoordinateSystem, float]:
-    """Return the coordinate system of a LAS file and meters a unit of z: by WKT, else by GeoKeys."""
+    """Return coordinate system and meters per unit of z from WKT, else from GeoKeys."""
     for record in (*header.vlrs, *(header.evlrs or ())):
         text = getattr(record, "string", None)
         if record.record_id == 2112 and text:
@@ -135,7 +138,7 @@ LAS_BEGIN = b"LASF"
 _LAS_HEADER, _LAS_14_HEADER = 227, 375
 """Bytes of the public header of LAS 1.0 to 1.2, and of 1.4."""
 _VLR, _EVLR = (54, 18, "<H"), (60, 18, "<Q")
-"""Bytes of a record's header, place and format of the length of what follows it."""
+"""Bytes of a record's header; position and format of the content's length in it."""
 _COMPRESSED = 0x80
 """Bit of the point format that marks LAZ."""
 _PCD_HEADER = 1 << 14
@@ -144,10 +147,10 @@ _LZF = 90
 
 
 def check_las(path: Path) -> bool:
-    """Return whether the points of a LAS file are compressed; the format is ASPRS LAS 1.4, section 2.
+    """Check a LAS file and return whether its points are compressed (ASPRS LAS 1.4, section 2).
 
     Raises:
-        SourceError: the file is none, or shorter than its header says.
+        SourceError: not a LAS file, or shorter than its header says.
     """
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -183,7 +186,7 @@ def check_las(path: Path) -> bool:
 def _check_records(
     path: Path, file: BinaryIO, count: int, begin: int, end: int, kind: tuple[int, int, str]
 ) -> None:
-    """Raise SourceError unless so many records of variable length lie between two bytes of a file."""
+    """Raise SourceError unless `count` records of variable length fit between two bytes."""
     head, place, form = kind
     at = begin
     for _ in range(count if begin + count * head <= end else 0):
@@ -213,7 +216,7 @@ def check_pcd(path: Path) -> None:
         sizes, counts = ([int(n) for n in entries[key]] for key in (b"SIZE", b"COUNT"))
         points = int(entries[b"POINTS"][0])
     except (KeyError, ValueError, IndexError):
-        return  # the reader says what is wrong with it
+        return  # the reader reports the fault
     record, values = sum(n * k for n, k in zip(sizes, counts, strict=False)), sum(counts)
     size = path.stat().st_size
     left = size - begin
@@ -229,7 +232,7 @@ def check_pcd(path: Path) -> None:
 
 
 def _pcd_entries(head: bytes) -> tuple[dict[bytes, list[bytes]], bytes, int]:
-    """Return the lines of a PCD header by their first word, its kind of data and where these begin."""
+    """Return the header lines by first word, the kind of data, and the start of the data."""
     entries: dict[bytes, list[bytes]] = {}
     at = 0
     for line in head.splitlines(keepends=True):

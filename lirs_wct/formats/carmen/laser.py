@@ -21,36 +21,36 @@ from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import LaserScan
 
 SICK_INVALID = (81.87, 81.88, 81.89, 81.90, 81.91)
-"""Codes of the SICK LMS for "no valid measurement" (dazzled, too noisy): NaN, they say nothing, meters."""
+"""Codes of the SICK LMS for "no valid measurement" (dazzled, too noisy), read as NaN, meters."""
 NO_RETURN = 50.0
-"""Ranges from here on mean that nothing came back (50, 51.2, 81.83): +inf, meters."""
+"""Ranges from here on mean no return (50, 51.2, 81.83), read as +inf, meters."""
 RANGE_MIN = 0.02
-"""A SICK LMS measures from its front pane on; shorter ranges are errors, meters."""
+"""Shortest valid range, that of the SICK LMS's front pane; shorter ranges are errors, meters."""
 FIELDS = {
     **dict.fromkeys((180, 181, 360, 361), 180.0),
     **dict.fromkeys((101, 201, 401), 100.0),
     **dict.fromkeys((540, 541, 1080, 1081), 270.0),
 }
-"""Beams of the usual lasers, and their field of view, degrees."""
+"""Field of view of the usual lasers by their number of beams, degrees."""
 REAR = ("RLASER", "ROBOTLASER2", "RAWLASER2")
-"""Messages of the laser that looks back."""
+"""Messages of the rear laser."""
 
 CODE_SHARE, CODE_BEAMS, CODE_CONTRAST, CODE_MOST = 0.001, 0.05, 20, 100
-"""A range is a code where it is the largest, makes up this share of all, comes on this share of the beams,
-is so many times as frequent as each of the three meters below it, and at most so many times as all others."""
+"""Conditions under which the largest range is a code: least share of all ranges, least share of the beams,
+least ratio to the frequency of the three meters below it, and largest ratio to all other ranges."""
 MOUNT_SPREAD = 0.05
-"""Meters and radians within which the laser's pose must follow the base's to give the mount."""
+"""Largest deviation of the mounts from their median, meters and radians."""
 MOUNT_REACH = 3.0
-"""A laser farther from its base than this is not mounted on it, meters."""
+"""Largest distance of a laser from its base, meters."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LaserFacts:
-    """What the user says about the laser, above what the log says.
+    """Facts about the laser from the user, which take precedence over the log.
 
     Attributes:
-        fov: field of view, radians, centered on the laser's x axis; None = as the log says.
-        range_max: ranges from here on are no return, meters; None = as the log says.
+        fov: field of view, radians, centered on the laser's x axis; None = from the log.
+        range_max: ranges from here on are no return, meters; None = from the log.
 
     Raises:
         ConfigError: a value that no laser has.
@@ -75,13 +75,13 @@ def scans_of(
     facts: LaserFacts,
     repaired: Counter[str],
 ) -> list[LaserScan]:
-    """Return the scans of messages that all have one number of beams.
+    """Return the scans of messages with equal numbers of beams.
 
-    Their `range_max` is what the laser reads where nothing came back (81.83 m of a SICK), the largest range
-    that it knows; without such a reading it is the largest range that the message or the user says.
+    Their `range_max` is the laser's reading for no return (81.83 m of a SICK). Without such a reading, it is
+    the largest range that the message or the user states.
 
     Raises:
-        ConfigError: nobody says how wide the laser sees.
+        ConfigError: the field of view is unknown.
     """
     n = len(messages[0].ranges)
     ranges = np.stack([m.ranges for m in messages])
@@ -98,7 +98,7 @@ def scans_of(
     for message, meant in zip(messages, decoded, strict=True):
         config = field or message.config or _usual_config(name, n, parameters)
         logged = NO_RETURN if message.config is None else message.config.most
-        # A code that is the largest range to the centimeter is that range, and hits up to it are hits.
+        # A code within a centimeter of the largest range equals that range; shorter ranges are hits.
         most = logged if logged - limit <= 0.01 else limit
         r = np.where(meant >= most, np.float32(np.inf), meant)
         farthest = most if code is None else code
@@ -107,10 +107,10 @@ def scans_of(
 
 
 def no_return(ranges: Float32Array) -> float:
-    """Return the smallest code for "nothing came back", meters; 50 where there is none below.
+    """Return the smallest code for no return, meters; 50 without a smaller one.
 
-    Beside the codes beyond 50 m, known ones, many sensors give their largest range: it comes again and
-    again, in all directions, and nothing else near it.
+    Besides the known codes beyond 50 m, many sensors report their largest range. That value repeats often, in
+    all directions, and similar values are rare.
 
     Args:
         ranges: (scans, beams) meters, as logged.
@@ -135,7 +135,7 @@ def no_return(ranges: Float32Array) -> float:
 
 
 def _usual_reading(ranges: Float32Array) -> float | None:
-    """Return the commonest of some readings to the millimeter, meters; None where there is no finite one."""
+    """Return the most frequent finite reading to the millimeter, meters; None without one."""
     readings, counts = np.unique(
         np.round(ranges[np.isfinite(ranges)].astype(np.float64), 3), return_counts=True
     )
@@ -143,7 +143,7 @@ def _usual_reading(ranges: Float32Array) -> float | None:
 
 
 def _decode_ranges(ranges: Float32Array) -> Float32Array:
-    """Return ranges as REP 117 has them, but for what lies beyond the largest."""
+    """Convert codes to REP 117: NaN = invalid, -inf = too near."""
     invalid = np.zeros(ranges.shape, np.bool_)
     for code in SICK_INVALID:
         invalid |= np.abs(ranges - np.float32(code)) < 1e-3
@@ -153,7 +153,7 @@ def _decode_ranges(ranges: Float32Array) -> Float32Array:
 
 
 def _usual_config(name: str, n: int, parameters: Mapping[str, float]) -> LaserConfig:
-    """Return the beams of a message that says nothing about them: by their number, else by PARAM lines."""
+    """Return the usual beam geometry for a number of beams, else that of PARAM lines."""
     if n in FIELDS:
         return _config(n, math.radians(FIELDS[n]))
     side = "rear" if name in REAR else "front"
@@ -167,14 +167,20 @@ def _usual_config(name: str, n: int, parameters: Mapping[str, float]) -> LaserCo
 
 
 def _config(n: int, fov: float) -> LaserConfig:
-    """Spread beams; an even number leaves out the last of the field of view (180 beams: -90..+89 deg)."""
+    """Spread beams over a field of view.
+
+    An even number of beams omits the last direction (180 beams: -90..+89 deg).
+    """
     return LaserConfig(-fov / 2, fov / max(n - n % 2, 1), math.inf)
 
 
 def _mount(
     name: str, messages: Sequence[Message], parameters: Mapping[str, float], repaired: Counter[str]
 ) -> Pose3:
-    """Return `T_base_laser`: the log holds both poses, rounded; older ones hold one of them twice."""
+    """Return `T_base_laser` from the two logged poses, else from PARAM lines.
+
+    The poses are rounded; older logs hold one pose twice.
+    """
     mounts = [m.base.inverse() @ m.laser for m in messages if m.base is not None and m.laser is not None]
     found = _steady(mounts)
     if found is None:
@@ -191,7 +197,7 @@ def _mount(
 
 
 def _steady(mounts: Sequence[Pose2]) -> Pose2 | None:
-    """Return the median mount; None where most differ from it, as where one of the poses was corrected."""
+    """Return the median mount; None if most mounts differ from it (a corrected pose)."""
     if not mounts:
         return Pose2()
     x, y = (float(np.median([getattr(m, key) for m in mounts])) for key in ("x", "y"))
@@ -207,14 +213,14 @@ LABEL = "# laser on base_link, x y z roll pitch yaw:"
 
 
 def mount_comment(T_base_laser: Pose3) -> str:
-    """Return the line that says where the laser is."""
+    """Return the comment line with the pose of the laser; messages hold only the planar part."""
     x, y, z = T_base_laser.position.tolist()
     angles = f"{T_base_laser.roll:.6f} {T_base_laser.pitch:.6f} {T_base_laser.yaw:.6f}"
     return f"{LABEL} {x:.6f} {y:.6f} {z:.6f} {angles}\n"
 
 
 def read_mount(path: Path) -> Pose3 | None:
-    """Return `T_base_laser` as the comments before the first message say it; None where they do not."""
+    """Return `T_base_laser` from the comments before the first message; None without it."""
     with suppress(OSError, EOFError, zlib.error, UnicodeDecodeError, ValueError):
         with path.open("rb") as raw:
             zipped = raw.read(2) == b"\x1f\x8b"

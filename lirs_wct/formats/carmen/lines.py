@@ -17,14 +17,14 @@ from lirs_wct.errors import SourceError
 from lirs_wct.geometry.pose import Pose2
 
 BINARY_TEST = 65_536
-"""Bytes that are searched for a zero: text has none."""
+"""Bytes that are searched for a zero byte, which text does not contain."""
 AFTER_STAMP = 2
 """Tokens that may follow a stamp: host and logger's stamp."""
 
 
 @dataclass(frozen=True, slots=True)
 class LaserConfig:
-    """Beams as a laser message states them: first angle and increment, radians; largest range, meters."""
+    """Beams of a laser message: first angle and increment, radians; largest range, meters."""
 
     start: float
     step: float
@@ -36,12 +36,12 @@ class Message:
     """A usable line.
 
     Attributes:
-        line: its number, from 0.
+        line: line number, from 0.
         stamp: `ipc_stamp`, seconds.
         base: `T_odom_base`; None where the message holds none.
         laser: `T_odom_laser`; None where the message holds none.
         ranges: (n,) meters, as logged; empty where the message holds none.
-        config: None where the message has none.
+        config: beams as the message states them; None where it states none.
     """
 
     line: int
@@ -53,11 +53,11 @@ class Message:
 
 
 Lines = dict[str, list[tuple[int, str]]]
-"""Line numbers and lines by the name of their message."""
+"""Line numbers and lines by message name."""
 
 
 def read_lines(path: Path) -> Lines:
-    """Read a log, gzipped or not; empty lines and comments are left out.
+    """Read the lines of a log, gzipped or not, without empty lines and comments.
 
     Raises:
         SourceError: it cannot be read, is a damaged gzip file, or is not text.
@@ -82,7 +82,7 @@ def read_lines(path: Path) -> Lines:
 
 
 def messages_of(name: str, lines: Sequence[tuple[int, str]], skipped: Counter[str]) -> list[Message]:
-    """Parse the lines of one name of message; what cannot be used is counted by reason."""
+    """Parse the lines of one message name; count unusable lines by reason."""
     parse, found = PARSERS[name], []
     for number, line in lines:
         try:
@@ -98,7 +98,7 @@ def messages_of(name: str, lines: Sequence[tuple[int, str]], skipped: Counter[st
 
 
 def parameters_of(lines: Sequence[tuple[int, str]]) -> dict[str, float]:
-    """Return what `PARAM name value` lines say, where it is a number."""
+    """Return the numeric values of `PARAM name value` lines."""
     found = {}
     for _, line in lines:
         try:
@@ -134,7 +134,7 @@ def _robot_laser(tokens: list[str], line: int) -> Message:
 
 
 def _new_laser(tokens: list[str], tail: int) -> tuple[Float32Array, LaserConfig, list[str]]:
-    """Return ranges, config and what follows the remissions, which is `tail` tokens or a few more."""
+    """Return ranges, config and the tokens after the remissions (`tail` or a few more)."""
     start, fov, step, most = map(float, tokens[2:6])
     n = _count(tokens[8])
     rest = tokens[9 + n :]
@@ -149,7 +149,7 @@ def _new_laser(tokens: list[str], tail: int) -> tuple[Float32Array, LaserConfig,
 
 
 def _stamp(rest: list[str], at: int) -> float:
-    """Return the stamp; a wrong number of tokens before it shows as a wrong number behind it."""
+    """Return the stamp; raise ValueError unless 0 to 2 tokens follow it."""
     if not 0 <= len(rest) - at - 1 <= AFTER_STAMP:
         raise ValueError
     return float(rest[at])
@@ -168,7 +168,7 @@ def _pose(tokens: list[str]) -> Pose2:
 
 
 def _ranges(tokens: list[str]) -> Float32Array:
-    with np.errstate(over="ignore"):  # nothing is that far: it becomes infinite, as it should
+    with np.errstate(over="ignore"):  # a range beyond float32 becomes infinite
         return np.array([*map(float, tokens)]).astype(np.float32)
 
 
@@ -188,4 +188,4 @@ PARSERS: dict[str, Callable[[list[str], int], Message]] = {
     "RAWLASER1": _raw_laser,
     "RAWLASER2": _raw_laser,
 }
-"""How each message is read."""
+"""Parser of each message name."""

@@ -1,7 +1,7 @@
-"""CARMEN logs (.clf, .log, also gzipped): laser scans with the odometry of the robot that made them.
+"""CARMEN logs (.clf, .log, also gzipped): laser scans with the robot's odometry.
 
-Read are the messages of one laser (FLASER, ROBOTLASER1, RAWLASER1; RLASER, ROBOTLASER2, RAWLASER2 where
-only the rear one was logged), ODOM and PARAM; what else the log holds is counted, not kept.
+The reader uses ODOM, PARAM and the messages of one laser: FLASER, ROBOTLASER1 or RAWLASER1. A log of only the
+rear laser has RLASER, ROBOTLASER2 or RAWLASER2. Other messages are counted, not kept.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from lirs_wct.formats.carmen.repairs import in_file_order, odometry_of
 from lirs_wct.formats.laser_log import LaserLog
 
 DAY = 86_400.0
-"""A stamp farther than this from the log's middle is damaged, seconds ..."""
+"""Largest distance of a sound stamp from the median stamp, seconds."""
 FEW = 0.01
-"""... where no more than this share of all are."""
+"""Largest share of stamps that may be damaged; beyond it, all stamps count as sound."""
 REPEATED = "scan that is in the log already"
 REASONS = 5
-"""Reasons that an error tells."""
+"""Number of reasons that an error lists."""
 
 
 def read_carmen(path: Path, facts: LaserFacts | None = None) -> LaserLog:
-    """Read a CARMEN log; lines that cannot be used are skipped and counted.
+    """Read a CARMEN log; skip and count unusable lines.
 
-    The order of the file is kept. Where stamps go back or repeat while the robot moves, they are repaired and
-    a warning says how many.
+    The order of the file stays. Stamps that go back or repeat while the robot moves are repaired; a warning
+    states their number.
 
     Args:
         path: of the log.
-        facts: what the user knows about the laser better than the log.
+        facts: facts about the laser from the user, which take precedence over the log.
 
     Raises:
         SourceError: the file cannot be read, is not text, or holds no usable laser scan.
@@ -76,7 +76,7 @@ def read_carmen(path: Path, facts: LaserFacts | None = None) -> LaserLog:
 
 
 def _lasers(lines: Lines, skipped: Counter[str]) -> tuple[str, list[Message]]:
-    """Return the messages of one laser: the front one, with poses if possible, of the commonest message."""
+    """Return the messages of one laser: front before rear, with poses before without, most frequent."""
     names = sorted(
         (name for name in lines if name in PARSERS and name != "ODOM"),
         key=lambda name: (name in REAR, name.startswith("RAW"), -len(lines[name])),
@@ -91,7 +91,7 @@ def _lasers(lines: Lines, skipped: Counter[str]) -> tuple[str, list[Message]]:
 
 
 def _of_one_size(name: str, messages: list[Message], skipped: Counter[str]) -> list[Message]:
-    """Keep the scans that have as many beams as most: a laser does not change."""
+    """Keep the scans with the most frequent number of beams."""
     sizes = Counter(len(m.ranges) for m in messages)
     usual = sizes.most_common(1)[0][0]
     for size, count in sizes.items():
@@ -101,7 +101,7 @@ def _of_one_size(name: str, messages: list[Message], skipped: Counter[str]) -> l
 
 
 def _in_time(messages: list[Message], skipped: Counter[str]) -> list[Message]:
-    """Leave out the few messages whose stamps lie more than a day from the others."""
+    """Drop the few messages whose stamps are more than a day from the median."""
     if not messages:
         return messages
     stamps = np.array([m.stamp for m in messages])
@@ -118,7 +118,7 @@ def _late(stamps: FloatArray) -> int:
 
 
 def _without_repeats(messages: Sequence[Message], skipped: Counter[str]) -> list[Message]:
-    """Leave out scans that are in the log already: the same stamp, ranges and poses."""
+    """Drop repeated scans: same stamp, ranges and poses."""
     first: dict[tuple[object, ...], Message] = {}
     for message in messages:
         first.setdefault((message.stamp, message.base, message.laser, message.ranges.tobytes()), message)

@@ -28,31 +28,31 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
 
 LEAP = 10.0
-"""Stamps that go back by more are no delay: a damaged line, or a clock that was set, seconds."""
+"""Longest delay, seconds; a larger step back is a damaged line or a clock that was set."""
 LEAP_LOOK = 5
-"""Lines after a leap among which the stamps may have come back."""
+"""Lines after a leap within which the stamps may return."""
 WINDOW = 20
-"""Lines over which a log's pace and speed are measured: delays average out over so many."""
+"""Lines over which pace and speed are measured, so that delays average out."""
 PERCENTILE, MARGIN = 99.0, 1.25
-"""The speed limit of repaired lines: this percentile of the speed over windows, times the margin."""
+"""Speed limit between repaired lines: this percentile of the speed over windows, times the margin."""
 LEAST_STEP = 1e-3
 """Seconds between repaired lines, at least."""
 USUAL_STEP = 0.1
 """Seconds between the lines of a log whose stamps are all the same."""
 SAME = 1e-6
-"""Stamps are written with six decimals, seconds."""
+"""Resolution of logged stamps (six decimals), seconds."""
 
 
 def in_file_order(
     scans: Sequence[Message], odoms: Sequence[Message]
 ) -> tuple[list[Message], list[Message], LineStamps]:
-    """Return the messages in the order of their lines with stamps that rise.
+    """Return the messages in file order with rising stamps.
 
-    A file that holds one kind of message after the other has no order between them but that of the stamps.
+    If a file holds one kind of message after the other, only the stamps order the two kinds.
 
     Args:
         scans: messages with a scan, at least one.
-        odoms: messages without.
+        odoms: messages without a scan.
     """
     lines = _lines(scans, odoms)
     holds_scan = np.array([len(m.ranges) > 0 for m in lines])
@@ -71,7 +71,7 @@ def in_file_order(
 
 
 def _lines(scans: Sequence[Message], odoms: Sequence[Message]) -> list[Message]:
-    """Return the messages as the file has them; by stamp where each kind rises and they follow each other."""
+    """Return the messages in file order; by stamp if the file holds one kind after the other."""
     lines = sorted([*scans, *odoms], key=lambda m: m.line)
     if _steps(lines).min(initial=0) < -LEAP and min(_steps(k).min(initial=0) for k in (scans, odoms)) >= 0:
         return sorted(lines, key=lambda m: m.stamp)
@@ -86,8 +86,8 @@ def _steps(lines: Sequence[Message]) -> FloatArray:
 def _motion(lines: Sequence[Message]) -> FloatArray:
     """Return (n - 1, 2) meters and radians from line to line.
 
-    A line without a pose has that of the line before or after it, whichever is nearer in time. Poses of scans
-    that never change are none: the odometry is in the other lines.
+    A line without a pose has that of the line before or after it, whichever is nearer in time. Constant poses
+    of scans are ignored: the odometry is then in the other lines.
     """
     own = len({m.base for m in lines if len(m.ranges)}) > 1
     bases = [m.base if own or not len(m.ranges) else None for m in lines]
@@ -112,8 +112,8 @@ def _sound(stamps: FloatArray, scans: BoolArray, distances: FloatArray) -> bool:
 
 
 def _rising(logged: FloatArray, distances: FloatArray) -> FloatArray:
-    """Return (n,) rising stamps; as logged where they are right."""
-    from scipy.optimize import isotonic_regression  # here: logs that are right do not wait for it
+    """Return (n,) rising stamps, unchanged where they are right."""
+    from scipy.optimize import isotonic_regression  # imported here: sound logs do not need it
 
     start = float(np.median(logged))
     stamps = _one_clock(logged - start)
@@ -124,13 +124,13 @@ def _rising(logged: FloatArray, distances: FloatArray) -> FloatArray:
 
 
 def _least_steps(stamps: FloatArray, distances: FloatArray) -> FloatArray:
-    """Return (n - 1,) the least time between lines, seconds: what the motion takes, but no pause."""
+    """Return (n - 1,) the least time between lines at the log's speed limit, seconds."""
     n = min(WINDOW, len(stamps) - 1)
     span = stamps[n:] - stamps[:-n]
     pace = float(np.median(span)) / n
     pace = pace if pace > 0 else float(np.ptp(stamps)) / (len(stamps) - 1) or USUAL_STEP
     path = np.concatenate((np.zeros((1, 2)), np.cumsum(distances, axis=0)))
-    # A window much shorter than most is a burst, which says nothing about the speed.
+    # A window much shorter than most is a burst, which does not show the speed.
     speeds = (path[n:] - path[:-n]) / np.maximum(span, n * pace / 2)[:, None]
     limit = MARGIN * np.percentile(speeds, PERCENTILE, axis=0)
     takes = np.divide(distances, limit, out=np.zeros_like(distances), where=limit > 0).max(axis=1)
@@ -139,7 +139,10 @@ def _least_steps(stamps: FloatArray, distances: FloatArray) -> FloatArray:
 
 
 def _one_clock(stamps: FloatArray) -> FloatArray:
-    """Return stamps without leaps: a damaged one comes between its neighbors, a clock set back runs on."""
+    """Return stamps without leaps.
+
+    A damaged stamp is interpolated between its neighbors; a clock that was set back continues.
+    """
     if not (np.diff(stamps) < -LEAP).any():
         return stamps
     damaged, set_anew = _stamp_leaps(stamps)
@@ -159,7 +162,7 @@ def _one_clock(stamps: FloatArray) -> FloatArray:
 
 
 def _stamp_leaps(stamps: FloatArray) -> tuple[list[int], list[int]]:
-    """Return which lines have stamps far from those before and after, and at which a clock was set back."""
+    """Return the lines with damaged stamps, and the lines at which a clock was set back."""
     damaged: list[int] = []
     set_anew: list[int] = []
     last = 0
@@ -179,25 +182,25 @@ def _stamp_leaps(stamps: FloatArray) -> tuple[list[int], list[int]]:
 
 
 JUMP, JUMP_SPEED = 5.0, 30.0
-"""A step of more meters, and more meters a second, is no motion of a robot."""
+"""Longest step, meters, and highest speed, m/s, of a robot; beyond both, a step is a jump."""
 JUMP_LOOK = 5
-"""Poses after a leap among which the track may have come back."""
+"""Poses after a jump within which the track may return."""
 AGREEMENT = 1.0
-"""Meters within which two sources share one frame."""
+"""Largest median distance of two sources in the same frame, meters."""
 
 
 def odometry_of(
     stamps: Sequence[float], lasers: Sequence[Message], odoms: Sequence[Message], repaired: Counter[str]
 ) -> tuple[list[Pose2 | None], Trajectory]:
-    """Return `T_odom_base` of each scan, and every pose that the odometry gives.
+    """Return `T_odom_base` of each scan, and the track of all odometry poses.
 
-    Odometry that never changes says nothing, so it is taken for none: the robot may have moved or not.
+    Constant odometry counts as none, since the robot may have moved.
 
     Args:
         stamps: of the scans, increasing.
         lasers: the scans' messages.
         odoms: ODOM messages.
-        repaired: receives what was put right, and how often.
+        repaired: receives the count of each kind of repair.
     """
     own, wheels = _track(lasers), _track(odoms)
     if _moves(own) or (len(lasers) == 1 and len(own)):
@@ -213,10 +216,10 @@ def odometry_of(
 
 
 def without_jumps(track: Trajectory, repaired: Counter[str]) -> Trajectory:
-    """Return a track that no robot is too slow for; where it is sound, itself.
+    """Return a track without jumps; a sound track is returned unchanged.
 
-    A few poses far from those before and after are replaced by poses between these. Where the track does
-    not come back, the odometry was set anew: it stands still for that step.
+    A few poses far from their neighbors are interpolated. Where the track does not return, the odometry was
+    reset; the repaired track stands still for that step.
     """
     wrong, anew = _position_leaps(track)
     if not wrong and not anew:
@@ -237,7 +240,7 @@ def without_jumps(track: Trajectory, repaired: Counter[str]) -> Trajectory:
 
 
 def _position_leaps(track: Trajectory) -> tuple[list[int], set[int]]:
-    """Return which poses are far from those before and after, and at which the track goes on elsewhere."""
+    """Return the poses far from their neighbors, and the poses after a reset of the odometry."""
     xy, stamps = track.xy, track.stamps
     wrong: list[int] = []
     anew: set[int] = set()
@@ -261,7 +264,7 @@ def _position_leaps(track: Trajectory) -> tuple[list[int], set[int]]:
 
 
 def _track(messages: Sequence[Message]) -> Trajectory:
-    """Return the poses by stamp; of two with one stamp, the later line's."""
+    """Return the poses by stamp; of two with the same stamp, that of the later line."""
     poses = {m.stamp: m.base for m in messages if m.base is not None}
     stamps = sorted(poses)
     return Trajectory.from_poses(stamps, [poses[t] for t in stamps])
@@ -274,7 +277,7 @@ def _moves(track: Trajectory) -> bool:
 
 
 def _add_wheel_poses(own: Trajectory, wheels: Trajectory) -> Trajectory:
-    """Add the poses between scans, where ODOM lines are of the same frame."""
+    """Add the poses of ODOM lines between scans if they share the scans' frame."""
     if len(wheels) == 0:
         return own
     far = np.linalg.norm(wheels.planar_at(own.stamps)[:, :2] - own.xy, axis=1)

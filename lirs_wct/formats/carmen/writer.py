@@ -1,8 +1,8 @@
-"""Laser scans with odometry as a CARMEN log of `ROBOTLASER1` messages, gzipped, for any SLAM program.
+"""Laser scans with odometry as a gzipped CARMEN log of `ROBOTLASER1` messages.
 
-The message says its own start angle, field of view, resolution and largest range, so that no reader has
-to assume 180 degrees. Ranges are in millimeters' steps; nothing in range is the largest range or more,
-too near is 0, and invalid is 81.91, a SICK's code for it.
+Each message states start angle, field of view, resolution and largest range, so that no reader has to assume
+180 degrees. Ranges have steps of a millimeter. No return is the largest range or more, too near is 0, and
+invalid is 81.91, the code of a SICK.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import LaserScan
 
 INVALID = 81.91
-"""Written for a beam whose measurement is invalid, meters."""
+"""Code of an invalid measurement, meters."""
 HOST = "lirs-wct"
 HEADER = (
     "# CARMEN log: ROBOTLASER1 laser_type start_angle field_of_view angular_resolution maximum_range\n"
@@ -32,13 +32,13 @@ HEADER = (
     "# meters, radians, seconds since the start; the robot's pose is its odometry\n"
 )
 LEVEL = 1
-"""Of gzip: noise of the sensor hardly shrinks further, at many times the work."""
+"""Level of gzip: higher ones hardly shrink sensor noise further and take many times as long."""
 
 
 def write_log(path: Path, scans: Iterable[tuple[LaserScan, Pose2]]) -> None:
-    """Write scans and the odometry `T_odom_base` at their stamps; the same data give the same bytes.
+    """Write scans and their odometry `T_odom_base`; the same data give the same bytes.
 
-    Of the laser's mount the messages hold what lies in the plane: x, y and yaw; a comment tells all of it.
+    Messages hold only the planar part of the laser's mount (x, y, yaw); a comment holds all of it.
 
     Raises:
         OutputError: the file cannot be written.
@@ -76,7 +76,7 @@ def _ranges(scan: LaserScan) -> str:
 
 
 def _millimeters(ranges: Float32Array, most: int) -> IntArray:
-    """Return (n,) millimeters; `most` where nothing came back, -1 where the measurement is invalid.
+    """Return (n,) millimeters; `most` = no return, -1 = invalid.
 
     A hit stays below `most`, since that means no return.
     """
@@ -89,5 +89,5 @@ def _millimeters(ranges: Float32Array, most: int) -> IntArray:
 
 @cache
 def _formatted_ranges(millimeters: int) -> list[str]:
-    """Return each number of millimeters as meters, last the code for "invalid": formatted once for all."""
+    """Return the text of each number of millimeters in meters, and last the code for "invalid"."""
     return [*(f"{mm / 1000:.3f}" for mm in range(millimeters)), f"{INVALID:.2f}"]

@@ -1,1 +1,1 @@
-"""ROS bags without ROS: written from a drive and read as logs, through rosbags (extra `[ros]`)."""
+"""ROS bags without ROS: writing drives, reading logs (extra `[ros]`)."""

@@ -1,7 +1,7 @@
-"""Messages of a fixed layout in CDR, ROS 2's encoding: every value stands at a multiple of its size.
+"""Messages of a fixed layout in CDR, ROS 2's encoding with aligned values.
 
-A robot's messages have the same strings and lengths all the time: their bytes differ in some numbers only,
-which are written into a template. That takes a tenth of what a general serializer does.
+The messages of a robot always have the same strings and lengths. Only numbers differ, which are written into
+a template. That takes a tenth of the time of a general serializer.
 """
 
 from __future__ import annotations
@@ -10,20 +10,20 @@ import struct
 from dataclasses import dataclass
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
-"""Begins every message: CDR, little-endian. Alignment counts from behind it."""
+"""First bytes of a message: CDR, little-endian. Alignment counts from the byte after them."""
 _SIZES = {"b": 1, "B": 1, "i": 4, "I": 4, "f": 4, "d": 8}
 
 
 @dataclass(frozen=True, slots=True)
 class Zeros:
-    """So many values of a kind (as in `struct`) that are 0 in every message."""
+    """A number of values of a kind (as in `struct`) that are always 0."""
 
     kind: str
     count: int
 
 
 class Layout:
-    """The layout of a message.
+    """The fixed layout of a message.
 
     Args:
         parts: in their order; kinds of values as in `struct`, such as "iI" or "dddd"; strings that never
@@ -45,7 +45,7 @@ class Layout:
         self._template[:0] = ENCAPSULATION
 
     def pack(self, *values: float) -> bytearray:
-        """Return the message of these values, in the order of the parts."""
+        """Return the message with these values, in the order of the parts."""
         message, at = self._template.copy(), 0
         for run, offset, count in self._runs:
             run.pack_into(message, offset, *values[at : at + count])

@@ -1,4 +1,4 @@
-"""Compressed bags: files and messages by zstd, chunks by zstd and lz4; of what is cut off, what there is."""
+"""Decompression of bags: whole files, messages and chunks, also when cut off."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ else:
     from backports import zstd
 
 MAGIC = b"\x28\xb5\x2f\xfd"
-"""Begins what zstd compressed; no message in CDR begins so."""
+"""First bytes of zstd data; no message in CDR begins with them."""
 PIECE = 1 << 20
 
 
 def decompress_message(data: bytes | memoryview) -> bytes | memoryview:
-    """Return a message, decompressed where its recorder compressed messages."""
+    """Decompress a message if its recorder compressed messages."""
     return zstd.decompress(data) if data[: len(MAGIC)] == MAGIC else data
 
 
 class ZstdStream(zstd.ZstdFile):
-    """What zstd compressed, to be read; damage is an OSError, as gzip's is."""
+    """Readable zstd stream; damage raises OSError, as in gzip."""
 
     def read(self, size: int | None = -1) -> bytes:
-        """Return so many bytes, fewer at the end; all by default."""
+        """Return up to `size` bytes; all by default."""
         try:
             return bytes(super().read(size))
         except zstd.ZstdError as error:
@@ -36,7 +36,7 @@ class ZstdStream(zstd.ZstdFile):
 
 
 def decompress_file(path: Path, target: Path) -> str:
-    """Decompress a file as far as it goes; return what is wrong with it, empty = nothing."""
+    """Decompress a file as far as possible; return its fault, empty = none."""
     inflater = zstd.ZstdDecompressor()
     with path.open("rb") as source, target.open("wb") as sink:
         while piece := source.read(PIECE):
@@ -48,7 +48,7 @@ def decompress_file(path: Path, target: Path) -> str:
 
 
 def decompress_chunk(data: bytes, compression: str) -> bytes:
-    """Return a chunk's records, as far as its data go; nothing of a compression that is not known."""
+    """Decompress a chunk's records as far as possible; nothing if the compression is unknown."""
     inflaters: dict[str, Any] = {
         "zstd": zstd.ZstdDecompressor,
         "lz4": lz4.frame.LZ4FrameDecompressor,

@@ -1,4 +1,4 @@
-"""Frames of a bag: fixed and moving transforms, and what hangs on what."""
+"""Frames of a bag: the tree of fixed and moving transforms."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.trajectory import Trajectory
 
 SAME = 1e-6
-"""Meters, and parts of a quaternion, within which a transform on /tf never changes."""
+"""Largest change of a constant transform on /tf: meters, and components of the quaternion."""
 
 
 def pose_of(position: Any, rotation: Any) -> Pose3:
-    """Return the pose of a message's position and quaternion; a quaternion of zeros turns nothing."""
+    """Return the pose of a message's position and quaternion; zeros mean no rotation."""
     p, q = position, rotation
     n = math.sqrt(q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z)
     if n == 0.0:
@@ -24,7 +24,7 @@ def pose_of(position: Any, rotation: Any) -> Pose3:
 
 
 def seconds(stamp: Any) -> float:
-    """Return a message's stamp."""
+    """Return a message's stamp in seconds."""
     return float((stamp.sec * 1_000_000_000 + stamp.nanosec) / 1e9)
 
 
@@ -37,7 +37,7 @@ class Frames:
         self._parents: dict[str, str] = {}
 
     def add(self, line: int, message: Any, *, static: bool, received: float | None = None) -> None:
-        """Take in a TFMessage, the line-th message of the bag; `received` replaces the stamps in it."""
+        """Add a TFMessage, the line-th message of the bag; `received` replaces its stamps."""
         for t in message.transforms:
             parent, child = t.header.frame_id.lstrip("/"), t.child_frame_id.lstrip("/")
             T = pose_of(t.transform.translation, t.transform.rotation)
@@ -55,34 +55,34 @@ class Frames:
         return fixed | set(self._parents) | set(self._parents.values())
 
     def moving_base(self, frame: str) -> str:
-        """Return the nearest frame above a sensor's that moves in another; empty where none does.
+        """Return the nearest moving frame above a sensor's frame; empty without one.
 
-        Of a robot that stands, that is the nearest that could move.
+        For a robot at rest, return the nearest frame on /tf.
         """
         on_tf = [name for name in self.chain(frame.lstrip("/")) if name in self._moving]
         return next((name for name in on_tf if not self._constant(name)), on_tf[0] if on_tf else "")
 
     def odometry(self, base: str) -> list[tuple[int, float, Pose3]]:
-        """Return line, stamp and pose of a moving frame in its parent; empty where it does not move."""
+        """Return line, stamp and pose of a moving frame in its parent; empty for others."""
         return self._moving.get(base, [])
 
     def mount(self, base: str, frame: str) -> Pose3 | None:
-        """Return `T_base_frame` along transforms that never change; None where they do not lead there."""
+        """Return `T_base_frame` along constant transforms; None if they do not connect the two."""
         top_of_base, T_top_base = self._climb(base)
         top, T_top_frame = self._climb(frame.lstrip("/"))
         return T_top_base.inverse() @ T_top_frame if top == top_of_base else None
 
     def chain(self, frame: str) -> list[str]:
-        """Return a frame and all above it, the topmost last."""
+        """Return a frame and its ancestors, the topmost last."""
         names = [frame]
         while (above := self._above(names[-1])) and above not in names:
             names.append(above)
         return names
 
     def trajectory(self, frame: str) -> Trajectory:
-        """Return `T_top_frame` in the topmost frame above, whenever the lowest moving frame's pose is known.
+        """Return `T_top_frame` in the topmost ancestor at the stamps of the lowest moving frame.
 
-        Above that frame, poses are interpolated, as tf2 does.
+        Poses of frames above it are interpolated, as in tf2.
         """
         chain = self.chain(frame)[:-1]
         edges = [self._edge(name) for name in chain]
@@ -100,7 +100,7 @@ class Frames:
         return Trajectory.from_poses(stamps.tolist(), poses)
 
     def _edge(self, name: str) -> tuple[np.ndarray[Any, np.dtype[np.float64]], list[Pose3]]:
-        """Return stamps, rising, and poses of a frame in its parent; of a fixed one, one at no time."""
+        """Return rising stamps and poses of a frame in its parent; one pose if it is fixed."""
         if name in self._fixed and name not in self._moving:
             return np.zeros(1), [self._fixed[name][1]]
         found = {stamp: T for _, stamp, T in self._moving[name]}
@@ -111,7 +111,7 @@ class Frames:
         return self._parents.get(name) or self._fixed.get(name, ("",))[0]
 
     def _climb(self, name: str) -> tuple[str, Pose3]:
-        """Return the topmost frame that transforms without change lead to, and the pose in it."""
+        """Return the topmost frame along constant transforms, and the pose in it."""
         T, seen = Pose3(), {name}
         while True:
             if name in self._fixed:
@@ -126,7 +126,7 @@ class Frames:
             name, T = above, step @ T
 
     def _constant(self, name: str) -> bool:
-        """Whether a frame of /tf never moves: who publishes sensors' mounts there repeats them."""
+        """Whether a frame of /tf never moves (a sensor's mount that is published repeatedly)."""
         held = self._moving.get(name, [])
         if len(held) < 2:
             return False
@@ -135,7 +135,7 @@ class Frames:
 
 
 def _interpolate(stamps: np.ndarray[Any, np.dtype[np.float64]], poses: list[Pose3], t: float) -> Pose3:
-    """Return the pose at a stamp between two of them: position and quaternion linearly."""
+    """Return the pose at a stamp, with linear position and quaternion."""
     k = int(np.searchsorted(stamps, t))
     if k == len(poses) or stamps[k] == t or k == 0:
         return poses[min(k, len(poses) - 1)]

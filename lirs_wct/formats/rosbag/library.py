@@ -1,4 +1,4 @@
-"""The library that ROS bags need, which only the extra `[ros]` installs, and how bags may be stored."""
+"""Check for the library of ROS bags (extra `[ros]`), and storage formats of bags."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from lirs_wct.errors import SourceError
 
 Storage = Literal["mcap", "sqlite3"]
 STORAGES: tuple[Storage, ...] = get_args(Storage)
-"""How the messages of a bag are stored."""
+"""Storage formats of a bag's messages."""
 METADATA = "metadata.yaml"
-"""What `ros2 bag` reads first in a bag's folder."""
+"""File of a bag's folder that `ros2 bag` reads first."""
 FILES: dict[Storage, str] = {"mcap": ".mcap", "sqlite3": ".db3"}
-"""Suffix of a bag's file."""
+"""Suffix of a bag's file by storage format."""
 
 
 def require_rosbags(path: Path | str) -> None:

@@ -1,4 +1,4 @@
-"""Values as ROS 2 messages in CDR: fields, frames and units by their definitions and REP 103, 105."""
+"""Values as ROS 2 messages in CDR; frames and units by REP 103 and 105."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SCAN = Layout(TIME, LASER.encode(), "fffffff", "I")
 _MAP = Layout(TIME, MAP.encode(), TIME, "fII", POSE, "I")
 _NO_INTENSITIES = bytes(4)
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("time", "<f4")], align=True)
-"""A point, with the fields' names and types that Velodyne's driver gives them and KISS-ICP looks for."""
+"""A point with the names and types of Velodyne's driver, which KISS-ICP expects."""
 _POINT_TYPES = {np.dtype("<u2"): 4, np.dtype("<f4"): 7}
 _POINTS = Layout(
     TIME,
@@ -46,7 +46,7 @@ _POINT_FIELDS = [
 
 
 def nanoseconds(stamp: float) -> int:
-    """Return a stamp in seconds as ROS holds it."""
+    """Convert a stamp in seconds to nanoseconds."""
     return round(stamp * 1e9)
 
 
@@ -79,7 +79,10 @@ def laser_scan(scan: LaserScan, period: float) -> bytearray:
 
 
 def point_cloud(cloud: PointCloud) -> bytearray:
-    """Return `sensor_msgs/PointCloud2` of one row, in the frame of the laser; times count from the stamp."""
+    """Return `sensor_msgs/PointCloud2` of one row in the laser's frame.
+
+    Times count from the stamp.
+    """
     n, step = len(cloud), POINT.itemsize
     points = np.zeros(n, POINT)
     points["x"], points["y"], points["z"] = cloud.xyz.T
@@ -90,7 +93,7 @@ def point_cloud(cloud: PointCloud) -> bytearray:
 
 
 def imu(reading: Imu, stamp: float) -> bytearray:
-    """Return `sensor_msgs/Imu` in base_link; the yaw is 0 with a variance that says "unknown"."""
+    """Return `sensor_msgs/Imu` in base_link; the yaw is 0 with the variance of an unknown yaw."""
     q = Pose3.from_rpy(0.0, 0.0, 0.0, reading.roll, reading.pitch, 0.0)
     return _IMU.pack(
         *_time(stamp),
@@ -145,7 +148,7 @@ def occupancy_grid(stamp: float, grid: OccupancyGrid) -> bytearray:
 
 
 def body_velocity(before: Pose2, after: Pose2, seconds: float) -> tuple[float, float, float]:
-    """Return the mean velocity between two poses, in the axes half-way: m/s, m/s, rad/s."""
+    """Return the mean velocity between two poses, in the midway axes: m/s, m/s, rad/s."""
     step = before.inverse() @ after
     c, s = math.cos(step.yaw / 2), math.sin(step.yaw / 2)
     return (c * step.x + s * step.y) / seconds, (c * step.y - s * step.x) / seconds, step.yaw / seconds
@@ -164,5 +167,5 @@ def _time(stamp: float) -> tuple[int, int]:
 
 
 def _pose(T: Pose3) -> tuple[float, ...]:
-    """Return position and quaternion, whose order in ROS is xyzw."""
+    """Return position and quaternion in ROS's order xyzw."""
     return T.x, T.y, T.z, T.qx, T.qy, T.qz, T.qw

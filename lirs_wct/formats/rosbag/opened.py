@@ -1,6 +1,7 @@
-"""A bag that is open for reading, whatever it is made of: split, compressed, without index, or cut off.
+"""Open bags: also split, compressed, without index, or cut off.
 
-Its files are opened one by one: what says which there are is written last, and a recorder may die before.
+The files of a folder are opened one by one, without the metadata. A recorder writes these last and may die
+before.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from lirs_wct.formats.suffixes import BAGS, ZSTD, is_bag_file
 
 Reader: TypeAlias = rosbag1.Reader | rosbag2.Reader
 IDL_SEPARATOR = "=" * 80 + "\n"
-"""Between the definitions of a type and of those that it is made of."""
+"""Separator between the definitions of a type and of its parts."""
 IDL_TITLE = re.compile(r"\AIDL: .*\n")
 VERSION_LENGTH = 40
 """Bytes at the start of a ROS 1 bag within which its version ends."""
@@ -42,8 +43,8 @@ class Bag:
     Attributes:
         path: of the bag, as the user gave it.
         kinds: type of each topic.
-        faults: what is damaged or missing; more may be found while messages are read.
-        undecoded: how many messages could not be decoded, by topic.
+        faults: damaged or missing parts; reading messages may add some.
+        undecoded: count of messages that could not be decoded, by topic.
     """
 
     def __init__(self, path: Path, readers: Sequence[Reader], faults: list[str]) -> None:
@@ -56,13 +57,13 @@ class Bag:
         self.undecoded: Counter[str] = Counter()
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
-        """Yield topic, receive time in nanoseconds, and message as recorded, up to where the bag is damaged.
+        """Yield topic, receive time in nanoseconds, and message, up to the first damage.
 
-        Only the types of these topics are parsed: another type that is malformed harms nothing.
+        Only the types of these topics are parsed, so that other malformed types do no harm.
         """
         messages = merge(*(_of_topics(reader, topics) for reader in self._readers), key=itemgetter(1))
         while True:
-            # The parsers of damaged binary data raise whatever the bytes lead to.
+            # Parsers raise any kind of exception for damaged binary data.
             try:
                 connection, received, data = next(messages)
             except StopIteration:
@@ -86,14 +87,14 @@ class Bag:
 
 
 def _of_topics(reader: Reader, topics: Collection[str]) -> Iterator[tuple[Connection, int, bytes]]:
-    """Yield a file's messages on topics; the library takes an empty selection for all."""
+    """Yield a file's messages on topics; the library treats an empty selection as all."""
     chosen = [c for c in reader.connections if c.topic in topics]
     return reader.messages(chosen) if chosen else iter(())
 
 
 @cache
 def _decoder(definition: MessageDefinition, kind: str, ros1: bool) -> Callable[[bytes | memoryview], Any]:
-    """Return the decoder of a type by the bag's definition; by ROS 2 Jazzy's where the bag holds none.
+    """Return the decoder of a type by the bag's definition, else by that of ROS 2 Jazzy.
 
     The definition states the layout of the bytes, also where the recorded hash of the type differs. The
     decoder of a definition that cannot be parsed refuses every message.
@@ -120,7 +121,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
     """Open a bag: a folder or file of ROS 2, or a ROS 1 bag.
 
     Raises:
-        SourceError: it cannot be read, not even in part.
+        SourceError: no part of it can be read.
     """
     faults = _missing(path)
     with ExitStack() as stack:
@@ -150,17 +151,17 @@ def _reader(file: Path) -> Reader:
 
 
 def _files(path: Path) -> list[Path]:
-    """Return the files of a bag; of a folder with files of two kinds those of the first."""
+    """Return the files of a bag; for a folder with two kinds of files, the first kind."""
     if not path.is_dir():
         return [path]
-    # A file beside what it was decompressed into is there twice.
+    # A compressed file and its decompressed copy count once.
     found = {p.name.removesuffix(ZSTD): p for p in sorted(path.iterdir(), reverse=True) if is_bag_file(p)}
     kinds = ([found[name] for name in sorted(found) if name.endswith(suffix)] for suffix in BAGS)
     return next(files for files in kinds if files)
 
 
 def _readable(file: Path, folder: Path, faults: list[str]) -> Path:
-    """Return a file that the library reads: the file itself, or what could be made of it, in a folder."""
+    """Return a readable file: the file itself, or its repaired copy in a folder."""
     folder.mkdir()
     if file.name.endswith(ZSTD):
         whole, file = file, folder / file.name.removesuffix(ZSTD)
@@ -174,7 +175,7 @@ def _readable(file: Path, folder: Path, faults: list[str]) -> Path:
 
 
 def _missing(path: Path) -> list[str]:
-    """Return what a bag's metadata names and its folder does not hold."""
+    """Return faults for files in the metadata that are missing from the folder."""
     try:
         held = yaml.safe_load((path / METADATA).read_text(encoding="utf-8"))
         names = [Path(str(p)).name for p in held["rosbag2_bagfile_information"]["relative_file_paths"]]

@@ -1,4 +1,4 @@
-"""Trajectories in bags: on topics of poses, or as transforms, which is how SLAM systems publish them."""
+"""Trajectories in bags: topics of poses, or transforms as SLAM systems publish them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.trajectory import Trajectory
 
 BASES = (BASE, "base_footprint")
-"""Frames that a robot's pose is that of; the first that is there."""
+"""Names of a robot's base frame; the first existing one is used."""
 
 
 def read_poses(path: Path, topic: str | None = None, flag: str = "--topic") -> Trajectory:
@@ -25,7 +25,7 @@ def read_poses(path: Path, topic: str | None = None, flag: str = "--topic") -> T
         path: of the bag.
         topic: of odometry, stamped poses or paths, of which the last counts, or of transforms, whose map ->
             base_link is taken; None = transforms if they lead to a frame `map`, else the only topic of poses.
-        flag: what the user says the topic with.
+        flag: command-line option of the topic, for messages.
 
     Raises:
         SourceError: the bag cannot be read, or has no such topic, or several could be meant.
@@ -56,10 +56,10 @@ def _poses(bag: Bag, topic: str | None, flag: str) -> Trajectory:
 
 
 def _follow_transforms(bag: Bag, *, required: bool) -> Trajectory | None:
-    """Return `T_map_base` along the bag's transforms; None where they do not lead there.
+    """Return `T_map_base` along the bag's transforms; None if they do not connect the two.
 
     Raises:
-        SourceError: they do not, and must.
+        SourceError: they do not connect the two although this is required.
     """
     frames = Frames()
     topics = of_kinds(bag.kinds, TRANSFORMS)
@@ -78,12 +78,12 @@ def _follow_transforms(bag: Bag, *, required: bool) -> Trajectory | None:
 
 
 def _is(frame: str, wanted: str) -> bool:
-    """Whether a frame has a name, with or without a robot's before it."""
+    """Whether a frame has a name, with or without a robot's prefix."""
     return frame.rpartition("/")[2] == wanted
 
 
 def _read_topic(bag: Bag, topic: str) -> Trajectory:
-    """Return the poses of a topic by stamp; of two with one stamp the later."""
+    """Return the poses of a topic by stamp; of two with the same stamp, the later one."""
     found: dict[float, Pose3] = {}
     for _, _, message in bag.messages((topic,)):
         if bag.kinds[topic] == PATH:
@@ -96,7 +96,7 @@ def _read_topic(bag: Bag, topic: str) -> Trajectory:
 
 
 def _innermost(pose: Any) -> Any:
-    """Return the pose of a PoseWithCovariance; a pose itself."""
+    """Return the pose inside a PoseWithCovariance, else the pose itself."""
     return getattr(pose, "pose", pose)
 
 

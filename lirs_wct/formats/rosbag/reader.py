@@ -1,4 +1,7 @@
-"""A bag, ROS 2 or ROS 1, as a log: scans, the odometry at them, inertial readings, the laser's mount."""
+"""Reading a ROS 2 or ROS 1 bag as a laser log.
+
+The log has scans, their odometry, inertial readings and the laser's mount.
+"""
 
 from __future__ import annotations
 
@@ -35,11 +38,11 @@ Vector = tuple[float, float, float]
 
 
 CLOUD_MARK = np.zeros(1, np.float32)
-"""Stands for the ranges of a cloud, whose points are read later."""
+"""Placeholder for the ranges of a cloud, whose points are read later."""
 
 
 class _Reading(NamedTuple):
-    """An inertial reading in its sensor's axes; the attitude is wxyz."""
+    """An inertial reading in its sensor's axes; the attitude is a wxyz quaternion."""
 
     frame: str
     stamp: float
@@ -50,10 +53,10 @@ class _Reading(NamedTuple):
 
 @dataclass
 class _Contents:
-    """What the messages say, in the order of the bag.
+    """Content of the messages, in the order of the bag.
 
-    Of a scan and an inertial reading numbers are kept, not the messages: a hundred thousand of these slow
-    down Python's collector of garbage more than all the reading takes.
+    Scans and inertial readings are kept as numbers. A hundred thousand message objects would slow down
+    Python's garbage collector more than the reading takes.
     """
 
     topic: str
@@ -72,11 +75,11 @@ class _Contents:
 
 
 def read_bag(path: Path, topics: Topics) -> LaserLog:
-    """Read a bag; of one that is damaged what is there, with a warning.
+    """Read a bag; of a damaged one the readable part, with a warning.
 
     Args:
         path: folder of a ROS 2 bag, one of its files (.mcap, .db3, also .zstd), or a ROS 1 bag (.bag).
-        topics: where scans, odometry and inertial readings are.
+        topics: topics of scans, odometry and inertial readings.
 
     Raises:
         SourceError: it cannot be read, or has no such topic or no scan.
@@ -104,7 +107,7 @@ def read_bag(path: Path, topics: Topics) -> LaserLog:
 
 
 def _stands_still(messages: list[Message]) -> bool:
-    """Whether all messages have one stamp, as those of a driver that leaves it 0."""
+    """Whether all messages have the same stamp (0 with some drivers)."""
     return len(messages) > 1 and len({m.stamp for m in messages}) == 1
 
 
@@ -112,9 +115,9 @@ def _contents(bag: Bag, topics: Topics, *, by_header: bool) -> _Contents:
     """Return the messages of the topics, in the order of the bag.
 
     Args:
-        bag: that is read.
-        topics: as the user says them.
-        by_header: whether stamps are those of the headers; else all are the times of reception.
+        bag: the open bag.
+        topics: topics from the user.
+        by_header: whether stamps come from headers; else they are times of reception.
     """
     scan, odometry, imu = topics.choose(bag.path, bag.kinds)
     contents = _Contents(scan, topics.clouds)
@@ -145,7 +148,7 @@ def _contents(bag: Bag, topics: Topics, *, by_header: bool) -> _Contents:
 
 
 def _needs_transforms(c: _Contents) -> bool:
-    """Whether what the odometry is of, or where the laser sits on it, is to be found on /tf."""
+    """Whether only /tf can provide the base frame or the laser's mount."""
     return not c.base or c.frames.mount(c.base, c.laser) is None
 
 
@@ -189,7 +192,7 @@ def _log(path: Path, c: _Contents) -> LaserLog:
 
 
 def _add_scan(contents: _Contents, line: int, m: Any, stamp: float | None) -> None:
-    """Keep a scan with the geometry that it states itself; count one that has none."""
+    """Keep a scan with its stated beam geometry; count a scan without one."""
     ranges = ranges_of(m)
     beams = beams_of(m, len(ranges)) if len(ranges) else None
     if beams is None:
@@ -206,7 +209,7 @@ def _add_scan(contents: _Contents, line: int, m: Any, stamp: float | None) -> No
 
 
 def _add_cloud(contents: _Contents, line: int, m: Any, stamp: float | None) -> None:
-    """Keep when a cloud's sweep began, and not its points; count one that cannot be used."""
+    """Keep the start time of a cloud's sweep without the points; count unusable clouds."""
     records = records_of(m)
     if records is None:
         contents.skipped["cloud without legal x, y, z, or shorter than it states"] += 1
@@ -219,7 +222,7 @@ def _add_cloud(contents: _Contents, line: int, m: Any, stamp: float | None) -> N
 
 
 def _add_reading(contents: _Contents, m: Any, stamp: float | None) -> None:
-    """Keep an inertial reading; count one that has no attitude."""
+    """Keep an inertial reading; count a reading without attitude."""
     if m.orientation_covariance[0] == -1:
         contents.without_attitude += 1
         return
@@ -235,7 +238,10 @@ def _odometry(line: int, message: Any, stamp: float | None) -> Message:
 
 
 def _number_by_stamp(scans: list[Message], odoms: list[Message]) -> tuple[list[Message], list[Message]]:
-    """Number messages by stamp where those of each topic rise: topics come with different delays."""
+    """Renumber messages by stamp if the stamps of each topic rise.
+
+    Topics arrive with different delays.
+    """
 
     def rises(found: list[Message]) -> bool:
         return all(a.stamp < b.stamp for a, b in pairwise(found))
@@ -262,7 +268,7 @@ def _scan(beams: BeamGeometry, message: Message, mount: Pose3) -> LaserScan:
 
 
 def _imu(reading: _Reading, mounted: Pose3) -> Imu:
-    """Return a reading in the base's axes, of a sensor mounted so."""
+    """Convert a reading to the base's axes by the sensor's mount."""
     attitude, rates, force = _unit(reading.attitude), reading.rates, reading.force
     if mounted.qw != 1.0:
         unmounted = Pose3(0, 0, 0, mounted.qw, mounted.qx, mounted.qy, mounted.qz).inverse()

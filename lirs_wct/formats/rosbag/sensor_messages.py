@@ -19,13 +19,13 @@ from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose3
 
 SAME_ANGLE = 1e-4
-"""Radians within which angle_max agrees with the increment, both float32."""
+"""Largest difference between angle_max and the sum of increments, both float32, radians."""
 FULL_TURN = math.tau * 1.01
-"""Radians that the beams of a scan span at most; some drivers let the last beam meet the first."""
+"""Largest span of a scan's beams, radians; with some drivers the last beam meets the first."""
 
 
 class BeamGeometry(NamedTuple):
-    """The geometry of a scan's beams, as float32 hold it."""
+    """The geometry of a scan's beams, rounded to float32."""
 
     first: float
     step: float
@@ -36,7 +36,7 @@ class BeamGeometry(NamedTuple):
 
 
 def ranges_of(message: Any) -> Float32Array:
-    """Return the range of each beam; of a `MultiEchoLaserScan` the first echo, NaN of a beam without."""
+    """Return the range of each beam: of several echoes the first, NaN without echo."""
     if len(message.ranges) and hasattr(message.ranges[0], "echoes"):
         first = [beam.echoes[0] if len(beam.echoes) else np.nan for beam in message.ranges]
         return np.array(first, np.float32)
@@ -44,7 +44,7 @@ def ranges_of(message: Any) -> Float32Array:
 
 
 def beams_of(message: Any, n: int) -> BeamGeometry | None:
-    """Return the geometry of n beams; None where neither the increment nor angle_max gives one.
+    """Return the geometry of n beams; None if neither increment nor angle_max gives one.
 
     An increment of 0, or of more than a turn, is replaced by that from angle_min to angle_max.
     """
@@ -57,7 +57,7 @@ def beams_of(message: Any, n: int) -> BeamGeometry | None:
 
 @lru_cache
 def geometry(beams: BeamGeometry, n: int) -> tuple[float, float, float, float]:
-    """Return the first angle, the increment, and the limits of ranges, as n beams were made."""
+    """Return first angle, increment and range limits without float32 rounding."""
     first, step, last = _angle(beams.first), _angle(beams.step), _angle(beams.last)
     if n > 1 and abs(first + step * (n - 1) - last) < SAME_ANGLE:
         # Rounding of the increment would add up over the beams.
@@ -66,19 +66,19 @@ def geometry(beams: BeamGeometry, n: int) -> tuple[float, float, float, float]:
 
 
 def _legal(step: float, n: int) -> bool:
-    """Whether n beams may be this far apart; a single beam may be so at any angle."""
+    """Whether an increment is legal for n beams; any is for a single beam."""
     return n == 1 or (math.isfinite(step) and step != 0.0 and abs(step) * (n - 1) <= FULL_TURN)
 
 
 def _decimal(value: float) -> float:
-    """Return the shortest decimal that a float32 may have been made of: 0.1 for 0.10000000149."""
+    """Return the shortest decimal that rounds to a float32: 0.1 for 0.10000000149."""
     return float(str(np.float32(value)))
 
 
 def _angle(value: float) -> float:
-    """Return the angle of whole ten-thousandths of a degree that a float32 was made of; else the float32.
+    """Return an angle in whole 1e-4 degrees that rounds to a float32, else the float32.
 
-    Mappers tell trajectories apart by less than what the messages round away.
+    The rounding of messages is large enough to change the trajectory of a mapper.
     """
     if not math.isfinite(value):
         return float(value)
@@ -87,22 +87,22 @@ def _angle(value: float) -> float:
 
 
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-"""NumPy's types by the `datatype` of a PointField."""
+"""NumPy types by the `datatype` of a PointField."""
 TIMES = ("t", "time", "timestamp", "offset_time")
-"""Names that drivers give the time of a point."""
+"""Names of the time field with different drivers."""
 READ = ("x", "y", "z", "ring", *TIMES)
 """Fields that are read."""
 NANOSECONDS = 1e-9
 ABSOLUTE = 1e3
-"""Seconds from which on a point's time is no time within a sweep but a clock's."""
+"""Smallest time of a point, seconds, that is a clock's time and not relative to the sweep."""
 ABSOLUTE_NANOSECONDS = 1e15
-"""Floating-point times from here on are a clock's nanoseconds."""
+"""Smallest floating-point time that is in nanoseconds of a clock."""
 LONGEST_SWEEP = 10.0
-"""Seconds from the header's stamp within which a clock's times are the same clock's."""
+"""Largest difference to the header's stamp, seconds, for times of the same clock."""
 
 
 def records_of(message: Any) -> NDArray[Any] | None:
-    """Return the points (n,) with the message's fields by name; None of a message without legal x, y, z.
+    """Return the points (n,) as records by field name; None without legal x, y, z.
 
     Rows, whose ends may be padded, are joined.
     """
@@ -125,9 +125,9 @@ def records_of(message: Any) -> NDArray[Any] | None:
 
 
 def times_of(records: NDArray[Any], header: float) -> FloatArray:
-    """Return (n,) seconds of the points from the header's stamp; 0 where the driver gives none.
+    """Return (n,) seconds of the points from the header's stamp; 0 without times.
 
-    Integers are nanoseconds. Times of a clock count from the header's stamp where that is of the same clock,
+    Integers are nanoseconds. Times of a clock count from the header's stamp if it is of the same clock,
     else from the earliest point.
     """
     name = next((name for name in TIMES if name in (records.dtype.names or ())), None)
@@ -147,19 +147,19 @@ def times_of(records: NDArray[Any], header: float) -> FloatArray:
 
 
 def start_of(records: NDArray[Any], header: float) -> float:
-    """Return by how many seconds the sweep began before the header's stamp, as a number of at most 0."""
+    """Return the start of the sweep relative to the header's stamp, seconds, at most 0."""
     return min(0.0, float(times_of(records, header).min(initial=0.0)))
 
 
 @dataclass(frozen=True)
 class BagClouds:
-    """The clouds of a bag, read one by one whenever they are asked for: all at once may not fit into memory.
+    """Clouds of a bag, read one by one on iteration to save memory.
 
     Attributes:
         path: of the bag.
         topic: of the clouds.
         stamps: of the usable clouds, seconds, in the order of the bag.
-        T_base_laser: where the sensor sits on the robot.
+        T_base_laser: pose of the sensor on the robot.
     """
 
     path: Path
@@ -181,7 +181,10 @@ class BagClouds:
 
 
 def _cloud(records: NDArray[Any], header: float, stamp: float, T_base_laser: Pose3) -> PointCloud:
-    """Return the valid points: finite, and not at the sensor itself, where drivers put missing returns."""
+    """Build a cloud of the valid points: finite, and not at the sensor's origin.
+
+    Drivers place missing returns at the origin.
+    """
     xyz = np.stack([records[axis] for axis in "xyz"], axis=1).astype(np.float32)
     time = times_of(records, header) - start_of(records, header)
     ring = records["ring"] if "ring" in (records.dtype.names or ()) else np.zeros(len(records))

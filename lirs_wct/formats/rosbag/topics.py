@@ -1,4 +1,4 @@
-"""Which topics of a bag hold what."""
+"""Selection of a bag's topics by message type."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 @dataclass(frozen=True)
 class Topics:
-    """Names as the user says them.
+    """Names of topics from the user.
 
     Attributes:
         scan: None = the only topic of laser scans.
         odometry: None = the only topic of odometry, else /tf.
-        imu: None = inertial readings are left alone.
-        clouds: whether point clouds are read in place of laser scans.
-        others: mappers of the other kind, which messages name.
+        imu: None = inertial readings are not read.
+        clouds: whether point clouds are read instead of laser scans.
+        others: names of the mappers for the other kind of data, for messages.
     """
 
     scan: str | None = None
@@ -51,7 +51,7 @@ class Topics:
             kinds: type of each topic in it.
 
         Raises:
-            SourceError: one is not there, or is of another type, or several could be meant.
+            SourceError: a topic is missing, ambiguous, or of another type.
         """
         odometry = of_kinds(kinds, (ODOMETRY,))
         planar = of_kinds(kinds, (SCAN,)) or of_kinds(kinds, (MULTI_ECHO,))
@@ -79,10 +79,10 @@ def of_kinds(kinds: Mapping[str, str], wanted: Collection[str]) -> list[str]:
 
 
 def require_topic(path: Path, flag: str, name: str, wanted: Collection[str], kinds: Mapping[str, str]) -> str:
-    """Return a topic's name.
+    """Return the name of an existing topic of one of the types.
 
     Raises:
-        SourceError: there is none of that name and one of the types; the error lists those that are there.
+        SourceError: there is none; the error lists the existing topics.
     """
     if kinds.get(name) not in wanted:
         types = " or ".join(wanted)
@@ -91,6 +91,6 @@ def require_topic(path: Path, flag: str, name: str, wanted: Collection[str], kin
 
 
 def list_topics(kinds: Mapping[str, str]) -> str:
-    """Return what a bag holds, to be read."""
+    """Return the list of a bag's topics for messages."""
     found = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items()))
     return f"there are: {found}" if found else "it holds no message"

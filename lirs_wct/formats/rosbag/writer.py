@@ -1,4 +1,4 @@
-"""A drive as a ROS 2 bag, while it goes or afterwards: sensors, frames, truth and map on a robot's topics.
+"""Writing a drive as a ROS 2 bag: sensors, frames, truth and map.
 
 The frames are REP 105's: map -> odom -> base_link -> laser. Stamps are simulated time. Chunks are closed
 at 1 MiB *after* the message that fills them, so that a chunk holds every message whole, a large map too.
@@ -47,31 +47,31 @@ TOPICS = {
     "/ground_truth": "geometry_msgs/msg/PoseStamped",
     "/map": "nav_msgs/msg/OccupancyGrid",
 }
-"""Topics and their types; those of which there is nothing to say are in no bag."""
+"""Topics and their types; a bag has only topics with messages."""
 MAP_TOPIC = "/map"
 LATCHED = ("/tf_static", MAP_TOPIC)
-"""Topics whose last message is for who comes later, too."""
+"""Topics whose last message also reaches late subscribers."""
 VERSION: Final = 8
-"""Of `metadata.yaml`: the latest whose quality of service Humble reads, too, as text with numbers."""
+"""Version of `metadata.yaml`: the latest whose quality of service Humble reads (text with numbers)."""
 MOUNTED, DRIVEN, MAPPED = ((BASE, LASER),), ((ODOM, BASE),), ((ODOM, BASE), (MAP, ODOM))
-"""Parents and children of the transforms: of the sensor; of the robot by its odometry; and in a map."""
+"""Parents and children of the transforms: the sensor's mount, the odometry, and the map."""
 TOGETHER = 64
-"""Scans that are written together."""
+"""Number of scans that are written together."""
 FAILURES = (OSError, sqlite3.Error)
-"""What writing fails with."""
+"""Exceptions of failed writing."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BagTick:
-    """What belongs to one scan.
+    """The messages of one scan.
 
     Attributes:
         scan: of the lidar.
         odometry: `T_odom_base`.
         imu: reading of the inertial unit.
         truth: `T_map_base`, from the simulator; the map frame is the first base pose in the plane.
-        estimate: `T_map_base`, a mapper's answer; None = none, then nothing ties odom to a map.
-        cloud: of a lidar with rings, in the same place; None of a planar one.
+        estimate: `T_map_base`, a mapper's pose estimate; None = no transform from map to odom.
+        cloud: of a lidar with rings at the same place; None for a planar lidar.
     """
 
     scan: LaserScan
@@ -84,10 +84,10 @@ class BagTick:
 
 @dataclass(frozen=True, kw_only=True)
 class BagDrive:
-    """What a bag is written of.
+    """The content of a bag.
 
     Attributes:
-        ticks: in their order; at least one.
+        ticks: messages of each scan in order; at least one.
         grid: the mapper's map, in the map frame; None = none.
     """
 
@@ -96,19 +96,19 @@ class BagDrive:
 
     @property
     def period(self) -> float:
-        """The usual time from scan to scan, seconds; 0 of a single one."""
+        """Median time from scan to scan, seconds; 0 for a single scan."""
         steps = np.diff([tick.scan.stamp for tick in self.ticks])
         return float(np.median(steps)) if len(steps) else 0.0
 
 
 class BagWriter:
-    """A bag that is being written: nothing is kept but the last few scans, which are written together.
+    """Incremental writer of a bag, which buffers a few scans and writes them together.
 
-    Between a simulation and a mapper, a scan's messages alone take about three times as long.
+    Written one by one between steps of a simulation, messages take about three times as long.
 
     Args:
-        folder: of the bag, which is made.
-        storage: of its messages.
+        folder: of the bag; it is created.
+        storage: storage format of its messages.
         period: from scan to scan, seconds.
 
     Raises:
@@ -130,7 +130,7 @@ class BagWriter:
             raise self._output_error(error) from error
 
     def add(self, tick: BagTick) -> None:
-        """Write what belongs to a scan, sooner or later.
+        """Add the messages of a scan; they are buffered before writing.
 
         Raises:
             OutputError: it cannot be written.
@@ -144,7 +144,7 @@ class BagWriter:
             raise self._output_error(error) from error
 
     def close(self, grid: OccupancyGrid | None = None) -> None:
-        """Write the map, in the map frame, if there is one, and the end of the bag.
+        """Write the buffered scans, the map (in the map frame) if given, and the end of the bag.
 
         Raises:
             OutputError: it cannot be written.
@@ -159,7 +159,7 @@ class BagWriter:
             raise self._output_error(error) from error
 
     def abort(self) -> None:
-        """Close the files of a bag that was not closed: it has no end."""
+        """Close the files of an unfinished bag without writing its end."""
         self._writer.abort()
 
     def _connection(self, topic: str) -> Connection:
@@ -179,7 +179,7 @@ class BagWriter:
         self._waiting.clear()
 
     def _write_tick(self, tick: BagTick) -> None:
-        """Write what belongs to a scan; the frames come before what is measured in them."""
+        """Write the messages of a scan; transforms precede measurements."""
         scan, odometry = tick.scan, tick.odometry
         t = scan.stamp
         if self._last is None:
@@ -197,7 +197,7 @@ class BagWriter:
         self._writer.write(self._connection(topic), nanoseconds(stamp), memoryview(message))
 
     def _velocity(self, tick: BagTick) -> tuple[float, float, float]:
-        """Return the velocity of the base since the scan before, by odometry; at first it stands."""
+        """Return the odometry's velocity since the previous scan; 0 at the first one."""
         if self._last is None:
             return 0.0, 0.0, 0.0
         seconds = tick.scan.stamp - self._last.scan.stamp
@@ -208,13 +208,13 @@ class BagWriter:
 
 
 def write_bag(folder: Path, drive: BagDrive, storage: Storage = "mcap") -> None:
-    """Write a drive as a bag folder, whole or not at all, in place of an older one.
+    """Write a drive as a bag folder atomically, replacing an older one.
 
     Raises:
         OutputError: the folder cannot be written.
     """
     with atomic_folder(folder) as temporary:
-        # The library names the file by the folder, and wants to make it.
+        # The library names the file after the folder, and creates the folder itself.
         made = temporary / folder.name
         bag = BagWriter(made, storage, drive.period)
         try:
@@ -231,7 +231,7 @@ def write_bag(folder: Path, drive: BagDrive, storage: Storage = "mcap") -> None:
 
 
 def _frames(tick: BagTick) -> bytearray:
-    """Return the transforms at a scan: odom -> base_link, and map -> odom where there is an estimate."""
+    """Return the transforms at a scan: odom -> base_link, and with an estimate map -> odom."""
     T_odom_base = Pose3.from_pose2(tick.odometry)
     if tick.estimate is None:
         return messages.transforms(tick.scan.stamp, DRIVEN, (T_odom_base,))
@@ -240,7 +240,7 @@ def _frames(tick: BagTick) -> bytearray:
 
 
 def _qos(latched: bool) -> Qos:
-    """Return what the publisher offers: reliable, and where latched the last message for late subscribers."""
+    """Return the publisher's quality of service: reliable, and transient local if latched."""
     never = QosTime(0, 0)
     return Qos(
         QosHistory.KEEP_LAST,

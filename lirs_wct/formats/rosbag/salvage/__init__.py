@@ -1,1 +1,1 @@
-"""Bags without index, or whose recorder died: the whole messages that their files still hold."""
+"""Salvage of bags that are cut off or have no index: their complete messages."""

@@ -1,4 +1,4 @@
-"""Files of bags that have no index, or whose recorder died: their whole messages, in a whole bag."""
+"""Salvage of cut-off files of bags: complete messages, written as a new bag."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CUT = "its end is missing"
 
 
 def fault_of(path: Path) -> str | None:
-    """Return why a file cannot be read as it is; "" = it has no index, None = it can, or is no bag at all."""
+    """Return the fault of a bag's file; "" = no index, None = no fault or no bag."""
     with path.open("rb") as file:
         begin, size = file.read(HEADER), file.seek(0, 2)
         file.seek(max(0, size - FOOTER))
@@ -37,14 +37,14 @@ def fault_of(path: Path) -> str | None:
 
 
 def salvage_file(path: Path, target: Path) -> Path:
-    """Write the whole messages of a file as a bag, and return its file.
+    """Write the complete messages of a file as a bag, and return its file.
 
     Args:
         path: of an MCAP file, a database or a ROS 1 bag.
-        target: folder that is made.
+        target: folder that is created.
 
     Raises:
-        Exception: of the parsers, whatever damaged data lead to.
+        Exception: any exception of the parsers for damaged data.
     """
     if path.suffix == ".bag":
         target.mkdir()

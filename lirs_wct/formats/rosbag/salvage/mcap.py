@@ -1,4 +1,4 @@
-"""Messages of an MCAP file that is cut off or has no index, record by record."""
+"""Messages of an MCAP file that is cut off or has no index."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from lirs_wct.formats.rosbag.salvage.message import SalvagedMessage, Topic
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER = 37
-"""Bytes of an MCAP file's last record and the magic behind it."""
+"""Bytes of an MCAP file's last record and the magic bytes after it."""
 SCHEMA, CHANNEL, MESSAGE, CHUNK = 3, 4, 5, 6
 
 
 @dataclass
 class _Names:
-    """What the records of an MCAP file have said so far."""
+    """Schemas and channels of the MCAP records read so far."""
 
     schemas: dict[int, tuple[str, str]]
     channels: dict[int, Topic]
 
 
 def mcap_messages(path: Path) -> Iterator[SalvagedMessage]:
-    """Yield the messages of an MCAP file's whole records, and of what is left of its last chunk."""
+    """Yield the messages of complete records, and of the rest of the last chunk."""
     with path.open("rb") as file:
         file.seek(len(MAGIC))
         yield from _messages_of(file, _Names({}, {}))

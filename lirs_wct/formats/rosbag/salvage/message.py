@@ -1,4 +1,4 @@
-"""Messages as they come out of damaged files."""
+"""Messages of damaged files."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class Topic(NamedTuple):
-    """A topic: its name, its type, and the type's definition and digest, empty where they are not known."""
+    """A topic: name, type, and the type's definition and digest (empty = unknown)."""
 
     name: str
     kind: str
@@ -15,7 +15,7 @@ class Topic(NamedTuple):
 
 
 class SalvagedMessage(NamedTuple):
-    """A message: its topic, when it was recorded, nanoseconds, and its bytes."""
+    """A message: topic, time of recording in nanoseconds, and bytes."""
 
     topic: Topic
     stamp: int

@@ -18,7 +18,7 @@ Fields = dict[str, bytes]
 
 
 def index_of(path: Path) -> int | None:
-    """Return where a bag says that its index is, 0 = nowhere yet; None where it says nothing."""
+    """Return the position of a bag's index, 0 = not yet written; None without an entry."""
     with path.open("rb") as file:
         file.seek(len(MAGIC))
         fields, _ = next(_records(file), ({}, b""))
@@ -27,7 +27,7 @@ def index_of(path: Path) -> int | None:
 
 
 def ros1_messages(path: Path) -> Iterator[SalvagedMessage]:
-    """Yield the messages of a bag's whole records, and of what is left of its last chunk."""
+    """Yield the messages of complete records, and of the rest of the last chunk."""
     with path.open("rb") as file:
         file.seek(len(MAGIC))
         yield from _messages_of(file, {})
@@ -53,7 +53,7 @@ def _topic(name: str, data: bytes) -> Topic:
 
 
 def _records(stream: BinaryIO) -> Iterator[tuple[Fields, bytes]]:
-    """Yield records, of fields and data; of the last one, if it is a chunk that is cut off, what there is."""
+    """Yield fields and data of the records; also of a cut-off last chunk."""
     while True:
         header = _read_sized(stream)
         if header is None:
@@ -71,7 +71,7 @@ def _records(stream: BinaryIO) -> Iterator[tuple[Fields, bytes]]:
 
 
 def _read_sized(stream: BinaryIO) -> bytes | None:
-    """Return bytes behind their number; None where some are missing."""
+    """Read a length and that many bytes; None if some are missing."""
     length = stream.read(4)
     if len(length) < 4:
         return None

@@ -1,7 +1,7 @@
-"""Messages of an SQLite database that is cut off: the rows of every page that is still there.
+"""Messages of a cut-off SQLite database: the rows of all remaining pages.
 
-SQLite finds rows from the root of a table on, whose pages come late in a file that grew; what is left of a
-file often holds rows that no root leads to. The pages that hold rows are found by what they begin with.
+SQLite finds rows from the root of a table, whose pages come late in a file that grew. A cut-off file often
+holds rows that no root refers to. Pages with rows are found by their first byte.
 The format: https://www.sqlite.org/fileformat2.html, sections 1.3, 1.6 and 2.1.
 """
 
@@ -26,20 +26,20 @@ INTEGERS = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
 
 
 def database_size(begin: bytes) -> int:
-    """Return how many bytes a database has by its header: size and number of its pages."""
+    """Return the bytes of a database by its header: page size times page count."""
     page, pages = struct.unpack(">16xH10xI", begin[:32])
     return int(pages * (65536 if page == 1 else page))
 
 
 def database_messages(path: Path, whole: Path) -> Iterator[SalvagedMessage]:
-    """Yield the whole messages of a bag's database that is cut off, by the place in the file.
+    """Yield the complete messages of a cut-off bag database in file order.
 
     Args:
         path: of the database.
-        whole: path for a copy as long as the database was, which SQLite opens.
+        whole: path for a copy with the original length, which SQLite can open.
 
     Raises:
-        sqlite3.DatabaseError: not even the topics are left.
+        sqlite3.DatabaseError: the topics are lost.
     """
     topics = _topics(path, whole)
     seen = set()  # a page that was used before may still hold its old rows
@@ -65,7 +65,7 @@ def _topics(path: Path, whole: Path) -> dict[int, Topic]:
 
 
 def _rows(data: mmap.mmap) -> Iterator[tuple[int, bytes]]:
-    """Yield number and record of the whole rows of all tables."""
+    """Yield number and record of the complete rows of all tables."""
     (size,) = struct.unpack_from(">H", data, 16)
     size = 65536 if size == 1 else size
     usable = size - data[20]
@@ -85,7 +85,7 @@ def _rows(data: mmap.mmap) -> Iterator[tuple[int, bytes]]:
 
 
 def _record(data: mmap.mmap, at: int, length: int, size: int, usable: int) -> bytes | None:
-    """Return a row's record, whose end may lie on pages of its own; None where one of them is not there."""
+    """Return a row's record with its overflow pages; None if one is missing."""
     most, least = usable - 35, (usable - 12) * 32 // 255 - 23
     held = least + (length - least) % (usable - 4)
     here = length if length <= most else held if held <= most else least
@@ -105,7 +105,7 @@ def _record(data: mmap.mmap, at: int, length: int, size: int, usable: int) -> by
 
 
 def _message(record: bytes) -> tuple[int, int, bytes] | None:
-    """Return topic, stamp and bytes of a record (id, integer, integer, blob); None of any other."""
+    """Return topic, stamp and bytes of a record (id, integer, integer, blob), else None."""
     length, at = _varint(record, 0)
     kinds = []
     while at < length:
@@ -121,13 +121,13 @@ def _message(record: bytes) -> tuple[int, int, bytes] | None:
 
 
 def _integer(record: bytes, at: int, kind: int) -> tuple[int, int]:
-    """Return an integer of a serial type, and where it ends."""
+    """Return an integer of a serial type, and its end."""
     end = at + INTEGERS[kind]
     return (kind - 8 if kind > 7 else int.from_bytes(record[at:end], "big", signed=True)), end
 
 
 def _varint(data: mmap.mmap | bytes, at: int) -> tuple[int, int]:
-    """Return a number of 1 to 9 bytes, 7 bits each and 8 in the ninth, and where it ends."""
+    """Return a number of 1 to 9 bytes (7 bits each, 8 in the ninth), and its end."""
     value = 0
     for k in range(at, at + 8):
         value = value << 7 | data[k] & 127
