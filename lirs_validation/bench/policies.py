@@ -35,7 +35,7 @@ from lirs_validation.driving.paths import (
     penalize_behind,
     room_at,
     room_in,
-    smoothed,
+    smooth_path,
 )
 from lirs_validation.driving.pursuit import speed_profile
 from lirs_validation.driving.waypoint_route import WaypointRoute
@@ -222,7 +222,7 @@ class UnseenRoute:
             row, col = divmod(int(np.argmax(worth)), worth.shape[1])
             self._goal = row, col
         cells = self._grid.centers(reach.path(self._goal))
-        points = smoothed(cells, self._grid, self._room, keep=self._config.pursuit.careful_room)
+        points = smooth_path(cells, self._grid, self._room, keep=self._config.pursuit.careful_room)
         room, height = room_at(self._grid, self._room, points), ground_height(self._surface, points)
         return DrivenPath(points, speed_profile(points, room, self._config.pursuit, height))
 

@@ -1,4 +1,4 @@
-"""What every single step of MuJoCo did to a robot: motion, contacts, energy."""
+"""Log of each MuJoCo step of a robot: motion, contacts, energy."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ DEEP = 0.010
 
 @dataclass(frozen=True)
 class DeepContact:
-    """A contact deeper than `DEEP`: its step, depth in meters, (3,) point, (3,) normal out of the ground."""
+    """Contact deeper than `DEEP`.
+
+    Its step, depth in meters, (3,) point, (3,) normal out of the ground.
+    """
 
     step: int
     depth: float
@@ -26,7 +29,9 @@ class DeepContact:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactLog:
-    """A row for each step; all of a row belongs to the step's beginning, where MuJoCo finds contacts.
+    """One row per simulation step.
+
+    All values belong to the step's beginning, where MuJoCo finds contacts.
 
     Attributes:
         position: (n, 3) of base_link, meters.
@@ -102,7 +107,10 @@ class ContactRecorder:
         return ContactLog(**noted, deep=tuple(self._deep), timestep=self.body.timestep)
 
     def _work(self) -> float:
-        """Return the motors' work in the step just made: force by the mean of speeds before and after."""
+        """Return the motors' work in the last step.
+
+        It is the force times the mean of the speeds before and after.
+        """
         data, moment = self.body.data, self._moment
         mujoco.mju_sparse2dense(
             moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
@@ -115,7 +123,7 @@ class ContactRecorder:
         return float(force @ (before + after) / 2 * self.body.timestep)
 
     def _contacts(self) -> tuple[float, float, float]:
-        """Return the deepest penetration, the largest normal force and the sum of all; note a deep one.
+        """Return deepest penetration, largest normal force and force sum; log a deep contact.
 
         Only the deepest contact of a step tells how far the robot is in: ground is many convex pieces, and
         the way out of one, maybe sideways into its neighbor, is never longer than the way out of them all.

@@ -28,7 +28,7 @@ STANDS = 0.1
 
 @dataclass(frozen=True)
 class Bounded:
-    """The worst of many values that each have a limit of their own, and that limit."""
+    """Worst of many values with individual limits, and its limit."""
 
     value: float
     limit: float
@@ -40,7 +40,7 @@ class Bounded:
 
 
 def penetrations(legs: Sequence[Leg]) -> tuple[float, Bounded]:
-    """Return what penetration stays below in 99.9 % of all steps, and the worst peak; meters."""
+    """Return the 99.9 % quantile and the worst peak of the penetration, meters."""
     depth = np.concatenate([leg.log.depth for leg in legs])
     peaks = [_impact(leg.log, contact) for leg in legs for contact in leg.log.deep]
     return float(np.quantile(depth, 0.999)), worst(peaks or [Bounded(float(depth.max()), DEEP)])
@@ -58,7 +58,9 @@ def _impact(log: ContactLog, contact: DeepContact) -> Bounded:
 
 
 def energy_gain(legs: Sequence[Leg], weight: float) -> Bounded:
-    """Return the energy gained within a second beyond the motors' work where it is worst; joules.
+    """Return the largest energy gain within a second, joules.
+
+    The motors' work is subtracted.
 
     Args:
         legs: of the drive.
@@ -103,7 +105,7 @@ def stuck_seconds(legs: Sequence[Leg]) -> float:
 
 
 def forces(legs: Sequence[Leg]) -> tuple[float, float]:
-    """Return the largest normal force of a contact, and the mean of their sum while anything touches, N."""
+    """Return the largest contact force and the mean force sum during contact, N."""
     total = np.concatenate([leg.log.force for leg in legs])
     touching = total[total > 0]
     peak = max(float(leg.log.peak_force.max(initial=0.0)) for leg in legs)

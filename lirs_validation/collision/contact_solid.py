@@ -20,7 +20,7 @@ MOST_HULLS = 500
 
 
 class ContactSolid:
-    """What MuJoCo touches in a world as a solid, independent of MuJoCo's collision detection."""
+    """Contact geometry of a world as a solid, independent of MuJoCo's collision detection."""
 
     def __init__(self, world: World, body: RobotModel, terrain: ContactGeometry) -> None:
         self._walls = world.walls

@@ -1,4 +1,7 @@
-"""A robot driven at random at full speed: into walls, off ledges, onto its back, and set down anew."""
+"""Random drive of a robot at full speed.
+
+It hits walls, falls off ledges, tips over and is set down again.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,9 @@ MARGIN = 0.1
 
 @dataclass(frozen=True)
 class Leg:
-    """From where a robot is set down to where it tips, leaves the world, or time is up.
+    """Part of a drive between two resets.
+
+    It ends when the robot tips, leaves the world, or time is up.
 
     Attributes:
         log: every step.
@@ -57,7 +62,7 @@ class Leg:
 
 
 def places(world: World, robot: Robot, rng: np.random.Generator) -> list[Pose2]:
-    """Return poses where a robot can be set down: in the open, and in turn right beside an obstacle.
+    """Return start poses, alternately in the open and next to an obstacle.
 
     Of a world with a start that was asked for, this alone.
 

@@ -1,4 +1,4 @@
-"""The steepest ground of a world that a robot may drive: does it hold there, and climb?"""
+"""Slope test: does a robot hold and climb on the steepest drivable ground?"""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SPEED = 0.3
 
 @dataclass(frozen=True)
 class Climb:
-    """What came of the test.
+    """Result of the slope test.
 
     Attributes:
         slope: of the ground under the robot, degrees.
@@ -43,18 +43,23 @@ class Climb:
 
 
 def climb(body: RobotModel, world: World, robot: Robot) -> Climb | None:
-    """Hold and climb at the steepest drivable place, one robot's length; None where it can stand nowhere."""
+    """Test holding and climbing at the steepest drivable place.
+
+    The place is one robot's length long. None if the robot cannot stand anywhere.
+    """
     for slope, start in _steepest(world, robot):
         try:
             body.settle(standing_pose(world, robot, start))
         except SimulationError:
             continue
-        return Climb(math.degrees(slope), _slid(body, robot), _climbed(body, robot, start.yaw))
+        return Climb(math.degrees(slope), _slid(body, robot), _climb_share(body, robot, start.yaw))
     return None
 
 
 def _slid(body: RobotModel, robot: Robot) -> float:
-    """Return meters that a robot moves while it is to stand, without those that its wheels roll.
+    """Return meters that a robot slides while it should stand.
+
+    The rolling of its wheels is subtracted.
 
     A wheel's servo has no integral part: it turns at torque / kv, which says nothing of the contact.
     """
@@ -65,8 +70,11 @@ def _slid(body: RobotModel, robot: Robot) -> float:
     return float(np.linalg.norm(moved - rolled * before.rotation[:, 0]))
 
 
-def _climbed(body: RobotModel, robot: Robot, uphill: float) -> float:
-    """Return the share of the commanded distance; both counted once the robot is up to speed."""
+def _climb_share(body: RobotModel, robot: Robot, uphill: float) -> float:
+    """Return the driven share of the commanded distance.
+
+    Both are counted once the robot is up to speed.
+    """
     drive, (v, ramp, distance) = DifferentialDrive(robot), _course(robot)
     axis = np.array((math.cos(uphill), math.sin(uphill)))
     before, time = body.pose().position, 0.0

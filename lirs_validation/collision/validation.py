@@ -1,4 +1,4 @@
-"""Collision validation (the paper's III-D): do a robot and a world touch each other as solids do?
+"""Collision validation (the paper's III-D): do robot and world touch like solids?
 
 A robot is driven at random at full speed, again and again from other places, and every step of MuJoCo is
 looked at; then it holds and climbs on the steepest ground that it may drive. Each metric that has a limit is
@@ -55,7 +55,10 @@ CLIMBS = 0.8
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """A metric with its limit; `least` = the limit is the smallest legal value, not the largest."""
+    """Metric with its limit.
+
+    `least`: the limit is the smallest legal value, not the largest.
+    """
 
     name: str
     value: float
@@ -71,7 +74,7 @@ class Check:
 
 @dataclass(frozen=True, kw_only=True)
 class CollisionVerdict:
-    """What came of the collision validation of a robot in a world.
+    """Result of the collision validation of a robot in a world.
 
     Attributes:
         world: name.
@@ -151,7 +154,9 @@ class CollisionVerdict:
 def check_collisions(
     world: World, robot: Robot, *, terrain: ContactGeometry = "hfield", seconds: float = 60.0, seed: int = 1
 ) -> CollisionVerdict:
-    """Drive a robot at random at full speed, then up the steepest ground, and evaluate every contact.
+    """Evaluate all contacts of a random drive and a slope test.
+
+    The robot drives at full speed, then up the steepest ground.
 
     Raises:
         ConfigError: an argument is not legal, or the robot can stand nowhere in this world.

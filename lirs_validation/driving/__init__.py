@@ -1,1 +1,1 @@
-"""Who drives in a run, and where: tours planned over the true ground, paths, and their pursuit."""
+"""Drivers of a run: coverage tours, exploration, waypoints, replay, path following."""

@@ -100,7 +100,7 @@ def _automatic(config: RunConfig) -> tuple[str, str]:
 
 
 def _start(world: World, free: OccupancyGrid, robot: Robot, config: RunConfig) -> Pose2:
-    """Return the start that was asked for, or else the seed's spawn pose.
+    """Return the requested start, or else the seed's spawn pose.
 
     Raises:
         ConfigError: the robot fits nowhere in this world, or cannot drive from the start that was asked for.
@@ -122,5 +122,5 @@ def _start(world: World, free: OccupancyGrid, robot: Robot, config: RunConfig) -
 
 
 def _cause(world: World, robot: Robot, place: tuple[float, float]) -> tuple[str, str | None]:
-    """Return the cause why a plan cannot lead to a place, and the nearest `x,y` where it can."""
+    """Return why a place is unreachable, and the nearest reachable `x,y`."""
     return world.refusal(place, clearance=robot.radius + MARGIN, max_slope=robot.max_slope)

@@ -1,4 +1,4 @@
-"""The coverage planner: an endless tour over the places where a robot may be.
+"""Coverage planner and driver: an endless tour over the free ground.
 
 Greedy, like a person who wants to see everything: go to the nearest place not seen yet, rather ahead
 than behind, and now and then back to an old place, which is what closes loops.
@@ -24,7 +24,7 @@ from lirs_validation.driving.paths import (
     penalize_behind,
     room_at,
     room_in,
-    smoothed,
+    smooth_path,
 )
 from lirs_validation.driving.pursuit import speed_profile
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
@@ -37,7 +37,7 @@ from lirs_wct.geometry.pose import Pose2
 
 @dataclass(frozen=True, kw_only=True)
 class TourConfig:
-    """How the planner chooses.
+    """Parameters of the coverage planner.
 
     Attributes:
         radius: a cell is covered once the tour passes within this distance, on free ground, meters;
@@ -105,7 +105,9 @@ class CoveragePlanner:
         return float((self._covered_at[self._free] > -np.inf).mean())
 
     def tour(self, start: Pose2, length: float, *, straight: float = 0.0) -> FloatArray:
-        """Return (n, 2) points 0.1 m apart: a free path from a pose, about `length` meters long.
+        """Return a free path of about `length` meters from a pose.
+
+        (n, 2) points, 0.1 m apart.
 
         The first point is the middle of the free cell nearest to the pose.
 
@@ -133,14 +135,14 @@ class CoveragePlanner:
             tail = points[-1] - points[max(0, len(points) - 8)]
             heading = math.atan2(tail[1], tail[0])
         points = np.concatenate(legs)
-        return smoothed(points, self._grid, self.room, keep=self.config.room / 2, hold=len(ahead) - 1)
+        return smooth_path(points, self._grid, self.room, keep=self.config.room / 2, hold=len(ahead) - 1)
 
     def room_at(self, points: FloatArray) -> FloatArray:
         """Return (n,) meters from points (n, 2) to the nearest blocked cell; 0 in one."""
         return room_at(self._grid, self.room, points)
 
     def forget(self, undriven: float) -> None:
-        """Take back the last meters of the tour: they were planned and will not be driven."""
+        """Remove the last meters, planned but not driven, from the tour."""
         arc = arc_length(self._driven)
         self._length = max(0.0, self._length - undriven)
         self._driven = self._driven[arc <= max(arc[-1] - undriven, 0.0)]
@@ -165,7 +167,7 @@ class CoveragePlanner:
         return reach.path(self._choice(reach, goals, cell, heading))
 
     def _goals(self, cell: IntArray) -> BoolArray:
-        """Mark where to go next: an old place when a loop is due, else what no tour has covered yet.
+        """Mark the next goals: uncovered cells, or an old place if a loop is due.
 
         When all is covered, the fifth that was covered longest ago.
         """
@@ -192,7 +194,7 @@ class CoveragePlanner:
         return oldest
 
     def _old_places(self) -> BoolArray:
-        """Mark the cells of a few points, picked by chance, of the first half of the tour."""
+        """Mark the cells of a few random points of the tour's first half."""
         early = self._driven[: max(1, len(self._driven) // 2)]
         cells = self._grid.cells(early[self._rng.integers(len(early), size=8)])
         cells = np.clip(cells, 0, np.array(self._free.shape) - 1)
@@ -215,7 +217,10 @@ class CoveragePlanner:
         return int(reached[best, 0]), int(reached[best, 1])
 
     def _gain(self, cells: IntArray) -> FloatArray:
-        """Return (n,) meters that going there is worth: 0 to 2 radii by the share of new ground around."""
+        """Return (n,) gains of going to cells, meters.
+
+        Each is 0 to 2 radii, by the share of uncovered ground around.
+        """
         reach = max(1, round(self.radius / self._grid.resolution))
         new = (self._free & (self._covered_at == -np.inf)).astype(np.float32)
         share = cv2.boxFilter(new, -1, (2 * reach + 1, 2 * reach + 1), borderType=cv2.BORDER_CONSTANT)
@@ -223,7 +228,10 @@ class CoveragePlanner:
         return worth
 
     def _cover(self, path: IntArray) -> None:
-        """Mark what lies within the radius of a path, measured on free ground and not through walls."""
+        """Mark the cells covered from a path.
+
+        They lie within the radius, measured on free ground and not through walls.
+        """
         near = search(self._plain, path, self._grid.resolution, limit=self.radius)
         self._covered_at[np.isfinite(near.cost)] = self._length
 

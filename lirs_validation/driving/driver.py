@@ -1,4 +1,4 @@
-"""What every driver of a validation run is: poses in, commands out."""
+"""Interface of the drivers: poses in, commands out."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Driver(Protocol):
 
     @property
     def frame(self) -> Frame:
-        """Which poses `command` is given."""
+        """Frame of the poses that `command` receives."""
         ...
 
     @property

@@ -1,4 +1,4 @@
-"""What a mapper's map says to an explorer: where the robot fits, and where the known ends."""
+"""Exploration map: places where the robot fits, and frontiers of the known area."""
 
 from __future__ import annotations
 
@@ -59,7 +59,10 @@ class ExplorationMap:
         return distance
 
     def last_visits(self, stood: FloatArray, distance: float) -> IntArray:
-        """Return (rows, cols) the index of the last of places (n, 2) within a distance; -1 = none."""
+        """Return (rows, cols) the index of the last visit within a distance.
+
+        The visits are places (n, 2); -1 = none.
+        """
         visits = np.full(self.known.shape, -1, np.int32)
         for k, (row, col) in enumerate(self.grid.cells(stood).tolist()):
             cv2.circle(visits, (col, row), round(distance / self.grid.resolution), k, -1)
@@ -78,7 +81,7 @@ def exploration_map(
         footprint: radius of the robot, which never leaves the known ground, meters.
         clearance: distance that its center keeps from occupied cells, meters.
     """
-    occupied, known, origin, resolution = _thinned(mapped, margin=clearance + RESOLUTION)
+    occupied, known, origin, resolution = _thin_out(mapped, margin=clearance + RESOLUTION)
     frame = OccupancyGrid(np.zeros(known.shape, np.float32), resolution, origin)
     known |= _discs(frame, np.column_stack((stood, np.full(len(stood), footprint))))
     known &= ~occupied
@@ -96,14 +99,17 @@ def exploration_map(
 
 
 def distance_in_sight(chart: ExplorationMap, pose: Pose2, cells: IntArray) -> FloatArray:
-    """Return (n,) meters to cells (n, 2) ahead of a pose with nothing but known between; inf to others."""
+    """Return (n,) distances to visible cells (n, 2) ahead of a pose, meters.
+
+    A cell is visible if only known cells lie between; inf for others.
+    """
     offset = chart.grid.centers(cells) - (pose.x, pose.y)
     ahead = offset @ np.array((math.cos(pose.yaw), math.sin(pose.yaw))) >= 0
     ahead[ahead] = _in_sight(chart.known, chart.grid.cells((pose.x, pose.y)), cells[ahead])
     return np.where(ahead, np.hypot(offset[:, 0], offset[:, 1]), np.inf)
 
 
-def _thinned(mapped: OccupancyGrid, margin: float) -> tuple[BoolArray, BoolArray, Pose2, float]:
+def _thin_out(mapped: OccupancyGrid, margin: float) -> tuple[BoolArray, BoolArray, Pose2, float]:
     """Return occupied and known cells with unknown ones all round, their origin and resolution.
 
     A cell is occupied where any part of it is, else known where any part is.

@@ -18,7 +18,7 @@ from lirs_validation.driving.exploration_map import (
     exploration_map,
 )
 from lirs_validation.driving.path_driver import DriverConfig, Path
-from lirs_validation.driving.paths import cells_ahead, nearest, penalize_behind, room_at, smoothed
+from lirs_validation.driving.paths import cells_ahead, nearest, penalize_behind, room_at, smooth_path
 from lirs_validation.driving.pursuit import speed_profile
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -45,7 +45,7 @@ NEIGHBORHOOD = 1.5
 
 
 class FrontierRoute:
-    """Plans to the nearest frontier; where none is left, to the place that was left longest ago.
+    """Route to the nearest frontier, or else to the place visited longest ago.
 
     Args:
         mapper_map: returns the mapper's present map, map frame.
@@ -96,7 +96,7 @@ class FrontierRoute:
             return None
         self._goal = chart.grid.centers(cells[-1])
         keep = self._config.pursuit.careful_room
-        points = smoothed(chart.grid.centers(cells), chart.grid, chart.room, keep=keep)
+        points = smooth_path(chart.grid.centers(cells), chart.grid, chart.room, keep=keep)
         return Path(
             points, speed_profile(points, room_at(chart.grid, chart.room, points), self._config.pursuit)
         )
@@ -106,7 +106,9 @@ class FrontierRoute:
         self._blocked.append((*point, radius))
 
     def _ahead(self, chart: ExplorationMap, pose: Pose2) -> IntArray | None:
-        """Return the cells (n, 2) straight ahead at the very beginning; None later, or where it is blocked.
+        """Return the cells (n, 2) straight ahead at the start of a drive.
+
+        None later, or if they are blocked.
 
         Turning wheels slip most while a mapper knows least.
         """
@@ -132,7 +134,7 @@ class FrontierRoute:
         return reach.path(self._best(chart, reach, found, pose))
 
     def _unseen(self, chart: ExplorationMap, pose: Pose2) -> BoolArray:
-        """Return the frontier without what was looked at from near often enough; count the present look."""
+        """Return the frontier without cells looked at often enough; count the present look."""
         frontier = chart.frontier.copy()
         cells = np.argwhere(frontier)
         places = np.floor(chart.grid.centers(cells) / PLACE).astype(np.int64) @ (1, 1 << 32)
@@ -146,7 +148,7 @@ class FrontierRoute:
         return frontier
 
     def _best(self, chart: ExplorationMap, reach: Reach, cells: IntArray, pose: Pose2) -> tuple[int, int]:
-        """Return the cell of the frontier chosen before, else the nearest, rather ahead."""
+        """Return the frontier cell chosen before, else the nearest, preferring cells ahead."""
         points = chart.grid.centers(cells)
         bearing = np.arctan2(points[:, 1] - pose.y, points[:, 0] - pose.x) - pose.yaw
         cost = reach.cost[cells[:, 0], cells[:, 1]] + TURN * np.abs(np.angle(np.exp(1j * bearing))) / math.pi
@@ -157,7 +159,10 @@ class FrontierRoute:
         return row, col
 
     def _to_old_place(self, chart: ExplorationMap, first: IntArray) -> IntArray | None:
-        """Return the cells (n, 2) to the nearest of the places left longest ago; None where none is."""
+        """Return the cells (n, 2) to the place left longest ago.
+
+        The nearest of several; None if there is none.
+        """
         left = chart.last_visits(np.array(self._stood), NEIGHBORHOOD)
         reach = search(chart.weight, first[None], chart.grid.resolution)
         cells = np.argwhere((chart.room > 0) & (reach.cost > self._config.step) & np.isfinite(reach.cost))
@@ -173,7 +178,9 @@ GOAL_ARC = 0.6
 
 
 class GoalRoute(FrontierRoute):
-    """Plans to a goal where the map shows a way, else to the frontier with the shortest way by it.
+    """Route to a goal if the map shows a path, else to the best frontier.
+
+    The best frontier has the shortest path to the goal through it.
 
     Beyond a frontier the way is taken for the straight line to the goal.
 

@@ -1,4 +1,4 @@
-"""A driver that follows paths: it backs off, plans anew and at last gives up where it cannot move."""
+"""Path driver: follows a route, backs off, replans and finally gives up."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DriverState = Literal["driving", "turning", "backing off", "waiting", "stuck", "
 
 @dataclass(frozen=True, kw_only=True)
 class DriverConfig:
-    """How paths are driven, and when the driver gives up.
+    """Parameters of a path driver.
 
     Attributes:
         pursuit: how a path is followed.
@@ -65,7 +65,7 @@ class Path:
 
 
 class Route(Protocol):
-    """Who says where to drive next."""
+    """Interface of a route: the source of a driver's paths."""
 
     frame: Frame
     """Of the poses and the paths."""
@@ -75,7 +75,9 @@ class Route(Protocol):
     """Why the drive is over once no path is left; empty = there may be one later."""
 
     def path(self, pose: Pose2, time: float, undriven: float | None) -> Path | None:
-        """Return the path from a pose on; None = there is none (any more, or for now: see `ends`).
+        """Return the path from a pose; None if there is none.
+
+        `ends` says whether there may be one later.
 
         Args:
             pose: of the robot.
@@ -85,7 +87,10 @@ class Route(Protocol):
         ...
 
     def avoid(self, point: tuple[float, float], radius: float) -> None:
-        """Keep away from a place where the robot did not get on; meters, in the driver's frame."""
+        """Avoid a place where the robot got stuck.
+
+        Meters, in the driver's frame.
+        """
         ...
 
 
@@ -94,7 +99,7 @@ class PathDriver:
 
     Attributes:
         start: where the robot is set down, world frame.
-        frame: which poses it is given.
+        frame: frame of the poses that it receives.
         state: what it is doing.
 
     Args:
@@ -131,13 +136,13 @@ class PathDriver:
 
     def command(self, pose: Pose2, time: float) -> Twist:
         """Return the command for the next tick: wheels that start with a jerk would spin."""
-        wanted = self._wanted(pose, time)
+        wanted = self._choose_command(pose, time)
         gain = self.config.pursuit.acceleration * max(0.0, time - self._commanded_at)
         self._v = min(wanted.v, max(0.0, self._v) + gain)
         self._commanded_at = time
         return Twist(self._v, wanted.omega)
 
-    def _wanted(self, pose: Pose2, time: float) -> Twist:
+    def _choose_command(self, pose: Pose2, time: float) -> Twist:
         if self.state in ("stuck", "finished"):
             return Twist(0.0, 0.0)
         if self.state == "backing off":
@@ -150,16 +155,19 @@ class PathDriver:
             self.state = "stuck" if time - self._moved_at > self.config.patience else "waiting"
             return Twist(0.0, 0.0)
         if self.state == "turning":
-            return self._turned(pose, time)
-        return self._pursued(pose, time)
+            return self._turn(pose, time)
+        return self._pursue(pose, time)
 
-    def _pursued(self, pose: Pose2, time: float) -> Twist:
-        """Follow the path; plan anew at its end or far from it, give way where it leads nowhere."""
+    def _pursue(self, pose: Pose2, time: float) -> Twist:
+        """Follow the path.
+
+        Replan at its end or far from it; back off without progress.
+        """
         twist = self._pursuit.twist(pose)
         if self._pursuit.distance > self.config.off_path or self._pursuit.remaining < self.config.step:
             if self._path.yaw is not None and self._pursuit.distance <= self.config.off_path:
                 self.state, self._moved_at = "turning", time
-                return self._turned(pose, time)
+                return self._turn(pose, time)
             self._replan(pose, time)
             return Twist(0.0, 0.0) if self.state != "driving" else self._pursuit.twist(pose)
         if self._pursuit.progress >= self._mark + self.config.step:
@@ -169,8 +177,11 @@ class PathDriver:
             return self._give_way(pose, time)
         return twist
 
-    def _turned(self, pose: Pose2, time: float) -> Twist:
-        """Turn in place to the yaw at the path's end; go on once it faces there or cannot."""
+    def _turn(self, pose: Pose2, time: float) -> Twist:
+        """Turn in place to the yaw at the path's end.
+
+        Go on once it is reached, or the robot cannot turn.
+        """
         error = wrap_angle((self._path.yaw or 0.0) - pose.yaw)
         if abs(error) <= self.config.facing or time - self._moved_at > self.config.patience:
             self._replan(pose, time)
@@ -179,7 +190,10 @@ class PathDriver:
         return Twist(0.0, max(-limit, min(limit, 2.0 * error)))
 
     def _give_way(self, pose: Pose2, time: float) -> Twist:
-        """Back off, and keep away from what lies ahead; give up when that was tried often enough."""
+        """Back off and avoid the place ahead.
+
+        Give up after too many tries.
+        """
         self._failures += 1
         if self._failures > self.config.tries:
             self.state = "stuck"

@@ -1,4 +1,4 @@
-"""How much room cells leave, and what it costs to drive where there is little."""
+"""Paths over grid cells: clearance, driving costs, cell search, smoothing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ NARROW = 6.0
 
 
 def room_in(free: BoolArray, resolution: float) -> FloatArray:
-    """Return (rows, cols) meters from each free cell to the nearest other or the border; 0 where not free."""
+    """Return (rows, cols) meters to the nearest cell that is not free.
+
+    The border counts as such; 0 where not free.
+    """
     padded = np.pad(free, 1).astype(np.uint8)
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     return np.where(free, distance * resolution, 0.0)
@@ -29,13 +32,19 @@ def room_in(free: BoolArray, resolution: float) -> FloatArray:
 def path_weight(
     free: BoolArray, room: FloatArray, comfortable: float = COMFORTABLE, narrow: float = NARROW
 ) -> FloatArray:
-    """Return (rows, cols) what a meter costs: 1 where there is room, up to `narrow`, inf where not free."""
+    """Return (rows, cols) the cost of a meter in each cell.
+
+    1 with enough clearance, up to `narrow` with none, inf where not free.
+    """
     lack = 1 - np.minimum(room / comfortable, 1.0)
     return np.where(free, 1 + (narrow - 1) * lack**2, np.inf)
 
 
 def room_at(grid: OccupancyGrid, room: FloatArray, points: FloatArray) -> FloatArray:
-    """Return (n,) the room at points (n, 2) in the grid's frame; that of the nearest cell outside."""
+    """Return (n,) the clearance at points (n, 2) in the grid's frame.
+
+    Points outside get that of the nearest cell.
+    """
     cells = np.clip(grid.cells(points), 0, np.array(room.shape) - 1)
     return room[cells[:, 0], cells[:, 1]]
 
@@ -55,14 +64,19 @@ def area_round(grid: OccupancyGrid, start: Pose2) -> BoolArray:
 
 
 def nearest(mask: BoolArray, cell: IntArray) -> IntArray:
-    """Return (2,) row and column of the marked cell nearest to a cell, which may lie outside."""
+    """Return (2,) row and column of the nearest marked cell.
+
+    The given cell may lie outside the grid.
+    """
     cells = np.argwhere(mask).astype(np.int64)
     found: IntArray = cells[int(np.argmin(np.sum((cells - cell) ** 2, axis=1)))]
     return found
 
 
 def cells_ahead(grid: OccupancyGrid, free: BoolArray, start: Pose2, distance: float) -> IntArray:
-    """Return (n, 2) rows and columns on a straight line: the free cell nearest to a pose, then on.
+    """Return (n, 2) rows and columns on a straight line ahead.
+
+    The line begins at the free cell nearest to a pose.
 
     Args:
         grid: the frame of the cells.
@@ -82,7 +96,7 @@ def cells_ahead(grid: OccupancyGrid, free: BoolArray, start: Pose2, distance: fl
 
 
 def penalize_behind(weight: FloatArray, cell: IntArray, heading: float, radius: float) -> FloatArray:
-    """Return weights with a penalty on the ground just behind a robot: a path then turns round in an arc.
+    """Return weights with a penalty behind a robot, so that it turns in an arc.
 
     Args:
         weight: (rows, cols) cost of a meter in each cell.
@@ -105,7 +119,7 @@ SPACING = 0.1
 """Meters between the points of a path."""
 
 
-def smoothed(
+def smooth_path(
     points: FloatArray,
     grid: OccupancyGrid,
     room: FloatArray,
@@ -114,7 +128,7 @@ def smoothed(
     hold: int = 0,
     iterations: int = 250,
 ) -> FloatArray:
-    """Pull a path tight like a rubber band that keeps its distance from what is blocked.
+    """Smooth a path while it keeps its distance from blocked cells.
 
     Each iteration moves each point towards the middle of its neighbors (Laplacian smoothing) unless the
     new place has less room than before and less than `keep`.
@@ -128,15 +142,15 @@ def smoothed(
         iterations: how long to pull.
     """
     held = float(arc_length(points)[min(hold, len(points) - 1)])
-    path = resampled(points, SPACING)
+    path = resample(points, SPACING)
     if len(path) < 3:
         return path
     local = grid.origin.inverse().apply(path) / grid.resolution
     tight = _pull(np.ascontiguousarray(local), room, keep, 1 + round(held / SPACING), iterations)
-    return resampled(grid.origin.apply(tight * grid.resolution), SPACING)
+    return resample(grid.origin.apply(tight * grid.resolution), SPACING)
 
 
-def resampled(points: FloatArray, spacing: float) -> FloatArray:
+def resample(points: FloatArray, spacing: float) -> FloatArray:
     """Return points about `spacing` apart along a polyline (n, 2), both ends kept."""
     arc = arc_length(points)
     if len(points) < 2 or arc[-1] < 1e-9:

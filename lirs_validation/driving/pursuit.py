@@ -1,4 +1,7 @@
-"""Following a path: a speed for each of its points, and pure pursuit (Coulter, CMU-RI-TR-92-01, 1992)."""
+"""Path following: speed profile and pure pursuit.
+
+Pure pursuit: Coulter, CMU-RI-TR-92-01, 1992.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from lirs_wct.geometry.pose import Pose2, wrap_angle
 
 @dataclass(frozen=True, kw_only=True)
 class PursuitConfig:
-    """How a path is driven.
+    """Speed limits and pursuit parameters.
 
     Attributes:
         speed: on straight level ground, m/s.
@@ -50,7 +53,7 @@ class PursuitConfig:
 def speed_profile(
     points: FloatArray, room: FloatArray, config: PursuitConfig, height: FloatArray | None = None
 ) -> FloatArray:
-    """Return (n,) m/s for the points of a path: slow in bends, narrow places and on steep ground.
+    """Return (n,) m/s along a path: slow in bends, narrow places and on slopes.
 
     Args:
         points: (n, 2) meters, evenly spaced.
@@ -66,11 +69,14 @@ def speed_profile(
         care = np.minimum(care, np.clip(2.0 - slope / config.steep, 0.0, 1.0))
     speed = np.minimum(speed, config.speed * (config.careful_speed + (1 - config.careful_speed) * care))
     speed = np.maximum(speed, 0.15 * config.speed)
-    return _accelerated(speed, config.acceleration)
+    return _limit_acceleration(speed, config.acceleration)
 
 
-def _accelerated(speed: FloatArray, acceleration: float) -> FloatArray:
-    """Lower speeds until no step speeds up or brakes harder than the limit; the path ends at rest."""
+def _limit_acceleration(speed: FloatArray, acceleration: float) -> FloatArray:
+    """Limit acceleration and braking along a path.
+
+    The path ends at rest.
+    """
     squared = np.square(speed).tolist()
     gain = 2 * acceleration * SPACING
     squared[-1] = min(squared[-1], gain)
@@ -145,7 +151,10 @@ class Pursuit:
         self.distance = math.sqrt(best)
 
     def _target(self, pose: Pose2, distance: float) -> int:
-        """Return the first point ahead that is at least a distance away, at most twice as far along."""
+        """Return the first point ahead at a distance or more.
+
+        It is at most twice as far along the path.
+        """
         last = min(len(self._x) - 1, self._at + max(1, int(2 * distance / SPACING)))
         x, y, xs, ys = pose.x, pose.y, self._x, self._y
         for k in range(self._at, last):

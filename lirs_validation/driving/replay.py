@@ -1,4 +1,7 @@
-"""The commands of a finished run once more: other mappers and options on the same path."""
+"""Replay of a finished run's commands.
+
+Other mappers and options then drive the same path.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,7 @@ class ReplayDriver:
 
     @property
     def start(self) -> Pose2:
-        """Where the recorded run began."""
+        """Start pose of the recorded run."""
         return self._commands.start
 
     @property

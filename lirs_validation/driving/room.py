@@ -1,4 +1,4 @@
-"""Who else would fit into a world that has no place for a robot, and how large it would have to be."""
+"""Suggest robots and sizes when a world is too small."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ HALVINGS = 7
 
 
 def no_room(source: str, world: World, robot: Robot, margin: float) -> ConfigError:
-    """Return the error that a robot fits nowhere: who would, and from which size on it would.
+    """Return the error for a world without space for a robot.
+
+    It names robots that fit, and a sufficient size.
 
     Args:
         source: as the user called it.
@@ -42,7 +44,7 @@ def no_room(source: str, world: World, robot: Robot, margin: float) -> ConfigErr
 
 
 def enough_size(world: World, robot: Robot, margin: float) -> float | None:
-    """Return a longer side in meters from which a terrain has room for a robot; None: none was found.
+    """Return a sufficient longer side of a terrain, meters; None if none is found.
 
     The heights stay as they are, as they do with `--size`.
     """
@@ -50,17 +52,17 @@ def enough_size(world: World, robot: Robot, margin: float) -> float | None:
         return None
     longer = max(world.surface.size)
     low, high = 1.0, 2.0
-    while not _fits(_stretched(world, high), robot, margin):
+    while not _fits(_stretch(world, high), robot, margin):
         low, high = high, 2 * high
         if high > LARGEST:
             return None
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        low, high = (low, middle) if _fits(_stretched(world, middle), robot, margin) else (middle, high)
+        low, high = (low, middle) if _fits(_stretch(world, middle), robot, margin) else (middle, high)
     return _rounded_up(high * longer)
 
 
-def _stretched(world: World, factor: float) -> World:
+def _stretch(world: World, factor: float) -> World:
     surface = world.surface
     cell, origin = ((pair[0] * factor, pair[1] * factor) for pair in (surface.cell, surface.origin))
     return replace(world, ground=Terrain(HeightField(surface.z, cell, origin), world.no_ground), start=None)

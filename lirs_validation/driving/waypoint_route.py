@@ -1,4 +1,4 @@
-"""Waypoints in their order: the shortest comfortable way from each to the next, over the true free ground."""
+"""Waypoint route: the best free path from each waypoint to the next."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lirs_validation.driving.paths import (
     path_weight,
     room_at,
     room_in,
-    smoothed,
+    smooth_path,
 )
 from lirs_validation.driving.pursuit import speed_profile
 from lirs_wct.arrays import BoolArray, FloatArray
@@ -32,7 +32,9 @@ from lirs_wct.navigation.traversability import nearest_place
 
 
 class WaypointRoute:
-    """Leads through waypoints; a path ends at the last one, and at each where the robot is to face somewhere.
+    """Route through waypoints.
+
+    A path ends at the last one, and at each with a wanted yaw.
 
     Args:
         waypoints: still to come, world frame.
@@ -97,7 +99,7 @@ class WaypointRoute:
         reach = search(self._weight, first[None], self._grid.resolution, goals=goals)
         cells = self._grid.centers(reach.path((int(goal[0]), int(goal[1]))))
         cells[-1] = waypoint.x, waypoint.y
-        return smoothed(cells, self._grid, self._room, keep=self._config.pursuit.careful_room)
+        return smooth_path(cells, self._grid, self._room, keep=self._config.pursuit.careful_room)
 
 
 def check_waypoints(
@@ -143,7 +145,7 @@ def check_waypoints(
 
 
 def _nearest(free: OccupancyGrid, area: BoolArray | None, waypoint: Waypoint) -> str:
-    """Return the end of an error: the nearest place that is free and, if known, reached."""
+    """Return a hint for an error: the nearest free and reachable place."""
     reached = free if area is None else OccupancyGrid.from_mask(~area, free.resolution, free.origin)
     place = nearest_place(reached, (waypoint.x, waypoint.y))
     return "" if place is None else f"; nearest place: {place}"

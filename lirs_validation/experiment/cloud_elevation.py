@@ -1,4 +1,4 @@
-"""The elevation that a drive's clouds make, by the mapper's poses and by the true ones."""
+"""Elevation maps of a drive's point clouds, and the clouds kept for them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,9 @@ class Elevations:
 def evaluate_elevation(
     world: World, sample: CloudSample, truth: Trajectory, estimate: Trajectory
 ) -> tuple[Elevations | None, ElevationScores]:
-    """Return the elevation maps of a run and their metrics; of a world with overhangs there are none.
+    """Return elevation maps and metrics of a run.
+
+    A world with overhangs has none.
 
     Args:
         world: where it took place.
@@ -58,17 +60,20 @@ def evaluate_elevation(
         )
     bounds = _bounds(world, sample, truth)
     made = Elevations(
-        elevation_map(_placed(sample, truth, estimate), bounds),
-        elevation_map(_placed(sample, truth, truth), bounds),
+        elevation_map(_place_clouds(sample, truth, estimate), bounds),
+        elevation_map(_place_clouds(sample, truth, truth), bounds),
     )
     T = _alignment(truth, estimate)
-    aligned = None if T is None else elevation_map(_placed(sample, truth, estimate.moved(T)), bounds)
+    aligned = None if T is None else elevation_map(_place_clouds(sample, truth, estimate.moved(T)), bounds)
     scores = elevation_scores(made.built, made.true_pose, aligned, surface=world.surface, walls=world.walls)
     return made, scores
 
 
-def _placed(sample: CloudSample, truth: Trajectory, poses: Trajectory) -> Iterator[FloatArray]:
-    """Yield the points (n, 3) of each cloud by the pose at its stamp; clouds without one are left out."""
+def _place_clouds(sample: CloudSample, truth: Trajectory, poses: Trajectory) -> Iterator[FloatArray]:
+    """Yield the points (n, 3) of each cloud, placed by its pose.
+
+    Clouds without a pose at their stamp are left out.
+    """
     i, j = associated(truth.stamps[sample.scans], poses.stamps)
     for k, pose in zip(i.tolist(), j.tolist(), strict=True):
         cloud = sample.clouds[k]
@@ -77,7 +82,7 @@ def _placed(sample: CloudSample, truth: Trajectory, poses: Trajectory) -> Iterat
 
 
 def _bounds(world: World, sample: CloudSample, truth: Trajectory) -> tuple[float, float, float, float]:
-    """Return west, south, east, north of what of the world the clouds can reach, meters."""
+    """Return west, south, east, north of the part of the world in the clouds' reach, meters."""
     reach = max((float(np.linalg.norm(c.xyz, axis=1).max()) for c in sample.clouds if len(c)), default=0.0)
     west, south, east, north = world.surface.bounds
     low, high = truth.xy.min(axis=0) - reach, truth.xy.max(axis=0) + reach
@@ -85,7 +90,10 @@ def _bounds(world: World, sample: CloudSample, truth: Trajectory) -> tuple[float
 
 
 def _alignment(truth: Trajectory, estimate: Trajectory) -> Pose3 | None:
-    """Return what aligns the estimate with the truth in space; None where the path leaves a turn open."""
+    """Return the spatial alignment of the estimate with the truth.
+
+    None if the path leaves a rotation undetermined.
+    """
     i, j = associated(truth.stamps, estimate.stamps)
     if len(i) < 3:
         return None
@@ -102,7 +110,9 @@ MOST = 240
 
 @dataclass
 class CloudSample:
-    """Clouds spread evenly over a drive, however long it is: one a second, on longer drives fewer.
+    """Sample of clouds spread evenly over a drive.
+
+    One per second; fewer on longer drives.
 
     Attributes:
         clouds: that are kept, without the points on walkers.

@@ -1,4 +1,4 @@
-"""What a run costs beside wall time: processor time, memory and compilation; what keeps its heap small."""
+"""Cost of a run: processor time, memory, compilation, contention; heap control."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _M_MMAP_THRESHOLD, _MOST_KEPT = -3, 1 << 25
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What processes took.
+    """Cost of processes.
 
     Attributes:
         cpu_seconds: processor time of all threads.
@@ -38,14 +38,17 @@ class Cost:
     peak_memory: int | None
 
     def __add__(self, other: Cost) -> Cost:
-        """Return what two processes took together: their peaks may not have come at the same time."""
+        """Return the cost of two processes together.
+
+        Their peaks may not have come at the same time.
+        """
         peaks = self.peak_memory, other.peak_memory
         peak = None if None in peaks else sum(filter(None, peaks))
         return Cost(self.cpu_seconds + other.cpu_seconds, peak)
 
 
 class CostMeter:
-    """Reads processor time and peak memory of this process from its making on."""
+    """Meter of processor time and peak memory of this process."""
 
     def __init__(self) -> None:
         self._begun = time.process_time()
@@ -54,7 +57,7 @@ class CostMeter:
             (_SELF / "clear_refs").write_text("5", encoding="ascii")
 
     def cost(self) -> Cost:
-        """Return what this process has taken since then."""
+        """Return the cost since the meter was created."""
         return Cost(self.cpu_seconds(), self.peak_memory())
 
     def cpu_seconds(self) -> float:
@@ -62,7 +65,7 @@ class CostMeter:
         return time.process_time() - self._begun
 
     def peak_memory(self) -> int | None:
-        """Return the largest resident memory since then, bytes; None where the system has no such count."""
+        """Return the peak resident memory, bytes; None if the system has no count."""
         with suppress(OSError):
             lines = (_SELF / "status").read_text(encoding="utf-8").splitlines()
             peaks = [line.split()[1] for line in lines if line.startswith("VmHWM:")]
@@ -76,7 +79,9 @@ class CostMeter:
 
 @contextmanager
 def compile_timer() -> Iterator[Callable[[], float]]:
-    """Measure what Numba's compiler takes in a block; the function that is given returns the seconds so far.
+    """Measure the time of Numba's compiler in a block.
+
+    The yielded function returns the seconds so far.
 
     Kernels are compiled, or loaded from Numba's cache.
     """
@@ -86,8 +91,8 @@ def compile_timer() -> Iterator[Callable[[], float]]:
 
 
 @contextmanager
-def heap_at_rest() -> Iterator[None]:
-    """Leave what is there to Python's garbage collector until the block is over.
+def frozen_heap() -> Iterator[None]:
+    """Exclude existing objects from garbage collection in a block.
 
     The compiler and its modules hold a million objects: a look through them takes 0.1 s, in the middle of
     whichever scan it falls on. What the block makes is collected as ever.
@@ -100,13 +105,13 @@ def heap_at_rest() -> Iterator[None]:
 
 
 @contextmanager
-def left_clean() -> Iterator[None]:
-    """Collect what a block leaves behind, and give its memory back.
+def clean_heap() -> Iterator[None]:
+    """Collect a block's garbage and return its memory to the system.
 
     The parts of a figure hold each other. Python looks for such through all that is old only when a quarter
     as much is new: the figures of several runs would stay.
     """
-    with heap_at_rest():
+    with frozen_heap():
         yield
         gc.collect()
     give_back_memory()
@@ -114,7 +119,9 @@ def left_clean() -> Iterator[None]:
 
 @contextmanager
 def large_blocks_apart() -> Iterator[None]:
-    """Have GNU's C library map each block from 1 MB on by itself, and give it back when it is freed.
+    """Map large memory blocks individually with GNU's C library.
+
+    Each block from 1 MB on is then given back when it is freed.
 
     It learns from what is freed to keep blocks of up to 32 MB, and does so again after this: a run's arrays
     fit between each other seldom, and some 50 MB more would be held. With another library, nothing happens.
@@ -133,7 +140,7 @@ def _set_mmap_threshold(size: int) -> None:
 
 
 def give_back_memory() -> None:
-    """Give the system what was freed; with another C library than GNU's, nothing happens.
+    """Return freed memory to the system; without GNU's C library, do nothing.
 
     GNU's keeps freed blocks of up to 32 MB where a smaller one above them is in use. Each step of an
     evaluation needs arrays of the maps' size for a while: some 50 MB would be held after it.
@@ -156,7 +163,7 @@ class Contention:
 
 @contextmanager
 def cpu_contention() -> Iterator[Contention]:
-    """Notice every other block of this kind that overlaps, in any process of this user.
+    """Detect other runs that overlap this block, in any process of this user.
 
     All hold one file's shared lock; the kernel gives it back even after a kill. Who comes second sees
     the lock, and leaves a byte for those who were there before.

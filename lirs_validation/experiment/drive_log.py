@@ -1,4 +1,4 @@
-"""The log of a drive: what was sensed, what was true and what the mapper answered, scan by scan."""
+"""Log of a drive: observations, true poses and the mapper's answers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ from lirs_wct.spool import ArraySpool
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """What a simulation says after a tick: it may go on before the mapper has answered.
+    """State of a simulation after a tick.
+
+    The simulation may go on before the mapper has answered.
 
     Attributes:
         observation: of the sensors.
@@ -49,7 +51,9 @@ class Tick:
 
 @dataclass
 class DriveLog:
-    """Everything that a run leaves behind; grows by one entry a scan, of some 250 bytes in memory.
+    """Log of a drive.
+
+    It grows by one entry per scan, about 250 bytes in memory.
 
     Attributes:
         observations: what the mapper was fed, less the clouds.
@@ -100,7 +104,7 @@ class DriveLog:
         return DriveLog(ObservationLog(folder), ArraySpool(folder), estimates, start=start, spatial=spatial)
 
     def add(self, tick: Tick, estimate: Pose2 | Pose3) -> None:
-        """Note what was sensed and true after a tick, and what the mapper answered."""
+        """Append a tick's observation and true pose, and the mapper's estimate."""
         observation = tick.observation
         if observation.cloud is not None and self.spatial:
             self.clouds.offer(len(self.observations), observation.cloud, tick.walker_points)
@@ -111,27 +115,30 @@ class DriveLog:
         self.estimates.append(estimate)  # type: ignore[arg-type]  # of the mapper's kind
 
     def forget_times(self) -> None:
-        """Forget how long the ticks so far took."""
+        """Discard the times of the ticks so far."""
         del self.walls[:], self.mapper_seconds[:], self.waiting[:]
 
     @property
     def T_world_map(self) -> Pose2 | Pose3:  # noqa: N802  a frame pair
-        """The true start pose: in space as the robot stood, or in the plane, as the mapper's map frame is."""
+        """True start pose, in space or in the plane, like the mapper's map frame."""
         return self.truth[0] if self.spatial else self.truth[0].to_pose2()
 
     def in_plane(self, T_map_base: Pose2 | Pose3) -> Pose2:
-        """Return an estimate in the level map frame at the true start pose, projected on the plane."""
+        """Return an estimate projected on the plane.
+
+        It is in the level map frame at the true start pose.
+        """
         if isinstance(T_map_base, Pose2):
             return T_map_base
         T_level_world = Pose3.from_pose2(self.truth[0].to_pose2().inverse())
         return (T_level_world @ self.truth[0] @ T_map_base).to_pose2()
 
     def online(self) -> Trajectory:
-        """Return the mapper's answers as it gave them, in the map frame."""
+        """Return the mapper's online estimates in the map frame."""
         return Trajectory.from_poses(self.observations.stamps, self.estimates)
 
     def scans_dropped(self, received: int) -> int:
-        """Return how many scans the mapper was given beyond those that it says it received.
+        """Return the number of scans that the mapper dropped.
 
         A mapper with a queue may drop scans; one that counts none (`received` 0) says nothing.
         """
@@ -156,7 +163,9 @@ LIDAR = attrgetter("angle_min", "angle_increment", "range_min", "range_max", "ti
 
 
 class ObservationLog(Sequence[Observation]):
-    """A growing sequence of observations of one robot, less their clouds; what comes out is a copy.
+    """Growing sequence of observations without clouds.
+
+    All come from one robot; items are copies.
 
     Attributes:
         odometry: of the observations.

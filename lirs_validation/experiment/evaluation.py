@@ -37,7 +37,7 @@ from slam_baselines.mapping.known_pose import KnownPoseMapper
 
 @dataclass(frozen=True)
 class Maps:
-    """The maps of a run, all in the world frame, and what comparing them gave.
+    """Maps of a run in the world frame, and their comparison.
 
     Attributes:
         built: moved by the true start pose; None of a mapper of point clouds.
@@ -98,7 +98,10 @@ def evaluate(
 
 
 def evaluate_status(log: DriveLog, coverage: float) -> tuple[Status, str]:
-    """Return how a run ended: as its drive did, or `incomplete` where the trajectory leaves out scans."""
+    """Return a run's final status and reason.
+
+    A successful drive becomes `incomplete` if the trajectory leaves out scans.
+    """
     lacking = incompleteness(coverage)
     if log.status not in SUCCEEDED or lacking is None:
         return log.status, log.reason
@@ -106,7 +109,7 @@ def evaluate_status(log: DriveLog, coverage: float) -> tuple[Status, str]:
 
 
 def evaluate_maps(world: World, log: DriveLog, mapper: Mapper | GuardedCloudMapper) -> Maps:
-    """Compare what the mapper mapped with what the true poses give.
+    """Compare the mapper's map with the map at the true poses.
 
     A built map is moved by the true start pose alone; the aligned metrics by the trajectory's alignment as
     well. A mapper of point clouds has no occupancy map: its clouds make an elevation map.
@@ -134,7 +137,7 @@ def evaluate_maps(world: World, log: DriveLog, mapper: Mapper | GuardedCloudMapp
 
 
 def true_pose_map(log: DriveLog, resolution: float) -> OccupancyGrid:
-    """Return the map, world frame, that our update makes of a drive's scans at the true poses.
+    """Return the map of a drive's scans at the true poses, world frame.
 
     Walkers are no part of the world: the beams that met one are left out.
     """
@@ -202,7 +205,9 @@ def _parts(log: DriveLog, simulation: Simulation) -> dict[str, float]:
 
 
 def physics_rtf(simulation: Simulation) -> dict[str, float | None]:
-    """Return the RTF of the recorded controls through MuJoCo's step alone, and through the reference physics.
+    """Return the RTF of physics alone.
+
+    The recorded controls are replayed with MuJoCo's step, and with the reference physics.
 
     The latter is None where that diverges: some robots need a shorter step.
     """
@@ -217,7 +222,7 @@ def physics_rtf(simulation: Simulation) -> dict[str, float | None]:
 
 
 def evaluate_contact(simulation: Simulation) -> dict[str, Any]:
-    """Return what is touched, and by how much it differs from the surface or of how many parts it is."""
+    """Return the contact terrain and its error or number of parts."""
     terrain = {"terrain": simulation.config.contact_geometry}
     if simulation.config.contact_geometry in ("hfield", "mesh"):
         return terrain | asdict(simulation.contact)
@@ -231,7 +236,7 @@ def evaluate_collisions(simulation: Simulation) -> dict[str, Any]:
 
 
 def evaluate_world(scenario: Scenario, simulation: Simulation) -> dict[str, Any]:
-    """Describe the world and what is touched of it."""
+    """Describe the world and its contact terrain."""
     world, surface = scenario.world, scenario.world.surface
     return {
         "name": world.name,

@@ -1,4 +1,4 @@
-"""The online loop: driver, simulation and mapper, one lidar period at a time, on the clock."""
+"""Online loop of driver, simulation and mapper, one lidar period per step."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MOST_AHEAD = 64
 
 
 class Drive:
-    """A drive that is taken tick by tick, until its time is over, something fails or its driver is done.
+    """Drive in single ticks, until time is over, a failure, or the driver ends.
 
     Where the mapper works beside it, the simulation is driven ahead of the log. It is not where a tick may be
     the last, or where the driver waits for the mapper's pose: so the log, and what the simulation counted,
@@ -136,7 +136,10 @@ class Drive:
         self._give(simulation.advance(command))
 
     def _give(self, observation: Observation) -> None:
-        """Hand the mapper a scan, and nothing but sensors; keep what the simulation says until it answers."""
+        """Give the mapper a scan; keep the simulation's state until it answers.
+
+        It gets sensor data only.
+        """
         self._feeding.give(observation)
         simulation = self._simulation
         has_cloud = self.log.spatial and observation.cloud is not None
@@ -179,7 +182,7 @@ class Drive:
         return self._wall_limit is not None and self._spent >= self._wall_limit
 
     def _note(self, begun: float) -> tuple[Tick, bool]:
-        """Note the next tick, with the mapper's answer to it, and how long it took.
+        """Log the next tick, with the mapper's answer and the times.
 
         Returns:
             The tick, and whether the mapper does not know its place.
@@ -196,7 +199,10 @@ class Drive:
         return tick, answer.lost
 
     def _judge(self, tick: Tick) -> None:
-        """End the drive where a tick gave reason to; those that are driven already are taken before."""
+        """End the drive if a tick requires it.
+
+        Ticks that are already driven are evaluated first.
+        """
         before_its_time = self.time < self._seconds
         if tick.failure is not None:
             self._end(*tick.failure)
@@ -229,7 +235,9 @@ def drive(
     spool: Path | None = None,
     feeding: Feeding | None = None,
 ) -> DriveLog:
-    """Drive for a time, or until something fails or the wall limit is over; the log says which.
+    """Drive for a time, or until a failure or the wall limit.
+
+    The log says which.
 
     Args:
         simulation: that is driven.

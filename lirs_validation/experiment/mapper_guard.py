@@ -1,4 +1,4 @@
-"""A guard before a mapper: nobody's mapper changes what it is judged by, or ends more than its own run."""
+"""Isolate a mapper: read-only inputs, exceptions become MapperError."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ READ_ONLY = re.compile(r"read-?only", re.IGNORECASE)
 
 
 class MapperGuard:
-    """What the guards of planar mappers and of mappers of point clouds share."""
+    """Common base of the guards of planar and cloud mappers."""
 
     def __init__(self, mapper: Mapper | CloudMapper, name: str) -> None:
         """Guard a mapper; messages call it by a name."""
@@ -46,7 +46,7 @@ class MapperGuard:
 
     @property
     def stats(self) -> MapperStats:
-        """What the mapper counted.
+        """Statistics of the mapper.
 
         Raises:
             MapperError: the mapper fails, or gives no MapperStats.
@@ -70,7 +70,7 @@ class MapperGuard:
 
 
 class GuardedMapper(MapperGuard):
-    """A mapper that is handed copies, and whose every failure becomes a `MapperError` that names it.
+    """Guard of a planar mapper: inputs are copies, each failure becomes a `MapperError`.
 
     A copy is read-only, so that a mapper that writes into it learns so; and it is a copy, so that one that
     makes it writable again changes nothing but its own.
@@ -114,7 +114,10 @@ class GuardedMapper(MapperGuard):
 
 
 def mapper_failure(name: str, part: str, error: BaseException, where: str = "") -> NoReturn:
-    """Raise what a failure of a mapper means: a Ctrl-C and our own errors remain what they are."""
+    """Raise the error for a mapper's failure.
+
+    A Ctrl-C and our own errors stay unchanged.
+    """
     if is_interrupt(error):
         raise KeyboardInterrupt from error
     if isinstance(error, WctError):
@@ -129,7 +132,7 @@ def mapper_failure(name: str, part: str, error: BaseException, where: str = "") 
 
 
 def scan_copy(scan: LaserScan, mount: Pose3) -> LaserScan:
-    """Return a copy of a scan whose ranges are read-only, with a copy of its mount."""
+    """Return a read-only copy of a scan, with a copy of its mount."""
     ranges, s = scan.ranges.copy(), scan
     ranges.flags.writeable = False
     return LaserScan(
@@ -150,14 +153,17 @@ def pose_copy(pose: Pose2 | None) -> Pose2 | None:
 
 
 def imu_copy(imu: Imu | None) -> Imu | None:
-    """Return a copy of an inertial reading; its vectors are tuples, which nobody can change."""
+    """Return a copy of an inertial reading.
+
+    Its vectors are immutable tuples.
+    """
     if imu is None:
         return None
     return Imu(imu.roll, imu.pitch, imu.angular_velocity, imu.linear_acceleration, imu.stamp)
 
 
 def check_pose(estimate: object, stamp: float) -> None:
-    """Tell whether an answer is a finite pose.
+    """Check that an answer is a finite planar pose.
 
     Raises:
         MapperError: it is not; the message names the scan's stamp.
@@ -201,7 +207,7 @@ def final_map(mapper: Mapper) -> OccupancyGrid:
 
 
 def final_stats(mapper: Mapper | CloudMapper) -> MapperStats:
-    """Return what the mapper counted.
+    """Return the mapper's statistics, checked.
 
     Raises:
         MapperError: it is no MapperStats.
@@ -218,12 +224,12 @@ def kind_of(value: object) -> str:
 
 
 def with_attitude(mapper: Mapper, attitude: Attitude) -> Mapper:
-    """Return the mapper itself (`imu`), or one that never learns how the robot is tilted (`none`)."""
+    """Return the mapper itself (`imu`), or one without attitude (`none`)."""
     return mapper if attitude == "imu" else WithoutAttitude(mapper)
 
 
 class WithoutAttitude:
-    """A mapper that is given no inertial reading at all: None, as on a robot without an IMU.
+    """Mapper without inertial readings: None, as on a robot without an IMU.
 
     A reading less its roll and pitch would not do: its accelerations have the direction of gravity, its
     rates add up to the attitude, and zeros would say that the robot is level. The gyro's heading is in the
@@ -249,7 +255,7 @@ class WithoutAttitude:
 
     @property
     def stats(self) -> MapperStats:
-        """What the mapper counted."""
+        """Statistics of the mapper."""
         return self._mapper.stats
 
     @property
@@ -259,7 +265,7 @@ class WithoutAttitude:
 
 
 class GuardedCloudMapper(MapperGuard):
-    """A mapper that is handed read-only copies, and whose every failure becomes a `MapperError`.
+    """Guard of a cloud mapper: inputs are copies, each failure becomes a `MapperError`.
 
     Args:
         mapper: that is guarded.
@@ -289,15 +295,15 @@ class GuardedCloudMapper(MapperGuard):
         return estimate
 
 
-def guarded(mapper: Mapper | CloudMapper, config: RunConfig) -> GuardedMapper | GuardedCloudMapper:
-    """Return the guard of a run's mapper, which is told of the attitude what the config says."""
+def guard_mapper(mapper: Mapper | CloudMapper, config: RunConfig) -> GuardedMapper | GuardedCloudMapper:
+    """Return the guard of a run's mapper, with the configured attitude."""
     if reads_clouds(mapper):
         return GuardedCloudMapper(mapper, config.mapper, attitude=config.attitude == "imu")
     return GuardedMapper(with_attitude(cast("Mapper", mapper), config.attitude), config.mapper)
 
 
 def check_sensors(mapper: Mapper | CloudMapper, config: RunConfig) -> None:
-    """Tell whether a run's lidar and driver suit its mapper.
+    """Check that a run's lidar and driver suit its mapper.
 
     Any lidar suits a planar mapper: of one with rings it gets the ring nearest the horizon.
 
@@ -320,7 +326,10 @@ def check_sensors(mapper: Mapper | CloudMapper, config: RunConfig) -> None:
 
 
 def occupancy_map(mapper: GuardedMapper | GuardedCloudMapper) -> Callable[[], OccupancyGrid]:
-    """Return what gives the mapper's present occupancy map; of one that has none, it raises ConfigError."""
+    """Return the function for the mapper's current occupancy map.
+
+    It raises ConfigError for a mapper of point clouds.
+    """
     return mapper.map if isinstance(mapper, GuardedMapper) else _no_map
 
 
@@ -329,7 +338,7 @@ def _no_map() -> OccupancyGrid:
 
 
 def cloud_copy(cloud: PointCloud) -> PointCloud:
-    """Return a copy of a cloud whose arrays are read-only, with a copy of its mount."""
+    """Return a read-only copy of a cloud, with a copy of its mount."""
     xyz, ring, time = cloud.xyz.copy(), cloud.ring.copy(), cloud.time.copy()
     for array in (xyz, ring, time):
         array.flags.writeable = False
@@ -337,7 +346,7 @@ def cloud_copy(cloud: PointCloud) -> PointCloud:
 
 
 def check_pose3(estimate: object, stamp: float) -> None:
-    """Tell whether an answer is a finite pose in space.
+    """Check that an answer is a finite pose in space.
 
     Raises:
         MapperError: it is not; the message names the scan's stamp.

@@ -1,4 +1,4 @@
-"""The mapper of a run: one of ours by its name, or anybody's as `module:name`."""
+"""Mapper of a run: a built-in name, or `module:name` of your own."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ CLOUD_METHODS = ("update", "trajectory")
 
 
 def mapper_named(name: str, seed: int) -> Mapper | CloudMapper:
-    """Make a mapper by its name, or by `module:name` of a class (or function) that makes one.
+    """Create a mapper by its name, or by a `module:name`.
+
+    The latter names a class or function that makes one.
 
     A class of your own gets `seed` and `resolution` as keywords where it takes them. Its module is looked
     for in the current folder too, which is on `sys.path` only while the module is imported.
@@ -43,11 +45,11 @@ def mapper_named(name: str, seed: int) -> Mapper | CloudMapper:
         return make_mapper(name, seed=seed)
     maker = own_class(name, "mapper", "update")
     mapper = make_own(maker, {"seed": seed, "resolution": RESOLUTION}, name, "mapper")
-    return _checked(mapper, name)
+    return _check_methods(mapper, name)
 
 
 def package_versions(name: str) -> dict[str, str]:
-    """Return the versions of what a mapper is made of beside this package, by pip's names; none of ours."""
+    """Return the versions of a mapper's own packages; empty for our methods."""
     method = CLOUD_MAPPERS.get(name)
     if method is None or not method.installed:
         return {}
@@ -65,7 +67,7 @@ def source_file(name: str) -> Path | None:
     return own_source_file(name, "mapper")
 
 
-def _checked(mapper: Any, name: str) -> Mapper | CloudMapper:
+def _check_methods(mapper: Any, name: str) -> Mapper | CloudMapper:
     methods = CLOUD_METHODS if reads_clouds(mapper) else METHODS
     lacking = [f"{m}()" for m in methods if not callable(getattr(mapper, m, None))]
     lacking += [p for p in PROPERTIES if p not in dir(mapper)]

@@ -1,4 +1,4 @@
-"""Classes of the user's own, named as `module:name`: found, and made with the keywords that they take."""
+"""Loading of the user's own classes, named as `module:name`."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def own_source_file(name: str, what: str) -> Path | None:
 
 
 def keywords_taken(maker: Callable[..., Any], offered: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what of the offered keywords a maker takes."""
+    """Return the offered keywords that a maker accepts."""
     try:
         parameters = inspect.signature(maker).parameters.values()
     except ValueError:  # some classes of compiled modules have no signature

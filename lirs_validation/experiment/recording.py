@@ -1,4 +1,4 @@
-"""A drive's bag, written while it goes: what the sensors said, the truth and the mapper's poses."""
+"""Recording of a drive's bag: sensor data, true poses, the mapper's poses."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Recording:
         self._T_map_world: Pose3 | None = None
 
     def add(self, observation: Observation, T_world_base: Pose3, T_map_base: Pose2) -> None:
-        """Record what was sensed at a scan, where the robot was, and where the mapper took it to be.
+        """Record an observation, the true pose and the mapper's pose.
 
         Raises:
             OutputError: it cannot be written.
@@ -58,8 +58,8 @@ class Recording:
         )
         self._writer.add(tick)
 
-    def finished(self, grid: OccupancyGrid | None) -> Sequence[Path]:
-        """Write the map, in the map frame, if there is one, and the end; return the bag's files.
+    def finish(self, grid: OccupancyGrid | None) -> Sequence[Path]:
+        """Write the map (map frame) if any, close the bag, return its files.
 
         Raises:
             OutputError: they cannot be written.
@@ -72,7 +72,9 @@ class Recording:
 
 @contextmanager
 def recording(config: RunConfig, out: Path | None, period: float) -> Iterator[Recording]:
-    """Give the recording that a config asks for; its files are gone afterwards, unless they were moved.
+    """Record a drive's bag as configured.
+
+    Its files are deleted afterwards, unless they were moved.
 
     Args:
         config: of the run.

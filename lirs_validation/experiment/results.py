@@ -27,7 +27,9 @@ from lirs_wct.world import World
 def write_results(
     folder: Path, record: RunRecord, log: DriveLog, maps: Maps, world: World, bag: Sequence[Path] = ()
 ) -> RunRecord:
-    """Write a run's folder, whole or not at all, in place of an older one; return the record as written.
+    """Write a run's folder atomically; return the record as written.
+
+    An older folder is replaced.
 
     Args:
         folder: of the run.

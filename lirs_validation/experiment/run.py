@@ -14,12 +14,12 @@ from lirs_validation.driving.choice import make_driver
 from lirs_validation.driving.driver import Driver
 from lirs_validation.experiment.cost import (
     CostMeter,
+    clean_heap,
     compile_timer,
     cpu_contention,
+    frozen_heap,
     give_back_memory,
-    heap_at_rest,
     large_blocks_apart,
-    left_clean,
 )
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
@@ -31,7 +31,7 @@ from lirs_validation.experiment.mapper_guard import (
     GuardedCloudMapper,
     GuardedMapper,
     check_sensors,
-    guarded,
+    guard_mapper,
     occupancy_map,
 )
 from lirs_validation.experiment.mapper_loading import mapper_named
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Run:
-    """What a run leaves behind: the record, the log of the drive, the maps, the world."""
+    """Result of a run: record, log of the drive, maps, world."""
 
     record: RunRecord
     log: DriveLog
@@ -86,7 +86,7 @@ def validate(
     progress: Progress = no_progress,
     **run_options: Any,
 ) -> Run:
-    """Drive a robot through a world with a mapper running, and evaluate path, map and speed.
+    """Drive a robot with a running mapper; evaluate path, map and speed.
 
     >>> validate("simple", robot="jackal", mapper="gmapping", seconds=30)  # doctest: +SKIP
 
@@ -137,10 +137,10 @@ def run(
         with closing(ready.feeding):
             log, cost = _timed_drive(ready, progress, recorded.add, _existing(out))
             log.concurrent = log.concurrent or concurrent
-            evaluated = _evaluated(ready, log, cost, progress)
+            evaluated = _evaluate(ready, log, cost, progress)
         # The simulation with its commands, and the mapper's grids: as large as what is drawn now.
         del ready
-        return _written(evaluated, out, name, recorded)
+        return _write_run(evaluated, out, name, recorded)
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class ReadyRun:
     compile_seconds: float
 
     def cost(self, meter: CostMeter) -> dict[str, Any]:
-        """Return what the drive has cost by now: `cpu_seconds`, `peak_memory`."""
+        """Return the cost of the drive so far: `cpu_seconds`, `peak_memory`."""
         cost = meter.cost()
         return asdict(cost + self.feeding.cost() if isinstance(self.feeding, MapperProcess) else cost)
 
@@ -178,7 +178,7 @@ def prepare(
         WctError: the source, a name or an option cannot be used.
     """
     robot = make_robot(config.robot)
-    mapper = guarded(loaded := mapper_named(config.mapper, config.seed), config)
+    mapper = guard_mapper(loaded := mapper_named(config.mapper, config.seed), config)
     check_sensors(loaded, config)
     with ExitStack() as started:
         process = mapper_process(config, loaded)
@@ -196,7 +196,7 @@ def prepare(
         started.pop_all()
     feeding: Feeding
     if process is not None:
-        mapper, feeding = guarded(process, config), process
+        mapper, feeding = guard_mapper(process, config), process
     else:
         feeding = ThreadFeeding(mapper) if config.threads > 1 else DirectFeeding(mapper)
     return ReadyRun(scenario, simulation, driver, mapper, feeding, compile_seconds())
@@ -226,11 +226,11 @@ def conclude(
     Raises:
         SimulationError: not a single scan was driven.
     """
-    return _written(_evaluated(ready, log, cost, progress), out, name, recorded)
+    return _write_run(_evaluate(ready, log, cost, progress), out, name, recorded)
 
 
 @large_blocks_apart()
-def _evaluated(ready: ReadyRun, log: DriveLog, cost: dict[str, Any], progress: Progress) -> Run:
+def _evaluate(ready: ReadyRun, log: DriveLog, cost: dict[str, Any], progress: Progress) -> Run:
     """Return a run whose folder is not written yet."""
     scenario, mapper = ready.scenario, ready.mapper
     if not log.walls:
@@ -245,21 +245,21 @@ def _evaluated(ready: ReadyRun, log: DriveLog, cost: dict[str, Any], progress: P
     return Run(record, log, maps, scenario.world, None)
 
 
-@left_clean()
+@clean_heap()
 @large_blocks_apart()
-def _written(run: Run, out: Path | None, name: str | None, recorded: Recording | None) -> Run:
+def _write_run(run: Run, out: Path | None, name: str | None, recorded: Recording | None) -> Run:
     """Write the folder of a run where one is wanted."""
     if out is None:
         return run
     log, maps, folder = run.log, run.maps, out / (name or run.record.name)
     T_map_world = log.truth[0].to_pose2().inverse()
     built = None if maps.built is None else maps.built.moved(T_map_world)
-    bag = (recorded or Recording()).finished(built)
+    bag = (recorded or Recording()).finish(built)
     return replace(run, record=write_results(folder, run.record, log, maps, run.world, bag), folder=folder)
 
 
 def _existing(out: Path | None) -> Path | None:
-    """Return the folder that results go to, or the first above it that is there already."""
+    """Return the results' folder, or its nearest existing parent."""
     return None if out is None else next((folder for folder in (out, *out.parents) if folder.is_dir()), None)
 
 
@@ -268,7 +268,7 @@ def _timed_drive(
 ) -> tuple[DriveLog, dict[str, Any]]:
     """Drive; return the log and what the drive cost."""
     config = ready.scenario.config
-    with cpu_contention() as others, heap_at_rest():
+    with cpu_contention() as others, frozen_heap():
         meter = CostMeter()
         log = drive(
             ready.simulation,

@@ -1,4 +1,4 @@
-"""Where a run takes place: the config's world, built once for all runs in it."""
+"""Scenario of a run: the config's world, built once for all its runs."""
 
 from __future__ import annotations
 
@@ -55,7 +55,10 @@ class Scenario:
 
 
 def build_scenario(config: RunConfig) -> Scenario:
-    """Build the config's world; of a terrain larger than 200 m, 50 m in its middle or around the start."""
+    """Build the config's world.
+
+    Of a terrain larger than 200 m, a window of 50 m is used, in the middle or around the start.
+    """
     try:
         files, world = source_files(config), build_world(config.source, config.build)
     except LogSourceError as error:

@@ -1,4 +1,4 @@
-"""Before the clock starts: a short drive and a heap at rest, so that no compiler or collector is timed."""
+"""Warm-up before timing: a short drive compiles all kernels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lirs_validation.config import driver_parts
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.experiment.feeding.process import MapperProcess
 from lirs_validation.experiment.loop import drive
-from lirs_validation.experiment.mapper_guard import guarded, occupancy_map
+from lirs_validation.experiment.mapper_guard import guard_mapper, occupancy_map
 from lirs_validation.experiment.mapper_loading import mapper_named, warm_up_mapper
 from lirs_validation.experiment.scenario import Scenario
 
@@ -41,7 +41,7 @@ def warm_up(scenario: Scenario, robot: Robot, process: MapperProcess | None = No
         warm_up_mapper(c.mapper)
     slow = c.rays == "mujoco" and c.terrain == "hfield"
     config = replace(c, seconds=BRIEF if slow else WARM_UP)
-    mapper = guarded(process or mapper_named(c.mapper, c.seed), c)
+    mapper = guard_mapper(process or mapper_named(c.mapper, c.seed), c)
     driver = make_driver(scenario.world, robot, config, occupancy_map(mapper))
     drive(scenario.simulation(robot), driver, mapper, config.seconds, feeding=process)
     if process is None:

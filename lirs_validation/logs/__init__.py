@@ -1,1 +1,1 @@
-"""Logs of real robots: log x mapper x seed becomes a map, a trajectory and a record."""
+"""Mapping of real logs: log, mapper and seed give map, trajectory and record."""

@@ -1,4 +1,4 @@
-"""Point clouds of a log before a mapper, and the occupancy map of their horizontal beams."""
+"""Replay of a log's point clouds, and the map of their horizontal beams."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def replay_clouds(
 
 
 def horizontal_scan(cloud: PointCloud) -> LaserScan:
-    """Return the nearest horizontal point of each half degree about the sensor; NaN where there is none."""
+    """Return the nearest horizontal point per half degree; NaN where there is none."""
     p = cloud.T_base_laser
     turn = Pose3(0.0, 0.0, 0.0, p.qw, p.qx, p.qy, p.qz)
     x, y, z = turn.apply(cloud.xyz.astype(np.float64)).T

@@ -1,4 +1,4 @@
-"""Inertial readings beside a log: those at its scans, and the laser's height, which leveling needs."""
+"""Inertial readings for a log, and the laser's mount for leveling."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from lirs_wct.geometry.scan import Imu
 
 
 def inertial_readings(config: MapConfig, log: LaserLog) -> list[Imu | None]:
-    """Return the reading at each scan; None where no file was given or it has none within 0.02 s.
+    """Return the inertial reading at each scan.
+
+    None without a file, or without a reading within 0.02 s.
 
     Raises:
         SourceError: the file cannot be used, or has no reading at any scan.
@@ -39,7 +41,10 @@ def inertial_readings(config: MapConfig, log: LaserLog) -> list[Imu | None]:
 
 
 def with_recorded_mount(config: MapConfig, log: LaserLog) -> LaserLog:
-    """Return the log with the laser where a comment of the file says, out of the plane included."""
+    """Return the log with the laser mount of the file's comment.
+
+    It includes the height and the tilt.
+    """
     T_base_laser = read_mount(Path(config.log))
     if T_base_laser is None:
         return log

@@ -1,4 +1,4 @@
-"""The mapper that a log is mapped with: made by its config, and its kernels compiled."""
+"""Mapper of a log: creation by its config, compilation of kernels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A log as a source: it is mapped once, and from then on its map is what worlds are built from."""
+"""Log as a source of worlds.
+
+It is mapped once; later worlds are built from its map.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from lirs_wct.sources.source import find_source
 def resolve_source(
     source: str | Path, options: BuildOptions, out: str | Path, progress: Progress = no_progress
 ) -> str | Path:
-    """Return the source itself; of a log the YAML of its map, which bears the log's name.
+    """Return the source, or for a log the YAML file of its map.
 
     The map is made into `out` as `lirs-wct map` makes it. One that lies there already is used again, if
     this very log and this very code made it.
@@ -35,7 +38,7 @@ def resolve_source(
     )
     out = Path(out)
     folder = out / folder_name(config)
-    found_before = _ended(folder)
+    found_before = _read_ending(folder)
     if found_before is None:
         record = run_mapping(config, out=out, progress=progress).record
         found_before = record.status, record.reason
@@ -52,8 +55,11 @@ def resolve_source(
     return named
 
 
-def _ended(folder: Path) -> tuple[str, str] | None:
-    """Return status and reason of the mapping whose results lie in a folder; None where none of ours do."""
+def _read_ending(folder: Path) -> tuple[str, str] | None:
+    """Return status and reason of a finished mapping in a folder.
+
+    None if the folder holds no current result.
+    """
     path = folder / "record.json"
     try:
         record = json.loads(path.read_text(encoding="utf-8"))

@@ -11,7 +11,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from lirs_validation.config import Attitude, MapConfig
-from lirs_validation.experiment.cost import CostMeter, compile_timer, heap_at_rest
+from lirs_validation.experiment.cost import CostMeter, compile_timer, frozen_heap
 from lirs_validation.experiment.mapper_guard import GuardedCloudMapper
 from lirs_validation.logs.cloud_replay import horizontal_map, replay_clouds
 from lirs_validation.logs.inertial import inertial_readings, with_recorded_mount
@@ -106,7 +106,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
     mapper = make_log_mapper(config)
     relations, reference = read_truth(config)
     progress("read", 0.0)
-    with _timed(seconds, "read_seconds"):
+    with _measure_time(seconds, "read_seconds"):
         name, log = folder_name(config), read_log(config, clouds=isinstance(mapper, GuardedCloudMapper))
         check_log(config, mapper, log)
         readings = inertial_readings(config, log)
@@ -115,7 +115,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
     with compile_timer() as compile_seconds:
         warm_up_log_mapper(config)
     seconds["compile_seconds"] = compile_seconds()
-    with heap_at_rest(), _timed(seconds, "map_seconds"):
+    with frozen_heap(), _measure_time(seconds, "map_seconds"):
         if isinstance(mapper, GuardedCloudMapper):
             tracking, level = replay_clouds(config.log, mapper, log.clouds or (), readings, progress)
             trajectory = mapper.trajectory()
@@ -149,7 +149,9 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
 
 
 def read_log(config: MapConfig, *, clouds: bool = False) -> LaserLog:
-    """Read the log with what the config says about its laser; of a bag its point clouds if asked for.
+    """Read the log with the laser options of the config.
+
+    A bag's point clouds are read if requested.
 
     Raises:
         SourceError: it cannot be used.
@@ -171,7 +173,7 @@ def read_log(config: MapConfig, *, clouds: bool = False) -> LaserLog:
 
 
 def folder_name(config: MapConfig) -> str:
-    """Return the name of the map's folder: log, mapper, seed, and a digest of all else.
+    """Return the folder name: log, mapper, seed and a digest of other options.
 
     Raises:
         SourceError: the log cannot be read.
@@ -187,7 +189,10 @@ def folder_name(config: MapConfig) -> str:
 
 
 def _digests(folder: Path) -> bytes:
-    """Return digests of the files of a bag, whose folder may hold others too, in the order of their names."""
+    """Return digests of a bag's files, ordered by name.
+
+    The folder may hold other files too.
+    """
     digests = []
     for path in sorted(p for p in folder.iterdir() if p.name == METADATA or is_bag_file(p)):
         with path.open("rb") as file:
@@ -202,7 +207,7 @@ def replay(
     readings: Sequence[Imu | None],
     progress: Progress,
 ) -> LostRule:
-    """Replay the whole log, and a reading of the IMU for each scan; return whether the place was kept.
+    """Replay the log with inertial readings; return the lost rule's state.
 
     Raises:
         SourceError: the mapper needs what the log does not hold.
@@ -229,7 +234,7 @@ def _write(mapped: MappedLog, out: Path, progress: Progress) -> Path:
 
 
 @contextmanager
-def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
+def _measure_time(seconds: dict[str, float], name: str) -> Iterator[None]:
     """Note under a name how many wall seconds a block takes."""
     begun = time.perf_counter()
     yield

@@ -23,7 +23,7 @@ from lirs_wct.formats.tum import write_tum
 
 @dataclass(frozen=True)
 class MappedLog:
-    """What mapping a log leaves behind.
+    """Result of mapping a log.
 
     Attributes:
         record: config and metrics.
@@ -58,7 +58,7 @@ class MappedLog:
 
 
 def write_mapped(folder: Path, mapped: MappedLog) -> Path:
-    """Write the folder, whole or not at all, in place of an older one; return it.
+    """Write the folder atomically, replacing an older one; return it.
 
     Raises:
         OutputError: the folder cannot be written.

@@ -1,4 +1,4 @@
-"""A trajectory that was made elsewhere: a reference, or another program's estimate."""
+"""Trajectories made elsewhere: reference, relations, another program's estimate."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ from lirs_wct.sources.source import is_bag
 
 
 def read_trajectory(path: Path, topic: str | None = None, flag: str = "--topic") -> Trajectory:
-    """Read a TUM file, or a bag with transforms from map to base_link or a topic of poses.
+    """Read a trajectory from a TUM file or a bag.
+
+    A bag holds transforms from map to base_link, or a topic of poses.
 
     Args:
         path: of file or bag.
@@ -46,7 +48,9 @@ def read_trajectory(path: Path, topic: str | None = None, flag: str = "--topic")
 
 
 def read_reference(path: Path, topic: str | None = None) -> Trajectory:
-    """Read a TUM file, a bag, or a CARMEN log whose poses were corrected (as of a pose graph's nodes).
+    """Read a reference trajectory.
+
+    The file is a TUM file, a bag, or a CARMEN log with corrected poses (as of a pose graph's nodes).
 
     Raises:
         SourceError: it is none of these, or holds no poses.
@@ -63,7 +67,10 @@ def read_reference(path: Path, topic: str | None = None) -> Trajectory:
 
 
 def _begins_with_a_number(path: Path) -> bool:
-    """Whether the first token that is no comment is a number; the readers report what cannot be read."""
+    """Return whether a file begins with a number, after comments.
+
+    The readers report unreadable files.
+    """
     try:
         with path.open("rb") as raw:
             zipped = raw.read(2) == b"\x1f\x8b"
@@ -96,7 +103,7 @@ def odometry_accuracy(
     relations: Sequence[RelativePoseConstraint] | None,
     reference: Trajectory | None,
 ) -> dict[str, Any]:
-    """Return the accuracy of a log's raw odometry alone, as a record holds it; empty without odometry."""
+    """Return the accuracy of a log's raw odometry; empty without odometry."""
     if len(odometry) == 0:
         return {}
     return trajectory_accuracy(odometry, odometry, relations, reference).metrics()
@@ -105,7 +112,7 @@ def odometry_accuracy(
 def relations_in_time(
     relations: Sequence[RelativePoseConstraint], lines: LineStamps
 ) -> tuple[RelativePoseConstraint, ...]:
-    """Return relations, which name poses by their logged stamps, by the stamps as repaired."""
+    """Return relations with repaired stamps instead of logged ones."""
     if not lines.moved:
         return tuple(relations)
     logged = np.array([(r.stamp_a, r.stamp_b) for r in relations])
@@ -116,7 +123,10 @@ def relations_in_time(
 
 
 def reference_in_time(reference: Trajectory, lines: LineStamps) -> Trajectory:
-    """Return a reference trajectory by the stamps as repaired; of poses that meet in time the first stays."""
+    """Return a reference trajectory with repaired stamps.
+
+    Of poses with the same stamp, the first stays.
+    """
     if not lines.moved:
         return reference
     stamps, first = np.unique(lines.repaired_at(reference.stamps), return_index=True)

@@ -1,4 +1,4 @@
-"""Where the occupied cells of two maps agree: distances between them, cell by cell or within a tolerance.
+"""Agreement of two maps: cell distances, agreement within a tolerance, structural similarity.
 
 Cells count where they are known in both maps; occupied is p > 0.65.
 """
@@ -25,7 +25,7 @@ BAND = 64
 
 @dataclass(frozen=True, kw_only=True)
 class Agreement:
-    """How the occupied cells of two maps agree; None where neither map has an occupied cell.
+    """Agreement of occupied cells of two maps; None if neither map has one.
 
     All three are 0 where only one of the two maps has occupied cells, or where the maps know nothing in
     common: a map without walls is wrong where there are walls, and earns no gap in a mean.
@@ -47,7 +47,7 @@ NO_AGREEMENT = Agreement(precision=None, recall=None, f1=None)
 
 @dataclass(frozen=True, kw_only=True)
 class CellDistance:
-    """How far the occupied cells of one map lie from the nearest one of another.
+    """Distances from the occupied cells of one map to those of another.
 
     Attributes:
         mean: meters.
@@ -66,14 +66,16 @@ def agreement(built: OccupancyGrid, reference: OccupancyGrid, tolerance: float =
     """
     if not built.occupied.any() and not reference.occupied.any():
         return NO_AGREEMENT
-    precision = _confirmed(built, reference, tolerance)
-    recall = _confirmed(reference, built, tolerance)
+    precision = _confirmed_share(built, reference, tolerance)
+    recall = _confirmed_share(reference, built, tolerance)
     both = precision + recall
     return Agreement(precision=precision, recall=recall, f1=2 * precision * recall / both if both else 0.0)
 
 
 def cell_distance(asked: OccupancyGrid, other: OccupancyGrid) -> CellDistance | None:
-    """Return how far the occupied cells of a map, where the other knows, lie from the other's nearest.
+    """Return distances of a map's occupied cells to those of another map.
+
+    Only cells known in the other map count.
 
     None where there is no cell to ask, or the other map has no occupied cell.
     """
@@ -84,7 +86,10 @@ def cell_distance(asked: OccupancyGrid, other: OccupancyGrid) -> CellDistance | 
 
 
 def contradicted(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float = TOLERANCE) -> BoolArray:
-    """Return (rows, cols) the occupied cells of a map, where the other knows, that it does not confirm."""
+    """Return (rows, cols) occupied cells that the other map contradicts.
+
+    Only cells known in the other map count.
+    """
     cells, distance = nearest_occupied(asked, other)
     wrong = np.zeros(asked.shape, np.bool_)
     wrong[tuple(cells[distance > tolerance + ROUNDING].T)] = True
@@ -92,7 +97,9 @@ def contradicted(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float = 
 
 
 def nearest_occupied(asked: OccupancyGrid, other: OccupancyGrid) -> tuple[IntArray, FloatArray]:
-    """Return (n, 2) occupied cells where the other map knows, and (n,) meters to its nearest occupied cell.
+    """Return (n, 2) comparable occupied cells and (n,) their distances in meters.
+
+    A cell is comparable if the other map knows it; the distance leads to the other's nearest occupied cell.
 
     The distance is infinite where the other map has no occupied cell at all.
     """
@@ -116,7 +123,10 @@ def decided(grid: OccupancyGrid) -> OccupancyGrid:
 
 
 def sampled(grid: OccupancyGrid, like: OccupancyGrid) -> Float32Array:
-    """Return the log-odds of `grid` at the cell centers of another grid; NaN where unknown or outside."""
+    """Return a grid's log-odds at another grid's cell centers.
+
+    NaN where unknown or outside.
+    """
     rows, cols = like.shape
     found = np.empty(like.shape, np.float32)
     for first in range(0, rows, BAND):
@@ -127,7 +137,10 @@ def sampled(grid: OccupancyGrid, like: OccupancyGrid) -> Float32Array:
 
 
 def log_odds_at(grid: OccupancyGrid, points: FloatArray) -> Float32Array:
-    """Return the log-odds of the cells that hold points (..., 2); NaN outside."""
+    """Return a grid's log-odds at another grid's cell centers.
+
+    NaN where unknown or outside.
+    """
     cells = grid.cells(points)
     inside = np.all((cells >= 0) & (cells < np.array(grid.shape)), axis=-1)
     held = np.where(inside[..., None], cells, 0)
@@ -135,8 +148,11 @@ def log_odds_at(grid: OccupancyGrid, points: FloatArray) -> Float32Array:
     return values
 
 
-def _confirmed(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float) -> float:
-    """Return the share of occupied cells, where the other map knows, that it confirms; 0 of no cell."""
+def _confirmed_share(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float) -> float:
+    """Return the share of occupied cells that the other map confirms.
+
+    Only cells known in the other map count; 0 without cells.
+    """
     _, distance = nearest_occupied(asked, other)
     return float((distance <= tolerance + ROUNDING).mean()) if len(distance) else 0.0
 
@@ -148,7 +164,9 @@ K1, K2 = 0.01, 0.03
 
 
 def map_ssim(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
-    """Return the mean structural similarity over the cells known in both maps; None where there is none.
+    """Return the mean structural similarity over cells known in both maps.
+
+    None if there is none.
 
     The built map is read at the centers of the reference's cells. Pictures hold 0 for occupied, 1 for
     free and 0.5 for what is unknown or undecided.
@@ -161,7 +179,10 @@ def map_ssim(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
 
 
 def as_picture(grid: OccupancyGrid) -> Float32Array:
-    """Return (rows, cols) 0 for occupied, 1 for free, 0.5 for all else; row 0 = south."""
+    """Return (rows, cols) 0 for occupied, 1 for free, 0.5 otherwise.
+
+    Row 0 = south.
+    """
     picture = np.full(grid.shape, 0.5, np.float32)
     picture[grid.free] = 1.0
     picture[grid.occupied] = 0.0
@@ -185,7 +206,7 @@ def similarity(x: FloatArray | Float32Array, y: FloatArray | Float32Array) -> Fl
 
 
 def _similarity(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return `similarity` away from the first and last rows: what is made on the way is large."""
+    """Return `similarity` of some rows, valid away from the first and last ones."""
     c1, c2 = K1**2, K2**2
     mx, my = _mean(x), _mean(y)
     vx, vy, cov = _mean(x * x) - mx * mx, _mean(y * y) - my * my, _mean(x * y) - mx * my

@@ -1,4 +1,4 @@
-"""The alignment of a trajectory as an error of its start frame: by how much a whole map is off."""
+"""Trajectory alignment: association by time, rigid alignment, offset of the start frame."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SHORTEST = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class StartAlignment:
-    """The rigid motion that aligns an estimate with the truth, as it does for the ATE.
+    """Rigid motion that aligns an estimate with the truth, as for the ATE.
 
     Attributes:
         T_world_aligned: moves what the mapper placed in the world (path, map) to where it fits best.
@@ -31,7 +31,9 @@ class StartAlignment:
 
 
 def start_alignment(truth: Trajectory, estimate: Trajectory) -> StartAlignment | None:
-    """Align an estimate with the truth; None where fewer than two poses or no meter of path is common.
+    """Align an estimate with the truth.
+
+    None if fewer than two poses or no meter of path is common.
 
     Args:
         truth: true poses in the world frame, from the start pose on.
@@ -52,7 +54,9 @@ MAX_GAP = 0.02
 def associated(
     first: FloatArray, second: FloatArray, *, max_gap: float = MAX_GAP
 ) -> tuple[IntArray, IntArray]:
-    """Pair each stamp of the shorter list with the nearest of the longer, at most `max_gap` apart.
+    """Pair each stamp of the shorter list with the nearest of the longer.
+
+    Pairs are at most `max_gap` apart.
 
     Args:
         first: (n,) seconds, increasing.
@@ -73,7 +77,10 @@ def associated(
 
 
 def nearest(stamps: FloatArray, wanted: FloatArray) -> IntArray:
-    """Return (n,) which of the stamps (m,), increasing, is nearest; of two that are, the earlier."""
+    """Return (n,) indices of the nearest increasing stamps (m,).
+
+    Of two equally near, the earlier.
+    """
     after = np.minimum(np.searchsorted(stamps, wanted), len(stamps) - 1)
     before = np.maximum(after - 1, 0)
     return np.where(wanted - stamps[before] <= stamps[after] - wanted, before, after).astype(np.int64)
@@ -104,10 +111,10 @@ def planar(trajectory: Trajectory) -> FloatArray:
 
 def moved(poses: FloatArray, T_new_frame: Pose2) -> FloatArray:
     """Return planar poses (n, 3) expressed in another frame."""
-    return np.column_stack((T_new_frame.apply(poses[:, :2]), wrapped(poses[:, 2] + T_new_frame.yaw)))
+    return np.column_stack((T_new_frame.apply(poses[:, :2]), wrap_angles(poses[:, 2] + T_new_frame.yaw)))
 
 
-def wrapped(angles: FloatArray) -> FloatArray:
+def wrap_angles(angles: FloatArray) -> FloatArray:
     """Return angles in [-pi, pi]."""
     result: FloatArray = np.remainder(angles + math.pi, math.tau) - math.pi
     return result
@@ -121,7 +128,7 @@ def motion(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def rigid_alignment(source: FloatArray, target: FloatArray) -> Pose2:
-    """Return `T_target_source` that brings points (n, 2) nearest to points (n, 2) in the least-squares sense.
+    """Return the least-squares `T_target_source` from points (n, 2) to points (n, 2).
 
     The plane's closed form of Umeyama (PAMI 1991, Eqs. 39-42) without scale: with both sets centered,
     the best rotation has the angle of (sum of dot products, sum of cross products).

@@ -1,4 +1,4 @@
-"""Consistency of a trajectory with its own scans: walls in space that another pass saw free.
+"""Consistency of a trajectory with its scans: walls in space seen free.
 
 Rays pass through no walls. Placed by a correct trajectory, the scan of one pass ends where the other passes
 see a wall as well, or where they cannot see. Placed by a wrong one, many of its beams end in space that the
@@ -48,7 +48,9 @@ LEVEL_SHARE = 0.95
 def contradicted_share(
     scans: Sequence[LaserScan], readings: Sequence[Imu | None], trajectory: Trajectory
 ) -> float | None:
-    """Return the share of scans, one per half meter, that contradict the scans of other passes.
+    """Return the share of scans that contradict other passes.
+
+    One scan per half meter is tested.
 
     A scan that no other pass can test counts as consistent.
 
@@ -62,7 +64,7 @@ def contradicted_share(
     """
     i, j = associated(np.array([scan.stamp for scan in scans]), trajectory.stamps)
     poses = planar(trajectory)[j]
-    chosen, driven = _spaced(poses)
+    chosen, driven = _select_spaced(poses)
     used = i[chosen]
     level = [_is_level(scans[k], readings[k]) for k in used]
     if len(used) < 2 or np.mean(level) < LEVEL_SHARE:
@@ -83,8 +85,11 @@ def contradicted_share(
     return float(((seen >= FEWEST) & (against > CONTRADICTED * seen)).mean())
 
 
-def _spaced(poses: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return indices of poses (n, 3) at least a step or turn apart, and the meters driven up to each."""
+def _select_spaced(poses: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return indices of spaced poses (n, 3), and the meters driven up to each.
+
+    They are at least a step or a turn apart.
+    """
     chosen, driven, total = list[int](), list[float](), 0.0
     for k, (x, y, yaw) in enumerate(poses.tolist()):
         if chosen:
@@ -119,7 +124,7 @@ def _sweep(scan: LaserScan) -> tuple[FloatArray, float, float]:
 def _compare(
     ranges: FloatArray, angles: FloatArray, sensors: FloatArray, driven: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Return (n,) hits of each scan in view of other passes, and how many of them lie in free space.
+    """Return (n,) hits in view of other passes, and those in free space.
 
     Args:
         ranges: (n, beams) NaN without return, meters.
@@ -157,7 +162,7 @@ def _compare(
 
 @njit(cache=True)
 def _sees(ranges: FloatArray, turn: float, step: float, distance: float) -> int:
-    """Return 1 where a scan sees free space around a point, 0 where it sees a wall, -1 where it cannot tell.
+    """Return a scan's verdict on a point: 1 free, 0 wall, -1 unknown.
 
     Args:
         ranges: (beams,) of the scan, meters.

@@ -1,4 +1,4 @@
-"""Elevation maps: the mean height of the points in each cell, and how it differs from the true surface.
+"""Elevation maps: mean height per cell, error against the true surface.
 
 The points are those of the run's clouds, each placed by one pose: the mapper's for the built map, the true
 one for the map of what could be seen. So both hold the same points, and differ by the poses alone.

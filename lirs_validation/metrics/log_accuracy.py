@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lirs_validation.metrics.alignment import associated, moved, planar, rigid_alignment, rms, wrapped
+from lirs_validation.metrics.alignment import associated, moved, planar, rigid_alignment, rms, wrap_angles
 from lirs_validation.metrics.relative_pose_error import (
     ConstraintErrors,
     RelativePoseConstraint,
@@ -46,7 +46,10 @@ class ReferenceErrors:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """What is known of a trajectory's errors; None where it was not asked for or nothing can be compared."""
+    """Errors of a trajectory.
+
+    None if not requested, or nothing can be compared.
+    """
 
     constraints: ConstraintErrors | None = None
     reference: ReferenceErrors | None = None
@@ -92,7 +95,7 @@ def reference_errors(estimate: Trajectory, reference: Trajectory) -> ReferenceEr
     return ReferenceErrors(
         reference.stamps[i],
         np.linalg.norm(aligned[:, :2] - true[:, :2], axis=1),
-        np.abs(wrapped(aligned[:, 2] - true[:, 2])),
+        np.abs(wrap_angles(aligned[:, 2] - true[:, 2])),
         outside,
         T_reference_map.inverse(),
     )

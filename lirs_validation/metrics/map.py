@@ -1,4 +1,4 @@
-"""How well a built map agrees with a reference map, and with the world's geometry.
+"""Comparison of a built map with a reference map and the world's geometry.
 
 All grids are given in the world frame: the built map moved by the true start pose and by nothing else. So an
 error of the first meters shifts or turns the whole map; the `_aligned` metrics are of the map moved by the
@@ -33,7 +33,9 @@ from lirs_wct.geometry.walls import WallGrid
 
 @dataclass(frozen=True, kw_only=True)
 class MapScores:
-    """The metrics of one built map; None where neither map has an occupied cell, or there is no reference.
+    """Metrics of one built map.
+
+    None if neither map has an occupied cell, or there is no reference.
 
     Attributes:
         f1: agreement with the true-pose map, harmonic mean of precision and recall.
@@ -146,7 +148,7 @@ def iou(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
 def false_occupied(
     built: OccupancyGrid, surface: HeightField, walls: WallGrid | None, tolerance: float = TOLERANCE
 ) -> float | None:
-    """Return the share of occupied cells farther than the tolerance from any obstacle of the geometry.
+    """Return the share of occupied cells farther from obstacles than the tolerance.
 
     Obstacles are faces of the surface steeper than 45 deg and wall cells, not what scans saw of them.
     """
@@ -157,7 +159,7 @@ def false_occupied(
 
 
 def unknown_share(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
-    """Return the share of the reference's known cells that the built map does not know."""
+    """Return the share of occupied cells farther from obstacles than the tolerance."""
     if not reference.known.any():
         return None
     return float(np.isnan(sampled(built, reference))[reference.known].mean())

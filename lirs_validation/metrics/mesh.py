@@ -1,4 +1,4 @@
-"""How far a world's mesh lies from the surface that it stands for."""
+"""Distance of a world's mesh from the surface that it represents."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lirs_wct.world import World
 
 
 def mesh_error(world: World, mesh: TriangleMesh | None = None) -> float:
-    """Return the largest vertical distance of a mesh from the world's surface at the nodes, meters.
+    """Return the largest vertical mesh error at the surface's nodes, meters.
 
     Args:
         world: whose surface.

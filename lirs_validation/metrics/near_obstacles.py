@@ -19,7 +19,9 @@ STEEP = math.radians(45)
 def near_obstacle(
     points: FloatArray, surface: HeightField, walls: WallGrid | None, distance: float, steep: float = STEEP
 ) -> BoolArray:
-    """Return (n,) whether points (n, 2) lie within a distance of a steep face's footprint or a wall cell.
+    """Return (n,) whether points (n, 2) are near an obstacle.
+
+    An obstacle is a steep face's footprint or a wall cell.
 
     Args:
         points: world frame, meters.
@@ -42,7 +44,10 @@ def near_obstacle(
 def _near_steep(
     points: FloatArray, z: Any, cell: Any, origin: Any, distance: float, rise: float
 ) -> BoolArray:
-    """Search the cells under each point's square of half side `distance`; z has row 0 = south."""
+    """Search the cells in a square around each point.
+
+    Half side `distance`; z has row 0 = south.
+    """
     rows, cols = z.shape
     cx, cy = cell
     near = np.zeros(len(points), np.bool_)

@@ -1,4 +1,4 @@
-"""Real-time factor: simulated time over wall-clock time, over a drive and in each of its seconds."""
+"""Real-time factor: simulated time over wall-clock time, its mean and spread."""
 
 from __future__ import annotations
 

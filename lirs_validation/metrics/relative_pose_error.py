@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lirs_validation.metrics.alignment import associated, motion, nearest, planar, rms, wrapped
+from lirs_validation.metrics.alignment import associated, motion, nearest, planar, rms, wrap_angles
 from lirs_wct.arrays import FloatArray, IntArray
 from lirs_wct.errors import SourceError
 from lirs_wct.geometry.pose import Pose2
@@ -39,7 +39,7 @@ class RelativePoseError:
 def relative_pose_error(
     true: FloatArray, estimate: FloatArray, pairs: tuple[IntArray, IntArray]
 ) -> RelativePoseError | None:
-    """Compare the motions of pairs of planar poses (n, 3); None where there is no pair.
+    """Compare motions of pairs of planar poses (n, 3); None without pairs.
 
     Sturm et al. 2012, Eq. 1: E = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j).
     """
@@ -50,7 +50,10 @@ def relative_pose_error(
 
 
 def pairs_by_path(poses: FloatArray, delta: float) -> tuple[IntArray, IntArray]:
-    """Return consecutive pairs of planar poses (n, 3), each `delta` meters of path apart or just above."""
+    """Return consecutive pairs of planar poses (n, 3), `delta` meters of path apart.
+
+    A distance may be just above `delta`.
+    """
     steps = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1)
     marks, driven = [0], 0.0
     for k, step in enumerate(steps.tolist(), start=1):
@@ -77,7 +80,7 @@ def motion_errors(
     i, j = pairs
     q, p = motion(true[i], true[j]), motion(estimate[i], estimate[j])
     # |E's translation| = |p's - q's translation|, as both are expressed in the first pose's frame.
-    return np.linalg.norm(p[:, :2] - q[:, :2], axis=1), wrapped(p[:, 2] - q[:, 2])
+    return np.linalg.norm(p[:, :2] - q[:, :2], axis=1), wrap_angles(p[:, 2] - q[:, 2])
 
 
 PROPAGATED = 0.1
@@ -181,14 +184,14 @@ def constraint_errors(
     error = motion(true, motion(a, b))
     return ConstraintErrors(
         np.linalg.norm(error[:, :2], axis=1),
-        np.abs(wrapped(error[:, 2])),
+        np.abs(wrap_angles(error[:, 2])),
         int((~inside).sum()),
         stamps.min(axis=1),
     )
 
 
 def constraint_error_summary(true: FloatArray, estimate: FloatArray) -> ConstraintErrorSummary | None:
-    """Compare the relative poses of close poses of planar trajectories (n, 3); None where there are none.
+    """Compare relative poses of close pairs of trajectories (n, 3); None without pairs.
 
     Kuemmerle et al. 2009, Eqs. 2-3 with absolute instead of squared errors, as in their tables. The
     constraints: of poses a meter of path apart, every two within 2 m of each other. Neighbors show the local
@@ -209,7 +212,7 @@ def constraint_error_summary(true: FloatArray, estimate: FloatArray) -> Constrai
 
 
 def close_pairs(poses: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return pairs of planar poses (n, 3) that lie close together, of those a meter of path apart."""
+    """Return pairs of close planar poses (n, 3), a meter of path apart."""
     first, second = pairs_by_path(poses, SPACING)
     marks = np.append(first, second[-1:])
     pairs = cKDTree(poses[marks, :2]).query_pairs(CLOSE, output_type="ndarray") if len(marks) else marks
@@ -218,7 +221,9 @@ def close_pairs(poses: FloatArray) -> tuple[IntArray, IntArray]:
 
 
 def poses_at(estimate: Trajectory, stamps: FloatArray, odometry: Trajectory) -> FloatArray:
-    """Return (n, 3) the estimated poses nearest in time, propagated to the stamps by odometry where far.
+    """Return (n, 3) estimated poses at the stamps.
+
+    Distant ones are propagated from the nearest pose by odometry.
 
     Args:
         estimate: not empty.

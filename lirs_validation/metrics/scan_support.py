@@ -1,4 +1,4 @@
-"""What a planar scanner has to hold on to in a world, before anything is driven: walls, ground, nothing."""
+"""Forecast of scan support: walls and ground that a planar scanner sees."""
 
 from __future__ import annotations
 
@@ -56,7 +56,10 @@ class ScanSupport:
 
     @property
     def expectation(self) -> str:
-        """What to expect of a planar mapper, in words; docs/results.md says how often that came true."""
+        """Forecast for a planar mapper, in words.
+
+        docs/results.md says how often it came true.
+        """
         if not self.poses:
             return "the robot can stand nowhere"
         if self.wall_p10 >= ENOUGH * self.beams:
@@ -67,7 +70,7 @@ class ScanSupport:
 
 
 def scan_support(world: World, robot: Robot, *, lidar: str | None = None, seed: int = 0) -> ScanSupport:
-    """Cast scans without noise at places drawn over the drivable ground, and tell walls from ground.
+    """Cast noise-free scans over the drivable ground; count walls and ground.
 
     The robot stands as the ground under its footprint lies; one that flies is level.
 
@@ -105,7 +108,10 @@ def scan_support(world: World, robot: Robot, *, lidar: str | None = None, seed: 
 
 
 def standing_on(world: World, robot: Robot, pose: Pose2) -> Pose3:
-    """Return the pose of base_link on the plane through the ground ahead, behind, left and right of it."""
+    """Return the pose of base_link on the plane through four ground points.
+
+    They lie ahead, behind, left and right of it.
+    """
     if robot.flies:
         z = float(np.nan_to_num(world.surface.height_at(pose.x, pose.y)))
         return Pose3.from_pose2(pose, z + robot.base_height)

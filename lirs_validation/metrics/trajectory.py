@@ -1,4 +1,4 @@
-"""How far an estimated trajectory lies from the true one, in the plane (x, y, yaw).
+"""Trajectory errors: an estimate against the truth, in the plane and in space.
 
 The metrics are those of Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems" (IROS 2012):
 absolute trajectory error (ATE, Eq. 4) and relative pose error (RPE, Eqs. 1-3).
@@ -19,7 +19,7 @@ from lirs_validation.metrics.alignment import (
     rigid_alignment,
     rms,
     scan_coverage,
-    wrapped,
+    wrap_angles,
 )
 from lirs_validation.metrics.relative_pose_error import (
     ConstraintErrorSummary,
@@ -97,12 +97,12 @@ def trajectory_errors(
         ate_rmse=rms(error),
         ate_max=float(error.max()),
         ate_rmse_unaligned=rms(raw),
-        yaw_rmse=rms(wrapped(aligned[:, 2] - true[:, 2])),
+        yaw_rmse=rms(wrap_angles(aligned[:, 2] - true[:, 2])),
         rpe_metre=relative_pose_error(true, est, pairs_by_path(true, 1.0)),
         rpe_second=relative_pose_error(true, est, pairs_by_time(truth.stamps[i], 1.0)),
         relations=constraint_error_summary(true, est),
         final_drift=float(raw[-1]),
-        final_yaw_drift=abs(wrapped(est[-1:, 2] - true[-1:, 2]).item()),
+        final_yaw_drift=abs(wrap_angles(est[-1:, 2] - true[-1:, 2]).item()),
         length=float(np.linalg.norm(np.diff(true[:, :2], axis=0), axis=1).sum()),
         poses=len(i),
         scan_coverage=scan_coverage(truth.stamps, estimate.stamps),
@@ -149,7 +149,7 @@ def spatial_errors(truth: Trajectory, estimate: Trajectory, *, max_gap: float = 
 
 
 def spatial_alignment(source: FloatArray, target: FloatArray) -> Pose3:
-    """Return `T_target_source` that brings points (n, 3) nearest to points (n, 3) in the least-squares sense.
+    """Return the least-squares `T_target_source` from points (n, 3) to points (n, 3).
 
     Umeyama (PAMI 1991), Eqs. 39-42 without scale. Points on a line leave the turn about it open; that of the
     singular value decomposition is then taken.

@@ -1,4 +1,4 @@
-"""What makes a result that came to its end no result: the place was lost, or scans were left out.
+"""Rules for failed results: lost, incomplete or inconsistent, worse than the odometry.
 
 The same rules hold for runs, mapped logs and scores; only mapped logs are tested for scans that contradict
 each other (`lirs_validation.metrics.consistency`): a run knows the truth, and its hillsides contradict.
@@ -19,7 +19,7 @@ VISIBLE = 0.0005
 
 
 class LostRule:
-    """Says, scan after scan, whether a mapper has lost its place."""
+    """Rule that decides scan by scan whether a mapper is lost."""
 
     def __init__(self) -> None:
         self._scans = self._lost = 0
@@ -47,7 +47,7 @@ class LostRule:
             self._too_long = seconds, self._begun
 
     def may_end(self, first: float, last: float, scans: int) -> bool:
-        """Whether the place is lost for too long if the mapper knows it after none of the next scans.
+        """Return whether losing all next scans would mean that the mapper is lost.
 
         Args:
             first: stamp of the first of them, seconds.
@@ -59,14 +59,20 @@ class LostRule:
 
     @property
     def too_long(self) -> str | None:
-        """For how long and from when on the place was lost; None where 5 s or 10 scans were not reached."""
+        """Message about the longest loss, with start and duration.
+
+        None below 5 s or 10 scans.
+        """
         if self._too_long is None:
             return None
         seconds, begun = self._too_long
         return f"the mapper lost its place at {begun:.1f} s for {seconds:.1f} s"
 
     def reason(self) -> str | None:
-        """Return why the place is lost, by time or by share of all scans so far; None where it is not."""
+        """Return why the mapper is lost; None if it is not.
+
+        The time and the share of all scans so far count.
+        """
         share = self._lost / self._scans if self._scans else 0.0
         if self.too_long is None and share <= LOST_SHARE:
             return None
@@ -77,7 +83,7 @@ class LostRule:
 
 
 def incompleteness(coverage: float) -> str | None:
-    """Return why a trajectory that covers this share of the scans is no result; None where it is one."""
+    """Return why a trajectory's scan coverage is too low; None if it suffices."""
     if coverage >= LEAST_COVERAGE:
         return None
     return (
@@ -87,7 +93,7 @@ def incompleteness(coverage: float) -> str | None:
 
 
 def inconsistency(contradicted: float | None) -> str | None:
-    """Return why a trajectory with this share of contradicting scans is wrong; None where it is not."""
+    """Return why the share of contradicting scans is too high; None if acceptable."""
     if contradicted is None or contradicted <= LOST_SHARE:
         return None
     return (

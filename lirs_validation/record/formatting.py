@@ -1,4 +1,4 @@
-"""Records and numbers as text: one number of digits for each value, in every table and picture."""
+"""Text of records and numbers, with the same digits everywhere."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Entry = Mapping[str, Any]
 
 
 def as_entry(record: RunRecord | Entry) -> Entry:
-    """Return a record as nested dicts, whether it comes from a run or from a file."""
+    """Return a run's or a file's record as nested dicts."""
     if isinstance(record, Mapping):
         return record
     if not is_dataclass(record):

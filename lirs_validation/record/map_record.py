@@ -1,4 +1,4 @@
-"""What a log was mapped with and what came of it: JSON, enough to do it again."""
+"""Record of a mapped log: options and results, as JSON and text."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ KIND = "map of a log"
 
 @dataclass(frozen=True, kw_only=True)
 class MapRecord:
-    """What came of a mapped log.
+    """Result of mapping a log.
 
     Attributes:
         name: of the folder.
@@ -82,7 +82,7 @@ def is_mapped_log(folder: Path) -> bool:
 
 
 def describe_log(log: LaserLog) -> dict[str, Any]:
-    """Return what a record holds of a log."""
+    """Return a record's description of a log."""
     first, stamps = log.scans[0] if log.scans else None, log.stamps
     return {
         "laser": log.laser,
@@ -105,7 +105,7 @@ def describe_log(log: LaserLog) -> dict[str, Any]:
 
 
 def describe_map(grid: OccupancyGrid) -> dict[str, Any]:
-    """Return what a record holds of a map."""
+    """Return a record's description of a map."""
     rows, cols = grid.shape
     return {
         "cells": [rows, cols],
@@ -149,7 +149,7 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
 
 
 def repair_lines(record: MapRecord) -> list[tuple[str, str]]:
-    """Return what of the log was left out or put right, and how often; nothing where it was whole."""
+    """Return counts of skipped and repaired parts of a log; empty without any."""
     log = record.log
     lines = [("skipped", f"{count} x {why}") for why, count in _most(log["skipped"])]
     stamps = log["stamps"]
@@ -170,7 +170,7 @@ def _contradiction_line(record: MapRecord) -> list[tuple[str, str]]:
 
 
 def _inertial_line(record: MapRecord) -> list[tuple[str, str]]:
-    """Return at how many scans the attitude is known, where a file of readings was given."""
+    """Return the number of scans with attitude, if an IMU file was given."""
     if record.config.imu is None:
         return []
     told = " (not told to the mapper)" if record.config.attitude == "none" else ""

@@ -1,4 +1,4 @@
-"""The catalog of metrics: where each stands in a record, its name, unit and digits, which way is better.
+"""Catalog of metrics: key in a record, name, unit, digits, better direction.
 
 Tables on the screen, pictures, the report, comparisons and CSV select from it: a metric is added here, and
 in the JSON schema of records.
@@ -77,7 +77,10 @@ class Metric:
         return None if value is None else float(value) * self.scale
 
     def comparable(self, entry: Entry) -> float | None:
-        """Return the value in this unit; None also for the RTF of a run that shared the processor."""
+        """Return the comparable value in this unit.
+
+        None also for the RTF of a run that shared the processor.
+        """
         return self.of(entry) if self.section != "rtf" or rtf_counts(entry) else None
 
     def formatted(self, value: float | None) -> str:
@@ -214,12 +217,18 @@ def metrics_named(keys: Sequence[str]) -> tuple[Metric, ...]:
 
 
 def rtf_counts(entry: Entry) -> bool:
-    """Whether a run's RTF counts: one of a run that shared the processor depends on the other runs."""
+    """Return whether a run's RTF counts.
+
+    In a run that shared the processor, it depends on the other runs.
+    """
     return bool(entry["rtf"]) and not entry["rtf"]["concurrent"]
 
 
 def picture_lines(record: RunRecord | Entry) -> list[tuple[str, str]]:
-    """Return the names and formatted values of a run's picture, the status first; what exists alone."""
+    """Return names and values for a run's picture, the status first.
+
+    Values that do not exist are left out.
+    """
     entry = as_entry(record)
     lines = [("status", str(entry["status"]))]
     for metric in metrics_selected("picture"):
@@ -233,7 +242,10 @@ def picture_lines(record: RunRecord | Entry) -> list[tuple[str, str]]:
 
 
 def worse_than_odometry(entry: Entry) -> bool:
-    """Whether a run's, a score's or a mapped log's ATE is larger than that of the odometry alone."""
+    """Return whether an ATE is larger than the odometry's.
+
+    The entry is a run's, a score's or a mapped log's record.
+    """
     return is_worse(value_at(entry, ATE), value_at(entry, ODOMETRY_ATE))
 
 

@@ -1,4 +1,4 @@
-"""Where a result comes from: versions, the package's own code, the machine."""
+"""Provenance of a result: versions, code, machine, source files; staleness."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ OWN = ("lirs_wct", "lirs_envs", "slam_baselines", "lirs_validation")
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that decide the result, and `code` (see there)."""
+    """Return the versions of Python, relevant packages and our code (`code`)."""
     return {"python": platform.python_version()} | _installed() | {"code": code()}
 
 
@@ -36,7 +36,10 @@ def _installed() -> dict[str, str]:
 
 @cache
 def code() -> str:
-    """Return eight hex digits of our own code and robots: they distinguish two states of one version."""
+    """Return eight hex digits of our code and robots.
+
+    They distinguish two states of one version.
+    """
     digest = hashlib.sha256()
     for package in OWN:
         spec = importlib.util.find_spec(package)
@@ -47,7 +50,7 @@ def code() -> str:
 
 
 def machine() -> dict[str, Any]:
-    """Return what the run's times depend on."""
+    """Return the machine's properties, on which a run's times depend."""
     return {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()}
 
 
@@ -76,7 +79,7 @@ class SourceFile:
 
 
 def source_files(config: RunConfig) -> tuple[SourceFile, ...]:
-    """Return the files that hold the shape of a config's world, the source first; none of a bundled one.
+    """Return a world's source files, the source first; empty for bundled worlds.
 
     Raises:
         SourceError: there is no such source, or a file of it cannot be read.
@@ -93,7 +96,7 @@ def source_files(config: RunConfig) -> tuple[SourceFile, ...]:
 
 
 def with_recorded_source(config: RunConfig, recorded: Sequence[dict[str, Any]]) -> RunConfig:
-    """Return a recorded config whose source is the very one that the run was made from.
+    """Return a recorded config with the same source content as in the run.
 
     Args:
         config: as recorded: its source is as it was typed, in whichever folder that was.
@@ -119,7 +122,7 @@ def with_recorded_source(config: RunConfig, recorded: Sequence[dict[str, Any]]) 
 
 
 def same_source(config: RunConfig, recorded: Sequence[dict[str, Any]]) -> bool:
-    """Tell whether a config's source holds what a run was made from, as far as its record says."""
+    """Return whether a config's source has the recorded content."""
     try:
         return not recorded or _digests(source_files(config)) == [file["sha256"] for file in recorded]
     except SourceError:
@@ -127,7 +130,10 @@ def same_source(config: RunConfig, recorded: Sequence[dict[str, Any]]) -> bool:
 
 
 def _place(config: RunConfig, recorded: Sequence[dict[str, Any]]) -> str:
-    """Return where the source lay: of a built folder, which is recorded by its files, the folder."""
+    """Return the recorded place of the source.
+
+    For a built folder, the folder, although its files are recorded.
+    """
     first = Path(str(recorded[0]["path"]))
     built = first.name == "world.json" and Path(config.source).name != first.name
     return str(first.parent if built else first)
@@ -168,7 +174,7 @@ def _digest_of(path: Path, changed: int, size: int) -> str:
 
 
 def same_code(found: Any) -> bool:
-    """Tell whether a result comes from this version of the package, and from this very code."""
+    """Return whether this very code and package version made a result."""
     return (
         isinstance(found, dict)
         and found.get("code") == code()
@@ -177,7 +183,7 @@ def same_code(found: Any) -> bool:
 
 
 def world_files(config: RunConfig) -> list[Path]:
-    """Return the files that a source is read from, as far as its name says; none for a bundled world."""
+    """Return a source's files, judged by its name; empty for bundled worlds."""
     path = Path(config.source)
     if path.is_dir():
         return [path / "world.json", path / "world.npz"]

@@ -1,4 +1,4 @@
-"""The run record: config, seed, versions, machine and every metric; JSON, enough to run it again."""
+"""Run record: config, versions, machine, metrics and result files, as JSON."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ def succeeded(entry: Mapping[str, Any]) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class RunRecord(ShownAsTable):
-    """What came of a run; its metrics mean what the design's definitions say.
+    """Result of a run.
+
+    The design's definitions apply to its metrics.
 
     A run that came to nothing (`error`, `timeout`) has no metrics.
 
@@ -149,18 +151,21 @@ WITHOUT = (RECORD, "error.txt")
 
 
 def bag_files(config: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the names of the bag's files in a run's folder; none where it was not recorded."""
+    """Return the names of a bag's files; empty without a bag."""
     storage: Storage | None = config.get("bag")
     return () if storage is None else (METADATA, f"{BAG}{FILES[storage]}")
 
 
 def file_sizes(folder: Path) -> dict[str, int]:
-    """Return the bytes of each file in a run's folder by name, without the record, which is to hold them."""
+    """Return file sizes of a run's folder by name.
+
+    The record, which will hold them, is left out.
+    """
     return {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.name != RECORD}
 
 
 def damaged_files(folder: Path, entry: Mapping[str, Any]) -> list[str]:
-    """Return the files of a run's folder that are missing, empty or not as long as they were written.
+    """Return missing, empty or truncated files of a run's folder.
 
     Of a record without sizes, as older versions wrote them, that is every file.
 
@@ -188,7 +193,10 @@ def maps_clouds(entry: Mapping[str, Any]) -> bool:
 
 
 def _size(path: Path) -> int:
-    """Return the bytes of a file; 0 where there is none."""
+    """Return file sizes of a run's folder by name.
+
+    The record, which will hold them, is left out.
+    """
     try:
         return path.stat().st_size
     except OSError:

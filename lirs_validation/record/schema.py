@@ -1,4 +1,4 @@
-"""The JSON schema of a run's record, shipped with the package, and what in a record does not fit it."""
+"""JSON schema of a run's record, and validation against it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def record_schema() -> dict[str, Any]:
 
 
 def schema_error(entry: Mapping[str, Any]) -> str | None:
-    """Return where a record does not fit the schema, and why, in one line; None where it does."""
+    """Return the first schema violation in one line; None if valid."""
     error = best_match(_validator().iter_errors(entry))
     if error is not None:
         place = ".".join(str(part) for part in error.absolute_path) or "record"

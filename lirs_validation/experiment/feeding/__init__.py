@@ -1,1 +1,1 @@
-"""How a drive's mapper gets its scans: at once, in a thread of its own, or in a process of its own."""
+"""Feeding of a mapper: direct, in a thread, or in a process."""

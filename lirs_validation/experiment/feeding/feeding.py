@@ -1,4 +1,7 @@
-"""Feeding a mapper: scans go in, answers come out in their order; at once, or beside the drive."""
+"""Interface of feeding, and direct feeding.
+
+Scans go in, answers come out in the same order.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ class Feeding(Protocol):
 
     @property
     def place(self) -> Place:
-        """Where the mapper works."""
+        """Place of the mapper."""
         ...
 
     @property
@@ -59,18 +62,18 @@ class DirectFeeding:
 
     def give(self, observation: Observation) -> None:
         """Keep the scan (see `Feeding`)."""
-        self._sensed = sensed(observation, clouds=isinstance(self._mapper, GuardedCloudMapper))
+        self._sensed = update_arguments(observation, clouds=isinstance(self._mapper, GuardedCloudMapper))
 
     def answer(self) -> Answer:
         """Feed the mapper (see `Feeding`)."""
-        return answered(self._mapper, self._sensed)
+        return update_mapper(self._mapper, self._sensed)
 
     def close(self) -> None:
         """Nothing goes on."""
 
 
-def sensed(observation: Observation, *, clouds: bool) -> tuple[Any, ...]:
-    """Return what of an observation a mapper's `update` takes.
+def update_arguments(observation: Observation, *, clouds: bool) -> tuple[Any, ...]:
+    """Return the arguments of `Mapper.update`.
 
     Raises:
         ConfigError: it takes a point cloud, and the lidar has no rings.
@@ -89,7 +92,7 @@ Place = Literal["drive", "thread", "process"]
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a mapper answered to a scan.
+    """Answer of a mapper to a scan.
 
     Attributes:
         estimate: `T_map_base`, in the plane or in space.
@@ -102,7 +105,7 @@ class Answer:
     seconds: float
 
 
-def answered(mapper: AnyMapper, update: tuple[Any, ...]) -> Answer:
+def update_mapper(mapper: AnyMapper, update: tuple[Any, ...]) -> Answer:
     """Give a mapper what its `update` takes; return its answer.
 
     Raises:

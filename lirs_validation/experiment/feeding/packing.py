@@ -1,4 +1,7 @@
-"""What a drive and its mapper's process send each other: scans and answers by the batch, as plain arrays."""
+"""Messages between a drive and its mapper's process.
+
+Scans and answers are sent in batches, as plain arrays.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +35,8 @@ class ScanBatch:
     numbers: FloatArray
 
 
-def packed(updates: Sequence[tuple[Any, ...]]) -> ScanBatch | Sequence[tuple[Any, ...]]:
-    """Return what updates of one kind take, as it is sent; point clouds are arrays already."""
+def pack_updates(updates: Sequence[tuple[Any, ...]]) -> ScanBatch | Sequence[tuple[Any, ...]]:
+    """Return arguments of updates as arrays, to be sent."""
     first = updates[0][0]
     if not isinstance(first, LaserScan):
         return updates
@@ -42,7 +45,7 @@ def packed(updates: Sequence[tuple[Any, ...]]) -> ScanBatch | Sequence[tuple[Any
     return ScanBatch(replace(first, ranges=first.ranges[:0]), ranges, numbers)
 
 
-def unpacked(batch: ScanBatch | Sequence[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]]:
+def unpack_updates(batch: ScanBatch | Sequence[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]]:
     """Yield what each update takes."""
     if not isinstance(batch, ScanBatch):
         yield from batch
@@ -51,12 +54,12 @@ def unpacked(batch: ScanBatch | Sequence[tuple[Any, ...]]) -> Iterator[tuple[Any
         yield replace(batch.lidar, ranges=ranges, stamp=stamp), Pose2(x, y, yaw), Imu.from_row(*imu)
 
 
-def packed_pose(pose: Pose2 | Pose3) -> tuple[float, ...]:
+def pack_pose(pose: Pose2 | Pose3) -> tuple[float, ...]:
     """Return the numbers of a pose, three in the plane, seven in space."""
     numbers: tuple[float, ...] = (_PLANE if isinstance(pose, Pose2) else _SPACE)(pose)
     return numbers
 
 
-def unpacked_pose(numbers: tuple[float, ...]) -> Pose2 | Pose3:
+def unpack_pose(numbers: tuple[float, ...]) -> Pose2 | Pose3:
     """Return the pose of such numbers."""
     return Pose2(*numbers) if len(numbers) == 3 else Pose3(*numbers)

@@ -1,4 +1,7 @@
-"""A mapper in a process of its own: it works beside the drive, and Python's lock is each one's own."""
+"""Mapper in its own process.
+
+It works next to the drive without sharing Python's lock.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +21,8 @@ from weakref import finalize
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.cost import Cost
-from lirs_validation.experiment.feeding.feeding import Answer, Place, sensed
-from lirs_validation.experiment.feeding.packing import packed, unpacked_pose
+from lirs_validation.experiment.feeding.feeding import Answer, Place, update_arguments
+from lirs_validation.experiment.feeding.packing import pack_updates, unpack_pose
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory
@@ -39,7 +42,9 @@ PROGRAM = (
 
 
 class MapperProcess:
-    """A process that makes a run's mapper, and is fed with scans; it ends with this object.
+    """Process that creates and feeds a run's mapper.
+
+    It ends with this object.
 
     It is a `Feeding`, and what it is asked for as a mapper it asks that one: only while no scan is
     unanswered.
@@ -59,7 +64,7 @@ class MapperProcess:
         self._name = config.mapper
         self._pipe, far = Pipe()
         try:
-            self._process = _started(far)
+            self._process = _start_process(far)
         except OSError as error:
             raise MapperError(
                 f"mapper {config.mapper!r}: no process of its own can be started ({error}); "
@@ -83,17 +88,20 @@ class MapperProcess:
         self.compile_seconds = self._reply()
 
     def begin(self) -> None:
-        """Begin anew with a mapper that knows nothing; what it costs is counted from now on."""
-        self._asked("begin")
+        """Restart with a new mapper, and restart its cost meter."""
+        self._request("begin")
 
     @property
     def ready(self) -> bool:
-        """Whether the next answer is there, or none will come; a batch that is not full is not asked for."""
+        """Return whether the next answer is ready, or none will come.
+
+        An incomplete batch is not requested.
+        """
         return bool(self._answers) or self._pipe.closed or (self._sent > 0 and self._pipe.poll())
 
     def give(self, observation: Observation) -> None:
         """Hand over a scan (see `Feeding`)."""
-        self._given.append(sensed(observation, clouds=self.reads_clouds))
+        self._given.append(update_arguments(observation, clouds=self.reads_clouds))
         if len(self._given) >= BATCH:
             self._flush()
 
@@ -118,27 +126,27 @@ class MapperProcess:
 
     def map(self) -> OccupancyGrid:
         """Return the mapper's map."""
-        return self._asked("map")  # type: ignore[no-any-return]
+        return self._request("map")  # type: ignore[no-any-return]
 
     def trajectory(self) -> Trajectory:
         """Return the mapper's trajectory."""
-        return self._asked("trajectory")  # type: ignore[no-any-return]
+        return self._request("trajectory")  # type: ignore[no-any-return]
 
     @property
     def stats(self) -> MapperStats:
-        """What the mapper counted."""
-        return self._asked("stats")  # type: ignore[no-any-return]
+        """Statistics of the mapper."""
+        return self._request("stats")  # type: ignore[no-any-return]
 
     @property
     def lost(self) -> bool:
         """Whether the mapper does not know its place."""
-        return self._asked("lost")  # type: ignore[no-any-return]
+        return self._request("lost")  # type: ignore[no-any-return]
 
     def cost(self) -> Cost:
         """Return what the process has taken since `begin`."""
-        return self._asked("cost")  # type: ignore[no-any-return]
+        return self._request("cost")  # type: ignore[no-any-return]
 
-    def _asked(self, name: str) -> Any:
+    def _request(self, name: str) -> Any:
         assert self._idle, "a mapper at work is asked nothing"
         self._send(name)
         return self._reply()
@@ -149,7 +157,7 @@ class MapperProcess:
 
     def _flush(self) -> None:
         """Send the scans that were given."""
-        self._send("update", packed(self._given))
+        self._send("update", pack_updates(self._given))
         self._sent += 1
         self._given.clear()
 
@@ -159,7 +167,7 @@ class MapperProcess:
             self._flush()
         answers, error = self._reply()
         self._sent -= 1
-        self._answers.extend(Answer(unpacked_pose(pose), lost, seconds) for pose, lost, seconds in answers)
+        self._answers.extend(Answer(unpack_pose(pose), lost, seconds) for pose, lost, seconds in answers)
         if error is not None:
             self._answers.append(error)
 
@@ -201,7 +209,9 @@ def mapper_process(config: RunConfig, mapper: Mapper | CloudMapper) -> MapperPro
 
 
 def ready_process(process: MapperProcess | None) -> MapperProcess | None:
-    """Return a process once its mapper is ready; None where it cannot be made there, of which is warned.
+    """Return a process with a ready mapper.
+
+    Return None and warn if the process cannot create the mapper.
 
     Raises:
         MapperError: the process ended.
@@ -221,8 +231,8 @@ def ready_process(process: MapperProcess | None) -> MapperProcess | None:
     return process
 
 
-def _started(far: Connection) -> subprocess.Popen[bytes]:
-    """Start a process that holds one end of a pipe, and that no Ctrl-C reaches but this process."""
+def _start_process(far: Connection) -> subprocess.Popen[bytes]:
+    """Start a process with one end of a pipe, protected from Ctrl-C."""
     handle = far.fileno()
     program = PROGRAM.format(argv=sys.argv, path=sys.path, handle=handle, parent=os.getpid())
     options: dict[str, Any] = {"pass_fds": (handle,), "start_new_session": True}
@@ -234,7 +244,10 @@ def _started(far: Connection) -> subprocess.Popen[bytes]:
 
 
 def _end(process: subprocess.Popen[bytes], pipe: Connection) -> None:
-    """End a process: one that is idle ends by itself, one at work is interrupted, and killed in the end."""
+    """End a process.
+
+    An idle one ends by itself; a working one is interrupted, and killed in the end.
+    """
     pipe.close()
     for end, patience in ((process.terminate, IDLE_END), (process.kill, PATIENCE)):
         with suppress(subprocess.TimeoutExpired):

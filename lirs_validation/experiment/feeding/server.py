@@ -1,4 +1,4 @@
-"""What a mapper's process does: it makes the mapper, feeds it, and tells what it is asked for."""
+"""Server in a mapper's process: creates the mapper, feeds it, answers requests."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from typing import Any
 
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.cost import Cost, CostMeter, compile_timer
-from lirs_validation.experiment.feeding.feeding import answered
-from lirs_validation.experiment.feeding.packing import ScanBatch, packed_pose, unpacked
-from lirs_validation.experiment.mapper_guard import guarded
+from lirs_validation.experiment.feeding.feeding import update_mapper
+from lirs_validation.experiment.feeding.packing import ScanBatch, pack_pose, unpack_updates
+from lirs_validation.experiment.mapper_guard import guard_mapper
 from lirs_validation.experiment.mapper_loading import mapper_named, warm_up_mapper
 from lirs_validation.interrupts import end_with
 from lirs_wct.errors import MapperError, WctError
@@ -37,7 +37,7 @@ PackedAnswer = tuple[tuple[float, ...], bool, float]
 
 
 def serve(handle: int, parent: int) -> None:
-    """Do what comes through a pipe until it is closed, or the parent asks to end.
+    """Serve requests from a pipe until it closes or the parent ends it.
 
     Args:
         handle: of this process's end of the pipe.
@@ -88,21 +88,24 @@ class _Server:
     def begin(self) -> None:
         """Make the mapper anew; what there is, is left to Python's garbage collector (see `heap_at_rest`)."""
         c = self._config
-        self._mapper = guarded(mapper_named(c.mapper, c.seed), c)
+        self._mapper = guard_mapper(mapper_named(c.mapper, c.seed), c)
         gc.freeze()
         self._meter = CostMeter()
 
     def update(
         self, batch: ScanBatch | Sequence[tuple[Any, ...]]
     ) -> tuple[list[PackedAnswer], Exception | None]:
-        """Feed the mapper; return pose, lost and seconds of each scan, and what ended it before the last."""
+        """Feed the mapper; return its answers and the error that stopped it.
+
+        An answer is pose, lost and seconds of a scan.
+        """
         answers: list[PackedAnswer] = []
-        for update in unpacked(batch):
+        for update in unpack_updates(batch):
             try:
-                answer = answered(self._mapper, update)
+                answer = update_mapper(self._mapper, update)
             except Exception as error:
                 return answers, _sendable(error)
-            answers.append((packed_pose(answer.estimate), answer.lost, answer.seconds))
+            answers.append((pack_pose(answer.estimate), answer.lost, answer.seconds))
         return answers, None
 
     def map(self) -> OccupancyGrid:
@@ -127,7 +130,7 @@ class _Server:
 
 
 def _sendable(error: Exception) -> Exception:
-    """Return an error that another process can read, with a note of where it was raised."""
+    """Return a serializable error, with a note of its origin."""
     note = f"In the mapper's process:\n{''.join(traceback.format_exception(error))}"
     if type(error).__module__ != WctError.__module__:
         error = MapperError(str(error))

@@ -12,7 +12,13 @@ from typing import Any
 from weakref import finalize
 
 from lirs_envs.sensing.sensors import Observation
-from lirs_validation.experiment.feeding.feeding import Answer, AnyMapper, Place, answered, sensed
+from lirs_validation.experiment.feeding.feeding import (
+    Answer,
+    AnyMapper,
+    Place,
+    update_arguments,
+    update_mapper,
+)
 from lirs_validation.experiment.mapper_guard import GuardedCloudMapper
 
 SWITCH_INTERVAL = 2e-4
@@ -23,7 +29,7 @@ PATIENCE = 1.0
 
 @contextmanager
 def short_turns() -> Iterator[None]:
-    """Let threads that want to run Python in a block wait for each other less than they do usually."""
+    """Shorten the waiting time of threads for Python's lock in a block."""
     usual = sys.getswitchinterval()
     sys.setswitchinterval(min(usual, SWITCH_INTERVAL))
     try:
@@ -56,7 +62,7 @@ class ThreadFeeding:
 
     def give(self, observation: Observation) -> None:
         """Hand a scan to the mapper's thread (see `Feeding`)."""
-        self._mail.scans.put(sensed(observation, clouds=self._clouds))
+        self._mail.scans.put(update_arguments(observation, clouds=self._clouds))
         self._unanswered += 1
 
     def answer(self) -> Answer:
@@ -77,7 +83,7 @@ class ThreadFeeding:
 
 
 class _Mail:
-    """What the threads of a drive and of its mapper send each other."""
+    """Messages between the threads of a drive and of its mapper."""
 
     def __init__(self) -> None:
         self.scans: SimpleQueue[tuple[Any, ...] | None] = SimpleQueue()
@@ -95,7 +101,7 @@ def _feed(mapper: AnyMapper, mail: _Mail) -> None:
     with suppress(KeyboardInterrupt):
         while (update := mail.scans.get()) is not None and not mail.ended:
             try:
-                mail.answers.put(answered(mapper, update))
+                mail.answers.put(update_mapper(mapper, update))
             except BaseException as error:  # the drive's thread raises it
                 mail.answers.put(error)
                 return

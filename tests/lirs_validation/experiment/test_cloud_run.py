@@ -15,7 +15,12 @@ from lirs_validation import Run, validate
 from lirs_validation.analysis.result_folders import read_results
 from lirs_validation.config import RunConfig
 from lirs_validation.drawing.run_overview import FULL, error_picture
-from lirs_validation.experiment.mapper_guard import GuardedCloudMapper, GuardedMapper, check_sensors, guarded
+from lirs_validation.experiment.mapper_guard import (
+    GuardedCloudMapper,
+    GuardedMapper,
+    check_sensors,
+    guard_mapper,
+)
 from lirs_validation.experiment.mapper_loading import mapper_named, package_versions
 from lirs_validation.gui.session.finished_run import FinishedRun
 from lirs_validation.metrics.elevation import ElevationMap, read_elevation
@@ -190,7 +195,7 @@ def test_what_cannot_work_is_refused_before_the_world_is_built(change: dict[str,
 def test_any_lidar_suits_a_planar_mapper() -> None:
     for lidar in (None, "vlp16", "lds01"):
         check_sensors(make_mapper("hector"), RunConfig(source="medium", lidar=lidar))
-    assert isinstance(guarded(make_mapper("hector"), RunConfig(source="medium")), GuardedMapper)
+    assert isinstance(guard_mapper(make_mapper("hector"), RunConfig(source="medium")), GuardedMapper)
 
 
 @pytest.mark.usefixtures("here")
@@ -199,7 +204,7 @@ def test_without_attitude_there_is_no_inertial_reading() -> None:
     for attitude in ("imu", "none"):
         mapper = mapper_named("still_slam:Still", 1)
         config = RunConfig(source="medium", mapper="still_slam:Still", attitude=attitude)  # type: ignore[arg-type]
-        guarded(mapper, config).update(a_cloud(), Imu(stamp=1.0))  # type: ignore[call-arg, arg-type]
+        guard_mapper(mapper, config).update(a_cloud(), Imu(stamp=1.0))  # type: ignore[call-arg, arg-type]
         readings += mapper.imus  # type: ignore[union-attr]
     assert readings == [Imu(stamp=1.0), None]
 

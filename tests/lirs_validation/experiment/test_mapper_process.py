@@ -22,7 +22,7 @@ from lirs_validation import RunConfig, read_record, validate
 from lirs_validation.experiment.feeding.packing import packed, packed_pose, unpacked, unpacked_pose
 from lirs_validation.experiment.feeding.process import BATCH, MapperProcess
 from lirs_validation.experiment.loop import drive
-from lirs_validation.experiment.mapper_guard import guarded
+from lirs_validation.experiment.mapper_guard import guard_mapper
 from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_validation.experiment.run import prepare
 from lirs_validation.experiment.scenario import build_scenario
@@ -178,7 +178,7 @@ def test_a_process_answers_as_the_mapper_does_and_begins_anew() -> None:
     observations = [simulation.reset(Pose2())]
     observations += [simulation.advance(Twist(0.5, 0.2)) for _ in range(20)]
     updates = [(o.scan, o.odometry, o.imu) for o in observations]
-    here = guarded(mapper_named("gmapping", config.seed), config)
+    here = guard_mapper(mapper_named("gmapping", config.seed), config)
     expected = [here.update(*update) for update in updates]
     with closing(MapperProcess(config, reads_clouds=False)) as process:
         process.wait_until_ready()

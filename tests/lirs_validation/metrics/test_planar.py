@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from lirs_validation.metrics.alignment import motion, moved, planar, rigid_alignment, rms, wrapped
+from lirs_validation.metrics.alignment import motion, moved, planar, rigid_alignment, rms, wrap_angles
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.trajectory import Trajectory
 
@@ -32,7 +32,7 @@ def test_arrays_are_poses_one_by_one(seed: int) -> None:
     between = [p.inverse() @ q for p, q in zip(rows(a), rows(b), strict=True)]
     found = motion(a, b)
     np.testing.assert_allclose(found[:, :2], [(p.x, p.y) for p in between], atol=1e-9)
-    np.testing.assert_allclose(wrapped(found[:, 2]), [p.yaw for p in between], atol=1e-9)
+    np.testing.assert_allclose(wrap_angles(found[:, 2]), [p.yaw for p in between], atol=1e-9)
     np.testing.assert_allclose(moved(a, T), [(T @ p).as_array() for p in rows(a)], atol=1e-9)
     np.testing.assert_allclose(
         planar(Trajectory.from_poses(range(5), rows(a))),
@@ -46,7 +46,7 @@ def test_arrays_are_poses_one_by_one(seed: int) -> None:
     [(0.0, 0.0), (3.0, 3.0), (3.5, 3.5 - math.tau), (-3.5, math.tau - 3.5), (20.0, 20 - 3 * math.tau)],
 )
 def test_wrapped_by_hand(angle: float, expected: float) -> None:
-    assert wrapped(np.array([angle]))[0] == pytest.approx(expected, abs=1e-12)
+    assert wrap_angles(np.array([angle]))[0] == pytest.approx(expected, abs=1e-12)
 
 
 @given(seeds)
@@ -61,7 +61,7 @@ def test_alignment_is_the_best_of_all(seed: int) -> None:
     if turn[2, 2] < 0:  # the noise made it a turn out of the plane
         return
     np.testing.assert_allclose(
-        wrapped(np.array([found.yaw - math.atan2(turn[1, 0], turn[0, 0])])), 0, atol=1e-6
+        wrap_angles(np.array([found.yaw - math.atan2(turn[1, 0], turn[0, 0])])), 0, atol=1e-6
     )
     np.testing.assert_allclose(found.apply(source).mean(axis=0), target.mean(axis=0), atol=1e-9)
 
