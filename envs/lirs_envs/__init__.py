@@ -12,7 +12,7 @@ def _choose_opengl() -> None:
 
     MuJoCo reads the variable when it is imported.
 
-    Where EGL is missing nothing is set: with EGL asked for, MuJoCo could not even be imported.
+    Without EGL nothing is set: selecting a missing EGL would prevent the import of MuJoCo.
     """
     screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if "MUJOCO_GL" in os.environ or screen or not sys.platform.startswith("linux"):

@@ -24,8 +24,8 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
 
     Observation: a dict of the groups in `observe` (see `lirs_envs.episodes.observations.GROUPS`).
 
-    Action: (2,) in [-1, 1]: speed ahead and turn rate, of the robot's largest; of a robot that flies (3,):
-    of 3 m/s, 1.5 rad/s and a climb of 1 m/s.
+    Action: (2,) in [-1, 1]: speed ahead and turn rate, as shares of the robot's largest. A flying robot has
+    (3,): shares of 3 m/s, 1.5 rad/s and a climb of 1 m/s.
 
     Reward: that of the task, less 5 a second of collision and 0.1 a second of full action.
 

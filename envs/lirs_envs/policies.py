@@ -33,7 +33,7 @@ class PolicyContext:
         robot: figures of the robot.
         lidar: specification of its lidar.
         period: seconds a step.
-        seed: of a policy that draws at random.
+        seed: seed of a random policy.
     """
 
     robot: Robot
@@ -56,7 +56,7 @@ class PolicyContext:
 
 
 HOLD = 1.0
-"""Seconds for which a random action is held: drawn anew each step it would go nowhere."""
+"""Seconds for which a random action is held: new actions at each step would cancel out."""
 
 
 class StraightAhead:
@@ -96,13 +96,13 @@ class RandomActions:
 
 
 MARGIN = 0.15
-"""Meters that are kept beside the robot."""
+"""Lateral clearance of the robot, meters."""
 HORIZON = 4.0
 """Farther obstacles count for nothing, meters."""
 HEADINGS = np.radians(np.arange(-132, 133, 4))
 """Headings that are looked at, from the robot's own."""
 DETOUR, CHANGE = 1.6, 0.35
-"""Radians off the goal that a horizon of free way is worth, and cost of a radian off the last heading."""
+"""Reward of a free horizon, in radians off the goal; cost per radian off the last heading."""
 CAUTION = 1.0
 """Seconds of way that the robot keeps free ahead of it."""
 PATIENCE, BACK_OFF = 6.0, 1.5
@@ -143,7 +143,7 @@ class GoToGoal:
         """Return the action.
 
         Args:
-            observation: with the groups `scan` and `goal`.
+            observation: observation with the groups `scan` and `goal`.
         """
         distance, bearing = (float(value) for value in observation["goal"])
         free = self._free_ways(np.asarray(observation["scan"], dtype=np.float64), distance)

@@ -35,7 +35,7 @@ class Prop:
     Attributes:
         shape: `box`, `cylinder` (upright) or `sphere`.
         size: half extents of a box, radius and half height of a cylinder, radius of a sphere; meters.
-        place: where, on the ground.
+        place: pose on the ground.
         mass: kg; 0 = fixed.
 
     Raises:

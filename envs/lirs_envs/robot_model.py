@@ -58,7 +58,7 @@ class RobotModel:
         contact_drops: (ngeom,) least height of a geom's center above a contact that is no collision, meters;
             inf = every contact is one (the body), -inf = the geom is not the robot's.
         actuators: ids of the actuators of the wheels on the left and on the right, or of each rotor.
-        left_angles: where `qpos` holds the angles of the driven wheels on the left.
+        left_angles: indices of the driven wheels' angles on the left in `qpos`.
         right_angles: the same on the right.
         qpos: (nq,) positions, live; the first seven are those of `T_world_base`.
         qvel: (nv,) velocities, live.
@@ -143,7 +143,7 @@ class RobotModel:
         self._walker_centers = self.data.mocap_pos
 
     def __getstate__(self) -> dict[str, Any]:
-        # The data holds the model, and a copied view would be an array that nobody writes any more.
+        # The data holds the model, and a copied view would be an array that is no longer updated.
         left_out = ("model", "qpos", "qvel", "_base", "_ctrl", "_force", "_walker_centers")
         return {name: value for name, value in self.__dict__.items() if name not in left_out}
 
@@ -168,7 +168,7 @@ class RobotModel:
 
     def pose(self) -> Pose3:
         """Return `T_world_base`."""
-        # Asked for several times a scan: to see that nothing has moved takes a fourth of making a pose.
+        # Called several times per scan: a comparison of states takes a fourth of the time of a new pose.
         state = self._base.tobytes()
         if state != self._posed[0]:
             self._posed = state, base_pose(self.qpos)
@@ -264,7 +264,7 @@ class RobotModel:
         Args:
             initial: state to begin in.
             controls: one each control update.
-            walkers: that walk beside it.
+            walkers: walkers around the robot.
             reference: whether to take the reference physics' step; a control then is in force at the steps
                 that begin within its update.
 

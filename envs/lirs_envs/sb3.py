@@ -1,4 +1,4 @@
-"""Stable-Baselines3 takes no Gymnasium vector environments: this adapter makes them a `VecEnv` of its own."""
+"""Adapter from Gymnasium vector environments to the `VecEnv` of Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -68,8 +68,8 @@ class _RobotVecEnv:
     """Adapter of N robots to Stable-Baselines3's `VecEnv`, without its base class.
 
     Attributes:
-        vectors: whose environments it numbers one after the other.
-        reset_infos: of each environment's last reset.
+        vectors: vector environments, numbered one after the other.
+        reset_infos: infos of each environment's last reset.
     """
 
     num_envs: int

@@ -30,7 +30,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
     Args:
         num_envs: number of robots, N.
         task: `mapping`, `navigation` or `traverse`.
-        kind: of the course, where the task is to cross one; None = `mixed`.
+        kind: kind of course, for the traverse task only; None = `mixed`.
         autoreset_mode: `NextStep`, `SameStep` or `Disabled` (see Gymnasium's `AutoresetMode`).
         threads: number of threads; None = all processors of this process.
         max_episode_steps: truncates an episode before its time limit does; None = it does not.
@@ -202,7 +202,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         return self.episodes.observations.read(self._all)
 
     def _infos(self, ids: IntArray) -> dict[str, Any]:
-        """Return the infos of some environments, with a mask of them beside each."""
+        """Return the infos of some environments, each with its mask of environments."""
         mask = np.zeros(self.num_envs, np.bool_)
         mask[ids] = True
         infos: dict[str, Any] = {}

@@ -59,9 +59,9 @@ def draw_paths(
     A path that ends early has its last way point again.
 
     Args:
-        ground: from `walkable_ground`.
-        count: of paths.
-        rng: of the way points.
+        ground: free ground from `walkable_ground`.
+        count: number of paths.
+        rng: random generator of the way points.
         keep_out: discs that no path enters.
 
     Raises:
@@ -150,9 +150,9 @@ class Walkers:
         touchable: (m, 3) middles of those that are nearest to the robot.
 
     Args:
-        world: whose free ground they walk on.
+        world: world with the free ground of the walkers.
         count: number of walkers.
-        robot_radius: of the robot that they do not walk into, meters.
+        robot_radius: radius of the robot that walkers avoid, meters.
         props: x, y and radius of the props.
         bodies: number of walkers that MuJoCo has a body of, m.
 

@@ -26,7 +26,7 @@ class Curriculum(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArg
     `step`, with at most `lower_at` down. `info["difficulty"]` of a reset tells the one of the episode.
 
     Args:
-        env: with a `difficulty` and `info["success"]`.
+        env: environment with a `difficulty` and `info["success"]`.
         difficulty: difficulty of the first episode, 0 to 1.
         step: change of the difficulty.
         episodes: number of episodes in the success rate.
@@ -113,11 +113,11 @@ class ScanMapper(Protocol):
 class MapObservation(gym.Wrapper[Any, Any, Any, Any]):
     """Adds `map_pose`, (3,) x, y, yaw of `T_map_base`, and `local_map` to a dict of observations.
 
-    `local_map`: (1, cells, cells) uint8, 0 = unknown, 127 = free, 255 = occupied; the mapper's own pose in
-    the middle, row 0 = ahead, column 0 = left. The mapper sees each scan once, when the lidar has a new one.
+    `local_map`: (1, cells, cells) uint8, 0 = unknown, 127 = free, 255 = occupied. The mapper's pose is in the
+    center, row 0 = ahead, column 0 = left. The mapper receives each new scan once.
 
     Args:
-        env: whose `view.reading()` gives scan, odometry and attitude, and whose observations are a dict.
+        env: environment with dict observations; its `view.reading()` gives scan, odometry and attitude.
         make_mapper: returns a new mapper for each episode, such as `lambda: make_mapper("hector")`.
         cells: along a side of the local map.
         cell: edge of its cells, meters.

@@ -106,7 +106,7 @@ class Episodes:
         config: options.
         count: number of robots, N.
         threads: number of threads.
-        kind: of the course, where the task is to cross one; None = `mixed`.
+        kind: kind of course, for the traverse task only; None = `mixed`.
         max_steps: truncates an episode before its time limit does; None = it does not.
     """
 

@@ -43,7 +43,7 @@ class Observations:
     """The groups that a user chose.
 
     Attributes:
-        space: of one robot.
+        space: observation space of one robot.
 
     Raises:
         ConfigError: there is no such group, or none is given.

@@ -26,7 +26,7 @@ def maze(rooms: int, open_share: float, rng: np.random.Generator) -> tuple[Float
     Args:
         rooms: along each side.
         open_share: share of the walls that a perfect maze would have which are left out.
-        rng: of walls, start and goal.
+        rng: random generator of walls, start and goal.
     """
     start, goal = (int(rng.integers(rooms)), 0), (int(rng.integers(rooms)), rooms - 1)
     parent = _spanning_tree(rooms, start, rng)

@@ -54,9 +54,9 @@ def with_rocks(
     """Return heights with rocks on them, as domes with steep sides.
 
     Args:
-        rng: of places and sizes.
+        rng: random generator of positions and sizes.
         z: (n, n) heights, meters.
-        count: of rocks.
+        count: number of rocks.
         edge: side of the square, meters.
         border: width along its sides where no rock has its middle; at least the largest radius, meters.
         radius: least and largest, meters.

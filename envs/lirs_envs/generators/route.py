@@ -24,7 +24,7 @@ def winding_route(rng: np.random.Generator, sway: float) -> FloatArray:
     """Return (n, 2) x, y of a smooth way from west to east, meters.
 
     Args:
-        rng: of its bends.
+        rng: random generator of its bends.
         sway: most that it is north or south of the middle line, meters.
     """
     x = np.linspace(-ENDS, ENDS, round(2 * ENDS / LEG) + 1)

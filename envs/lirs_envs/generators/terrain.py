@@ -39,7 +39,7 @@ class GeneratedTerrain:
     """A square course with a gentle way through its obstacles.
 
     Attributes:
-        kind: of its obstacles.
+        kind: kind of its obstacles.
         difficulty: 0 to 1.
         heights: (257, 257) float32 meters, row 0 = north.
         cell: spacing of the nodes, meters; the middle is the world's origin.
@@ -78,10 +78,10 @@ def generate(
     """Make a course; the same random generator gives the same one.
 
     Args:
-        kind: of its obstacles (see `KINDS`).
+        kind: kind of its obstacles (see `KINDS`).
         difficulty: 0 (straight ahead passes all but mazes) to 1; a Husky's own limit lies below 0.5, beyond
             that it needs the gentle way.
-        rng: of everything.
+        rng: random generator of the whole course.
         scale: all lengths, relative to those for a Husky, whose course is 25.6 m square; the walls of a maze
             are never lower than 0.5 m.
         steepness: all slopes but those of walls, relative to those for a Husky.

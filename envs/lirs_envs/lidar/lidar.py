@@ -24,7 +24,7 @@ class BaseVelocity:
     """Velocity of the base during a rolling scan.
 
     Attributes:
-        linear: of base_link along x, y, z of the base, m/s.
+        linear: velocity of base_link along x, y, z of the base, m/s.
         angular: about x, y, z of the base, rad/s.
     """
 
@@ -81,7 +81,7 @@ class Lidar:
         Args:
             T_world_base: pose of the robot at the first beam.
             stamp: seconds.
-            velocity: of the base, for a rolling scan; None = at rest.
+            velocity: velocity of the base, for a rolling scan; None = at rest.
 
         Raises:
             SimulationError: the pose is not finite.

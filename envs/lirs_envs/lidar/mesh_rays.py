@@ -1,8 +1,8 @@
 """Rays against the triangles of a true mesh, through Embree.
 
-Wald et al. 2014, "Embree: a kernel framework for efficient CPU ray tracing". Embree calculates in single
-precision: it is asked which triangle a ray meets, in a frame at the mesh's middle; where the ray meets that
-one is calculated here, in double precision.
+Wald et al. 2014, "Embree: a kernel framework for efficient CPU ray tracing". Embree computes in single
+precision. It finds the triangle that a ray hits, in a frame at the mesh's center. This module computes the
+distance to that triangle in double precision.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.kernels import njit
 
 SLACK = 1e-4
-"""Meters by which Embree's largest range exceeds the one asked for: single precision at a kilometer."""
+"""Meters added to Embree's largest range: single precision at a kilometer."""
 
 
 class MeshCaster:

@@ -21,8 +21,8 @@ def rings(count: int, beams: int, elevation: tuple[float, float]) -> FloatArray:
 
     Args:
         count: number of rings.
-        beams: in each ring, evenly over a full turn.
-        elevation: of the lowest and the highest ring above the plane, radians.
+        beams: number of beams in each ring, evenly over a full turn.
+        elevation: elevation of the lowest and the highest ring above the plane, radians.
 
     Raises:
         ConfigError: there is no ring or no beam, or an elevation is beyond 90 deg.
@@ -45,7 +45,7 @@ class BeamPattern:
         directions: (n, 3) unit vectors in the sensor's frame.
         range_min: smallest range, meters.
         range_max: largest range, meters.
-        noise: of the ranges; beams that follow each other count as neighbors.
+        noise: noise of the ranges; beams that follow each other count as neighbors.
 
     Raises:
         ConfigError: the directions are no unit vectors, or the ranges no interval.
@@ -73,7 +73,7 @@ class PatternLidar:
         pattern: directions, ranges, noise.
         caster: geometry that the beams hit, such as `Simulation.caster`.
         T_base_laser: mount.
-        rng: of the noise.
+        rng: random generator of the noise.
     """
 
     def __init__(

@@ -29,7 +29,7 @@ class LidarPreset:
         range_max: largest range, meters.
         sigma: standard deviation of the range noise, meters.
         sigma_relative: the part of it that grows with the range, meters a meter; both add.
-        elevations: of the rings above the sensor's x-y plane, radians, from the lowest up.
+        elevations: elevations of the rings above the sensor's x-y plane, radians, from the lowest up.
 
     Raises:
         ConfigError: a value is not legal.
@@ -117,7 +117,7 @@ def ring_directions(angles: FloatArray, elevation: float = 0.0) -> FloatArray:
 
     Args:
         angles: (n,) radians, counter-clockwise.
-        elevation: of all of them above the sensor's x-y plane, radians.
+        elevation: common elevation above the sensor's x-y plane, radians.
     """
     c, s = math.cos(elevation), math.sin(elevation)
     return np.stack((c * np.cos(angles), c * np.sin(angles), np.full_like(angles, s)), axis=1)

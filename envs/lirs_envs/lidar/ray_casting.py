@@ -212,8 +212,8 @@ class WalkerCaster:
         met: (n,) which rays of the last call met a walker.
 
     Args:
-        caster: of all else; with MuJoCo's rays of the walkers, too.
-        walkers: that are met.
+        caster: caster of everything else; with MuJoCo's rays, of the walkers too.
+        walkers: walkers that rays can hit.
         builtin: whether the builtin rays meet the walkers.
     """
 
@@ -239,10 +239,10 @@ def make_caster(
 
     Args:
         world: ground and walls.
-        rays: whose rays.
+        rays: ray caster, `builtin` or `mujoco`.
         props: whether the data's model has props.
         data: MuJoCo's, for props and for its own rays.
-        walkers: that are seen.
+        walkers: walkers that rays can hit; None = none.
 
     Raises:
         ConfigError: builtin rays on a mesh with overhangs need embreex, which is not installed.

@@ -168,7 +168,7 @@ def safe_distance(
     It is at most `max_range`.
 
     Args:
-        terrain: that the bundle is above.
+        terrain: height field below the bundle.
         start: u, v, w: in cells from the south-west node, over the field, and meters up.
         directions: (n, 3) unit vectors.
         max_range: meters.
@@ -292,9 +292,10 @@ def _traverse(
 
     The interval lies in the field's box.
 
-    At t it is in `cell`, `height` above the surface. Begins with squares of `level`, descends into one only
-    where the ray, over its stretch through it, is not wholly above its maximum (from below: not wholly below
-    its minimum). Cells are stepped in integers: rounding moves a crossing by 1e-12 cells and never loses one.
+    At t the ray is in `cell`, `height` above the surface. The traversal begins with squares of `level`. It
+    descends into a square only if the ray inside it is not wholly above its maximum (from below: not wholly
+    below its minimum). Cells are stepped in integers: rounding moves a crossing by 1e-12 cells and never
+    loses one.
     """
     if height == 0.0:
         return t

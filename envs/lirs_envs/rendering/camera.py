@@ -21,7 +21,7 @@ class Camera:
 
     Args:
         shape: height and width of a picture, pixels.
-        name: of the camera in the robot's MJCF file.
+        name: name of the camera in the robot's MJCF file.
     """
 
     def __init__(self, shape: tuple[int, int] = SHAPE, name: str = CHASE) -> None:

@@ -41,7 +41,7 @@ class MapView:
         """Return a picture (rows, cols, 3) of the whole world.
 
         Args:
-            snapshot: that is shown.
+            snapshot: state to draw.
             path: driven until now.
             scan: taken at the snapshot; its hits are shown.
         """

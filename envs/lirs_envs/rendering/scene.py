@@ -34,11 +34,11 @@ class Snapshot:
     """A moment of a simulation.
 
     Attributes:
-        world: around the robot.
+        world: world of the robot.
         config: robot, props and number of walkers.
         qpos: (nq,) MuJoCo's positions of robot and props.
         walkers: (n, 3) middles of the walkers, meters.
-        goal: that is marked; None = none.
+        goal: goal to mark; None = none.
     """
 
     world: World
@@ -84,11 +84,11 @@ class RenderScene:
 
     Attributes:
         model: compiled; nothing in it touches anything.
-        data: where all are.
-        world: that is drawn.
+        data: state of robot, props and walkers.
+        world: rendered world.
 
     Args:
-        world: around the robot.
+        world: world of the robot.
         config: robot, props, number of walkers.
     """
 

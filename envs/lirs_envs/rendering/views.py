@@ -89,7 +89,7 @@ def check_screen() -> None:
         raise SimulationError(f"render mode human needs a screen (DISPLAY or WAYLAND_DISPLAY); {INSTEAD}")
     glfw: Any = import_module("glfw")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # That GLFW cannot is said below.
+        warnings.simplefilter("ignore")  # A failure of GLFW is reported below.
         window = None
         if glfw.init():
             glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
@@ -135,7 +135,7 @@ class Views:
 
         Args:
             mode: see `RENDER_MODES`.
-            snapshot: that is shown.
+            snapshot: state to draw.
             path: driven until now; on the map.
             scan: taken at the snapshot; on the map.
 

@@ -16,7 +16,7 @@ class Twist:
     Attributes:
         v: forward speed, m/s.
         omega: turn rate, rad/s, counter-clockwise.
-        climb: of a robot that flies: change of its height above the ground, m/s.
+        climb: change of a flying robot's height above the ground, m/s.
     """
 
     v: float = 0.0

@@ -63,8 +63,8 @@ class DifferentialDrive:
     """Wheel speeds of a robot with driven wheels on both sides.
 
     The command is limited in speed and acceleration. A skid-steered robot turns slower than its wheels imply,
-    by a factor that depends on slope and load: `Robot.skid_factor` is fed forward, a PI loop on the gyro does
-    the rest.
+    by a factor that depends on slope and load. `Robot.skid_factor` is fed forward, and a PI loop on the gyro
+    corrects the remaining error.
     """
 
     def __init__(self, robot: Robot, config: DriveConfig | None = None) -> None:

@@ -1,8 +1,8 @@
 """Flight control of a quadrotor: cascade from position to velocity, attitude and rotor thrusts.
 
-The cascade of the Hector quadrotor (Meyer et al., "Comprehensive simulation of quadrotor UAVs using ROS and
-Gazebo", SIMPAR 2012): position gives a wanted velocity, velocity a wanted acceleration, which is a
-thrust and a tilt; the attitude loop gives torques. It reads the true state, as Hector's does by default.
+The cascade is that of the Hector quadrotor (Meyer et al., "Comprehensive simulation of quadrotor UAVs using
+ROS and Gazebo", SIMPAR 2012). Position gives a wanted velocity, velocity a wanted acceleration, which is a
+thrust and a tilt. The attitude loop gives torques. The control reads the true state, like Hector's default.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class Airframe:
         mass: kg.
         inertia: (3,) about the body's axes, kg m^2.
         wrench: (rotors, 4) thrust along z and torque about x, y, z for one newton of each rotor.
-        max_thrust: of all rotors together, newtons.
+        max_thrust: greatest thrust of all rotors together, newtons.
     """
 
     mass: float
@@ -116,8 +116,9 @@ class Airframe:
 class QuadrotorController:
     """Rotor thrusts from commands.
 
-    A `Twist` flies ahead and turns at an altitude above the highest ground within the lookahead; the config's
-    at first, a climb changes it. Without any motion it holds its place. A `Waypoint` flies there and stays.
+    A `Twist` flies ahead and turns at an altitude above the highest ground within the lookahead. The altitude
+    begins at the config's value, and a climb changes it. Without motion the robot holds its position. A
+    `Waypoint` is a pose to fly to and hold.
     """
 
     def __init__(

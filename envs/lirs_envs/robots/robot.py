@@ -1,4 +1,4 @@
-"""Description of a robot beside its MJCF file."""
+"""Figures of a robot in addition to its MJCF file."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Robot(ShownAsTable):
         track: between left and right wheels, meters.
         rotors: actuators (thrust, newtons) of a flying robot instead of wheels.
         base_height: base_link above level ground, meters; of a flying robot, when it starts.
-        radius: of the circle around base_link that holds the robot, meters.
+        radius: radius of the circle around base_link that contains the robot, meters.
         max_speed: meters a second.
         max_turn_rate: rad/s.
         max_acceleration: m/s^2.
@@ -100,9 +100,9 @@ class Robot(ShownAsTable):
         """Wheel speed difference over `track` times yaw rate while all wheels slide or roll.
 
         On the spot a wheel slides sideways at wheelbase / 2 times the yaw rate. Dry friction opposes the
-        slip's direction, and the moments of its two parts cancel where slip ahead / slip sideways =
-        wheelbase / track; hence 1 + (wheelbase / track)^2, whatever the friction (1.80 for a Husky, whose
-        makers drive it with 1.875). 1 for a single driven axle, and without wheels.
+        slip's direction. The moments of its two parts cancel where slip ahead / slip sideways =
+        wheelbase / track. Hence the factor is 1 + (wheelbase / track)^2 for any friction: 1.80 for a Husky,
+        for which its makers use 1.875. It is 1 for a single driven axle, and without wheels.
         """
         return 1 + (self.wheelbase / self.track) ** 2 if self.wheelbase else 1.0
 

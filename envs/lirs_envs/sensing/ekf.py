@@ -1,13 +1,13 @@
 """Odometry by an extended Kalman filter over wheels and gyro, including their errors.
 
-The state is (x, y, yaw, bias of the gyro, scale error of the wheels). Between two readings the short
-increments are summed as the sensors measure them; the filter then takes the sum as one motion (its control),
-corrected by its estimates of bias and scale (Thrun, Burgard and Fox, "Probabilistic Robotics", 2005,
-table 7.2, with the two errors as further states). Where the wheels measure the turn, so they do the bias.
+The state is (x, y, yaw, bias of the gyro, scale error of the wheels). Between two readings the measured short
+increments are summed. The filter takes the sum as one motion (its control), corrected by its estimates of
+bias and scale. This is table 7.2 of Thrun, Burgard and Fox, "Probabilistic Robotics", 2005, with the two
+errors as further states. Wheels that measure the turn also make the bias observable.
 
-A skid-steered robot that turns on a slope slides down it: dry friction opposes the direction of the slip, so
-that wheels which slip at speed s already carry a small load sideways like a damper, mu m g / (2 s) on average
-over the directions of the slip. The pull m g sin(slope) is in balance with it at 2 s sin(slope) / mu.
+A skid-steered robot that turns on a slope slides down it. Dry friction opposes the direction of the slip.
+Wheels that already slip at speed s therefore react to a small side load like a damper, with mu m g / (2 s) on
+average over the directions of the slip. The pull m g sin(slope) balances it at 2 s sin(slope) / mu.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class EkfConfig:
             is never quite base_link.
         slide: gain of the slide down a slope, by the formula above. On the spot it is up to twice as large,
             in wide bends nearly nothing.
-        drift: of the slide down a slope while skidding, after one meter of it, meters.
+        drift: random part of the slide while skidding, after one meter of slide, meters.
         tilt: error of the turn after one radian of it, from an attitude that is not quite right, radians.
-        wheel_rate: of the wheels' turn rate on one driven axle, rad/s.
+        wheel_rate: error of the wheels' turn rate on one driven axle, rad/s.
         wheel_rate_relative: the part that grows with the rate, rad/s each rad/s.
         gate: largest normalized innovation that is accepted, in deviations: wheels may spin or be dragged.
         rest: turn rate of the wheels below which the robot stands, rad/s.
@@ -70,9 +70,9 @@ class EkfOdometry(WheelOdometry):
     """Odometry whose pose comes from the filter.
 
     Args:
-        robot: whose wheels.
+        robot: robot with the wheels.
         config: their noise.
-        rng: of the noise; the filter itself draws nothing.
+        rng: random generator of the noise; the filter itself draws nothing.
         imu: noise of the gyro.
         filter_config: errors that the filter expects beyond those.
     """

@@ -89,7 +89,7 @@ class ImuSensors:
         self.normals = np.zeros((count, 7))
 
     def begin(self, i: int, rng: np.random.Generator) -> None:
-        """Draw the biases of unit `i` anew, from `rng` as all that follows."""
+        """Draw new biases of unit `i`; `rng` is its random stream from now on."""
         config, self._rngs[i] = self.config, rng
         bias = rng.standard_normal(8)
         self.rate_bias[i] = bias[:3] * config.rate_bias
@@ -178,7 +178,7 @@ def read_imu(
     dt: float,
     parameters: ImuParameters,
 ) -> tuple[float, float, float, float, float]:
-    """Return measured roll, pitch and specific force; `bias` (5,) goes on by `dt` seconds."""
+    """Return measured roll, pitch and specific force; `bias` (5,) advances by `dt` seconds."""
     p = parameters
     keep = math.exp(-dt / p.attitude_time)
     fresh = math.sqrt(1 - keep * keep) * p.attitude_bias

@@ -34,12 +34,12 @@ class MotionSensors:
     """Gyro and odometry of any kind; both begin here.
 
     Attributes:
-        odometry: of the robot.
+        odometry: odometry of the robot.
 
     Args:
-        body: that moves.
-        gyro: of the inertial unit.
-        odometry: of the robot.
+        body: model of the moving robot.
+        gyro: gyro of the inertial unit.
+        odometry: odometry of the robot.
     """
 
     def __init__(self, body: RobotModel, gyro: ImuSensor, odometry: WheelOdometry | FlowOdometry) -> None:
@@ -74,7 +74,7 @@ class MotionSensors:
 
 
 class WheelAndGyroSensors(MotionSensors):
-    """The same of wheels and gyro alone, with `WheelOdometry.update` in one kernel."""
+    """Gyro and wheel odometry with `WheelOdometry.update` in one kernel."""
 
     def __init__(self, body: RobotModel, gyro: ImuSensor, odometry: WheelOdometry) -> None:
         super().__init__(body, gyro, odometry)
@@ -135,7 +135,7 @@ def add_motion(
     """Add the motion since the last update to odometry; return the wheel angles.
 
     Args:
-        odometry: of the robot.
+        odometry: odometry of the robot.
         body: its true state.
         readings: rates, roll and pitch.
         wheel_angles: at the last update, left and right, radians.
@@ -163,12 +163,12 @@ def _reckon(
 
     Args:
         state: true positions (nq,) and velocities (nv,), measured roll and pitch, radians.
-        joints: where the positions hold the angles of left and right wheels.
+        joints: indices of the left and right wheel angles in the positions.
         noise: errors of the gyro (1, n, 3) and how many are left (1,) (see `next_rates`); of the distance
             its scale error (1,), normal numbers (1, n) and how many are used (1,) (see `measured_distance`).
         parameters: radius of the wheels, meters; of the distance's noise.
         dt: seconds since the last update.
-        motion: (8,) x, y, yaw, mean angles of left and right wheels, rates; goes on.
+        motion: (8,) x, y, yaw, mean angles of left and right wheels, rates; updated in place.
     """
     qpos, qvel, roll, pitch = state
     errors, left_over, scale, normals, used = noise

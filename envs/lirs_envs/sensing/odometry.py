@@ -52,7 +52,7 @@ class OdometryIncrement(NamedTuple):
     Attributes:
         distance: driven, by the wheels, meters.
         wheel_turn: turn by the difference between the wheels, radians.
-        rates: of the gyro about x, y, z of the base, rad/s.
+        rates: rates of the gyro about x, y, z of the base, rad/s.
         roll: attitude, radians.
         pitch: attitude, radians.
         dt: seconds.
@@ -95,7 +95,7 @@ class DistanceNoises:
         self.scale = np.zeros(count)
 
     def begin(self, i: int, rng: np.random.Generator) -> None:
-        """Draw the scale error of robot `i` anew, from `rng` as all that follows."""
+        """Draw a new scale error of robot `i`; `rng` is its random stream from now on."""
         self._rngs[i], self.used[i] = rng, BLOCK
         self.draw()
         self.scale[i], self.used[i] = self.parameters[0] * self.normals[i, 0], 1
@@ -195,8 +195,8 @@ def reckoned_pose(
     Args:
         pose: x, y, yaw before.
         noise: scale error, normal numbers and how many are used (see `measured_distance`).
-        parameters: of the noise.
-        distance: by which the wheels have turned, meters.
+        parameters: parameters of the noise.
+        distance: distance from the turn of the wheels, meters.
         readings: measured rates about x, y, z of the base, rad/s, roll and pitch, radians.
         dt: seconds.
     """

@@ -31,10 +31,10 @@ class Observation:
     """Sensor readings at a scan's stamp.
 
     Attributes:
-        scan: of the lidar; of one with rings, the ring nearest the horizon.
+        scan: scan of the lidar; of one with rings, the ring nearest the horizon.
         odometry: `T_odom_base`.
-        imu: of the inertial unit.
-        cloud: of a lidar with rings; None of a planar one.
+        imu: reading of the inertial unit.
+        cloud: cloud of a lidar with rings; None for a planar one.
     """
 
     scan: LaserScan

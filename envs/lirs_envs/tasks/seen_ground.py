@@ -66,7 +66,7 @@ class SeenGround:
         """Mark the cells seen by the beams of robots; a beam without return sees its full range.
 
         Args:
-            rows: of the robots.
+            rows: rows of the robots.
             ranges: (N, n) meters (see `LaserScan`).
             range_max: meters.
             T_world_base: (N, 7) x, y, z, qw, qx, qy, qz of their poses.
@@ -140,7 +140,7 @@ def mark_seen(
         ceiling: (rows, cols) height up to which a beam sees the cell's ground, meters.
         highest: (rows / BLOCK, cols / BLOCK) highest ceiling in each block of cells.
         wanted: (rows, cols) cells that are counted apart.
-        start: of all beams: u and v in cells from the grid's corner, z in meters.
+        start: start of all beams: u and v in cells from the grid's corner, z in meters.
         directions: (n, 3) of the beams in the world, unit vectors.
         ranges: (n,) meters (see `LaserScan`).
         range_max: meters.

@@ -30,7 +30,7 @@ class Stage:
 
     Attributes:
         simulation: the robots.
-        site: of the world that all begin in.
+        site: free ground in the initial world.
         seen: the ground that they have seen; None = not needed.
         difficulty: difficulty of each robot's next episode, 0 to 1.
         randomize_start: whether starts are drawn.
@@ -68,7 +68,7 @@ class Task(ABC):
     Attributes:
         observe: groups of observations where the user names none.
         time_limit: seconds, where the user gives none.
-        option_names: of `reset(options=...)`.
+        option_names: names of the options of `reset(options=...)`.
         has_goal: whether there is a goal to observe.
         stage: state on which the task acts.
     """

@@ -21,7 +21,7 @@ SUCCESS = 10.0
 HUSKY_RADIUS, HUSKY_FRICTION = 0.58, 0.7
 """Reference robot of courses: radius, meters, and tangent of the slope on which it slides."""
 MIXED = "mixed"
-"""Kind of course that is any of the kinds, drawn anew for each episode."""
+"""Name of the kind that draws any of the kinds for each episode."""
 
 
 class CourseScale(NamedTuple):
