@@ -1,1 +1,1 @@
-"""Pictures, decoded safely."""
+"""Picture files: safe decoding, GeoTIFF tags, GDAL."""

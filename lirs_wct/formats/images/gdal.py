@@ -37,19 +37,19 @@ DRIVERS = {
     ".png": ("PNG",),
     ".jpg": ("JPEG",),
 }
-"""Drivers by suffix; a VRT's sources are read by those of the whole table."""
+"""Drivers by suffix; the sources of a VRT may use all of them."""
 PIXEL_BYTES = 20
-"""Memory of a pixel: a 64-bit number twice, and its mask."""
+"""Memory per pixel, bytes: two 64-bit numbers and a mask."""
 
 
 @dataclass(frozen=True)
 class GdalRaster:
-    """The first band of a raster, and what GDAL says of it.
+    """The first band of a raster and its metadata from GDAL.
 
     Attributes:
         width: columns of pixels.
         height: rows of pixels.
-        pixels: (rows, cols); NaN where a mask is set that no nodata value says; None of too many pixels.
+        pixels: (rows, cols), NaN where masked without a nodata value; None if there are too many pixels.
         nodata: value of pixels without a height, or None.
         scale: factor of the pixels.
         offset: added to the scaled pixels.
@@ -75,15 +75,15 @@ def rasterio_there() -> bool:
 
 
 def read_gdal(path: Path, drivers: tuple[str, ...], max_pixels: int) -> GdalRaster:
-    """Read a raster in a process that knows only its drivers, and files in its folder.
+    """Read a raster in a process restricted to its drivers and to files in its folder.
 
     Args:
         path: file.
-        drivers: names of those that may read it.
+        drivers: names of the allowed drivers.
         max_pixels: a larger raster is described without its pixels.
 
     Raises:
-        SourceError: rasterio is not there, or cannot read the file, or the file names others elsewhere.
+        SourceError: rasterio is missing or cannot read the file, or the file refers to another folder.
     """
     try:
         import rasterio
@@ -98,7 +98,7 @@ def read_gdal(path: Path, drivers: tuple[str, ...], max_pixels: int) -> GdalRast
         raise SourceError(str(error).replace(str(real), str(path), 1)) from error
     known = set(drivers) | (set().union(*DRIVERS.values()) if "VRT" in drivers else set())
     with rasterio.Env() as library:
-        # A driver can be left out only when the library starts: others fetch from a network.
+        # Drivers can be excluded only at the library's start; some would access a network.
         skipped = ",".join(set(library.drivers()) - known)
     return run_limited(
         path,
@@ -126,7 +126,7 @@ def _read(path: Path, drivers: tuple[str, ...], max_pixels: int) -> GdalRaster:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            # Where there are several, the library knows no others.
+            # With several drivers, the environment restricts the library to them.
             dataset = rasterio.open(real, driver=drivers[0] if len(drivers) == 1 else None)
         with dataset:
             for name in dataset.files:
@@ -149,7 +149,7 @@ def _read(path: Path, drivers: tuple[str, ...], max_pixels: int) -> GdalRaster:
 
 
 def _band(dataset: Any) -> NDArray[Any]:
-    """Return the first band; what its mask leaves out, and no nodata value says, is NaN."""
+    """Return the first band; masked pixels are NaN unless a nodata value marks them."""
     band: NDArray[Any] = dataset.read(1)
     if "per_dataset" in {flag.name for flag in dataset.mask_flag_enums[0]}:
         missing = dataset.read_masks(1) == 0
@@ -160,14 +160,14 @@ def _band(dataset: Any) -> NDArray[Any]:
 
 SIDECARS = (".aux.xml", ".ovr", ".msk")
 _NAMING = ("file", "dataset", "path", "dem", "url")
-"""Parts of the names of elements, attributes and options whose values are files."""
+"""Parts of names of elements, attributes and options whose values are files."""
 _FOLLOWED = ("overviews", "geolocation")
 """Domains of metadata whose values GDAL opens."""
 _HEAD = 1 << 16
 
 
 def followed_files(path: Path) -> set[Path]:
-    """Return the files that GDAL may read with a raster, itself included.
+    """Return the files that GDAL may read with a raster, including the raster.
 
     Raises:
         SourceError: a file names one that is not in its folder, or is a damaged VRT.
@@ -185,9 +185,9 @@ def followed_files(path: Path) -> set[Path]:
 
 
 def _references(path: Path) -> Iterator[str]:
-    """Yield the names of files in a VRT or a sidecar's XML; none of another file.
+    """Yield the file names in a VRT or in a sidecar's XML; nothing for other files.
 
-    The content counts, not the suffix: GDAL takes a source for a VRT that begins like one.
+    The content counts, not the suffix: GDAL treats any source that begins like a VRT as a VRT.
     """
     with path.open("rb") as file:
         head = file.read(_HEAD)
@@ -205,13 +205,13 @@ def _references(path: Path) -> Iterator[str]:
         for name, value in _named_values(element) if vrt else ():
             if any(word in name.lower() for word in _NAMING) and value.strip():
                 yield value.strip()
-                # GDAL reads such a name from the folder of the process.
+                # GDAL resolves such a name in the working directory.
                 if (element.get("relativeToVRT") or "0").strip() != "1":
                     yield str(Path.cwd() / value.strip())
 
 
 def _named_values(element: ElementTree.Element) -> Iterator[tuple[str, str]]:
-    """Yield the names and values of an element: GDAL takes an attribute for an element, too."""
+    """Yield the names and values of an element and its attributes, like GDAL."""
     tag = element.tag.rpartition("}")[2]
     if tag.lower() != "mdi":
         option = element.get("name") or element.get("key") or ""

@@ -1,4 +1,4 @@
-"""What the tags of a GeoTIFF mean: where its pixels lie, and how their values are heights.
+"""Meaning of a GeoTIFF's tags: georeference, and conversion of values to heights.
 
 OGC GeoTIFF 1.1 (19-008r4); scale, offset and unit of a band as GDAL writes them (tag 42112).
 """
@@ -35,14 +35,14 @@ _ROLE, _SAMPLE = re.compile(rb'\brole="(\w+)"'), re.compile(rb'\bsample="(\d+)"'
 
 @dataclass(frozen=True, slots=True)
 class RasterInfo:
-    """What a raster says of its pixels.
+    """Georeference and value conversion of a raster.
 
     Attributes:
-        georeference: where they lie; None where it says nothing.
-        nodata: value of pixels without height; NaN where that is what it is; None = not declared.
+        georeference: of the pixels; None = unknown.
+        nodata: value of pixels without height, which may be NaN; None = not declared.
         scale: height = scale value + offset, in units of height.
         offset: see scale.
-        unit: meters in a unit of height; None where the values are no heights.
+        unit: meters per unit of height; None if the values are not heights.
     """
 
     georeference: Georeference | None = None
@@ -53,10 +53,10 @@ class RasterInfo:
 
 
 def raster_info(path: Path, tags: tiff.Tags) -> RasterInfo:
-    """Return what the tags of a TIFF say.
+    """Return georeference and value conversion from the tags of a TIFF.
 
     Raises:
-        SourceError: they do not make sense.
+        SourceError: the tags contradict each other.
     """
     try:
         georeference = _georeference(path, tags)
@@ -76,7 +76,7 @@ def raster_info(path: Path, tags: tiff.Tags) -> RasterInfo:
 
 
 def height_unit(path: Path, name: str, tags: tiff.Tags | None = None) -> float:
-    """Return meters in a unit of height: by its name, else as the GeoKeys say, else a meter."""
+    """Return meters per unit of height: by its name, else from the GeoKeys, else 1."""
     american = re.sub("tre(s?)$", r"ter\1", name.strip().lower())
     for meters, names in UNITS.items():
         if american in names:
@@ -93,7 +93,9 @@ def height_unit(path: Path, name: str, tags: tiff.Tags | None = None) -> float:
 def georeference_raster(
     path: Path, system: CoordinateSystem, affine: Affine, shape: tuple[int, int]
 ) -> Georeference:
-    """Return where pixels lie; where PROJ is needed and not there, their units are ground meters, and told.
+    """Return the georeference of pixels.
+
+    Without a required PROJ, units count as ground meters, with a warning.
 
     Raises:
         ConfigError: the raster's middle is no place on the earth.
@@ -110,7 +112,7 @@ def georeference_raster(
 
 
 def tell_turn(path: Path, georeference: Georeference) -> None:
-    """Warn of a raster whose rows do not go along its coordinates, or not at right angles to its columns."""
+    """Warn of a raster that is rotated or skewed in its coordinates."""
     if abs(math.sin(math.radians(georeference.turn))) > TURNED:
         warnings.warn(
             f"{path}: is turned by {georeference.turn:.4g} deg; x of the world goes along its rows, "
@@ -140,7 +142,7 @@ def _georeference(path: Path, tags: tiff.Tags) -> Georeference | None:
 
 
 def affine_of(tags: tiff.Tags) -> tuple[Affine, bool] | None:
-    """Return column and row of pixels' middles to coordinates, and whether these are more than a spacing.
+    """Return the affine map of pixel middles, and whether it includes the position.
 
     Raises:
         ValueError: the spacing is not finite and above 0.
@@ -163,13 +165,13 @@ def affine_of(tags: tiff.Tags) -> tuple[Affine, bool] | None:
 
 
 def looks_geographic(affine: Affine) -> bool:
-    """Whether coordinates are likely degrees: pixels of at most 1/50 of a unit, and on the globe."""
+    """Whether coordinates are likely degrees: pixels below 1/50 unit, and on the globe."""
     a, b, c, d, e, f = affine
     return max(map(abs, (a, b, d, e))) < 0.02 and 0 < abs(c) <= 360 and 0 < abs(f) <= 90
 
 
 def system_of_keys(keys: dict[int, float]) -> CoordinateSystem:
-    """Return the coordinate system that the GeoKeys name."""
+    """Return the coordinate system of the GeoKeys."""
     geographic, projected = (int(keys.get(key, 0)) for key in (tiff.GEODETIC, tiff.PROJECTED))
     unit = tiff.METERS.get(int(keys.get(tiff.LINEAR_UNITS, 9001)), 1.0)
     if keys.get(tiff.MODEL_TYPE) == tiff.GEOGRAPHIC:

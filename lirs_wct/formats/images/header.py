@@ -1,8 +1,7 @@
 """Size and completeness of a picture from its bytes, before any pixel is decoded.
 
-Decoders allocate what a header announces and some fill in silently what is missing, so both are
-checked here first. Every function raises ValueError with a reason, or struct.error where the file
-ends too early.
+Decoders allocate memory for the announced size, and some silently fill in missing pixels. Both are therefore
+checked first. Every function raises ValueError with a reason, or struct.error if the file ends too early.
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ _PNM = re.compile(rb"P[1-6fF]\s+(?:#[^\n]*\n\s*)*(\d+)\s+(?:#[^\n]*\n\s*)*(\d+)"
 
 @dataclass(frozen=True, slots=True)
 class PictureHeader:
-    """What a picture file says about itself.
+    """Size, pages and tags of a picture file.
 
     Attributes:
         width: pixels.
         height: pixels.
         pages: pictures in the file.
         tags: a TIFF's tags.
-        masked: whether a page says which pixels of the first one count.
+        masked: whether a page is a mask of the first one.
     """
 
     width: int
@@ -64,7 +63,7 @@ def read_header(data: mmap.mmap) -> PictureHeader:
 
 
 def check_complete(data: mmap.mmap) -> None:
-    """Look for damage that a decoder would pass over or report on stderr by itself.
+    """Check for damage that a decoder would ignore or report only on stderr.
 
     Raises:
         ValueError: the file is truncated or a checksum is wrong.

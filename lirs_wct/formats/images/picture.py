@@ -33,15 +33,15 @@ STDERR = 2
 """File descriptor that C libraries write to."""
 _BY = re.compile(r"^lib(?:png|jpeg) (?:warning|error): ")
 _LOST = re.compile(r"(?!.*extraneous bytes)(?:Corrupt JPEG data|Premature end)")
-"""Notes after which pixels are missing; bytes between two markers are skipped without loss."""
+"""Notes that mean missing pixels; skipped bytes between two markers are harmless."""
 
 
 @dataclass(frozen=True, slots=True)
 class DecodedPicture:
-    """A decoded picture, orientation applied.
+    """A decoded picture with its orientation applied.
 
     Attributes:
-        pixels: (rows, cols) gray or (rows, cols, 3 or 4) BGR(A), in the file's own type.
+        pixels: (rows, cols) gray or (rows, cols, 3 or 4) BGR(A), in the file's data type.
         tags: a TIFF's tags, else empty.
     """
 
@@ -50,7 +50,7 @@ class DecodedPicture:
 
 
 def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = False) -> DecodedPicture:
-    """Decode the first page of a picture file; warns when there are more pages or bands.
+    """Decode the first page of a picture file; warn of more pages or bands.
 
     With `alpha` a transparent picture keeps its fourth channel, and EXIF orientation is not applied.
 
@@ -88,7 +88,7 @@ def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = Fals
 
 
 def _has_declared_type(pixels: NDArray[Any], tags: tiff.Tags) -> bool:
-    """Whether pixels have the type that a TIFF says; some versions of OpenCV take 32 bits for others."""
+    """Whether pixels have the declared type of a TIFF; some OpenCV versions misread 32 bits."""
     bits, form = (
         int((tiff.floats(tags, tag) or (other,))[0]) for tag, other in ((tiff.BITS, 1), (tiff.FORMAT, 1))
     )
@@ -99,10 +99,10 @@ def _has_declared_type(pixels: NDArray[Any], tags: tiff.Tags) -> bool:
 
 
 def _by_gdal(path: Path, pixels: NDArray[Any] | None, header: PictureHeader) -> NDArray[Any] | None:
-    """Return the first band of a TIFF as GDAL reads it, which knows masks and more compressions.
+    """Read the first band of a TIFF by GDAL, which supports masks and more compressions.
 
     Raises:
-        SourceError: rasterio is not there and the file holds what only it reads.
+        SourceError: the file needs rasterio, which is not installed.
     """
     if rasterio_there():
         return read_gdal(path, DRIVERS[".tif"], header.width * header.height).pixels
@@ -128,7 +128,7 @@ def _map_file(path: Path) -> mmap.mmap:
 
 
 def check_size(path: Path, w: int, h: int, max_pixels: int) -> None:
-    """Raise SourceError unless a picture of w x h pixels is neither too small nor too large."""
+    """Raise SourceError if a picture of w x h pixels is too small or too large."""
     if w < 2 or h < 2:
         raise SourceError(f"{path}: image is {w}x{h} px, a terrain needs at least 2x2")
     if w * h > max_pixels:
@@ -137,7 +137,7 @@ def check_size(path: Path, w: int, h: int, max_pixels: int) -> None:
 
 
 def _decode(data: ByteArray, flags: int) -> tuple[NDArray[Any] | None, list[str]]:
-    """Return the pixels, None where there are none, and the notes of the decoder, each once."""
+    """Return the pixels (None on failure) and the distinct notes of the decoder."""
     pixels: NDArray[Any] | None = None
     with _quiet_codecs() as output:
         with suppress(cv2.error):
@@ -150,9 +150,9 @@ def _decode(data: ByteArray, flags: int) -> tuple[NDArray[Any] | None, list[str]
 
 @contextmanager
 def _quiet_codecs() -> Iterator[IO[bytes]]:
-    """Keep codecs off stderr, which we report once; give the file that holds their lines.
+    """Redirect stderr of codecs to a temporary file, and yield that file.
 
-    libjpeg and libpng write to the file descriptor, OpenCV logs besides.
+    libjpeg and libpng write to the file descriptor; OpenCV also has a log.
     """
     log = cv2.utils.logging
     with _LOG_LEVEL, tempfile.TemporaryFile() as output:
@@ -169,9 +169,9 @@ def _quiet_codecs() -> Iterator[IO[bytes]]:
 
 
 def write_image(path: Path, pixels: ByteArray) -> None:
-    """Write an 8-bit picture, gray or BGR; missing parent folders are made.
+    """Write an 8-bit picture, gray or BGR; create missing parent folders.
 
-    OpenCV encodes and Python writes: `cv2.imwrite` returns False where it cannot write, and raises nothing.
+    OpenCV encodes and Python writes, since `cv2.imwrite` reports no reason when it cannot write.
 
     Raises:
         OutputError: the file cannot be written, or OpenCV cannot encode such a picture by this suffix.

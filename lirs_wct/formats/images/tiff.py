@@ -1,4 +1,4 @@
-"""Tags of TIFF and GeoTIFF: what the decoder does not report (keys, nodata, pages, truncation).
+"""Tags of TIFF and GeoTIFF that decoders do not report (keys, nodata, pages, truncation).
 
 Layouts: TIFF 6.0, section 2; BigTIFF; OGC GeoTIFF 1.1 (19-008r4), annexes B and C.
 """
@@ -14,7 +14,7 @@ Tags = dict[int, TagValue]
 WIDTH, HEIGHT, BITS, COMPRESSION, SAMPLES, FORMAT = 256, 257, 258, 259, 277, 339
 SUBFILE = 254
 REDUCED, MASK = 1, 4
-"""Bits of a page's kind: an overview of another page, and which of its pixels count."""
+"""Bits of a page's kind: an overview of another page, and a mask of its pixels."""
 COMPRESSIONS = {
     7: "JPEG", 34887: "LERC", 34925: "LZMA", 50000: "ZSTD", 50001: "WebP", 50002: "JPEG XL",
 }  # fmt: skip
@@ -35,7 +35,7 @@ _TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 6: "b", 8: "h", 9: "i", 11: "f", 12: "
 
 
 def read_tags(data: mmap.mmap) -> tuple[Tags, tuple[int, ...]]:
-    """Return the first page's tags and the kind of each page, in bits (`REDUCED`, `MASK`).
+    """Return the first page's tags, and the kind of each page in bits (`REDUCED`, `MASK`).
 
     Args:
         data: the whole file.
@@ -63,7 +63,7 @@ def read_tags(data: mmap.mmap) -> tuple[Tags, tuple[int, ...]]:
 def _directory(
     data: mmap.mmap, offset: int, order: str, big: bool, only: int | None = None
 ) -> tuple[Tags, int]:
-    """Return the tags of one directory, or only one of them, and the offset of the next."""
+    """Return the tags of a directory (or one tag) and the next directory's offset."""
     count_type, head, entry, inline, pointer = ("Q", 8, 20, 8, "Q") if big else ("H", 2, 12, 4, "I")
     (n,) = struct.unpack(order + count_type, data[offset : offset + head])
     start = offset + head
@@ -85,7 +85,7 @@ def _directory(
 
 
 def nodata(tags: Tags) -> float | None:
-    """Return the value that GDAL marked as "no data", which may be NaN, or None."""
+    """Return GDAL's nodata value, which may be NaN; None without one."""
     text = tags.get(GDAL_NODATA)
     try:
         return float(text) if isinstance(text, bytes) else None

@@ -1,1 +1,1 @@
-"""Mesh files: COLLADA, STL, OBJ and what trimesh reads."""
+"""Mesh files: COLLADA, STL, OBJ and the formats of trimesh."""

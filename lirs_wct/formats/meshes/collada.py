@@ -1,6 +1,6 @@
-"""COLLADA: meshes with normals, texture coordinates and materials, upright in every consumer.
+"""COLLADA documents: meshes with normals, texture coordinates and materials.
 
-Z_UP data with a Z_UP tag and meters is upright in Gazebo (which ignores the tag) and elsewhere. The
+Z_UP data with a Z_UP tag and meters is upright in Gazebo (which ignores the tag) and in other programs. The
 inputs have distinct offsets: Gazebo's loader miscounts shared ones (see `collada_stream`).
 """
 
@@ -19,7 +19,7 @@ from lirs_wct.formats.meshes.collada_stream import CREATED, GROUND, MeshPart
 
 
 def write_document(path: Path, parts: Sequence[MeshPart]) -> None:
-    """Write parts as one geometry, as a document in memory."""
+    """Write parts as one geometry, from a document in memory."""
     with path.open("wb") as file:
         _document(parts).write(file)
 

@@ -1,9 +1,11 @@
-"""COLLADA for millions of triangles, written as text a few thousand rows at a time.
+"""COLLADA for millions of triangles, streamed as text a few thousand rows at a time.
 
 All parts are one geometry: one layer of texture coordinates in Blender, and no seams between objects.
-VERTEX, NORMAL and TEXCOORD have an offset each: Gazebo joins equal positions, and keeps their several normals
-and texture coordinates only where it is told each index. Most of a large file is indices: there, two
-triangles of a grid's cell are one quad, and few distinct normals have short numbers.
+VERTEX, NORMAL and TEXCOORD have separate offsets. Gazebo merges equal positions, and keeps different normals
+and texture coordinates only with separate indices.
+
+Indices make up most of a large file. There, two triangles of a grid cell become one quad, and frequent
+normals have small indices.
 """
 
 from __future__ import annotations
@@ -23,13 +25,13 @@ from lirs_wct.formats.meshes.text import fixed_text
 from lirs_wct.geometry.mesh import TriangleMesh
 
 CREATED = "2020-01-01T00:00:00"
-"""Stands in every file: the same world gives the same bytes."""
+"""Constant creation time, so that the same world gives the same bytes."""
 GROUND = (0.62, 0.57, 0.5, 1.0)
 """Color of a world without texture, RGBA."""
 _UV_DECIMALS = 5
 
 _ROWS = 1 << 14
-"""Rows of numbers that are made text at a time."""
+"""Rows of numbers that are converted to text at a time."""
 
 _HEAD = """<?xml version="1.0" encoding="utf-8"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
@@ -108,7 +110,7 @@ class MeshPart:
 
 
 NORMAL_DIGITS, BRIEF_NORMAL_DIGITS = 3, 2
-"""Digits after the point in files of some megabytes, and where bytes count: shading exact to 0.5 deg."""
+"""Decimals of normals in usual and in brief files (shading exact to 0.5 deg)."""
 
 
 def stream_collada(
@@ -118,10 +120,10 @@ def stream_collada(
 
     Args:
         path: file.
-        parts: what is written.
-        brief: whether bytes count: fewer digits, and quads where two triangles that share an edge follow
-            each other. A quad begins where a fan from its first corner gives the two triangles again.
-        passed: called with the number of triangles that were written, a few thousand at a time.
+        parts: triangles by material.
+        brief: whether to save bytes by fewer digits and by quads. Two consecutive triangles with a shared
+            edge become a quad whose fan from the first corner gives the two triangles again.
+        passed: callback for progress; its argument is the number of newly written triangles.
 
     Raises:
         OSError: the file cannot be written.
@@ -145,7 +147,7 @@ def stream_collada(
 
 
 def _distinct(tables: Sequence[FloatArray], decimals: int) -> tuple[FloatArray, Int32Array]:
-    """Return the normals that differ when rounded, the most frequent first, and each vertex's number."""
+    """Return the distinct rounded normals, most frequent first, and each vertex's index."""
     scale = 10**decimals
     x, y, z = (np.rint(np.concatenate([t[:, k] for t in tables]) * scale).astype(np.int64) for k in range(3))
     wide = 2 * scale + 1
@@ -167,7 +169,7 @@ def _write_faces(
     brief: bool,
     passed: Callable[[int], None],
 ) -> None:
-    """Write the faces of a part whose vertices stand behind so many others."""
+    """Write the faces of a part whose vertices follow `before` others."""
     quads, triangles = _join_quads(part.mesh.faces) if brief else (part.mesh.faces[:0], part.mesh.faces)
     kind, count = ("polylist" if len(quads) else "triangles"), len(quads) + len(triangles)
     file.write(_FACES.format(kind=kind, count=count, name=part.name).encode())
@@ -184,7 +186,7 @@ def _write_faces(
 
 
 def _join_quads(faces: Int32Array) -> tuple[Int32Array, Int32Array]:
-    """Return quads (n, 4) for triangles a b c, b d c that follow each other, and the other triangles."""
+    """Join consecutive triangles a b c, b d c to quads (n, 4); return also the others."""
     pairs = faces[: len(faces) // 2 * 2].reshape(-1, 2, 3)
     first, second = pairs[:, 0], pairs[:, 1]
     cell = (first[:, 1] == second[:, 0]) & (first[:, 2] == second[:, 2])
@@ -226,7 +228,7 @@ def _chunks(table: NDArray[Any]) -> Iterator[NDArray[Any]]:
 
 
 def _position_decimals(farthest: FloatArray) -> tuple[int, int, int]:
-    """Return the digits after the point that tell float32 coordinates apart.
+    """Return the decimals that distinguish float32 coordinates.
 
     Fewer would break the error budget: a millimeter sideways is meters of height on rough ground.
 

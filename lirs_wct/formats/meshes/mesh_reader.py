@@ -22,21 +22,21 @@ if TYPE_CHECKING:
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
 """Without a handler, trimesh prints a traceback for each texture that it cannot read."""
 _HEAD = 1 << 16
-"""Bytes of a COLLADA file in which its <asset> stands."""
+"""Bytes of a COLLADA file that contain its <asset>."""
 _UPRIGHT = {
     "X": np.array(((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))),
     "Y": np.array(((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))),
     "Z": np.eye(3),
 }
-"""Where the file's x, y and z go, by the axis that is up: of X_UP -y is right and z to the viewer, of Y_UP x
-is right and z to the viewer, of Z_UP x is right and -y to the viewer (COLLADA 1.4.1, <up_axis>)."""
+"""Rotation of the file's axes by its up axis. X_UP: -y is right, z to the viewer. Y_UP: x is right, z to the
+viewer. Z_UP: x is right, -y to the viewer (COLLADA 1.4.1, <up_axis>)."""
 
 
 def read_upright(path: Path) -> TriangleMesh:
-    """Read a mesh, equal vertices merged, turned so that z is up, in meters.
+    """Read a mesh with merged vertices, z up, in meters.
 
-    A GLB has y up by its standard, a COLLADA file says what it has and its unit; the others do not say,
-    and are taken to be z up in meters.
+    A GLB has y up by its standard. A COLLADA file states its up axis and unit. Other formats state neither,
+    and count as z up in meters.
 
     Raises:
         SourceError: the file is missing, damaged, of a format that is not read, or without triangles.
@@ -47,7 +47,7 @@ def read_upright(path: Path) -> TriangleMesh:
 
 
 def upright(path: Path, mesh: TriangleMesh) -> TriangleMesh:
-    """Return the mesh of a file turned so that z is up, in meters; its normals turn with it.
+    """Rotate the mesh of a file so that z is up, in meters; normals rotate with it.
 
     Raises:
         SourceError: the file's unit is not a number of meters.
@@ -62,14 +62,14 @@ def upright(path: Path, mesh: TriangleMesh) -> TriangleMesh:
 
 
 def _merge_vertices(mesh: TriangleMesh) -> TriangleMesh:
-    """Return the mesh with one vertex a place, and without triangles that have two corners there."""
+    """Merge equal vertices and drop triangles with two equal corners."""
     whole = weld(mesh)
     a, b, c = whole.faces.T
     return TriangleMesh(whole.vertices, whole.faces[(a != b) & (b != c) & (c != a)])
 
 
 def _collada_frame(path: Path) -> tuple[str, float]:
-    """Return the axis that is up, and meters a unit; the standard's defaults are Y and 1."""
+    """Return the up axis and meters per unit; the standard's defaults are Y and 1."""
     with path.open("rb") as file:
         head = file.read(_HEAD).decode("utf-8", errors="replace")
     up = re.search(r"<up_axis>\s*([XYZ])_UP", head)
@@ -84,7 +84,7 @@ def _collada_frame(path: Path) -> tuple[str, float]:
 
 
 def read_mesh(path: Path) -> TriangleMesh:
-    """Read a mesh in any format that trimesh knows, equal vertices merged, as it stands in the file.
+    """Read a mesh in any format of trimesh, equal vertices merged, in the file's frame.
 
     Raises:
         SourceError: the file is missing, damaged, of an unknown format, or holds no triangles.
@@ -94,7 +94,7 @@ def read_mesh(path: Path) -> TriangleMesh:
 
 
 def load_mesh(path: Path) -> trimesh.Trimesh:
-    """Load a mesh in any format that trimesh knows; warns of files outside its folder or Gazebo package.
+    """Load a mesh by trimesh; warn of references outside its folder or Gazebo package.
 
     Raises:
         SourceError: as `read_mesh` says.
@@ -110,7 +110,7 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
         loaded = trimesh.load_mesh(path, resolver=files)
     except SourceError:
         raise
-    except Exception as error:  # every loader of trimesh has errors of its own
+    except Exception as error:  # every loader of trimesh raises different errors
         raise SourceError(f"{path}: cannot be read as a mesh: {reason_of(error)}") from error
     if len(getattr(loaded, "faces", ())) == 0:
         raise SourceError(f"{path}: holds no triangles, at least one is needed")
@@ -124,7 +124,7 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
 
 
 def _referenced_files(path: Path) -> Any:
-    """Return trimesh's resolver of the files that a mesh names, with the list `refused` of messages."""
+    """Return a trimesh resolver of referenced files with messages in the list `refused`."""
     from trimesh.resolvers import Resolver
 
     class References(Resolver):  # type: ignore[misc,unused-ignore]  # trimesh is loaded late
@@ -151,11 +151,11 @@ def _referenced_files(path: Path) -> Any:
 
 
 _HEADER = 1 << 16
-"""Bytes of a file in which its header stands."""
+"""Bytes of a file that contain its header."""
 
 
 def ply_elements(path: Path) -> dict[str, tuple[int, tuple[str, ...]]] | None:
-    """Return each element's count and the names of its properties; None where it is no PLY header."""
+    """Return each element's count and property names; None without a PLY header."""
     try:
         with path.open("rb") as file:
             head = file.read(_HEADER)
@@ -176,19 +176,19 @@ def ply_elements(path: Path) -> dict[str, tuple[int, tuple[str, ...]]] | None:
 
 
 def require_positions(path: Path) -> None:
-    """Check that the vertices of a PLY file have x, y and z, and that its elements fit into the file.
+    """Check that a PLY file's vertices have x, y, z, and its elements fit into the file.
 
     Raises:
         SourceError: it has no vertices, or these have other properties, or it is too short for its counts.
     """
     elements = ply_elements(path)
     if elements is None:
-        return  # the reader says what is wrong with it
+        return  # the reader reports the fault
     if "vertex" not in elements:
         got = ", ".join(elements) or "none"
         raise SourceError(f"{path}: needs an element 'vertex' with x, y and z; its elements are: {got}")
     require_xyz(path, elements["vertex"][1])
-    # Each value takes a byte at least, of a number or of its text.
+    # Each value takes at least a byte, as number or as text.
     need, size = sum(n * len(names) for n, names in elements.values()), path.stat().st_size
     if need > size:
         counts = ", ".join(f"{n} of {name}" for name, (n, _) in elements.items())

@@ -1,4 +1,4 @@
-"""Wavefront OBJ: a text that everything opens; with its material beside it when there is a texture."""
+"""Wavefront OBJ as text, with a material file for textures."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def write_obj(path: Path, mesh: TriangleMesh, texture: str | None = None) -> Non
     """Write a mesh, with its texture coordinates and normals where it has them.
 
     Args:
-        path: file; the material goes beside it as STEM.mtl.
+        path: file; the material is STEM.mtl in the same folder.
         mesh: in the world frame, z up, meters.
         texture: path of a picture relative to the file; needs texture coordinates.
 
@@ -32,7 +32,7 @@ def write_obj(path: Path, mesh: TriangleMesh, texture: str | None = None) -> Non
 
 
 def write_obj_parts(path: Path, parts: Sequence[tuple[str, TriangleMesh, str | None]]) -> None:
-    """Write meshes of a material each: its name, the mesh, its picture (see `write_obj`)."""
+    """Write (name, mesh, picture) parts, one material each (see `write_obj`)."""
     textured = [(name, mesh, file) for name, mesh, file in parts if file is not None and mesh.uv is not None]
     if textured:
         with atomic_write(path.with_suffix(".mtl")) as temporary:
@@ -51,7 +51,7 @@ def write_obj_parts(path: Path, parts: Sequence[tuple[str, TriangleMesh, str | N
 
 
 def _write_part(file: BinaryIO, mesh: TriangleMesh, written: int) -> None:
-    """Write vertices and faces after so many vertices."""
+    """Write the vertices and faces of a part that follow `written` vertices."""
     for word, values, decimals in (
         (b"v", mesh.vertices, _METER_DECIMALS),
         (b"vt", mesh.uv, _UNIT_DECIMALS),
@@ -69,9 +69,9 @@ def _lines(word: bytes, rows: bytes) -> bytes:
 
 
 def _faces(corners: Int32Array, mesh: TriangleMesh) -> bytes:
-    """Return the lines of some faces; position, texture and normal of a corner have one number."""
+    """Return the lines of faces; position, texture and normal of a corner share an index."""
     numbers = 1 + (mesh.uv is not None) + (mesh.normals is not None)
     between = (b"/" * (numbers - 1) + b" ") * 3
     text = fixed_text(np.repeat(corners, numbers, axis=1), 0, between[:-1])
-    # Where the texture's number is missing, its place stays.
+    # Without texture coordinates, the field between the slashes stays empty.
     return _lines(b"f", text if mesh.uv is not None else text.replace(b"/", b"//"))

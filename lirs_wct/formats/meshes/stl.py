@@ -32,13 +32,13 @@ def write_stl(path: Path, mesh: TriangleMesh, progress: Progress = no_progress) 
 def write_triangles(
     path: Path, count: int, chunks: Iterable[FloatArray], progress: Progress = no_progress
 ) -> None:
-    """Write triangles as they come, so that a surface larger than the memory can be written.
+    """Write triangles from an iterator, so that a surface may exceed the memory.
 
     Args:
         path: file.
         count: triangles in all, below 2**32.
         chunks: (n, 3, 3) corners in meters each.
-        progress: of the file.
+        progress: callback for the progress of the file.
 
     Raises:
         OutputError: the file cannot be written.

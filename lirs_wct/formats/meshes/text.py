@@ -1,4 +1,4 @@
-"""Numbers as text, millions a second."""
+"""Fast formatting of numbers as text."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _LONGEST = 22
 def fixed_text(table: ArrayLike, decimals: ArrayLike, between: bytes = b" ") -> bytes:
     """Return a table as decimal text: columns separated, rows ended by newlines.
 
-    Zeros that say nothing are left out (`.5`, `-3`), as XML Schema's double allows.
+    Redundant zeros are omitted (`.5`, `-3`), as XML Schema's double allows.
 
     Args:
         table: (rows, columns) finite numbers below 9e18 / 10**decimals.
@@ -32,7 +32,7 @@ def fixed_text(table: ArrayLike, decimals: ArrayLike, between: bytes = b" ") -> 
 
 @njit(cache=True)
 def _write(values: FloatArray, decimals: IntArray, ends: ByteArray, out: ByteArray) -> int:
-    """Write the text, with a character behind each column, into `out` and return its length."""
+    """Write the text into `out`, with a character after each column; return its length."""
     at = 0
     reverse = np.empty(24, np.uint8)
     rows, cols = values.shape

@@ -1,4 +1,4 @@
-"""Mesh files with texture coordinates and the picture of their texture: COLLADA, OBJ, GLB."""
+"""Mesh files with texture coordinates and a texture picture: COLLADA, OBJ, GLB."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ TEXTURED = (".dae", ".obj", ".glb")
 
 @dataclass(frozen=True)
 class TexturedMesh:
-    """A mesh as it stands in a file, with what colors it.
+    """A mesh in its file's frame, with its texture.
 
     Attributes:
         mesh: with normals, and texture coordinates (origin lower left) where the file has them.
-        picture: of the texture; None where there is none that can be found.
+        picture: of the texture; None = not found.
         vertex_colors: whether the file has colors of vertices or faces.
     """
 
@@ -38,7 +38,7 @@ class TexturedMesh:
 
 
 def read_textured(path: Path) -> TexturedMesh:
-    """Read a mesh with its texture; vertices with several texture coordinates stay several.
+    """Read a mesh with its texture; vertices with different texture coordinates stay separate.
 
     Raises:
         SourceError: the file is missing, damaged, of an unknown format, or holds no triangles.
@@ -62,7 +62,7 @@ def _picture(visual: trimesh.visual.base.Visuals) -> Image.Image | None:
 
 
 def write_glb(path: Path, mesh: TriangleMesh, picture: Image.Image | None = None) -> None:
-    """Write a GLB, with y up as its readers expect; the picture goes into the file.
+    """Write a GLB with y up, as its standard requires, and with the picture inside.
 
     Raises:
         OutputError: the file cannot be written.
@@ -84,7 +84,7 @@ def write_glb(path: Path, mesh: TriangleMesh, picture: Image.Image | None = None
 
 
 def write_glb_parts(path: Path, parts: Sequence[tuple[str, TriangleMesh, Path]]) -> None:
-    """Write a GLB of named meshes in a frame with z up, each with the picture of its texture inside.
+    """Write a GLB of named z-up meshes, each with its texture picture inside.
 
     Raises:
         SourceError: a picture cannot be read.
