@@ -2,7 +2,7 @@
 
 Most of a particle's map was drawn before it split from its siblings and is the same as theirs. A map is
 a table of patches of 16 x 16 cells; children get their parent's table, and a patch that several tables
-point at is copied by the first that draws into it. So memory goes with what differs.
+point at is copied by the first that draws into it. So memory grows with the differences.
 """
 
 from __future__ import annotations

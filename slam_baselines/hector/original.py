@@ -130,7 +130,7 @@ class HectorOriginalMapper:
 
     @property
     def stats(self) -> MapperStats:
-        """What was done so far."""
+        """Counts, times and memory so far."""
         return MapperStats(
             received=self._received,
             used=self._received,

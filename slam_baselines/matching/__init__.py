@@ -1,1 +1,1 @@
-"""A scan fitted into a map: Gauss-Newton, correlative search, branch and bound."""
+"""Scan-to-map matching: Gauss-Newton, correlative search, branch and bound."""

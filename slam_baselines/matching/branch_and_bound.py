@@ -1,4 +1,4 @@
-"""Branch and bound: the best of all poses of a scan in a window, without trying all.
+"""Branch and bound: the best pose of a scan in a window without exhaustive search.
 
 Hess et al. 2016, "Real-time loop closure in 2D LIDAR SLAM", Algorithm 3. A node of the tree is a turn
 and a square of 2^h x 2^h shifts; the map in which each cell holds the highest value of the 2^h x 2^h
@@ -43,7 +43,7 @@ class BoundGrids:
 
     @staticmethod
     def of_values(value: ByteArray, corner: tuple[int, int], resolution: float, depth: int) -> BoundGrids:
-        """Precompute the bounds of (rows, cols) values, of which cell (0, 0) is `corner` of the lattice."""
+        """Precompute the bounds of (rows, cols) values; `corner` is cell (0, 0) in the lattice."""
         rows, cols = (np.flatnonzero(value.any(axis=axis)) for axis in (1, 0))
         if len(rows) == 0:
             return BoundGrids(np.zeros((depth + 1, 1, 1), np.uint8), *corner, resolution)
@@ -130,7 +130,7 @@ class _Tree(NamedTuple):
 
 
 class _Limits(NamedTuple):
-    """Minimum score, nodes after which to give up, (3,) row, column and radius of the exclusion in cells."""
+    """Minimum score, most nodes, (3,) row, column and radius of the exclusion in cells."""
 
     min_score: float
     max_nodes: int
@@ -154,9 +154,9 @@ def branch_and_bound(
         points: (n, 2 or more) ends of beams in the leveled base frame, meters; n > 0.
         start: (3,) x, y, yaw in the middle of the window.
         window: of the search.
-        min_score: poses of a lower score are not found.
-        max_nodes: the search is given up after so many nodes of the tree.
-        excluded: positions that are left out.
+        min_score: poses of a lower score are not returned.
+        max_nodes: number of nodes of the tree after which the search ends.
+        excluded: positions to leave out.
     """
     resolution, step = grids.resolution, angular_step(points, grids.resolution)
     reach, turns = math.ceil(window.linear / resolution), math.ceil(window.angular / step)
@@ -213,7 +213,7 @@ def _copy(row: Any, to: Any) -> None:
 
 @njit(cache=True, nogil=True)
 def _roots(lattice: _Lattice, points: Any, tree: _Tree, rows: Any, cols: Any) -> Any:
-    """Fill the cells of every turn; return the (k, 5) roots: score, level, turn, row, column."""
+    """Fill the cells of every turn; return roots (k, 5): score, level, turn, row, column."""
     depth, count = len(lattice.levels) - 1, 2 * tree.turns + 1
     side = 1 << depth
     across = 2 * tree.reach // side + 1
@@ -232,7 +232,7 @@ def _roots(lattice: _Lattice, points: Any, tree: _Tree, rows: Any, cols: Any) ->
 
 @njit(cache=True, nogil=True)
 def _branch(levels: Any, rows: Any, cols: Any, node: Any, reach: int, children: Any) -> int:
-    """Fill the up to four children of a node (5,), in ascending order of their scores; return how many."""
+    """Fill the up to four children of a node (5,) by ascending score; return their number."""
     h, t, dr, dc = node[1], np.int64(node[2]), node[3], node[4]
     half, m = 1 << (h - 1), 0
     for q in range(4):

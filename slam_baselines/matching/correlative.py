@@ -1,4 +1,4 @@
-"""Correlative search: the best of all poses in a window, by brute force over one level of the map.
+"""Correlative search: the best pose in a window by brute force on one map level.
 
 Olson 2009, "Real-time correlative scan matching": rotate the scan once for each yaw, then shift it by
 whole cells. Used where Gauss-Newton does not converge to the right pose (a sharp turn between two scans).
@@ -47,7 +47,7 @@ class SearchConfig:
 
 
 class _Cells(NamedTuple):
-    """A level of the map: (rows, cols) values, lattice row and column of cell (0, 0), cell size in meters."""
+    """Map level: (rows, cols) values, lattice row and column of cell (0, 0), cell size in meters."""
 
     value: ByteArray
     row0: int
@@ -56,7 +56,7 @@ class _Cells(NamedTuple):
 
 
 class _Window(NamedTuple):
-    """Shifts of up to `reach` cells, turns of up to `turns` steps (radians), loss per meter and radian."""
+    """Window: largest shift in cells, largest turn in steps, step in radians, losses."""
 
     reach: int
     turns: int
@@ -68,7 +68,7 @@ class _Window(NamedTuple):
 def correlative_search(
     grid: GrowingGrid, points: FloatArray, weights: FloatArray, start: FloatArray, config: SearchConfig
 ) -> FloatArray:
-    """Return the (3,) pose x, y, yaw in the window around `start` that has the best score.
+    """Return the pose (3,) x, y, yaw of the best score in a window around `start`.
 
     Args:
         grid: level of the map, with the layer `value`.
@@ -93,7 +93,7 @@ def correlative_search(
 
 @njit(cache=True, nogil=True)
 def _search(cells: _Cells, points: Any, weights: Any, start: Any, window: _Window, best: Any) -> None:
-    """Fill `best` (3,) with the pose of the highest mean value, less the loss for its distance."""
+    """Fill `best` (3,) with the pose of the highest mean value minus the loss by distance."""
     rows, cols = cells.value.shape
     res, reach, turns = cells.resolution, window.reach, window.turns
     n = len(points)

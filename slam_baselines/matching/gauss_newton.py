@@ -5,7 +5,7 @@ eqs. 4-14, with the odometry as a prior: the cost of a pose x is
 
     sum_i w_i (1 - M(S_i(x)))^2 / sigma^2  +  (x - x_prior)' Lambda (x - x_prior),
 
-so that a direction in which the map says nothing (a long corridor, open terrain) follows the odometry.
+so that a direction which the map does not constrain (a long corridor, open terrain) follows the odometry.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Match(NamedTuple):
 
 
 class Prior(NamedTuple):
-    """Pose to expect.
+    """Expected pose.
 
     Attributes:
         pose: (3,) x, y, yaw.
@@ -91,11 +91,11 @@ class _Settings(NamedTuple):
 
 
 class Matchable(Protocol):
-    """A map that scans can be matched to: a MapPyramid, or what stands for one."""
+    """Map that scans can be matched to: a MapPyramid or a Submap."""
 
     @property
     def levels(self) -> Levels:
-        """What the matcher sees of the map, finest level first."""
+        """Arrays of the map for matching, finest level first."""
         ...
 
 
@@ -118,10 +118,10 @@ class ScanMatcher:
             pyramid: the map.
             points: (n, 2 or more) ends of beams in the leveled base frame, meters.
             weights: (n,) of the beams; None: all the same.
-            prior: pose to expect.
+            prior: expected pose.
             start: (3,) first pose; None: the prior's.
-            levels: number of levels, of which the finest comes last; 0: as many as it takes to catch an error
-                of two standard deviations of the prior.
+            levels: number of levels, of which the finest comes last; 0: enough to correct an error of two
+                standard deviations of the prior.
             information_share: share of its information that the scan adds.
         """
         if weights is None:
@@ -139,10 +139,10 @@ class ScanMatcher:
 
 @njit(cache=True, nogil=True)
 def levels_for(frames: Any, covariance: Any, lever: float) -> int:
-    """Return how many levels it takes to catch an error of two standard deviations.
+    """Return the number of levels that correct an error of two standard deviations.
 
     A level is needed where the error exceeds the cell of the next finer one; coarse levels that are not
-    needed would only carry the estimate away from a good start.
+    needed would only move the estimate away from a good start.
     """
     error = np.sqrt(max(covariance[0, 0], covariance[1, 1])) + lever * np.sqrt(covariance[2, 2])
     levels = 1
@@ -158,7 +158,7 @@ def _match(
 ) -> None:  # fmt: skip
     """Match with beams of a `variance`; fill `out` (23,).
 
-    That is pose, covariance with the prior's in it, information, score, share of beams on known cells.
+    `out` holds pose, covariance with the prior, information, score, share of beams on known cells.
     """
     information = invert3(prior.covariance)
     if levels == 0:
@@ -225,7 +225,7 @@ def linearize(
         frame: (3,) lattice row and column of its cell (0, 0), resolution in meters.
         points: (n, 2 or more) ends of beams in the leveled base frame.
         weights: (n,) of the beams.
-        stride: only every so many beams count.
+        stride: only every `stride`-th beam counts.
         pose: (3,) x, y, yaw.
         H: (3, 3) to be filled.
         g: (3,) to be filled.

@@ -1,9 +1,9 @@
-"""Localizability monitor: whether a mapper matches walls, or hillsides that it takes for walls.
+"""Localizability monitor: detection of matches to hillsides instead of walls.
 
-A planar scan of a hillside fits the map of the same hillside from the same place only: seen from another
-height, it seems to have moved. Matches to it turn and pull the estimate away from dead reckoning, which
-needs no walls. Two witnesses tell walls from hillsides without the truth: on walls most scans fit well, and
-the gyro agrees with the turn of the matches.
+A planar scan of a hillside fits the map of the same hillside from the same place only: from another height,
+the hillside seems to have moved. Matches to it turn and pull the estimate away from dead reckoning, which
+needs no walls. Two observations distinguish walls from hillsides without the truth: on walls most scans fit
+well, and the gyro agrees with the turn of the matches.
 """
 
 from __future__ import annotations
@@ -17,20 +17,21 @@ from lirs_wct.geometry.pose import wrap_angle
 
 @dataclass(frozen=True, kw_only=True)
 class LocalizabilityConfig:
-    """When matches localize the robot.
+    """Conditions under which matches localize the robot.
 
     Attributes:
         score: mean occupancy at the ends of the beams from which on a scan fits: on walls 9 of 10 scans
             do, on hillsides few.
-        share: of the matched scans that must fit for matches to be believed ...
-        least_share: ... and to be believed on.
+        share: share of the matched scans that must fit before matches are used.
+        least_share: share of the matched scans that must fit for matches to remain in use.
         memory: scans after which one counts 1/e.
-        turn: largest turn by which matches may depart from dead reckoning, radians ...
-        seconds: ... within this time.
-        drawn_share: share of all scans that must have fitted for walls to be drawn, half of it ...
-        recent_share: ... where this share of the latest scans fitted ...
-        first_meters: ... after this distance, meters, or where `memory` scans were matched, of the latest of
-            which fewer than `drawn_share` fitted: until then dead reckoning is good enough.
+        turn: largest turn of matches away from dead reckoning within `seconds`, radians.
+        seconds: time in which this turn is measured.
+        drawn_share: share of all scans that must have fitted for walls to be drawn.
+        recent_share: share of the latest scans that must have fitted for half of `drawn_share` to be enough.
+        first_meters: distance up to which walls are drawn in any case, since dead reckoning is good enough
+            there, meters; unless `memory` scans were matched and fewer than `drawn_share` of the latest
+            fitted.
 
     Raises:
         ConfigError: a score or share outside (0, 1), a least_share above the share, a memory below 1, or
@@ -55,12 +56,12 @@ class LocalizabilityConfig:
 
 
 class LocalizabilityMonitor:
-    """Whether matches localize the robot.
+    """Decision whether matches localize the robot.
 
     Attributes:
         localizable: whether they do.
-        steady: whether so many scans fit that what they say of the odometry is to be believed as well.
-        scans: all that were observed.
+        steady: whether enough scans fit for calibrating the odometry by them.
+        scans: number of observed scans.
     """
 
     def __init__(self, config: LocalizabilityConfig) -> None:
@@ -74,8 +75,7 @@ class LocalizabilityMonitor:
         """Count a scan.
 
         Args:
-            score: how well the ends of its beams agree with the map, 0 to 1; None where there was nothing
-                to match.
+            score: agreement of the ends of its beams with the map, 0 to 1; None without a match.
             off: yaw of the match less the yaw by dead reckoning since the start, radians.
             seconds: since the scan before.
         """
@@ -97,19 +97,19 @@ class LocalizabilityMonitor:
 
     @property
     def believed(self) -> bool:
-        """Whether matches are to be believed: always where no attitude is known, and nothing is observed."""
+        """Whether matches are used; always if no scan was observed, for lack of an attitude."""
         return self.localizable or self.scans == 0
 
     @property
     def proven(self) -> bool:
-        """Whether walls localized the robot for so long that what contradicts them means that it is lost."""
+        """Whether walls localized the robot long enough; then contradictions mean that it is lost."""
         return self._localizable >= self._config.memory
 
     @property
     def _doubtful(self) -> bool:
-        """Whether enough scans were matched to tell that they fit no walls.
+        """Whether enough scans were matched, and too few of them fit.
 
-        The first scans of a slow robot fit a map that is yet too faint: they do not tell.
+        The first scans of a slow robot do not count, since the map is still too faint.
         """
         c = self._config
         fit = self._share >= c.drawn_share and abs(self._turned) <= c.turn
@@ -118,8 +118,7 @@ class LocalizabilityMonitor:
     def draws(self, distance: float) -> bool:
         """Return whether walls may be drawn after a distance driven, meters.
 
-        Where they seldom localize the robot, they stand where dead reckoning put them, and what is taken
-        for walls may be ground.
+        If walls seldom localize the robot, dead reckoning placed them, and assumed walls may be ground.
         """
         c = self._config
         if self.scans == 0 or (distance <= c.first_meters and not self._doubtful):

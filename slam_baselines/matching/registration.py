@@ -1,8 +1,8 @@
-"""Scan registration: from the estimate to expect to the estimate at which the scan fits the map.
+"""Scan registration: update of the predicted estimate by matching the scan to the map.
 
-Gauss-Newton from the expected pose, which is a prior, so that a direction in which the map says nothing
-follows the odometry; a wider, correlative search where that fits poorly (Hess et al. 2016, section IV-C:
-ceres_scan_matcher and real_time_correlative_scan_matcher).
+Gauss-Newton starts from the expected pose, which is a prior, so that a direction which the map does not
+constrain follows the odometry. A poor fit leads to a wider, correlative search (Hess et al. 2016, section
+IV-C: ceres_scan_matcher and real_time_correlative_scan_matcher).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from slam_baselines.motion.dead_reckoning import PoseEstimate
 
 @dataclass(frozen=True, kw_only=True)
 class RegistrationConfig:
-    """When the wider search is needed, and which matches are accepted.
+    """Thresholds of the wider search, and acceptance of matches.
 
     Attributes:
         match: Gauss-Newton.
@@ -32,7 +32,7 @@ class RegistrationConfig:
         min_gain: gain of the score that the wider search needs to be preferred.
         search_prior: whether the fit after the wider search keeps the prior of dead reckoning; else its prior
             is as wide as the window.
-        coasting: whether the wider search also starts where the last motion repeated would lead.
+        coasting: whether the wider search also starts at the pose after repeating the last motion.
         known_ratio: share of beams on known cells that a score needs to count.
         min_beams: fewest beams on known cells for a match.
         min_walls: fewest hits on walls for a match on uneven ground, where a wall may be ground.
@@ -97,7 +97,7 @@ class Registration:
         before: Pose2,
         earlier: Pose2 | None = None,
     ) -> tuple[PoseEstimate, Match | None]:
-        """Return the estimate by the scan, and its match; `expected` and None where the scan says nothing.
+        """Return the estimate and its match; `expected` and None without enough walls.
 
         Args:
             pyramid: the map.
@@ -127,16 +127,16 @@ class Registration:
         return PoseEstimate(Pose2(x, y, wrap_angle(yaw)), match.covariance), match
 
     def _prior_covariance(self, expected: PoseEstimate, beams: int) -> FloatArray:
-        """Return the (3, 3) covariance of the expected pose: by dead reckoning, or by fixed weights."""
+        """Return the (3, 3) covariance of the expected pose by dead reckoning or fixed weights."""
         c = self.config
         if not (c.translation_weight and c.rotation_weight):
             return expected.covariance
-        # The weights stand beside the mean of the beams' squared errors, the matcher has their sum.
+        # The weights refer to the mean of the beams' squared errors; the matcher has their sum.
         linear, angular = (c.match.sigma / w for w in (c.translation_weight, c.rotation_weight))
         return np.diag((linear**2, linear**2, angular**2)) / beams
 
     def _information_share(self, pose: Pose2, before: Pose2) -> float:
-        """Return the share of its information that a scan at `pose` adds to that at `before`."""
+        """Return the share of information that a scan at `pose` adds to that at `before`."""
         c = self.config
         moved = pose.distance(before) + 0.5 * abs(wrap_angle(pose.yaw - before.yaw))
         return min(1.0, max(c.min_information_share, moved / c.decorrelation_distance))
@@ -150,7 +150,7 @@ class Registration:
         prior: Prior,
         coasting: FloatArray,
     ) -> Match:
-        """Match from the best place in the wider window, and from where the robot would have coasted to."""
+        """Match from the best pose of the wider window, and from the coasting pose."""
         self.searches += 1
         c = self.config
         points_weights = np.ones(len(hits)) if weights is None else weights
@@ -167,7 +167,7 @@ class Registration:
         return max(matches, key=lambda match: match.score)
 
     def _is_rejected(self, match: Match, wider: Match, prior: Prior) -> bool:
-        """Whether nothing fits near or far, or only where dead reckoning cannot have led."""
+        """Return whether no pose fits, or only one that dead reckoning excludes."""
         c = self.config
         if c.reject_poor and max(match.score, wider.score) < c.search_threshold:
             return True
@@ -177,5 +177,5 @@ class Registration:
 
 
 def _coasting(before: Pose2, earlier: Pose2 | None) -> FloatArray:
-    """Return the (3,) pose that another step like the one from `earlier` to `before` leads to."""
+    """Return the (3,) pose after repeating the step from `earlier` to `before`."""
     return (before if earlier is None else before @ (earlier.inverse() @ before)).as_array()

@@ -1,4 +1,4 @@
-"""Tracking monitor: whether scans still fit the map, and when a mapper is lost."""
+"""Tracking monitor: fit of scans to the map, and loss of tracking."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from lirs_wct.field_validators import require_at_least, require_within
 
 @dataclass(frozen=True, kw_only=True)
 class TrackingConfig:
-    """When a scan contradicts the map, and when a mapper is lost.
+    """Thresholds of a contradiction between scan and map, and of a lost mapper.
 
     Attributes:
         lost_score: score below which a scan contradicts the map.
-        known_ratio: share of beams on known cells below which a score says nothing.
+        known_ratio: share of beams on known cells below which a score does not count.
         lost_after: contradicting scans in a row after which the mapper is lost.
 
     Raises:
@@ -30,13 +30,13 @@ class TrackingConfig:
 
 
 class TrackingMonitor:
-    """Counts the scans in a row that contradict the map.
+    """Count of the scans in a row that contradict the map.
 
-    Before the first scan that fits, a map that is being built holds nothing that a scan could contradict.
+    Before the first scan that fits, no scan can contradict a map under construction.
     """
 
     def __init__(self, config: TrackingConfig, *, map_given: bool = False) -> None:
-        """Start; a map that is given, and not built, can be contradicted by the first scan."""
+        """Start; with `map_given`, the first scan can already contradict the map."""
         self._config = config
         self._contradictable = map_given
         self._in_a_row = 0
@@ -45,22 +45,22 @@ class TrackingMonitor:
         """Count a scan; return whether it fits, so that it may enter the map.
 
         Args:
-            score: how well the ends of its beams on known cells agree with the map, 0 to 1; None where the
-                scan says nothing, which counts as fitting.
+            score: agreement of the ends of its beams on known cells with the map, 0 to 1; None where the scan
+                cannot be judged, which counts as fitting.
             known: share of its beams that end on known cells.
         """
-        telling = score is not None and known >= self._config.known_ratio
-        contradicts = score is not None and telling and score < self._config.lost_score
-        self._contradictable |= telling and not contradicts
+        informative = score is not None and known >= self._config.known_ratio
+        contradicts = score is not None and informative and score < self._config.lost_score
+        self._contradictable |= informative and not contradicts
         self._in_a_row = self._in_a_row + 1 if contradicts and self._contradictable else 0
         return self.fits
 
     @property
     def fits(self) -> bool:
-        """Whether the last scan fitted, or said nothing."""
+        """Whether the last scan fitted or could not be judged."""
         return self._in_a_row == 0
 
     @property
     def lost(self) -> bool:
-        """Whether so many scans in a row contradict the map that the pose is not to be trusted."""
+        """Whether too many scans in a row contradict the map."""
         return self._in_a_row >= self._config.lost_after

@@ -1,1 +1,1 @@
-"""How the base moves between scans: dead reckoning, calibration, motion filter."""
+"""Motion of the base between scans: dead reckoning, calibration, motion filter."""

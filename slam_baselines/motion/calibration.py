@@ -1,15 +1,15 @@
-"""Calibration of the odometry: its constant errors, estimated while driving.
+"""Calibration of the odometry: estimation of its systematic errors while driving.
 
-Wheels of unequal size, a wrong track, a laser that is not where the log says: such errors are the same
-in every step, so a prior that is right on average needs them taken out. The correction of a step is
-linear in the distance traveled and the angle turned; recursive least squares finds it from the poses that
-scan matching confirms. Forgetting is directional (Cao and Schwartz 2000, "A directional forgetting algorithm
-based on the decomposition of the information matrix", Automatica 36, Eqs. 21-23): a step takes the place of
-older ones of its kind only. A robot that drives circles for minutes tells nothing about straight steps, and
-with plain exponential forgetting the covariance of what it does not show would grow without bound.
+Wheels of unequal size, a wrong track, or a displaced laser cause the same error in every step. An unbiased
+prior needs their correction, which is linear in the distance traveled and the angle turned. Recursive least
+squares estimates it from the poses that scan matching confirms. Forgetting is directional (Cao and Schwartz
+2000, "A directional forgetting algorithm based on the decomposition of the information matrix", Automatica
+36, Eqs. 21-23): a step replaces older ones of its kind only. Minutes of driving in circles do not inform
+about straight steps, and plain exponential forgetting would let the covariance of unobserved directions grow
+without bound.
 
-Wheels that skid in a turn have spent their friction, so on a slope the robot slides downhill as well: by
-so much per radian turned and unit of slope. That is one more gain, estimated likewise.
+Wheels that skid in a turn have no friction left, so on a slope the robot slides downhill as well: by a
+distance per radian turned and unit of slope. That is one more gain, estimated in the same way.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 
 Slope = tuple[float, float]
-"""How far the ground falls per meter ahead and per meter to the left."""
+"""Descent of the ground per meter ahead and per meter to the left."""
 LEVEL: Slope = (0.0, 0.0)
 UNTOLD = 1e-100
-"""A step of which less is known replaces nothing: its square is no number any more."""
+"""Information below which a step replaces none, since its square underflows."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationConfig:
-    """How fast the correction is estimated.
+    """Prior and noise of the correction, which set its rate of learning.
 
     Attributes:
         per_meter: standard deviation of the correction per meter before anything is known (m/m, rad/m).
         per_radian: the same per radian turned (m/rad, rad/rad).
-        noise: of the correction seen in one step, meters and radians.
+        noise: of the correction observed in one step, meters and radians.
         memory: steps of one kind after which an observation of that kind counts 1/e.
         slide: standard deviation of the slide before anything is known, meters per radian and unit of slope.
-        slide_noise: of the slide seen in one step, meters.
+        slide_noise: of the slide observed in one step, meters.
 
     Raises:
         ConfigError: a value is not above 0.
@@ -55,7 +55,7 @@ class CalibrationConfig:
 
 
 class Calibration:
-    """Corrects odometry's steps, and learns from where they truly led.
+    """Correction of odometry's steps, learned from the registered poses.
 
     Attributes:
         gain: correction of x, y, yaw per meter ahead and per radian: xx, xt, yx, yt, tx, tt.
@@ -74,14 +74,14 @@ class Calibration:
 
     @property
     def covariance(self) -> tuple[float, float, float]:
-        """Variances and covariance of each row of the gain: per meter and meter, meter and radian, radian."""
+        """Covariance of each row of the gain: per meter^2, per meter and radian, per radian^2."""
         p, q, r = self._information
         p, r = p + self._prior[0], r + self._prior[1]
         determinant = p * r - q * q
         return r / determinant, -q / determinant, p / determinant
 
     def correct(self, step: Pose2, down: Slope = LEVEL) -> Pose2:
-        """Return the step `T_before_now` to expect when odometry says `step`, on ground that falls `down`."""
+        """Return the expected step `T_before_now` for an odometry `step` on ground of slope `down`."""
         xx, xt, yx, yt, tx, tt = self.gain
         d, a = step.x, step.yaw
         slide = self.slide * abs(a)
@@ -92,7 +92,7 @@ class Calibration:
         )
 
     def learn(self, step: Pose2, true: Pose2, down: Slope = LEVEL) -> None:
-        """Take note that what odometry called `step` was `true`, on ground that falls `down`."""
+        """Learn from a true step, its odometry `step` and the slope `down` of the ground."""
         d, a = step.x, step.yaw
         c = self.correct(step, down)
         x, y, t = error = true.x - c.x, true.y - c.y, wrap_angle(true.yaw - c.yaw)
@@ -104,9 +104,9 @@ class Calibration:
         self._learn_slide(abs(a) * down[0], abs(a) * down[1], error)
 
     def _observe(self, d: float, a: float) -> None:
-        """Add a step's information, in the place of older information about such steps.
+        """Add a step's information in place of older information about such steps.
 
-        What was known before the first step is not forgotten: it bounds the covariance from above.
+        The prior knowledge is never forgotten: it bounds the covariance from above.
         """
         p, q, r = self._information
         u, v = p * d + q * a, q * d + r * a
@@ -119,7 +119,7 @@ class Calibration:
         )
 
     def _learn_slide(self, u: float, v: float, error: tuple[float, float, float]) -> None:
-        """Take note that a slide of (u, v) for a gain of 1 left an error."""
+        """Learn the slide from the error left by a slide of (u, v) per gain."""
         p, total = self._slide_variance, u * u + v * v
         scale = p / (self._slide_noise + p * total)
         self.slide += scale * (u * error[0] + v * error[1])

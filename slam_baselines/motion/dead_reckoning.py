@@ -1,4 +1,4 @@
-"""Odometry as a prior: the expected pose and its covariance."""
+"""Dead reckoning: expected pose and covariance by odometry and gyro."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from slam_baselines.linalg import moved_covariance
 from slam_baselines.motion.calibration import LEVEL, Calibration, CalibrationConfig, Slope
 
 STANDSTILL = 1e-3
-"""An increment shorter than this (meters and radians together) is none."""
+"""Sum of meters and radians up to which an increment counts as standing."""
 
 
 def yaw_rate(imu: Imu) -> float:
-    """Return how fast yaw changes, rad/s: the body's rates turned into that of R = Rz Ry Rx."""
+    """Return the rate of yaw, rad/s, in R = Rz Ry Rx from the body's rates."""
     _, y, z = imu.angular_velocity
     return (y * math.sin(imu.roll) + z * math.cos(imu.roll)) / max(math.cos(imu.pitch), 0.1)
 
@@ -42,7 +42,7 @@ class PoseEstimate:
 
 
 class MotionStep(NamedTuple):
-    """A step by dead reckoning, which holds wherever it begins.
+    """Step by dead reckoning, independent of its start.
 
     Attributes:
         delta: `T_before_now`.
@@ -55,7 +55,7 @@ class MotionStep(NamedTuple):
     turn: float
 
     def after(self, before: PoseEstimate) -> PoseEstimate:
-        """Return the estimate to expect after the step."""
+        """Return the expected estimate after the step."""
         pose = before.pose @ self.delta
         dx, dy = pose.x - before.pose.x, pose.y - before.pose.y
         return PoseEstimate(pose, moved_covariance(before.covariance, dx, dy, self.shift, self.turn))
@@ -63,9 +63,9 @@ class MotionStep(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class MotionConfig:
-    """Errors of the odometry, each as a random walk: the variance grows with distance, turn and time.
+    """Errors of the odometry as random walks over distance, turn and time.
 
-    So a step in ten parts is as uncertain as the step in one, whatever the rate of the scans.
+    Variances add up, so that the uncertainty of a motion does not depend on the rate of the scans.
 
     Attributes:
         translation_per_meter: standard deviation after one meter, meters.
@@ -105,15 +105,15 @@ class MotionConfig:
         turned: float | None = None,
         tilt: float = 0.0,
     ) -> PoseEstimate:
-        """Return the estimate to expect after a step.
+        """Return the expected estimate after a step.
 
         Args:
             before: the estimate before the step.
-            delta: `T_before_now` by odometry; without it the robot is expected to stay, with little
-                confidence.
+            delta: `T_before_now` by odometry; without it the robot is expected to stay, with a large
+                covariance.
             seconds: duration of the step.
-            turned: change of yaw by the gyro, if there is one, radians. Two witnesses that agree are
-                believed as a gyro deserves; the more they disagree, the less the odometry's yaw is.
+            turned: change of yaw by the gyro, if there is one, radians. If gyro and odometry agree, the yaw
+                has the gyro's variance; their disagreement raises it.
             tilt: of the robot, radians: wheels that skid in a turn slide downhill.
         """
         return self.step(delta, seconds, turned, tilt).after(before)
@@ -135,7 +135,7 @@ class MotionConfig:
     def predict_all(
         self, before: PoseEstimate, steps: Sequence[tuple[Pose2, float]], seconds: float
     ) -> PoseEstimate:
-        """Return the estimate to expect after some steps, the yaw of which a gyro confirms.
+        """Return the expected estimate after some steps whose yaw a gyro confirms.
 
         Args:
             before: the estimate before the first step.
@@ -151,7 +151,7 @@ class MotionConfig:
         return PoseEstimate(Pose2(*pose.tolist()), covariance)
 
     def _variances(self, delta: Pose2, seconds: float, tilt: float) -> tuple[float, float]:
-        """Return the variances of the translation along each axis and of the yaw of a step by odometry."""
+        """Return the variances of an odometry step: translation along each axis, and yaw."""
         meters, radians = math.hypot(delta.x, delta.y), abs(delta.yaw)
         per_meter, per_radian, per_second, turn_per_meter, turn_per_radian, turn_per_second = self._squares
         shift = (
@@ -198,11 +198,11 @@ def propagate_steps(pose: Any, covariance: Any, steps: Any) -> Any:
 
 
 class OdometryStep(NamedTuple):
-    """A step by odometry and the ground it was done on.
+    """Step by odometry, and the slope of the ground.
 
     Attributes:
-        step: `T_before_now` as the odometry says.
-        down: how far the ground falls per meter ahead and to the left.
+        step: `T_before_now` by odometry.
+        down: descent of the ground per meter ahead and to the left.
         tilt: of the robot, radians.
     """
 
@@ -211,15 +211,15 @@ class OdometryStep(NamedTuple):
     tilt: float
 
     def correct(self, calibration: Calibration) -> Pose2:
-        """Return the step to expect, by what is known of the odometry."""
+        """Return the expected step by the calibration."""
         return calibration.correct(self.step, self.down)
 
 
 class DeadReckoning:
-    """Turns absolute odometry and rates into the estimate to expect at the next scan.
+    """Expected estimate at the next scan by absolute odometry and rates.
 
     Attributes:
-        calibration: what the odometry always gets wrong.
+        calibration: systematic odometry errors.
         increment: the last one; None without odometry.
         calibrated: whether steps are corrected by the calibration.
         learned: steps that the calibration has learned from.
@@ -238,7 +238,7 @@ class DeadReckoning:
     def predict(
         self, last: PoseEstimate, odometry: Pose2 | None, imu: Imu | None, stamp: float
     ) -> PoseEstimate:
-        """Return what to expect at `stamp`; the first call only takes note and returns `last`.
+        """Return the expected estimate at `stamp`; the first call returns `last`.
 
         Args:
             last: the estimate at the last call.
@@ -268,8 +268,8 @@ class DeadReckoning:
         return increment.correct(self.calibration) if self.calibrated else increment.step
 
     def learn(self, before: Pose2, now: Pose2) -> None:
-        """Take note of where the last step truly led: from `before` to `now` in the map."""
-        # A robot that stands teaches nothing, and what was learnt is not forgotten over it.
+        """Calibrate by the last step, which truly led from `before` to `now` in the map."""
+        # A standing robot gives no information, and must not make the calibration forget.
         if (
             self.increment is not None
             and abs(self.increment.step.x) + abs(self.increment.step.yaw) > STANDSTILL
@@ -285,7 +285,7 @@ def _between(a: Pose2, b: Pose2) -> Pose2:
 
 
 def _downhill(imu: Imu | None) -> tuple[Slope, float]:
-    """Return how far the ground falls ahead and to the left, and the robot's tilt, radians."""
+    """Return the ground's descent ahead and to the left, and the robot's tilt in radians."""
     if imu is None:
         return LEVEL, 0.0
     return (math.sin(imu.pitch), -math.sin(imu.roll)), math.hypot(imu.roll, imu.pitch)

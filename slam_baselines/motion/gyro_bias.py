@@ -1,8 +1,8 @@
-"""The bias of a gyro, estimated from what registered headings and the gyro disagree about.
+"""Bias of a gyro, estimated from its disagreement with registered headings.
 
-A Kalman filter of two states: the bias, and the disagreement between the heading of the map and that of the
-gyro that comes from all else. The second is a random walk (of the gyro, and of the map that grows with the
-robot), so that a trend over a few meters, which such a walk shows as well, does not pass for a bias.
+A Kalman filter of two states: the bias, and the disagreement between map and gyro heading by all other
+causes. The second is a random walk (of the gyro, and of the growing map). Such a walk also shows trends over
+a few meters, which so do not count as a bias.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.field_validators import require_above
 
 ALIKE = np.array((1.0, 0.0))
-"""What is observed: the disagreement, not the bias."""
+"""Observation model: the disagreement is observed, the bias is not."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GyroBiasConfig:
-    """What is known of a gyro and of the headings it is compared with; standard deviations.
+    """Standard deviations of a gyro and of the registered headings.
 
     Attributes:
         prior: of the bias before anything is known, rad/s: the zero-rate offset of the data sheet. The
@@ -29,7 +29,7 @@ class GyroBiasConfig:
         drift: of the bias's own random walk after one second, rad/s.
         walk: of the disagreement's random walk after one second, radians.
         heading: at which a scan is registered, radians.
-        gate: disagreements more than so many standard deviations from the expected one teach nothing.
+        gate: standard deviations from the expected disagreement beyond which one is not learned from.
 
     Raises:
         ConfigError: a value is not above 0.
@@ -47,10 +47,10 @@ class GyroBiasConfig:
 
 @dataclass(frozen=True)
 class GyroBias:
-    """What is known of the bias.
+    """State of the bias filter.
 
     Attributes:
-        config: what was known at first.
+        config: parameters of the filter.
         state: (2,) the disagreement between map and gyro in radians, and the bias in rad/s.
         covariance: (2, 2) of it.
         observed: disagreement of the last registered heading, radians.
@@ -63,7 +63,7 @@ class GyroBias:
 
     @staticmethod
     def unknown(config: GyroBiasConfig) -> GyroBias:
-        """Return what is known at the start, where map and gyro agree by definition."""
+        """Return the state at the start, where map and gyro agree by definition."""
         return GyroBias(config, np.zeros(2), np.diag((config.heading**2, config.prior**2)))
 
     @property
@@ -77,10 +77,10 @@ class GyroBias:
         return math.sqrt(float(self.covariance[1, 1]))
 
     def learned(self, disagreement: float, seconds: float) -> GyroBias:
-        """Return what is known after a step.
+        """Return the state after a step.
 
         Args:
-            disagreement: turn of the map's heading less that of the gyro as it is, radians.
+            disagreement: turn of the map's heading minus that of the raw gyro, radians.
             seconds: duration of the step.
         """
         c = self.config

@@ -1,4 +1,4 @@
-"""The motion since the last processed scan, by odometry, gyro and matched scans."""
+"""Motion since the last processed scan by odometry, gyro and matched scans."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from slam_baselines.linalg import solve3
 from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, PoseEstimate, yaw_rate
 
 GYRO = 5e-4
-"""Random walk of a gyro's yaw once its bias is taken out: standard deviation after one second, radians."""
+"""Random walk of a gyro's yaw without its bias: standard deviation after one second, radians."""
 
 POSITION, HEADING = 0.05, math.radians(0.5)
 """Standard deviations of a registered scan's pose, meters and radians."""
 REGISTERED = np.diag((POSITION**2, POSITION**2, HEADING**2))
 """Covariance of a registered scan's pose."""
 STILL = 1e-9
-"""Meters and radians up to which a step is none."""
+"""Meters and radians up to which a step counts as standing."""
 
 
 class MotionIncrement:
-    """How the base has moved since `begin`.
+    """Motion of the base since `begin`.
 
     Attributes:
         pose: `T_begin_now`, corrected.
         newest: (3, 3) covariance of the last addition.
-        reckoned: motion since `begin` by odometry and gyro as they are, with the sum of the covariances.
-        bias: of the gyro, rad/s; taken out of `pose`.
+        reckoned: motion since `begin` by raw odometry and gyro, with the sum of the covariances.
+        bias: of the gyro, rad/s; subtracted in `pose`.
         seconds: time spent moving.
         distance: traveled, meters.
         turn: radians turned, either way.
@@ -68,7 +68,7 @@ class MotionIncrement:
         return delta
 
     def distance_from(self, pose: Pose2) -> float:
-        """Return the Mahalanobis distance of `T_begin_now` from dead reckoning, less the gyro's bias.
+        """Return the Mahalanobis distance of `T_begin_now` from dead reckoning without bias.
 
         The poses at which the step begins and ends are those of registered scans, with their own errors.
         """
@@ -77,7 +77,7 @@ class MotionIncrement:
         return math.sqrt(float(d @ solve3(self.reckoned.covariance + REGISTERED, d)))
 
     def _compare(self, turn: float, rate: float, seconds: float) -> None:
-        """Believe the heading as a gyro deserves, less what gyro and odometry disagree about since `begin`.
+        """Set the heading's variance by the gyro's noise and its disagreement with the odometry.
 
         The noise of single readings cancels over the distance.
         """
@@ -93,6 +93,6 @@ def _is_moving(step: Pose2) -> bool:
 
 
 def remove_bias(step: Pose2, bias: float, seconds: float) -> Pose2:
-    """Return a step less what a gyro's bias (rad/s) has turned it in its course."""
+    """Return a step without the turn by a gyro's bias (rad/s)."""
     half = Pose2(yaw=-bias * seconds / 2)
     return half @ step @ half

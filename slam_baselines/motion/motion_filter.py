@@ -1,4 +1,4 @@
-"""Which scans become nodes: those that may show something new."""
+"""Motion filter: selection of the scans that become nodes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from slam_baselines.scan.leveling import LeveledScan
 
 @dataclass(frozen=True, kw_only=True)
 class MotionFilterConfig:
-    """Which scans become nodes; names as in Cartographer's motion_filter.
+    """Motion after which a scan becomes a node; names as in Cartographer's motion_filter.
 
     Attributes:
         max_time_seconds: longest time between two nodes.
@@ -34,7 +34,7 @@ class MotionFilterConfig:
 
 
 class MotionFilter:
-    """Remembers the last node."""
+    """Comparison of scans with the last node."""
 
     def __init__(self, config: MotionFilterConfig) -> None:
         self._config = config
@@ -43,11 +43,11 @@ class MotionFilter:
         self._stamp = -math.inf
 
     def note(self, scan: LeveledScan, pose: Pose2) -> None:
-        """Take note of a node."""
+        """Record a node."""
         self._pose, self._slope, self._stamp = pose, scan.ground_slope, scan.stamp
 
     def correct_pose(self, pose: Pose2) -> None:
-        """Take note that the last node's pose was corrected."""
+        """Correct the last node's pose."""
         self._pose = pose
 
     def due(self, scan: LeveledScan, pose: Pose2) -> bool:

@@ -1,1 +1,1 @@
-"""A scan in the leveled base frame."""
+"""Scans in the leveled base frame."""

@@ -1,8 +1,8 @@
-"""Hits interpolated along surfaces: where beams are farther apart than cells, a wall is still a wall.
+"""Density of a scan's points: interpolation along surfaces, voxel filter.
 
-A single scan draws a far wall as dots. Where scans are dense, the next ones fill the gaps; where the robot
-travels a meter between two scans, the dots would be all there is to match to, and they pull the next scan's
-dots onto themselves.
+A single scan draws a far wall as dots, since its beams are farther apart than cells. Dense scans fill the
+gaps. If the robot travels a meter between two scans, only the dots remain to match, and they attract the next
+scan's dots.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from slam_baselines.scan.leveling import ScanPoints
 
 @dataclass(frozen=True, kw_only=True)
 class InterpolationConfig:
-    """Which neighboring hits belong to one surface.
+    """Conditions for neighboring hits on one surface.
 
     Attributes:
         max_gap: largest distance between them, meters.
-        max_obliqueness: largest ratio of that distance to what the two beams are apart there.
+        max_obliqueness: largest ratio of that distance to the distance of the two beams there.
         max_bend: largest angle between their line and that through the hit before or after, radians.
 
     Raises:
@@ -44,13 +44,13 @@ class InterpolationConfig:
 def interpolate_hits(
     scan: ScanPoints, min_slopes: ByteArray, spacing: float, config: InterpolationConfig
 ) -> tuple[ScanPoints, ByteArray]:
-    """Return the scan with hits at most `spacing` apart along each surface, and their minimum slopes.
+    """Return the scan with hits `spacing` apart along surfaces, and their minimum slopes.
 
     Args:
         scan: in any frame; its hits in the order of the beams.
         min_slopes: (n,) of each hit; a hit between two others has the smaller of theirs.
         spacing: meters.
-        config: which hits belong to one surface.
+        config: conditions for hits on one surface.
     """
     c, count = config, np.zeros(len(scan.hits), np.int64)
     limits = c.max_gap, c.max_obliqueness, math.cos(c.max_bend)
@@ -88,7 +88,7 @@ def _count_between(origin: Any, hits: Any, spacing: float, limits: Any, count: A
 
 @njit(cache=True, nogil=True)
 def _fill(hits: Any, slopes: Any, count: Any, out: Any, out_slopes: Any) -> None:
-    """Copy hits (n, 3) and slopes (n,), and insert `count` (n,) evenly spaced ones after each."""
+    """Copy hits (n, 3) and slopes (n,); insert `count` (n,) evenly spaced ones after each."""
     # Number by number: to assign to a slice, Numba first compiles the message of an error for two seconds.
     m = 0
     for i in range(len(hits)):
@@ -105,7 +105,7 @@ def _fill(hits: Any, slopes: Any, count: Any, out: Any, out_slopes: Any) -> None
 
 
 def voxel_filter(points: FloatArray, size: float, max_points: int) -> FloatArray:
-    """Return at most `max_points` of the points, the first one of each square of the given size."""
+    """Return at most `max_points` points, the first of each square of the given size."""
     cells = np.floor(points[:, :2] / size).astype(np.int64)
     _, first = np.unique(cells[:, 0] * (1 << 20) + cells[:, 1], return_index=True)
     first.sort()

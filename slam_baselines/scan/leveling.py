@@ -23,8 +23,8 @@ class ScanPoints(NamedTuple):
 
     Attributes:
         origin: (3,) the laser.
-        hits: (n, 3) where beams ended.
-        free: (m, 3) ends of beams that met nothing up to there.
+        hits: (n, 3) ends of beams with return.
+        free: (m, 3) ends of the free part of beams without return.
     """
 
     origin: FloatArray
@@ -38,8 +38,8 @@ class LeveledScan:
 
     Attributes:
         origin: (3,) the laser.
-        hits: (n, 3) where beams ended.
-        free: (m, 3) where beams that met nothing were still free: the farthest that is believed of them.
+        hits: (n, 3) ends of beams with return.
+        free: (m, 3) ends of the free part of beams without return.
         ground_slope: (2,) rise of the ground under the robot per meter forward and to the left.
         tilt: angle between the robot's z and gravity, radians; NaN where no attitude was given.
         stamp: seconds.
@@ -65,10 +65,10 @@ class LeveledScan:
 
 
 class ScanLeveler:
-    """Levels the scans of one sensor; keeps the directions of its beams and its mount."""
+    """Leveling of one sensor's scans; keeps the directions of its beams and its mount."""
 
     def __init__(self, clear_range: float = 0.0, max_range: float = math.inf) -> None:
-        """Believe beams without return up to `clear_range`, and no hit from `max_range` on, meters."""
+        """Use beams without return up to `clear_range`, and hits up to `max_range`, meters."""
         self._clear_range = clear_range
         self._max_range = max_range
         self._geometry: tuple[float, ...] = ()
@@ -93,7 +93,7 @@ class ScanLeveler:
         return LeveledScan(origin, ends[:hits], ends[len(ends) - free :], slope, tilt, scan.stamp)
 
     def _know(self, scan: LaserScan) -> None:
-        """Keep what scans of one sensor share."""
+        """Update the sensor's beam directions, limits and mount if they changed."""
         geometry = (len(scan.ranges), scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
         if geometry != self._geometry:
             self._geometry = geometry
@@ -106,7 +106,7 @@ class ScanLeveler:
 
 
 class RangeLimits(NamedTuple):
-    """Range of the nearest and farthest hit, and up to where a beam without return is free, meters."""
+    """Ranges of the nearest and farthest hit, and of the free part of a beam without return, meters."""
 
     nearest: float
     farthest: float
@@ -122,7 +122,7 @@ class Mount(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def _transform(scan: Any, pose: Any, out: Any) -> None:
-    """Fill `out` with a scan turned by the yaw of a pose (x, y, yaw, z) and shifted."""
+    """Fill `out` with a scan turned and shifted by a pose (x, y, yaw, z)."""
     x, y, yaw, z = pose
     c, s = np.cos(yaw), np.sin(yaw)
     origin, new_origin = scan.origin.reshape(1, 3), out.origin.reshape(1, 3)
@@ -136,7 +136,7 @@ def _transform(scan: Any, pose: Any, out: Any) -> None:
 def _level(
     ranges: Any, directions: Any, mount: Any, limits: Any, attitude: Any, ends: Any, origin: Any
 ) -> tuple[int, int]:
-    """Fill `ends` with hits from its top and with free ends from its bottom; return how many of each."""
+    """Fill `ends` with hits from the top and free ends from the bottom; return both counts."""
     nearest, farthest, clear = limits
     rotation, shift = mount
     roll, pitch = attitude
@@ -154,7 +154,7 @@ def _level(
         if nearest <= r <= farthest:
             row = hits
             hits += 1
-        elif r > nearest and clear > nearest:  # +inf, or beyond what is believed: free up to `clear`
+        elif r > nearest and clear > nearest:  # +inf, or beyond the limit: free up to `clear`
             r = clear
             free += 1
             row = n - free
