@@ -17,23 +17,23 @@ from lirs_wct.errors import ConfigError, unknown_name
 
 _KEY = "option"
 MAX_NUMBERS = 100_000
-"""Length of a list such as 1-100000 at most."""
+"""Largest length of a list such as 1-100000."""
 
 Check = Callable[[Any, str], None]
-"""Raises ConfigError for a value that is not legal; called with the value, never None, and its name."""
+"""Function of a value (never None) and its name that raises ConfigError for an illegal value."""
 Reader = Callable[[str, str], Any]
-"""Text at a command line -> value; called with the text and the flag."""
+"""Function of a command line's text and the flag that returns the value."""
 Names = Collection[Any] | Callable[[], Collection[Any]]
-"""Legal values, or a function that imports them where the import is slow."""
+"""Legal values, or a function that returns them if their import is slow."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Switch:
-    """A flag without value that stands for a value of an option.
+    """A command-line flag without value that stands for a value of an option.
 
     Attributes:
-        flag: at the command line.
-        value: that it stands for.
+        flag: spelling at the command line.
+        value: value of the option that the flag sets.
         help: one sentence.
     """
 
@@ -44,13 +44,13 @@ class Switch:
 
 @dataclass(frozen=True, kw_only=True)
 class Slider:
-    """Usual values of a number, for a slider on a page.
+    """Range of a number's slider on a page.
 
     Attributes:
-        low: smallest.
-        high: largest.
-        step: between two.
-        neutral: changes nothing, and stands for "not given".
+        low: smallest value.
+        high: largest value.
+        step: distance of two values.
+        neutral: value without effect; it stands for "not given".
     """
 
     low: float
@@ -66,21 +66,21 @@ class Option:
     Attributes:
         help: one sentence or two.
         panel: heading in the help; None = the command's own.
-        metavar: stands for the value in the help; None = its type.
-        flags: at the command line, the first is the usual one; empty = the field's name.
+        metavar: placeholder of the value in the help; None = its type.
+        flags: command-line flags, the usual one first; empty = the field's name.
         label: name in errors; empty = the field's name.
-        check: legality.
-        read: reader of the value; None = as its type is read.
-        axis: reader of a list of values, which a sweep crosses; None = the option has one value.
+        check: check of the value's legality.
+        read: reader of the value; None = the reader of its type.
+        axis: reader of a list of values that a sweep varies; None = the option has one value.
         names: values that a page offers; empty = those of its type.
         shown: format of the value in the name of a group of runs.
-        hidden: whether the command line's help leaves it out.
+        hidden: whether the command line's help omits it.
         on_page: whether the live page offers it.
-        in_digest: whether it distinguishes results, whose folders are named by it.
+        in_digest: whether it distinguishes results and enters the name of their folder.
         switch: flag that stands for a value.
-        kinds: of source on which it has an effect; None = all.
-        title: of its control on a page, the paper's name where it has one; empty = the field's name.
-        slider: of its control; None = a field to write in.
+        kinds: kinds of source on which it has an effect; None = all.
+        title: title of its control on a page, the paper's name if it has one; empty = the field's name.
+        slider: slider of its control; None = a text field.
     """
 
     help: str
@@ -108,7 +108,7 @@ def option(default: Any, help: str, **given: Any) -> Any:
 
 
 def declared(options: type[Options]) -> Iterator[tuple[str, Option]]:
-    """Yield name and `Option` of each declared field, with the flag of its name if it has no other."""
+    """Yield the name and `Option` of each declared field; its default flag is its name."""
     for entry in fields(options):
         if _KEY in entry.metadata:
             found: Option = entry.metadata[_KEY]
@@ -148,7 +148,7 @@ def digest_fields(options: Options) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """Options that are checked as they declare.
+    """Base of option classes; each value passes its declared check.
 
     Raises:
         ConfigError: a value is not legal.
@@ -165,7 +165,7 @@ Declared = TypeVar("Declared", bound=type[Options])
 
 
 def documented(options: Declared) -> Declared:
-    """Return a class of options with the help of each appended to its docstring's attributes."""
+    """Append the help of each option to the attributes in the docstring of a class of options."""
     text = inspect.cleandoc(options.__doc__ or "")
     heading = () if "Attributes:" in text else ("", "Attributes:")
     lines = (f"    {name}: {found.help}" for name, found in declared(options))
@@ -174,14 +174,14 @@ def documented(options: Declared) -> Declared:
 
 
 def positive(value: float | Iterable[float], label: str) -> None:
-    """Check that a number, or each of several, is finite and above 0."""
+    """Check that a number, or each of several numbers, is finite and above 0."""
     for number in value if isinstance(value, Iterable) else (value,):
         if not 0 < number < math.inf:
             raise ConfigError(f"{label} must be a finite number above 0, got {number}")
 
 
 def within(legal: str, unit: str = "") -> Check:
-    """Return a check that a number lies in an interval such as "[0, inf)" or "(0, 360]"; NaN never does."""
+    """Return a check that a number lies in an interval such as "[0, inf)"; NaN is illegal."""
     low, high = (float(bound) for bound in legal[1:-1].split(","))
 
     def check(value: float, label: str) -> None:
@@ -204,7 +204,12 @@ def one_of(legal: Names) -> Check:
 
 
 def numbers(form: str, *counts: int) -> Reader:
-    """Return a reader of as many comma-separated numbers as are legal; `form` says so in the error."""
+    """Return a reader of comma-separated numbers; an error names the legal `form`.
+
+    Args:
+        form: legal form in the error.
+        *counts: legal numbers of values.
+    """
 
     def read(text: str, flag: str) -> tuple[float, ...]:
         try:
@@ -219,7 +224,7 @@ def numbers(form: str, *counts: int) -> Reader:
 
 
 def whole_numbers(form: str, count: int) -> Reader:
-    """Return a reader of so many comma-separated whole numbers."""
+    """Return a reader of `count` comma-separated whole numbers."""
     reader = numbers(form, count)
 
     def read(text: str, flag: str) -> tuple[int, ...]:
@@ -237,10 +242,10 @@ def choice(*legal: str) -> Reader:
 
 
 def chosen(text: str, flag: str, legal: tuple[Any, ...]) -> Any:
-    """Return the text, which must be one of the legal words.
+    """Return the text if it is one of the legal words.
 
     Raises:
-        ConfigError: it is none of them.
+        ConfigError: the text is illegal.
     """
     if text not in legal:
         raise ConfigError(f"{flag} must be {', '.join(legal[:-1])} or {legal[-1]}, got {text!r}")
@@ -248,7 +253,7 @@ def chosen(text: str, flag: str, legal: tuple[Any, ...]) -> Any:
 
 
 def name_of(legal: Collection[str]) -> Reader:
-    """Return a reader of one of the legal names, which lists them otherwise."""
+    """Return a reader of one of the legal names; an error lists them."""
 
     def read(text: str, flag: str) -> str:
         if text not in legal:

@@ -34,18 +34,18 @@ from lirs_wct.navigation.traversability import (
 
 @dataclass(frozen=True)
 class World(ShownAsPicture):
-    """A place for robots, in meters: x east, y north, z up.
+    """A site for robots, in meters: x east, y north, z up.
 
     Attributes:
-        name: fit for file names and Gazebo's URIs.
+        name: name that is legal in file names and Gazebo's URIs.
         ground: a terrain, a laser map or a closed mesh.
-        spawn_poses: poses where a robot can be set down, the one asked for or the roomiest first.
-        spawn_for: the largest robot on wheels for which there are such; empty = for none.
-        start: the pose that was asked for; None = none was.
-        scale: where the meters come from, a text.
-        export_options: how the mesh files are made.
-        source: absolute path of what it was made from, or a bundled name; None = made in code.
-        place: where it lies on the earth; None = the source does not say.
+        spawn_poses: legal start poses of a robot; the first is the requested one, else the roomiest.
+        spawn_for: largest wheeled robot that has spawn poses; empty = none has.
+        start: the requested start pose; None = not requested.
+        scale: origin of the meters, a text.
+        export_options: options of the mesh files.
+        source: absolute path of the source, or a bundled name; None = made in code.
+        place: georeference; None = unknown.
     """
 
     name: str
@@ -93,19 +93,19 @@ class World(ShownAsPicture):
 
     @property
     def overhangs(self) -> bool:
-        """Whether the world is a closed mesh that is more than its heights from above."""
+        """Whether the world is a closed mesh with more than one surface on a vertical line."""
         return isinstance(self.ground, ClosedMesh) and self.ground.overhangs
 
     @property
     def no_ground(self) -> BoolArray | None:
-        """(rows, cols) nodes of the surface without ground; None = no such node."""
+        """(rows, cols) whether a node of the surface has no ground; None = every node has."""
         return None if isinstance(self.ground, LaserMap) else self.ground.no_ground
 
     @cached_property
     def mesh(self) -> TriangleMesh:
         """The whole world as one closed solid: surface or floor with walls, skirt, base.
 
-        It is exact unless a budget was asked for: rays and contact may use it.
+        It is exact unless a budget is set; rays and contact may use it.
 
         Raises:
             ConfigError: a laser map or a mesh with overhangs has more triangles than the budget allows.
@@ -114,7 +114,7 @@ class World(ShownAsPicture):
 
     @cached_property
     def file_mesh(self) -> TriangleMesh:
-        """The same as mesh files hold it: of a terrain without a word on the budget, within the default one.
+        """The world's mesh for mesh files; a terrain without a budget gets the default one.
 
         Raises:
             ConfigError: as `mesh`.
@@ -124,7 +124,7 @@ class World(ShownAsPicture):
 
     @property
     def file_options(self) -> ExportOptions:
-        """How the mesh files are made, the default budget filled in."""
+        """Options of the mesh files, including the default budget."""
         if self.kind != "terrain":
             return self.export_options
         return self.export_options.with_default(self.surface)
@@ -139,7 +139,7 @@ class World(ShownAsPicture):
         return mesh
 
     def traversable(self, *, clearance: float, max_slope: float, resolution: float = 0.1) -> OccupancyGrid:
-        """Return a grid whose free cells are where a robot's center may be (see `traversable`)."""
+        """Return a grid whose free cells are legal positions of a robot's center (see `traversable`)."""
         return traversable(
             self.surface,
             self.walls,
@@ -153,13 +153,13 @@ class World(ShownAsPicture):
     def refusal(
         self, place: tuple[float, float], *, clearance: float, max_slope: float, resolution: float = 0.1
     ) -> tuple[str, str | None]:
-        """Return the cause why a robot cannot stand at a place, and the nearest `x,y` where it can.
+        """Return the cause why a robot cannot stand at a position, and the nearest free `x,y`.
 
         Args:
             place: x and y in the world, meters.
             clearance: as in `traversable`.
-            max_slope: likewise.
-            resolution: likewise.
+            max_slope: as in `traversable`.
+            resolution: as in `traversable`.
         """
         free = self.traversable(clearance=clearance, max_slope=max_slope, resolution=resolution)
         blocked = blocked_ground(
@@ -169,11 +169,11 @@ class World(ShownAsPicture):
         return cause, nearest_place(self.driven(free), place)
 
     def starts(self, free: OccupancyGrid, count: int = 8) -> tuple[Pose2, ...]:
-        """Return poses spread over where a robot can be and is meant to drive (see `spawn_poses`)."""
+        """Return start poses spread over the cells that robots are meant to drive (see `spawn_poses`)."""
         return spawn_poses(self.driven(free), count, corridors=self.walls is not None)
 
     def driven(self, free: OccupancyGrid) -> OccupancyGrid:
-        """Return the free cells that robots are meant to drive: of a laser map, where it was made."""
+        """Return the free cells that robots are meant to drive; of a laser map, the mapped area."""
         if self.walls is None:
             return free
         inside = overlaid(self._mapped_area.free, self._mapped_area, free)
@@ -190,24 +190,24 @@ class World(ShownAsPicture):
         """Return latitudes and longitudes, in degrees, of points of the world.
 
         Raises:
-            ConfigError: the source does not say where it lies, or the extra `geo` is needed.
+            ConfigError: the world has no georeference, or the extra `geo` is needed.
         """
         if self.place is None:
             raise ConfigError(f"{self.name}: its source does not say where on the earth it lies")
         return self.place.to_geographic(x, y)
 
     def with_export(self, given: ExportOptions) -> World:
-        """Return the world with mesh files as the options say; what they do not mention stays as it was.
+        """Return the world with updated export options; options not given stay unchanged.
 
         Raises:
-            ConfigError: a texture is to be draped, or hung on walls, where there is none, or there are none.
+            ConfigError: `drape` without a texture, or a wall texture without walls.
         """
         if given.wall_texture and self.walls is None:
             raise ConfigError(f"{self.name}: --wall-texture is for the walls of a laser map, it has none")
         return replace(self, export_options=self.export_options.updated(given))
 
     def save(self, folder: str | Path) -> Path:
-        """Write `world.json` and its arrays; `World.load` gives the same world back exactly."""
+        """Write `world.json` and its arrays; `World.load` returns exactly the same world."""
         content = WorldFile(
             name=self.name,
             kind=self.kind,

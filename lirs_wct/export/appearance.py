@@ -1,4 +1,4 @@
-"""What a world wears: its mesh in parts of one texture each, with texture coordinates and normals."""
+"""Appearance of a world: its mesh in parts of one texture each, with UV and normals."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from lirs_wct.world import World
 
 GROUND, WALLS = "ground", "walls"
 HALF_PIXEL = 0.5 / 1024
-"""Share of a draped picture that is left out along its border, at least half of a drawn texture's pixel."""
+"""Share of a draped picture omitted along its border: at least half a pixel of a drawn texture."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class Wear:
     """The texture of a part of a world.
 
     Attributes:
-        name: of the part, `ground` or `walls`.
+        name: name of the part, `ground` or `walls`.
         given: the user's file; None = drawn.
-        draped: whether the picture lies on the world from above, once; else it is repeated.
-        span: meters that a repeated picture spans; None = the longest side of the part.
+        draped: whether the picture covers the world once from above; else it is repeated.
+        span: side of a repeated picture, meters; None = the longest side of the part.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Wear:
     span: float | None
 
     def pixels(self, world: World) -> ByteArray:
-        """Return (rows, cols, 3) BGR, row 0 = the upper edge; of a draped picture, north.
+        """Return (rows, cols, 3) BGR; row 0 = upper edge, north in a draped picture.
 
         Raises:
             SourceError: the user's file cannot be read.
@@ -53,7 +53,7 @@ class Wear:
         return ground_texture(world.surface) if world.walls is None else floor_texture()
 
     def write(self, world: World, folder: Path) -> Path:
-        """Write the picture into a world's folder, unless it is there, and return its path inside."""
+        """Write the picture into a world's folder unless it exists; return its path inside."""
         path = texture_path(world.name, "texture" if self.name == GROUND else "wall_texture", self.given)
         if not (folder / path).is_file():
             write_image(folder / path, self.pixels(world))
@@ -62,10 +62,10 @@ class Wear:
 
 @dataclass(frozen=True)
 class Part:
-    """Triangles that wear one texture.
+    """Triangles of one texture.
 
     Attributes:
-        wear: their texture.
+        wear: texture of the triangles.
         mesh: triangles with texture coordinates and normals.
     """
 
@@ -74,7 +74,7 @@ class Part:
 
 
 def ground_wear(world: World) -> Wear:
-    """Return the texture of the ground; what is drawn is draped, but for a floor of slabs."""
+    """Return the texture of the ground; a drawn one is draped, except for a floor of slabs."""
     options = world.export_options
     if options.texture is not None:
         return Wear(GROUND, options.texture, options.drape, options.texture_size)
@@ -83,7 +83,7 @@ def ground_wear(world: World) -> Wear:
 
 
 def wall_wear(world: World, walls: WallGrid) -> Wear:
-    """Return the texture of walls: the picture is as high as they are."""
+    """Return the texture of walls; the picture has their height."""
     return Wear(WALLS, world.export_options.wall_texture, False, walls.height)
 
 
@@ -91,8 +91,8 @@ def world_parts(world: World, mesh: TriangleMesh | None = None) -> tuple[Part, .
     """Return the world's mesh in parts of one texture each.
 
     Args:
-        world: gives the textures.
-        mesh: drawn in place of the world's own, triangles without attributes.
+        world: source of the textures.
+        mesh: triangles without attributes; None = the world's own mesh.
 
     Raises:
         ConfigError: the mesh has more triangles than its budget allows.
@@ -105,7 +105,7 @@ def world_parts(world: World, mesh: TriangleMesh | None = None) -> tuple[Part, .
 
 
 def world_extent(world: World) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest and highest corner of what is seen of a world, meters."""
+    """Return the lowest and highest corner of a world's visible part, meters."""
     if world.solid is not None:
         low, high = world.solid.bounds
         return low.copy(), high.copy()
@@ -114,10 +114,10 @@ def world_extent(world: World) -> tuple[FloatArray, FloatArray]:
     return np.array((west, south, float(world.surface.z.min()))), np.array((east, north, top))
 
 
-def squared(picture: ByteArray, size: tuple[float, float]) -> ByteArray:
-    """Return a square picture as wide as the longer of width and depth, meters.
+def pad_to_square(picture: ByteArray, size: tuple[float, float]) -> ByteArray:
+    """Extend a picture to a square whose side is the longer of width and depth, meters.
 
-    The given one fills its lower-left corner; the rest repeats its border.
+    The given picture fills the lower-left corner; the rest repeats its border.
     """
     pixels = max(picture.shape[:2])
     cols, rows = (max(1, round(pixels * side / max(size))) for side in size)
@@ -127,7 +127,7 @@ def squared(picture: ByteArray, size: tuple[float, float]) -> ByteArray:
 
 
 def _map_parts(world: World, walls: WallGrid, mesh: TriangleMesh, wear: Wear) -> tuple[Part, ...]:
-    """Return floor and walls; pictures lie along the map's own axes."""
+    """Return floor and walls; pictures are parallel to the map's own axes."""
     rows, cols = walls.shape
     bounds = (0.0, 0.0, cols * walls.resolution, rows * walls.resolution)
     upright = mesh.vertices[mesh.faces][..., 2].max(axis=1) > 0

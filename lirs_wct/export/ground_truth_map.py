@@ -1,4 +1,4 @@
-"""The map that a robot's planar lidar should make of a world, for planners and as ground truth."""
+"""Ground-truth map of a world for a planar lidar of a given height."""
 
 from __future__ import annotations
 
@@ -19,25 +19,26 @@ from lirs_wct.sources.rasterize import rasterize_heights
 from lirs_wct.world import World
 
 ROBOT_HEIGHT = 0.3
-"""Meters above the ground at which the map is made, unless told otherwise."""
+"""Default height of the map above the ground, meters."""
 RESOLUTION = 0.05
-"""Meters a cell; coarser where a world is larger than `CELLS` of them."""
+"""Cell size, meters; coarser if a world has more than `CELLS` cells along a side."""
 CELLS = 4000
 STEEP = math.radians(45)
-"""Slope of a face from which on it is a wall, as in `map.false_occupied`."""
+"""Slope of a face above which it counts as a wall, as in `map.false_occupied`, radians."""
 TOUCHING = 1e-4
-"""Meters by which what stands on the ground may reach into it."""
+"""Depth by which an object on the ground may reach into it, meters."""
 
 
 def ground_truth_map(world: World, height: float = ROBOT_HEIGHT) -> OccupancyGrid:
-    """Return what stands in the way of a robot of this height: occupied, free, unknown (NaN).
+    """Return the obstacles of a robot of a given height: occupied, free, unknown (NaN).
 
-    Occupied are wall cells and holes of a laser map that is higher than the robot; of other worlds faces
-    steeper than 45 deg that rise by at least the height, what hangs lower than that, and where no ground is.
+    In a laser map, wall cells at least as high as the lidar and holes are occupied. In other worlds, faces
+    steeper than 45 deg that rise by at least the height, ceilings lower than the height, and nodes without
+    ground are occupied.
 
     Args:
-        world: to be mapped.
-        height: of the robot's lidar above the ground, meters.
+        world: world to map.
+        height: height of the robot's lidar above the ground, meters.
 
     Raises:
         ConfigError: the height is not above 0.
@@ -54,11 +55,14 @@ def ground_truth_map(world: World, height: float = ROBOT_HEIGHT) -> OccupancyGri
     if world.no_ground is not None:
         blocked |= world.no_ground
     blocked |= tall_faces(ground, height)[::-1]
-    return _gridded(ground, blocked)
+    return _to_grid(ground, blocked)
 
 
 def tall_faces(surface: HeightField, height: float) -> BoolArray:
-    """Return (rows, cols) nodes, row 0 = south, of faces of over 45 deg that rise by a height together."""
+    """Return (rows, cols) whether a node is on a tall steep face; row 0 = south.
+
+    Connected faces of over 45 deg are tall if together they rise by at least `height` meters.
+    """
     z = surface.south_up
     steep = steep_nodes(z, surface.cell, STEEP)
     count, labels = cv2.connectedComponents(steep.astype(np.uint8), connectivity=8)
@@ -81,7 +85,7 @@ def _of_walls(walls: WallGrid, truth: OccupancyGrid | None, height: float) -> Oc
 
 
 def _under_roofs(solid: TriangleMesh, surface: HeightField, height: float) -> tuple[HeightField, BoolArray]:
-    """Return the lowest ground of a mesh with overhangs, and the nodes where too low a thing hangs."""
+    """Return the lowest ground of a mesh with overhangs, and the nodes below a low ceiling."""
     up = solid.face_normals[:, 2]
     ground = _lowest(solid, up > 1e-9, surface)
     lost = np.isnan(ground)
@@ -94,15 +98,18 @@ def _under_roofs(solid: TriangleMesh, surface: HeightField, height: float) -> tu
 
 
 def _lowest(solid: TriangleMesh, chosen: BoolArray, surface: HeightField) -> FloatArray:
-    """Return (rows, cols) the lowest of the chosen faces at each node, row 0 = south; NaN where none is."""
+    """Return (rows, cols) heights of the lowest chosen face at each node; row 0 = south.
+
+    NaN where no chosen face is.
+    """
     if not chosen.any():
         return np.full(surface.shape, np.nan)
     upside_down = TriangleMesh(solid.vertices * np.array((1.0, 1.0, -1.0)), solid.faces[chosen])
     return -rasterize_heights(upside_down, (*surface.origin, *surface.cell), surface.shape)
 
 
-def _gridded(surface: HeightField, blocked: BoolArray) -> OccupancyGrid:
-    """Return a grid over the surface whose cells are occupied where one of their nodes is blocked."""
+def _to_grid(surface: HeightField, blocked: BoolArray) -> OccupancyGrid:
+    """Return a grid over the surface whose cells with a blocked node are occupied."""
     (width, depth), (west, south) = surface.size, surface.origin
     resolution = max(RESOLUTION, max(width, depth) / CELLS)
     shape = (max(1, round(depth / resolution)), max(1, round(width / resolution)))

@@ -1,4 +1,4 @@
-"""A mesh file becomes another one: shape, up, texture coordinates and texture are kept; a loss is told."""
+"""Conversion of mesh files: keeps shape, up axis and texture, and warns of losses."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from lirs_wct.geometry.mesh import TriangleMesh
 
 
 def convert_mesh(source: Path, target: Path, rotate_x: float = 0.0) -> TriangleMesh:
-    """Convert a mesh file, and return its shape with equal vertices merged.
+    """Convert a mesh file and return its shape with equal vertices merged.
 
-    Texture and texture coordinates are kept where both formats hold them; a warning says what is lost.
+    Texture and texture coordinates are kept if both formats support them; a warning names the losses.
 
     Args:
-        source: file.
-        target: file in the format of its suffix; of COLLADA and OBJ the texture goes beside it.
-        rotate_x: degrees about the x axis.
+        source: input file.
+        target: output file in the format of its suffix; COLLADA and OBJ store the texture next to it.
+        rotate_x: rotation about the x axis, degrees.
 
     Raises:
         SourceError: the source cannot be used.
-        ConfigError: the target's suffix is none that is written.
+        ConfigError: the target's suffix is not supported.
         OutputError: a file cannot be written, or the texture would replace another picture.
     """
-    shape = _turned(read_upright(source), rotate_x)
+    shape = _rotate(read_upright(source), rotate_x)
     found = read_textured(source)
     lost = _lost(found, target)
     if found.mesh.uv is not None and target.suffix.lower() in TEXTURED:
         if found.picture is None:
             warnings.warn(f"{source}: its texture coordinates are kept, no texture was found", stacklevel=2)
-        _write_textured(target, _turned(upright(source, found.mesh), rotate_x), found.picture)
+        _write_textured(target, _rotate(upright(source, found.mesh), rotate_x), found.picture)
     else:
         write_mesh(target, shape)
     if lost:
@@ -46,12 +46,12 @@ def convert_mesh(source: Path, target: Path, rotate_x: float = 0.0) -> TriangleM
     return shape
 
 
-def _turned(mesh: TriangleMesh, degrees: float) -> TriangleMesh:
+def _rotate(mesh: TriangleMesh, degrees: float) -> TriangleMesh:
     return mesh.rotated_x(degrees) if degrees else mesh
 
 
 def _lost(found: TexturedMesh, target: Path) -> list[str]:
-    """Return what the target will not hold."""
+    """Return the names of the attributes that the target's format cannot store."""
     lost = []
     if found.mesh.uv is not None and target.suffix.lower() not in TEXTURED:
         lost.append("texture and texture coordinates" if found.picture else "texture coordinates")
@@ -73,7 +73,7 @@ def _write_textured(path: Path, mesh: TriangleMesh, picture: Image.Image | None)
 
 
 def _write_beside(path: Path, picture: Image.Image) -> str:
-    """Write a texture beside a mesh file, and return its name, which holds no spaces."""
+    """Write a texture next to a mesh file; return its name, which has no spaces."""
     name = f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', path.stem)}-texture.png"
     place, content = path.with_name(name), png(picture)
     if place.exists() and place.read_bytes() != content:

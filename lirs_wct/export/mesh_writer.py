@@ -1,4 +1,4 @@
-"""A mesh becomes a file: STL, COLLADA, OBJ, PLY or GLB, upright in every consumer."""
+"""Writer of mesh files: STL, COLLADA, OBJ, PLY or GLB, upright in every consumer."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from lirs_wct.meshing.uv import cube_uv
 from lirs_wct.progress import Progress, no_progress
 
 STREAM_ABOVE = 20_000
-"""Triangles above which the file is streamed: pycollada needs 20 s and 500 MB for each million."""
+"""Triangles above which the file is streamed; pycollada needs 20 s and 500 MB per million."""
 BULK = 500_000
-"""Triangles above which bytes count: fewer digits, and quads."""
+"""Triangles above which the file is compact: fewer digits, and quads."""
 
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
-    """Write a mesh in the format of the file's suffix; a GLB with y up, as its readers expect.
+    """Write a mesh in the format of the file's suffix; a GLB has y up, its convention.
 
     Raises:
-        ConfigError: the suffix is none that is written.
+        ConfigError: the suffix is not supported.
         OutputError: the file cannot be written.
     """
     writers: dict[str, Callable[[Path, TriangleMesh], None]] = {
@@ -58,17 +58,17 @@ def write_collada(
     stream_above: int = STREAM_ABOVE,
     progress: Progress = no_progress,
 ) -> None:
-    """Write a mesh with its texture coordinates; missing ones are made by cube projection.
+    """Write a mesh with texture coordinates; missing ones are made by cube projection.
 
     Args:
-        path: file.
-        mesh: in the world frame.
+        path: output file.
+        mesh: mesh in the world frame.
         texture: path of the picture relative to the file, or None for a plain color.
         stream_above: triangles above which the file is streamed.
-        progress: of the file.
+        progress: progress of the file.
 
     Raises:
-        ConfigError: the texture's path holds spaces, which Gazebo does not take.
+        ConfigError: the texture's path has spaces, which Gazebo does not support.
         OutputError: the file cannot be written.
     """
     whole = mesh if mesh.uv is not None and mesh.normals is not None else cube_uv(mesh)
@@ -82,22 +82,22 @@ def write_parts(
     stream_above: int = STREAM_ABOVE,
     progress: Progress = no_progress,
 ) -> None:
-    """Write parts that wear a texture each as one COLLADA file (see `write_collada`)."""
+    """Write parts of one texture each as one COLLADA file (see `write_collada`)."""
     for part in parts:
         if part.texture is not None and any(c.isspace() for c in part.texture):
             raise ConfigError(f"path of a texture must not hold spaces, got {part.texture!r}")
     count = sum(len(part.mesh.faces) for part in parts)
     with atomic_write(path) as temporary:
         if count > stream_above:
-            passed = _passed(count, path.name, progress)
+            passed = _count_progress(count, path.name, progress)
             stream_collada(temporary, parts, brief=count > BULK, passed=passed)
         else:
             write_document(temporary, parts)
             progress(path.name, 1.0)
 
 
-def _passed(total: int, step: str, progress: Progress) -> Callable[[int], None]:
-    """Return a function that reports so many triangles more."""
+def _count_progress(total: int, step: str, progress: Progress) -> Callable[[int], None]:
+    """Return a function that adds a number of triangles and reports the progress."""
     done = 0
 
     def passed(count: int) -> None:

@@ -1,8 +1,8 @@
-"""A world as MuJoCo's model: only this file and `mjcf_file` know MuJoCo.
+"""MuJoCo model of a world: ground, walls, contact geometry.
 
-MuJoCo's height field has row 0 at -y, where ours has it in the north; the flip is `HeightField.south_up`.
-Its heights are scaled to [0, 1] by their own lowest and highest, so that the geom carries both: the lowest as
-its z, the relief as its elevation.
+Row 0 of MuJoCo's height field is at -y, row 0 of ours is in the north; `HeightField.south_up` flips it.
+MuJoCo scales heights to [0, 1] by their minimum and maximum. The geom stores both: the minimum as its z, the
+relief as its elevation.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from lirs_wct.meshing.tiles import MUJOCO_FACES, split_tiles
 from lirs_wct.world import World
 
 TERRAIN_GROUP = 3
-"""Geom group of ground and walls in a simulation: rays for robots and props leave it out."""
+"""Geom group of ground and walls in a simulation; rays for robots and props exclude it."""
 BASE = 1.0
-"""Meters that the ground reaches below its lowest point; contacts push out the shorter way: up."""
+"""Meters that the ground reaches below its lowest point; contacts push along the shorter direction, up."""
 RAY_GROUP = 5
-"""Geom group of a true mesh that MuJoCo's rays see, since no height field can hold it; no robot uses it."""
+"""Geom group of a mesh with overhangs for MuJoCo's rays; no robot uses it."""
 GROUND_COLOR = (0.62, 0.57, 0.48, 1.0)
 WALL_COLOR = (0.45, 0.5, 0.55, 1.0)
 
@@ -45,19 +45,19 @@ def world_spec(
     heights: bool = True,
     height_range: tuple[float, float] | None = None,
 ) -> mujoco.MjSpec:
-    """Return the world as a specification to compile.
+    """Return the world as an MjSpec to compile.
 
     Args:
         world: ground and walls.
-        contact: the grid that is touched; default: the surface itself.
-        robot: specification that the world is added to; its options and defaults stay as they are.
+        contact: contact grid; default: the surface itself.
+        robot: specification to which the world is added; its options and defaults stay unchanged.
         group: geom group of ground and walls.
-        contact_geometry: what is touched (see `CONTACT_GEOMETRIES`).
-        ray_surface: whether to add the surface itself for MuJoCo's own rays, where something else is touched.
-        seen: whether to add the mesh of a world with overhangs, to be seen.
-        heights: whether the height field holds its heights; without, they are to come from a file.
-        height_range: lowest and highest height that the height field has room for, meters; `write_heights`
-            fills it in the compiled model. Default: those of the ground.
+        contact_geometry: geometry of contacts (see `CONTACT_GEOMETRIES`).
+        ray_surface: whether to add the surface itself for MuJoCo's own rays if contacts use another geometry.
+        seen: whether to add the visible mesh of a world with overhangs.
+        heights: whether the height field contains its heights; otherwise a file supplies them.
+        height_range: lowest and highest height of the height field, meters; `write_heights` fills it in the
+            compiled model. Default: the range of the ground.
 
     Raises:
         ConfigError: the terrain does not fit the world.
@@ -80,14 +80,17 @@ def world_spec(
         _hide(spec, group)
         _add_ground(spec, world.surface, group, name="seen", contype=0, conaffinity=0)
     for geom in spec.worldbody.geoms:
-        # The robot's defaults are in force here too: equal in priority, ground and robot would share theirs.
+        # The robot's defaults also apply here. With its priority, ground and robot would mix contact parameters.
         geom.priority = 0
     spec.worldbody.add_light(pos=(0, 0, 50), dir=(0.3, 0.2, -1), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     return spec
 
 
 def box_geoms(walls: WallGrid) -> FloatArray:
-    """Return (n, 4) the walls' boxes: center x, y in the world, half extents along the grid's axes."""
+    """Return (n, 4) boxes of the walls: world x, y of the center, half extents.
+
+    Half extents are along the grid's axes, meters.
+    """
     return _boxes(walls, merged_rectangles(walls.solid))
 
 
@@ -131,12 +134,12 @@ def _add_ground(
 
 
 def write_heights(model: mujoco.MjModel, surface: HeightField, height_range: tuple[float, float]) -> None:
-    """Write heights into a compiled model's ground, whose height range and nodes stay.
+    """Write heights into a compiled model's ground; its height range and nodes stay.
 
-    The box around the ground, which collisions are first tested with, is compiled from the range.
+    The ground's bounding box, used in the first phase of collision detection, is compiled from the range.
 
     Raises:
-        ConfigError: the surface has other nodes than the ground, or reaches out of the range.
+        ConfigError: the surface has other nodes than the ground, or exceeds the range.
     """
     field, (low, high) = model.hfield("ground"), height_range
     shape = int(field.nrow[0]), int(field.ncol[0])
@@ -162,7 +165,7 @@ def _add_boxes(
     group: int,
     color: tuple[float, ...],
 ) -> None:
-    """Add boxes to the world's body itself: a body of their own would be updated with them at every step."""
+    """Add boxes to the world body; MuJoCo would update a separate body at every step."""
     half_yaw = walls.origin.yaw / 2
     quat = (math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw))
     low, high = span
@@ -175,12 +178,12 @@ def _add_boxes(
             group=group,
             rgba=color,
         )
-    # With sleeping enabled MuJoCo leaves out what never moves: 2,372 boxes cost 5 us a step instead of 19.
+    # With sleeping enabled MuJoCo skips static geoms: 2,372 boxes cost 5 us a step instead of 19.
     spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 
 def _add_parts(spec: mujoco.MjSpec, world: World, contact_geometry: ContactGeometry, group: int) -> None:
-    """Add each convex part as a mesh: MuJoCo touches its hull, which is the part."""
+    """Add each convex part as a mesh; MuJoCo's contact uses its hull, which equals the part."""
     for k, corners in enumerate(contact_parts(world, contact_geometry)):
         name = f"ground{k}"
         spec.add_mesh(name=name, uservert=corners.ravel())
@@ -191,14 +194,14 @@ def _add_parts(spec: mujoco.MjSpec, world: World, contact_geometry: ContactGeome
 
 
 def _hide(spec: mujoco.MjSpec, group: int) -> None:
-    """Make what is touched invisible, to cameras and to MuJoCo's rays."""
+    """Make the contact geoms invisible to cameras and to MuJoCo's rays."""
     for geom in spec.worldbody.geoms:
         if geom.group == TERRAIN_GROUP or geom.group == group:
             geom.rgba = (*geom.rgba[:3], 0.0)
 
 
 def _add_tiles(spec: mujoco.MjSpec, world: World, group: int) -> None:
-    """Add the world's mesh to be seen only; what is touched becomes invisible."""
+    """Add the world's mesh as visible geoms without contact; contact geoms become invisible."""
     _hide(spec, group)
     for k, tile in enumerate(split_tiles(world.mesh, aim=MUJOCO_FACES // 2)):
         name = f"seen{k}"

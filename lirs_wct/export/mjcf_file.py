@@ -1,4 +1,4 @@
-"""MJCF file of a world: model, heights to the bit, and ground texture, for every MuJoCo since 3.0."""
+"""MJCF file of a world with exact heights and ground texture, for MuJoCo 3.0 and later."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.world import World
 
 START_GROUP = 4
-"""Group of sites that the viewer hides until it is asked for."""
+"""Group of sites that the viewer hides by default."""
 STAND_INS = {
     "stand-in.hfield": np.array((2, 2), "<i4").tobytes() + np.eye(2, dtype="<f4").tobytes(),
     "stand-in.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n",
 }
-"""Files in place of a world's own heights and meshes, under names where MuJoCo never looks for those."""
+"""Substitutes for a world's files of heights and meshes, under names that no real file has."""
 OLDEST_MUJOCO = "3.0.0"
-"""The oldest version that reads what is written; `.ci/run` loads worlds with it."""
+"""The oldest version that reads the written files; `.ci/run` loads worlds with it."""
 
 
 def write_mjcf(world: World, folder: str | Path) -> Path:
-    """Write NAME.xml, the surface's heights as float32, to the bit, and what the ground wears.
+    """Write NAME.xml, the surface's exact float32 heights, and the ground's texture.
 
-    The heights' file has their checksum in its name: MuJoCo caches assets by name, and would give the old
-    ground to a program that builds a world twice. Where no height field is seen (a laser map, a mesh with
-    overhangs), the world's own mesh is, and what is touched stands in group 3.
+    The name of the heights' file contains their checksum. MuJoCo caches assets by name and would otherwise
+    return the old ground to a program that builds a world twice. If no height field is visible (a laser map,
+    a mesh with overhangs), the world's own mesh is visible, and the contact geoms are in group 3.
 
     Args:
-        world: to be written.
-        folder: that holds the file.
+        world: world to write.
+        folder: folder of the file.
 
     Returns:
         The path of NAME.xml.
@@ -47,7 +47,7 @@ def write_mjcf(world: World, folder: str | Path) -> Path:
         OutputError: the folder cannot be written.
     """
     path = Path(folder) / f"{world.name}.xml"
-    # Seen in the viewer as it opens: it hides group 3.
+    # Group 0 is visible when the viewer opens; it hides group 3.
     contact_geometry: ContactGeometry = "convex" if world.overhangs else "hfield"
     spec = world_spec(world, group=0, contact_geometry=contact_geometry, heights=False, seen=False)
     low, high = world_extent(world)
@@ -64,9 +64,9 @@ def write_mjcf(world: World, folder: str | Path) -> Path:
 
 
 def _mark_starts(spec: mujoco.MjSpec, world: World) -> None:
-    """Add a site for each start, on the ground: a robot is attached to `start`, the first of them.
+    """Add a site on the ground for each start; robots attach to the first, `start`.
 
-    A keyframe would hold joint positions, and a world has no joint.
+    A keyframe would not work: it stores joint positions, and a world has no joint.
     """
     for k, pose in enumerate(world.spawn_poses):
         spec.worldbody.add_site(
@@ -85,7 +85,9 @@ def _write_heights(world: World, folder: Path) -> str:
 
 
 def write_hfield(path: Path, surface: HeightField) -> None:
-    """Write MuJoCo's height-field file: rows and columns as int32, then heights, row 0 at -y, in meters.
+    """Write MuJoCo's height-field file.
+
+    The file has rows and columns as int32, then heights in meters, row 0 at -y.
 
     Raises:
         OutputError: the file cannot be written.
@@ -104,9 +106,9 @@ def _hfield(surface: HeightField) -> tuple[memoryview, memoryview]:
 
 
 def _exact_xml(spec: mujoco.MjSpec) -> str:
-    """Return the specification's XML with sizes and positions in full; MuJoCo writes six digits.
+    """Return the specification's XML with full precision; MuJoCo writes six digits.
 
-    MuJoCo wants the files of heights and meshes for that, and keeps them: it gets stand-ins.
+    MuJoCo requires the files of heights and meshes for that and keeps them: it gets small substitutes.
     """
     own = [item for item in (*spec.hfields, *spec.meshes) if item.file]
     files = [item.file for item in own]
@@ -134,13 +136,15 @@ def _exact_xml(spec: mujoco.MjSpec) -> str:
 
 
 def readable_by_old(root: ElementTree.Element) -> None:
-    """Rewrite a model in place so that every MuJoCo from `OLDEST_MUJOCO` on reads it, to the same ground.
+    """Rewrite a model in place so that every MuJoCo from `OLDEST_MUJOCO` on reads it.
 
-    - `sleep` makes static geoms cheaper and changes no motion; 3.3 refuses it.
-    - `colorspace` is that of the texture's file without it; 3.2 refuses it.
+    The ground stays the same.
+
+    - `sleep` makes static geoms cheaper and changes no motion; 3.3 rejects it.
+    - `colorspace` defaults to that of the texture's file; 3.2 rejects it.
     - `type` of a light was `directional`, which all versions read.
-    - `inertia` of a mesh says how that of an open one is computed, and static geoms have no use for it. Only
-      a mesh in several tiles keeps it, since a flat tile has no volume: 3.2 refuses those worlds.
+    - `inertia` of a mesh selects the inertia of an open mesh; static geoms do not need it. Only a mesh in
+      several tiles keeps it, because a flat tile has no volume: 3.2 rejects those worlds.
     """
     for option in root.findall("option"):
         for flag in option.findall("flag"):

@@ -1,4 +1,4 @@
-"""How a world's MJCF looks: sky, sun, cameras, near plane, and what its ground and walls wear."""
+"""Look of a world's MJCF: sky, sun, cameras, near plane, textures of ground and walls."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from lirs_wct.world import World
 SKY = ((0.72, 0.80, 0.90), (0.93, 0.94, 0.95))
 """Colors of the sky above and at the horizon, RGB."""
 SUN = (0.5, -0.5, -0.7071)
-"""Where the light goes: from the north-west, as in the drawn textures."""
+"""Direction in which the light travels: from the north-west, as in the drawn textures."""
 NEAR, FAR, DEPTHS = 0.02, 5.0, 4e5
-"""Nearest that a camera sees, meters, the farthest in extents of the world, and how many times as far that is
-at most: a sky at 4e6 times the near plane is clipped."""
+"""Near plane of a camera (meters), far plane (extents of the world), and largest ratio of far to near plane.
+A sky at 4e6 times the near plane is clipped."""
 FOVY = math.radians(45)
 EYE, DOWN = 1.0, math.radians(10)
-"""Height of the camera at the first start pose above the ground, meters, and how far it looks down."""
+"""Height above the ground (meters) and downward angle (radians) of the camera at the first start pose."""
 GROUND_PIXELS, DRAPED_PIXELS = 2048, 8192
-"""Most pixels of the longer side of a texture repeated over a height field, and of one laid on once."""
+"""Limit of pixels along the longer side of a repeated texture, and of a draped one."""
 TOUCHED_GROUP = 3
-"""Geom group of what is touched and not seen, where something finer is seen; MuJoCo's viewer hides it."""
+"""Geom group of invisible contact geoms below a finer visible mesh; MuJoCo's viewer hides it."""
 SEEN_GROUP = 0
 
 
@@ -40,10 +40,10 @@ def add_look(spec: mujoco.MjSpec, world: World, low: FloatArray, high: FloatArra
     """Add sky, light and cameras, and set the extent and the near plane.
 
     Args:
-        spec: of the world.
-        world: for its start poses.
-        low: (3,) lowest corner of what is seen, meters.
-        high: (3,) highest corner.
+        spec: specification of the world.
+        world: source of the start poses.
+        low: (3,) lowest corner of the visible part, meters.
+        high: (3,) highest corner of the visible part, meters.
     """
     middle, extent = (low + high) / 2, 0.8 * float(np.linalg.norm(high - low))
     spec.stat.center, spec.stat.extent = middle, extent
@@ -94,12 +94,12 @@ def _add_camera(spec: mujoco.MjSpec, name: str, viewpoint: Viewpoint) -> None:
 
 
 def dress(spec: mujoco.MjSpec, world: World, folder: Path) -> None:
-    """Give the ground its texture, and put in the world's own mesh where no height field is seen.
+    """Add the ground's texture; add the world's own mesh if no height field is visible.
 
     Args:
-        spec: whose ground is named `ground` where it is a height field.
-        world: gives textures and mesh.
-        folder: that textures and meshes are written into.
+        spec: specification whose height field, if any, is named `ground`.
+        world: source of textures and mesh.
+        folder: folder of the written textures and meshes.
 
     Raises:
         OutputError: a file cannot be written.
@@ -107,7 +107,7 @@ def dress(spec: mujoco.MjSpec, world: World, folder: Path) -> None:
     if len(spec.hfields):
         wear = ground_wear(world)
         material = _add_material(spec, wear.name, _picture_on_field(world, wear, folder), folder)
-        # From its middle: the border wears the middle of the outermost pixels, not half of the opposite ones.
+        # The border shows the center of the outermost pixels; otherwise it would mix in the opposite ones.
         rows, cols = wear.pixels(world).shape[:2]
         material.texrepeat = (1 - 1 / cols, 1 - 1 / rows) if wear.draped else (1.0, 1.0)
         ground = next(geom for geom in spec.worldbody.geoms if geom.name == "ground")
@@ -122,7 +122,7 @@ def dress(spec: mujoco.MjSpec, world: World, folder: Path) -> None:
             name = f"{part.wear.name}-seen{k}"
             mesh = spec.add_mesh(name=name, file=_write_tile(spec, tile, f"{world.name}-{name}", folder))
             if len(tiles) > 1:
-                # A tile is open: it may have no volume to take an inertia from.
+                # A tile is open: it may have no volume for an inertia.
                 mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
             spec.worldbody.add_geom(
                 name=name,
@@ -136,7 +136,7 @@ def dress(spec: mujoco.MjSpec, world: World, folder: Path) -> None:
 
 
 def _write_tile(spec: mujoco.MjSpec, tile: TriangleMesh, stem: str, folder: Path) -> str:
-    """Write a mesh, its checksum in its name as the height field's has it, and return the name."""
+    """Write a mesh and return its file name, which contains its checksum."""
     content = (np.ascontiguousarray(a, np.float32) for a in (tile.vertices, tile.uv))
     checksum = 0
     for array in content:
@@ -158,7 +158,7 @@ def _add_material(spec: mujoco.MjSpec, name: str, texture: Path, folder: Path) -
 def _picture_on_field(world: World, wear: Wear, folder: Path) -> Path:
     """Return the PNG that covers the whole height field, row 0 = north.
 
-    MuJoCo lays a repeated picture from the middle, so that most are laid out beforehand.
+    MuJoCo repeats a picture from the center, so that most pictures are tiled beforehand.
     """
     if wear.draped:
         return _as_png(world, wear, folder)
@@ -172,7 +172,7 @@ def _picture_on_field(world: World, wear: Wear, folder: Path) -> Path:
 
 
 def _as_png(world: World, wear: Wear, folder: Path) -> Path:
-    """Return the part's picture as a file that MuJoCo reads: PNG alone, no larger than OpenGL takes."""
+    """Return the part's picture as a PNG, MuJoCo's only format, within OpenGL's size limit."""
     texture, pixels = wear.write(world, folder), wear.pixels(world)
     scale = DRAPED_PIXELS / max(pixels.shape[:2])
     if texture.suffix == ".png" and scale >= 1:
@@ -185,7 +185,7 @@ def _as_png(world: World, wear: Wear, folder: Path) -> Path:
 
 
 def spread(picture: ByteArray, size: tuple[float, float], span: float) -> ByteArray:
-    """Return a picture that covers width x depth meters with tiles of `span` meters from its lower left."""
+    """Cover width x depth meters with tiles of `span` meters, from the lower left corner."""
     width, depth = size
     tiles = max(size) / span
     pixels = min(GROUND_PIXELS, math.ceil(max(picture.shape[:2]) * tiles))

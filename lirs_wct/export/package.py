@@ -1,4 +1,4 @@
-"""A world's folder: a Gazebo model package and world, MuJoCo's MJCF, meshes, texture and `world.json`."""
+"""Folder of a world: Gazebo model package and world, MJCF, meshes, texture, `world.json`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from lirs_wct.errors import ConfigError, OutputError, unknown_name
-from lirs_wct.export.appearance import ground_wear, squared, world_extent, world_parts
+from lirs_wct.export.appearance import ground_wear, pad_to_square, world_extent, world_parts
 from lirs_wct.export.ground_truth_map import ROBOT_HEIGHT, ground_truth_map
 from lirs_wct.export.mesh_writer import write_parts
 from lirs_wct.export.mjcf_file import write_hfield, write_mjcf
@@ -39,12 +39,12 @@ from lirs_wct.progress import Progress, Steps, no_progress
 from lirs_wct.world import World
 
 FORMATS = ("dae", "stl", "sdf", "mjcf", "obj", "hfield", "glb", "usd", "map")
-"""What a package can hold beside `world.json`."""
+"""Legal formats of a package in addition to `world.json`."""
 DEFAULT_FORMATS = FORMATS[:4]
 GAZEBO_FOVY = 2 * math.atan(math.tan(math.radians(30)) * 3 / 4)
-"""Upright angle of view of Gazebo's window, which is 60 deg wide, at 4:3."""
+"""Vertical field of view of Gazebo's window, which is 60 deg wide, at 4:3, radians."""
 LARGE = 1_000_000
-"""Nodes of a surface above which an STL of the full grid is written without making its mesh."""
+"""Nodes of a surface above which an STL of the full grid is streamed without a mesh in memory."""
 
 GazeboTerrain = Literal["solid", "heightmap"]
 
@@ -59,21 +59,20 @@ def write_package(
     map_height: float = ROBOT_HEIGHT,
     progress: Progress = no_progress,
 ) -> Path:
-    """Write `parent/NAME/`, whole or not at all, and return it; what the user put there stays.
+    """Write `parent/NAME/` completely or not at all, and return it; the user's files stay.
 
     Args:
-        world: to be written.
+        world: world to write.
         parent: folder for the world's folder.
-        formats: of `FORMATS`.
-        terrain: what Gazebo's model is: the solid mesh, or a heightmap (8 bit, as the paper compares with).
-        map_height: meters above the ground at which the map is made (see `ground_truth_map`).
+        formats: names from `FORMATS`.
+        terrain: Gazebo's model: the solid mesh, or a heightmap (8 bit, the paper's comparison).
+        map_height: height of the map above the ground, meters (see `ground_truth_map`).
         overwrite: whether the world of another source may be replaced.
         progress: called with the name of the file being written.
 
     Raises:
-        ConfigError: no such format, or the world cannot be written in it.
-        OutputError: the folder cannot be written, holds something that is not a built world, or the world of
-            another source.
+        ConfigError: a format is unknown or does not fit the world.
+        OutputError: the folder cannot be written, or contains other files or the world of another source.
     """
     folder = Path(parent) / world.name
     _check(world, formats, terrain)
@@ -99,7 +98,10 @@ def write_package(
 
 
 def _check_place(world: World, folder: Path, overwrite: bool) -> None:
-    """Refuse a folder that holds something else, or the world of another source unless that may go."""
+    """Raise OutputError for a folder with other files, or with another source's world.
+
+    With `overwrite`, another source's world is legal.
+    """
     if not folder.is_dir() or not any(folder.iterdir()):
         return
     if not (folder / "world.json").is_file():
@@ -146,7 +148,7 @@ def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: S
         write_stl(_mesh_path(world, folder, "stl"), mesh, progress)
     if kinds == ["stl"]:
         return
-    parts = _textured(world, folder)
+    parts = _write_textures(world, folder)
     if "dae" in kinds:
         progress = steps.begin(f"{world.name}.dae")
         write_parts(_mesh_path(world, folder, "dae"), parts, progress=progress)
@@ -162,8 +164,8 @@ def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: S
         write_usd(_mesh_path(world, folder, "usd"), world, parts)
 
 
-def _textured(world: World, folder: Path) -> list[MeshPart]:
-    """Return the parts of the mesh files, whose textures are written."""
+def _write_textures(world: World, folder: Path) -> list[MeshPart]:
+    """Write the textures and return the parts of the mesh files."""
     degrees = world.export_options.rotate_x
     return [
         MeshPart(
@@ -176,7 +178,7 @@ def _textured(world: World, folder: Path) -> list[MeshPart]:
 
 
 def _streams(world: World) -> bool:
-    """Whether the mesh is the full grid of a large surface: its STL is written without making it."""
+    """Whether the mesh is the full grid of a large surface, whose STL is streamed."""
     settings = world.file_options
     plain = world.kind == "terrain" and not settings.limited and settings.rotate_x == 0
     return plain and world.surface.z.size > LARGE
@@ -218,17 +220,17 @@ def _starts(world: World) -> list[Pose3]:
 
 
 def _albedo(world: World, folder: Path) -> str | None:
-    """Return the texture of a world that wears one; floor and walls have their own in the mesh file."""
+    """Return the texture of a world with a single one; a laser map has two in its mesh file."""
     return None if world.walls is not None else ground_wear(world).write(world, folder).as_posix()
 
 
 def _heightmap_layer(world: World, folder: Path) -> Layer:
-    """Write what Gazebo's heightmap wears: square pictures, from its south-west corner."""
+    """Write the square textures of Gazebo's heightmap, aligned with its south-west corner."""
     wear, longest = ground_wear(world), max(world.surface.size)
     texture, span = wear.write(world, folder), wear.span or longest
     if wear.draped:
         texture, span = texture.with_name(f"{texture.stem}-square.png"), longest
-        write_image(folder / texture, squared(wear.pixels(world), world.surface.size))
+        write_image(folder / texture, pad_to_square(wear.pixels(world), world.surface.size))
     normal = TEXTURES / f"{world.name}-normal.png"
     write_image(folder / normal, flat_normals())
     return Layer(texture.as_posix(), normal.as_posix(), span)

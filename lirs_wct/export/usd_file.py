@@ -1,4 +1,4 @@
-"""A world as a USD stage, for Isaac Sim, Omniverse and Blender: textured meshes that are touched."""
+"""USD stage of a world for Isaac Sim, Omniverse and Blender: textured collision meshes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def require_usd() -> None:
     """Check that USD's library is installed.
 
     Raises:
-        ConfigError: it is not.
+        ConfigError: usd-core is not installed.
     """
     try:
         import_module("pxr.Usd")
@@ -33,14 +33,14 @@ def require_usd() -> None:
 def write_usd(path: Path, world: World, parts: list[MeshPart]) -> None:
     """Write a stage in meters with z up.
 
-    `/World` is its default prim. Each part of the world is a mesh without subdivision, static and touched
-    as it is (`UsdPhysics.MeshCollisionAPI`, approximation none), with the texture as a preview surface and
-    Coulomb's friction. `/World/starts` holds a frame for each start pose.
+    `/World` is its default prim. Each part of the world is a static mesh without subdivision, with exact
+    collision (`UsdPhysics.MeshCollisionAPI`, approximation none), the texture as a preview surface, and
+    Coulomb friction. `/World/starts` has a frame for each start pose.
 
     Args:
-        path: `.usd`, `.usda` or `.usdc`.
-        world: whose starts are marked.
-        parts: its meshes in the world frame; textures are relative to the file.
+        path: output file with suffix `.usd`, `.usda` or `.usdc`.
+        world: source of the start poses.
+        parts: meshes in the world frame; texture paths are relative to the file.
 
     Raises:
         ConfigError: usd-core is not installed.
@@ -98,7 +98,7 @@ def _add_part(stage: Any, part: MeshPart) -> None:
 
 
 def _material(stage: Any, part: MeshPart) -> Any:
-    """Return a material that is looked up by the texture coordinates, rough and not metallic."""
+    """Return a rough, non-metallic material with the part's texture."""
     shade, sdf = (import_module(f"pxr.{name}") for name in ("UsdShade", "Sdf"))
     types, place = sdf.ValueTypeNames, f"/World/Looks/{part.name}"
     material = shade.Material.Define(stage, place)

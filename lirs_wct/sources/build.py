@@ -20,17 +20,19 @@ from lirs_wct.sources.window import Window, cut_nodes, cut_surface, leveled
 from lirs_wct.world import World
 
 SPAWN_AREA = 200.0
-"""Side of the square in the middle of a larger terrain where spawn poses are looked for, meters."""
+"""Side of the square at the center of a larger terrain where spawn poses are searched, meters."""
 SPAWN_CELLS = 1000
-"""Cells along the side of a terrain, at most, of the grid on which they are."""
+"""Limit of cells along a terrain's side in the grid of this search."""
 
 
 def build_world(source: str | Path, options: BuildOptions | None = None) -> World:
-    """Make a world of a bundled name, a built folder, a picture, a laser map, a mesh or a point cloud.
+    """Build a world of a source.
+
+    A source is a bundled name, a built folder, a picture, a laser map, a mesh or a point cloud.
 
     Raises:
         SourceError: the source cannot be used.
-        LogSourceError: it is a laser log, which holds no world before it is mapped.
+        LogSourceError: the source is a laser log, which must be mapped first.
         ConfigError: an option does not fit the source.
     """
     options = options or BuildOptions()
@@ -38,7 +40,7 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
     if found.kind is SourceKind.LOG:
         raise LogSourceError(f"{found.path}: a log is mapped before it is a world")
     warn_of_useless(found, options)
-    world = _built(found, options)
+    world = _build_from(found, options)
     exact = world.walls is not None or world.overhangs
     warn_of_shape(found, options, world.surface.size, exact)
     for texture in (options.texture, options.wall_texture):
@@ -46,9 +48,9 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
     return world.with_export(options)
 
 
-def _built(found: Source, options: BuildOptions) -> World:
+def _build_from(found: Source, options: BuildOptions) -> World:
     if found.kind is SourceKind.FOLDER:
-        return _loaded_world(found, options)
+        return _load_world(found, options)
     ground: Ground
     place = None
     if found.kind is SourceKind.MESH:
@@ -63,7 +65,7 @@ def _built(found: Source, options: BuildOptions) -> World:
     return _with_spawn_poses(world)
 
 
-def _loaded_world(source: Source, options: BuildOptions) -> World:
+def _load_world(source: Source, options: BuildOptions) -> World:
     world = World.load(source.path)
     if options.name is not None:
         world = replace(world, name=source.name)
@@ -78,18 +80,19 @@ def _loaded_world(source: Source, options: BuildOptions) -> World:
 
 
 def _cut(ground: Terrain | ClosedMesh, window: Window) -> tuple[Terrain, float]:
-    """Return a square of a ground, and by how many meters it was lowered to z = 0."""
+    """Return a square of a ground with its lowest point at z = 0, and the height subtracted, meters."""
     surface, lift = leveled(cut_surface(ground.surface, window, level=False))
     return Terrain(surface, cut_nodes(ground.no_ground, ground.surface, surface)), lift
 
 
 def _with_spawn_poses(world: World) -> World:
-    """Look for spawn poses for the largest robot that fits; the pose asked for is the first of them.
+    """Return the world with spawn poses for the largest robot that fits; a requested start comes first.
 
-    On a terrain of kilometers in its middle only, or around that pose: the search is by the decimeter.
+    On a terrain of kilometers the search covers only the center or the neighborhood of the requested start,
+    because it has a resolution of decimeters.
 
     Raises:
-        ConfigError: no robot can stand at the pose that was asked for, or it is outside the world.
+        ConfigError: no robot can stand at the requested start, or it is outside the world.
     """
     place = world
     if not isinstance(world.ground, LaserMap) and max(world.surface.size) > SPAWN_AREA:
@@ -113,13 +116,15 @@ def _with_spawn_poses(world: World) -> World:
 
 
 def _refused_start(world: World, place: World, start: Pose2, resolution: float) -> ConfigError:
-    """Return the error that no robot can start at a pose: the cause for the one that gets farthest.
+    """Return the error for a start where no robot can stand, with its cause.
+
+    The cause is that of the smallest robot, or of the best climber if the smallest fails only by slope.
 
     Args:
-        world: the whole.
-        place: its part around the pose.
-        start: pose that was asked for.
-        resolution: meters a cell of the search.
+        world: the whole world.
+        place: part of the world around the start.
+        start: requested start pose.
+        resolution: cell size of the search, meters.
     """
     where = f"{world.name}: no robot can start at {start.x:g},{start.y:g}: "
     smallest, climber = FOOTPRINTS[-1], max(FOOTPRINTS, key=lambda footprint: footprint.max_slope)

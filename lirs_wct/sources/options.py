@@ -1,6 +1,6 @@
-"""Everything that a user may say about how a source becomes a world, by kind of source.
+"""Options of building a world, by kind of source.
 
-Each field declares its help, its command-line spelling and what is legal (see `option`).
+Each field declares its help, command-line spelling and legal values (see `option`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from lirs_wct.option import (
 
 
 class SourceKind(Enum):
-    """How a source is read."""
+    """Kind of a source; it selects the reader."""
 
     BUNDLED = "bundled world"
     FOLDER = "built folder"
@@ -45,9 +45,9 @@ class SourceKind(Enum):
 
 
 DEFAULT_SIZE = 50.0
-"""Longer side in meters of a picture that brings no scale."""
+"""Longer side of a picture without a scale, meters."""
 DEFAULT_HEIGHT = 6.0
-"""Relief in meters of a picture that brings no scale."""
+"""Relief of a picture without a scale, meters."""
 
 Unknown = Literal["floor", "wall", "hole"]
 UNKNOWN: tuple[Unknown, ...] = ("floor", "wall", "hole")
@@ -70,7 +70,7 @@ _MAP: dict[str, Any] = {"panel": MAP_PANEL, "kinds": _MAPS}
 
 
 def read_extent(text: str, flag: str) -> float | tuple[float, ...]:
-    """Read a longer side, or width and height."""
+    """Read the longer side, or width and height."""
     sides: tuple[float, ...] = numbers("W or W,H in meters", 1, 2)(text, flag)
     return sides[0] if len(sides) == 1 else sides
 
@@ -82,7 +82,7 @@ def read_factors(text: str, flag: str) -> tuple[float, float, float]:
 
 
 def read_pose(text: str, flag: str) -> Pose2:
-    """Read x, y and yaw, which may be left out."""
+    """Read x, y and an optional yaw."""
     return Pose2(*numbers("X,Y or X,Y,YAW in meters and radians", 2, 3)(text, flag))
 
 
@@ -147,7 +147,7 @@ class CommonOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class PictureOptions(Options):
-    """Options of a terrain's picture: its meters, its gray scale and filters."""
+    """Options of a terrain's picture: scale, gray levels and filters."""
 
     size: float | tuple[float, float] | None = option(
         None,
@@ -260,7 +260,7 @@ class PictureOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class MapOptions(Options):
-    """Options of a laser map; the resolution is also that of the heights read off a mesh."""
+    """Options of a laser map; `resolution` also applies to the heights of a mesh or cloud."""
 
     resolution: float | None = option(
         None,
@@ -278,7 +278,7 @@ class MapOptions(Options):
     wall_height: float = option(2.5, "Height of walls, meters.", check=positive, **_MAP)
     unknown: Unknown = option(
         "floor",
-        "What unknown cells are; a hole goes through the floor.",
+        "Kind of unknown cells; a hole goes through the floor.",
         label="kind of unknown cell",
         metavar="floor|wall|hole",
         read=choice(*UNKNOWN),
@@ -302,7 +302,7 @@ class CloudOptions(Options):
     )
     ground_slope: float | None = option(
         None,
-        "Steepest ground of a point cloud, rise over run; what is steeper is an object on it. "
+        "Steepest ground of a point cloud, rise over run; steeper points are objects on it. "
         "Default: 0.15, and in mountains their own slope.",
         metavar="RISE/RUN",
         check=positive,
@@ -313,7 +313,7 @@ class CloudOptions(Options):
 @documented
 @dataclass(frozen=True, kw_only=True)
 class BuildOptions(ExportOptions, CloudOptions, MapOptions, PictureOptions, CommonOptions):
-    """How a source becomes a world; None means "as the source says, else the default".
+    """Options of building a world; None means the source's own value, else the default.
 
     Lengths are meters in the world's frame, angles of poses radians, a crop is column, row, width and height.
 
@@ -323,7 +323,7 @@ class BuildOptions(ExportOptions, CloudOptions, MapOptions, PictureOptions, Comm
 
 
 def without_effect(options: BuildOptions, kind: SourceKind) -> list[str]:
-    """Return the names of options that were given but say nothing about a kind of source."""
+    """Return the names of given options that have no effect on a kind of source."""
     default: Any = type(options)()
     return [
         name
