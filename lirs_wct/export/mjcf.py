@@ -80,7 +80,7 @@ def world_spec(
         _hide(spec, group)
         _add_ground(spec, world.surface, group, name="seen", contype=0, conaffinity=0)
     for geom in spec.worldbody.geoms:
-        # The robot's defaults also apply here. With its priority, ground and robot would mix contact parameters.
+        # The robot's defaults also apply here: equal priorities would mix the contact parameters of both.
         geom.priority = 0
     spec.worldbody.add_light(pos=(0, 0, 50), dir=(0.3, 0.2, -1), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     return spec
