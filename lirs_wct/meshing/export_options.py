@@ -1,4 +1,4 @@
-"""How the mesh files of a world are made: their budget, turn and texture."""
+"""Options of a world's mesh files: budget, rotation and texture."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _PANEL: dict[str, Any] = {"panel": "Mesh files"}
 
 
 DEFAULT_SHARE, LEAST_SHARE = 0.001, 1e-6
-"""Default budget of a terrain's mesh files: a share of its relief, at least a share of its longer side."""
+"""Default budget of a terrain's mesh files: share of its relief, and least share of its longer side."""
 
 
 def _budget(value: float, _: str) -> None:
@@ -31,7 +31,7 @@ def _finite_turn(value: float, _: str) -> None:
 @documented
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions(Options):
-    """Budget, turn and texture of the mesh files that are made of a world.
+    """Budget, rotation and texture of a world's mesh files.
 
     Raises:
         ConfigError: a value is not legal, both budgets are given, or a draped texture has a size.
@@ -54,9 +54,9 @@ class ExportOptions(Options):
     )
     rotate_x: float = option(
         0.0,
-        "Turn the mesh files about the x axis. 0 is upright in every consumer. The paper's tool writes "
-        "its Z-up STL into a Y-up Collada, which stands on its edge until it is turned by its default of "
-        "-90; what it shows then is what 0 shows here.",
+        "Rotate the mesh files about the x axis. 0 is upright in every consumer. The paper's tool writes "
+        "its Z-up STL into a Y-up Collada, which needs its default rotation of -90 to be upright; 0 gives "
+        "the same result here.",
         title="x axis rotate",
         metavar="DEG",
         check=_finite_turn,
@@ -82,7 +82,7 @@ class ExportOptions(Options):
     )
     texture_size: float | None = option(
         None,
-        "What the texture spans before it repeats; default: the longest side, once.",
+        "Side of the texture before it repeats; default: the longest side, once.",
         metavar="METERS",
         check=positive,
         **_PANEL,
@@ -97,11 +97,11 @@ class ExportOptions(Options):
 
     @property
     def limited(self) -> bool:
-        """Whether a budget was asked for."""
+        """Whether a budget is set."""
         return bool(self.max_error) or self.max_triangles is not None
 
     def with_default(self, surface: HeightField) -> ExportOptions:
-        """Return the options of a terrain's mesh files: the default budget where none was given.
+        """Return the options with the default budget of a terrain's mesh files if none is set.
 
         The share of the longer side, 50 micrometers of 50 m, keeps flat ground at two triangles.
         """
@@ -110,10 +110,10 @@ class ExportOptions(Options):
         return replace(self, max_error=max(DEFAULT_SHARE * surface.relief, LEAST_SHARE * max(surface.size)))
 
     def updated(self, given: ExportOptions) -> ExportOptions:
-        """Return what other options ask for; what they do not mention stays as it is here.
+        """Return these options, replaced by the given ones where those are set.
 
         Raises:
-            ConfigError: a texture is to be draped where there is none.
+            ConfigError: `drape` is set without a texture.
         """
         if given.drape and not (given.texture or self.texture):
             raise ConfigError("--drape lays a picture over the world: give --texture FILE")

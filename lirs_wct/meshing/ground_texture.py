@@ -1,4 +1,4 @@
-"""Textures that are drawn where the user gives none: heights and slopes in earth colors, floor, walls."""
+"""Default textures: heights and slopes in earth colors, floor slabs, wall plaster."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
 
 TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
-"""What Gazebo and MuJoCo viewers alike can show."""
+"""Texture formats that both Gazebo and the MuJoCo viewer support."""
 PIXELS = 1024
 EARTH = np.array(((92, 110, 70), (146, 138, 96), (178, 158, 122), (222, 214, 200)), np.float64)
 """Meadow, dry grass, rock, scree: red, green, blue from the lowest to the highest ground."""
 FLOOR, WALL = np.array((205, 203, 196), np.float64), np.array((120, 116, 112), np.float64)
 FLOOR_SPAN, SLABS, TILE_PIXELS = 2.0, 4, 512
-"""Meters that the floor's texture spans, slabs along it, and pixels of a texture that is repeated."""
+"""Side of the floor's texture (meters), slabs along it, and pixels along a repeated texture."""
 SUN = np.array((-0.5, 0.5, 0.7071))
 """Unit vector towards the light: north-west, 45 deg up."""
 
 
 def checked_texture(path: Path | None, max_pixels: int) -> Path | None:
-    """Return the path of a texture that can be used.
+    """Return the path of a texture after a check of its file.
 
     Raises:
-        SourceError: it is missing, damaged, or neither PNG nor JPEG.
+        SourceError: the texture is missing, damaged, or neither PNG nor JPEG.
     """
     if path is None:
         return None
@@ -41,7 +41,10 @@ def checked_texture(path: Path | None, max_pixels: int) -> Path | None:
 
 
 def ground_texture(surface: HeightField, walls: WallGrid | None = None) -> ByteArray:
-    """Return (rows, cols, 3) BGR: a top view of the whole surface, row 0 = north, its longer side 1024 px."""
+    """Return a (rows, cols, 3) BGR top view of the whole surface, row 0 = north.
+
+    The longer side has 1024 px.
+    """
     west, south, _, _ = surface.bounds
     span = max(surface.size)
     cols, rows = (max(2, round(PIXELS * side / span)) for side in surface.size)
@@ -57,22 +60,22 @@ def ground_texture(surface: HeightField, walls: WallGrid | None = None) -> ByteA
 
 @cache
 def floor_texture() -> ByteArray:
-    """Return (512, 512, 3) BGR, read-only: `FLOOR_SPAN` meters of slabs, without a seam when repeated."""
+    """Return (512, 512, 3) BGR, read-only: seamless slabs over `FLOOR_SPAN` meters."""
     side = TILE_PIXELS // SLABS
     shade = np.random.default_rng(1).normal(0.0, 3.0, (SLABS, SLABS)).repeat(side, 0).repeat(side, 1)
     joint = np.minimum(np.arange(TILE_PIXELS) % side, side - 1 - np.arange(TILE_PIXELS) % side) < 1
     shade[joint] = shade[:, joint] = -28.0
-    return _shaded(FLOOR, shade + _grain(2, 2.5))
+    return _apply_shade(FLOOR, shade + _grain(2, 2.5))
 
 
 @cache
 def wall_texture() -> ByteArray:
-    """Return (512, 512, 3) BGR, read-only: rough plaster of any size, without a seam when repeated."""
-    return _shaded(WALL, _grain(3, 6.0))
+    """Return (512, 512, 3) BGR, read-only: seamless rough plaster of any size."""
+    return _apply_shade(WALL, _grain(3, 6.0))
 
 
 def _grain(seed: int, strength: float) -> FloatArray:
-    """Return (512, 512) noise that is periodic, with blotches as large as a tenth of it."""
+    """Return (512, 512) periodic noise with blotches of a tenth of its size."""
     noise = np.random.default_rng(seed).normal(size=(TILE_PIXELS, TILE_PIXELS))
     blotches = scipy.ndimage.gaussian_filter(noise, TILE_PIXELS / 40, mode="wrap")
     fine = scipy.ndimage.gaussian_filter(noise, 1.0, mode="wrap")
@@ -80,14 +83,14 @@ def _grain(seed: int, strength: float) -> FloatArray:
     return grain
 
 
-def _shaded(color: FloatArray, shade: FloatArray) -> ByteArray:
+def _apply_shade(color: FloatArray, shade: FloatArray) -> ByteArray:
     pixels = np.clip(color[::-1] + shade[..., None], 0, 255).astype(np.uint8)
     pixels.setflags(write=False)
     return pixels
 
 
 def _earth(surface: HeightField, x: FloatArray, y: FloatArray, pixel: tuple[float, float]) -> ByteArray:
-    # Strip by strip and color by color: the whole would take a hundred megabytes for a moment.
+    # Strip by strip and color by color: all at once would take a hundred megabytes.
     z = np.concatenate([surface.height_at(x, strip) for strip in np.array_split(y, 16)])
     light = _light(z, pixel)
     z -= z.min()
@@ -100,7 +103,7 @@ def _earth(surface: HeightField, x: FloatArray, y: FloatArray, pixel: tuple[floa
 
 
 def _light(z: FloatArray, pixel: tuple[float, float]) -> FloatArray:
-    """Return how bright each node is: Lambert's cosine under `SUN`, from 0.55 in the shade."""
+    """Return the brightness of each node: Lambert's cosine under `SUN`, 0.55 in the shade."""
     dz_dy, dz_dx = np.gradient(z, *pixel)
     cosine = (-dz_dx * SUN[0] + dz_dy * SUN[1] + SUN[2]) / np.sqrt(dz_dx**2 + dz_dy**2 + 1)
     light: FloatArray = 0.55 + 0.6 * np.clip(cosine, 0, 1)

@@ -1,6 +1,6 @@
-"""A height field becomes few triangles: within a budget of error, or of triangles.
+"""Simplification of a height field within a budget of error or of triangles.
 
-Unlike a grid thinned out, the result is as fine as the ground asks for, place by place.
+Unlike a decimated grid, the result is fine where the ground is rough and coarse where it is flat.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from lirs_wct.meshing.tin import BORDER, FULL, POINTS, STRIDE, TRIANGLES, WORST,
 LEAST_FACES = 14
 """Two triangles, four skirts of two, a base of four."""
 _FIRST_SIZE = 1 << 16
-"""Triangles that there is room for at first."""
+"""Initial capacity, triangles."""
 _ROUNDING = 1e-6
-"""Share of the budget kept back for rounding, and share of the relief below which an error is rounding."""
+"""Share of the budget reserved for rounding, and share of the relief below which an error is rounding."""
 
 
 def simplified_solid(
@@ -31,12 +31,12 @@ def simplified_solid(
 ) -> TriangleMesh:
     """Return a closed mesh whose top deviates vertically by at most `max_error` at every pixel.
 
-    The border stays on straight edges; skirt and base are as `solid_mesh` makes them.
+    The border stays on straight edges; skirt and base equal those of `solid_mesh`.
 
     Args:
         surface: the ground.
         max_error: meters, above 0.
-        max_triangles: of the whole solid; the error is then as small as they allow.
+        max_triangles: limit of the whole solid's triangles; the error is as small as they allow.
         thickness: meters from the lowest point down to the base (see `solid_mesh`).
 
     Raises:
@@ -55,7 +55,7 @@ def simplified_solid(
 def triangulate(
     surface: HeightField, *, max_error: float | None = None, max_triangles: int | None = None
 ) -> tuple[Int32Array, Int32Array]:
-    """Choose pixels and triangulate them (Garland and Heckbert 1995; kernels in `refinement`).
+    """Choose pixels and triangulate them (Garland and Heckbert 1995; kernels in `tin`).
 
     Returns:
         points: (n, 2) row and column of the chosen pixels.
@@ -71,19 +71,19 @@ def triangulate(
     z, cols = surface.z.ravel(), surface.shape[1]
     tin = _two_triangles(*surface.shape, count_bins(budget, max(budget, surface.relief)))
     while refine(tin, z, cols, budget, most) == FULL:
-        tin = _grown(tin)
+        tin = _double_capacity(tin)
     points, triangles = int(tin.used[POINTS]), int(tin.used[TRIANGLES])
     return tin.point[:points].copy(), tin.link.reshape(-1, STRIDE)[:triangles, :3].copy()
 
 
 def _file_rounding(surface: HeightField) -> float:
-    """Return the vertical error, meters, of the float32 positions of mesh files on the steepest ground."""
+    """Return the vertical error of float32 mesh files on the steepest ground, meters."""
     step = float(np.spacing(np.float32(max(map(abs, surface.bounds)))))
     slopes = (
         float(np.abs(np.diff(surface.z, axis=axis)).max()) / cell
         for axis, cell in ((1, surface.cell[0]), (0, surface.cell[1]))
     )
-    # Half a step sideways along each axis, and half a step of height.
+    # Half a rounding step along each horizontal axis, and half a step of height.
     return sum(slopes) * step / 2 + float(np.spacing(np.float32(np.abs(surface.z).max()))) / 2
 
 
@@ -125,8 +125,8 @@ def _empty(triangles: int) -> Tin:
     )
 
 
-def _grown(tin: Tin) -> Tin:
-    """Return the same triangulation with room for twice as much."""
+def _double_capacity(tin: Tin) -> Tin:
+    """Return the same triangulation with twice the capacity."""
     larger = _empty(2 * len(tin.fan))._replace(bins=tin.bins, used=tin.used)
     for name in ("point", "link", "queue"):
         part: Int32Array = getattr(tin, name)

@@ -1,4 +1,4 @@
-"""A height field becomes a closed solid: surface, skirt down its border, flat base."""
+"""Closed solid of a height field: surface, skirt down its border, flat base."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 
 MIN_THICKNESS = 0.1
-"""Meters of ground below the lowest point, at least: a robot's wheel must not reach through in a step."""
+"""Smallest thickness below the lowest point, meters: a wheel must not pass through it in one step."""
 
 _BLOCK = 1 << 13
-"""Nodes whose triangles are made at a time."""
+"""Nodes per step of triangle generation."""
 
 
 def solid_mesh(surface: HeightField, *, thickness: float | None = None) -> TriangleMesh:
-    """Return the full grid as a closed mesh: two triangles a cell, a skirt, and a base.
+    """Return the full grid as a closed mesh: two triangles per cell, skirt, base.
 
-    Vertices come in this order: the surface's nodes row by row from the north-west, then the base's
-    border. Cells split from south-west to north-east as `HeightField` says.
+    The order of vertices: the surface's nodes row by row from the north-west, then the base's border. Cells
+    are split from south-west to north-east, as in `HeightField`.
 
     Args:
         surface: the ground.
@@ -41,9 +41,9 @@ def solid_mesh(surface: HeightField, *, thickness: float | None = None) -> Trian
 def solid_triangles(
     surface: HeightField, *, thickness: float | None = None
 ) -> tuple[int, Iterator[FloatArray]]:
-    """Return how many triangles `solid_mesh` has, and their corners (n, 3, 3) a few rows at a time.
+    """Return the number of triangles of `solid_mesh`, and an iterator of their corners (n, 3, 3).
 
-    For surfaces whose mesh would fill the memory.
+    It yields a few rows at a time, for surfaces whose mesh would fill the memory.
     """
     rows, cols = surface.shape
     count = 2 * (rows - 1) * (cols - 1) + 6 * (rows + cols - 2)
@@ -74,10 +74,10 @@ def base_height(surface: HeightField, thickness: float | None = None) -> float:
 
 
 def node_axes(surface: HeightField) -> tuple[FloatArray, FloatArray]:
-    """Return x (cols,) from west to east and y (rows,) from north to south of the nodes, meters."""
+    """Return x (cols,), west to east, and y (rows,), north to south, of the nodes, meters."""
     rows, cols = surface.shape
     west, south, east, north = surface.bounds
-    # linspace: the border lies on the bounds to the last bit.
+    # linspace: the border lies exactly on the bounds.
     return np.linspace(west, east, cols), np.linspace(north, south, rows)
 
 
@@ -108,7 +108,7 @@ def close_solid(vertices: FloatArray, faces: Int32Array, border: Int32Array, z_b
 
 
 def _grid_faces(rows: int, cols: int) -> Int32Array:
-    """Return (2 * cells, 3) faces; both triangles of a cell stand next to each other."""
+    """Return (2 * cells, 3) faces; the two triangles of a cell are adjacent."""
     nw = (np.arange(rows - 1, dtype=np.int32)[:, None] * cols + np.arange(cols - 1, dtype=np.int32)).ravel()
     faces = np.empty((len(nw), 2, 3), dtype=np.int32)
     # nw, sw, ne and sw, se, ne share the diagonal sw-ne.

@@ -1,6 +1,6 @@
-"""A mesh cut into tiles without cracks: for consumers that cap a mesh.
+"""Crack-free tiles of a mesh for consumers that limit the size of a mesh.
 
-Neighbors share the vertices on their border, to the last bit.
+Neighbors have bit-equal vertices on their common border.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ def split_tiles(
     aim: int,
     most: int = MUJOCO_FACES,
 ) -> Iterator[TriangleMesh]:
-    """Yield tiles that together are the mesh, squares of the ground plan.
+    """Yield tiles of a mesh, squares of the ground plan.
 
     Args:
-        mesh: to be cut.
-        aim: triangles of a tile, about.
-        most: triangles of a tile, never more.
+        mesh: mesh to cut.
+        aim: approximate triangles per tile.
+        most: largest number of triangles per tile.
     """
     seen = np.full(len(mesh.vertices), -1, dtype=np.int32)
     tile, count = _squares(mesh, aim)
@@ -46,7 +46,7 @@ def split_tiles(
 
 
 def _squares(mesh: TriangleMesh, aim: int) -> tuple[Int32Array, int]:
-    """Return the square in which each face begins, and how many squares there are."""
+    """Return the square of each face's first vertex, and the number of squares."""
     side = max(1, round((len(mesh.faces) / aim) ** 0.5))
     square = np.zeros(len(mesh.faces), dtype=np.int32)
     if side == 1:
@@ -62,7 +62,7 @@ def _squares(mesh: TriangleMesh, aim: int) -> tuple[Int32Array, int]:
 
 @njit(cache=True)
 def _renumber(faces: Int32Array, chosen: Int32Array, seen: Int32Array) -> tuple[Int32Array, Int32Array]:
-    """Number the vertices of the chosen faces as they come; `seen` is all -1 before and after."""
+    """Number the vertices of the chosen faces in order; `seen` is all -1 before and after."""
     out = np.empty((len(chosen), 3), np.int32)
     used = np.empty(3 * len(chosen), np.int32)
     n = 0

@@ -24,33 +24,33 @@ from lirs_wct.arrays import Float32Array, Int32Array, IntArray
 from lirs_wct.kernels import njit
 
 STRIDE, TWIN, WORST = 8, 3, 6
-"""Numbers of a triangle, and where its twins and its worst pixel begin."""
+"""Numbers per triangle, and offsets of its twins and of its worst pixel."""
 POINTS, TRIANGLES, BORDER, TOP = range(4)
-"""Places in `Tin.used`."""
+"""Indices into `Tin.used`."""
 
 # The kernels own no memory; numba's counting of the arrays in and out of every call took a third of the time.
 kernel = njit(cache=True, error_model="numpy", _nrt=False)
 DONE, FULL = 0, 1
-"""Why `refine` came back: the budget is met, or the arrays must grow."""
+"""Results of `refine`: the budget is met, or the arrays must grow."""
 _SHIFT = 52 - 7
-"""Leaves a float64's exponent and the first seven bits of its fraction."""
+"""Shift that keeps a float64's exponent and the first seven bits of its fraction."""
 _NOWHERE = -1
 _FIRST = -2
-"""First in bin k: -2 - k stands where the triangle before would."""
+"""First in bin k: -2 - k replaces the index of the previous triangle."""
 
 
 class Tin(NamedTuple):
-    """A growing triangulation; arrays are longer than what is in use, `used` says how much is.
+    """A growing triangulation; `used` counts the used elements of the longer arrays.
 
     Attributes:
         point: (p, 2) row and column.
         link: (8 t,) triangles (see the module); the worst pixel is row * columns + column.
-        queue: (2 t,) for each triangle the one before and after it in its bin (see `tin_queue`).
+        queue: (2 t,) the previous and next triangle of each triangle in its bin of errors.
         bins: (b,) the first triangle of each bin, -1 if empty.
         fan: (t,) triangles of the last insertion.
         rim: (2 t + 1,) corners around the hole, each followed by the half-edge outside.
-        stack: (t + 3,) half-edges of the hole still to be looked across.
-        used: (4,) points, triangles, border edges, and the highest bin that may hold something.
+        stack: (t + 3,) half-edges of the hole that are still to be crossed.
+        used: (4,) points, triangles, border edges, and the highest bin that may be non-empty.
     """
 
     point: Int32Array
@@ -68,7 +68,7 @@ def insert_point(tin: Tin, t: int) -> tuple[int, int]:
     """Insert the newest point, which lies inside triangle t or on one of its edges.
 
     Returns:
-        How many triangles of `fan` were there before, and how many it has now.
+        Numbers of triangles of `fan` before and after.
     """
     k = _border_edge(tin, t)
     old, new = _dig(tin, t, k)
@@ -86,7 +86,7 @@ def insert_point(tin: Tin, t: int) -> tuple[int, int]:
 
 @kernel
 def _border_edge(tin: Tin, t: int) -> int:
-    """Return which edge of t is on the border and holds the newest point, -1 if none."""
+    """Return the border edge of t that contains the newest point, -1 if none."""
     p = tin.used[POINTS] - 1
     for k in range(3):
         e = STRIDE * t + k
@@ -101,10 +101,10 @@ def _border_edge(tin: Tin, t: int) -> int:
 
 @kernel
 def _dig(tin: Tin, t: int, k: int) -> tuple[int, int]:
-    """Find the hole around the newest point and its rim, counter-clockwise; edge k of t is left out.
+    """Find the hole around the newest point and its rim, counter-clockwise, without edge k of t.
 
     Returns:
-        Triangles of the hole, edges of the rim.
+        Numbers of triangles of the hole and of edges of the rim.
     """
     link, fan, rim, stack = tin.link, tin.fan, tin.rim, tin.stack
     p = tin.used[POINTS] - 1
@@ -134,7 +134,7 @@ def _dig(tin: Tin, t: int, k: int) -> tuple[int, int]:
 
 @kernel
 def _fill(tin: Tin, edges: int) -> None:
-    """Join the newest point to each edge of the rim: triangles one beside the other, all around."""
+    """Join the newest point to each edge of the rim by a triangle."""
     link, fan, rim = tin.link, tin.fan, tin.rim
     p = tin.used[POINTS] - 1
     e = STRIDE * fan[edges - 1]
@@ -150,14 +150,14 @@ def _fill(tin: Tin, edges: int) -> None:
 
 @kernel
 def _after(e: int) -> int:
-    """Return the half-edge that follows in the triangle: 0, 1, 2 become 1, 2, 0, two bits each."""
+    """Return the next half-edge in the triangle: 0, 1, 2 become 1, 2, 0 (two bits each)."""
     t = e & -STRIDE
     return t + (0b00_10_01 >> 2 * (e - t) & 3)
 
 
 @kernel
 def _in_circle(point: Int32Array, a: int, b: int, c: int, row: int, col: int) -> bool:
-    """Whether a pixel lies inside the circle through a, b, c: exact for sides below 29,000 px."""
+    """Whether a pixel lies inside the circle through a, b, c; exact below 29,000 px."""
     dx, dy = point[a, 1] - col, point[a, 0] - row
     ex, ey = point[b, 1] - col, point[b, 0] - row
     fx, fy = point[c, 1] - col, point[c, 0] - row
@@ -168,14 +168,14 @@ def _in_circle(point: Int32Array, a: int, b: int, c: int, row: int, col: int) ->
 
 @kernel
 def refine(tin: Tin, z: Float32Array, cols: int, max_error: float, max_faces: int) -> int:
-    """Insert pixels until no error exceeds the budget or the closed solid would exceed the faces.
+    """Insert pixels until no error exceeds the budget or the closed solid reaches its face limit.
 
     Args:
-        tin: changed in place; new, it is two triangles on four points.
+        tin: triangulation, changed in place; a new one has two triangles on four points.
         z: (rows * cols,) heights, row by row.
         cols: pixels of a row.
         max_error: in the unit of z.
-        max_faces: of surface, skirt (2 for each border edge) and base (1 each).
+        max_faces: limit of faces of surface, skirt (2 per border edge) and base (1 per border edge).
     """
     used, budget = tin.used, order(max_error)
     if used[POINTS] == 4:
@@ -200,7 +200,7 @@ def refine(tin: Tin, z: Float32Array, cols: int, max_error: float, max_faces: in
 
 @kernel
 def _search(tin: Tin, z: Float32Array, cols: int, t: int, budget: int) -> None:
-    """Find the worst pixel of a new triangle and put it into the queue if it is beyond the budget."""
+    """Find the worst pixel of a new triangle and queue the triangle if the error exceeds the budget."""
     point, link, e = tin.point, tin.link, STRIDE * t
     a, b, c = link[e], link[e + 1], link[e + 2]
     error, pixel = worst_pixel(
@@ -217,10 +217,10 @@ def _search(tin: Tin, z: Float32Array, cols: int, t: int, budget: int) -> None:
 def worst_pixel(
     z: Float32Array, cols: int, ar: int, ac: int, br: int, bc: int, cr: int, cc: int, budget: int
 ) -> tuple[int, int]:
-    """Return the largest vertical error of the plane through three nodes, and the pixel where it is.
+    """Return the largest vertical error of the plane through three nodes, and its pixel.
 
-    Rows are gone through between the long edge, from the top corner to the bottom one, and the two
-    short ones. Corners are rows and columns; errors are of `order`.
+    Each row lies between the long edge, from the top corner to the bottom corner, and one of the two short
+    edges. Corners are rows and columns; errors are results of `order`.
 
     Returns:
         The error and row * columns + column, or the budget and -1 where no error exceeds it.
@@ -233,7 +233,7 @@ def worst_pixel(
         ar, ac, br, bc = br, bc, ar, ac
     det = (bc - ac) * (cr - ar) - (cc - ac) * (br - ar)
     if det * det == 1:
-        # Pick's theorem: half a cell holds no pixel but its corners.
+        # Pick's theorem: half a cell contains no pixel except its corners.
         return budget, -1
     za = float(z[ar * cols + ac])
     zb, zc = z[br * cols + bc] - za, z[cr * cols + cc] - za
@@ -245,7 +245,7 @@ def worst_pixel(
     for row in range(ar, cr + 1):
         x = ac + (row - ar) * long
         y = ac + (row - ar) * upper if row < br else bc + (row - br) * lower
-        # The slack keeps pixels that lie on the edge itself; the next is far farther away.
+        # The slack keeps pixels on the edge itself; the next pixel is much farther away.
         west, east = int(np.ceil(min(x, y) - 1e-9)), int(np.floor(max(x, y) + 1e-9))
         start = za + per_row * (row - ar) + per_col * (west - ac)
         largest = _largest(z, row * cols + west, east - west + 1, start, per_col)
@@ -256,17 +256,17 @@ def worst_pixel(
 
 @njit(cache=True, fastmath=True, error_model="numpy", _nrt=False)
 def _largest(z: Float32Array, first: int, count: int, start: float, step: float) -> int:
-    """Return the largest difference of pixels of a row from a line that rises by `step` a pixel."""
+    """Return the largest difference of a row's pixels from a line of slope `step` per pixel."""
     largest = 0
     for k in range(count):
-        # Unsigned: an index that cannot be negative is not tested for it, and pixels go side by side.
+        # Unsigned: the compiler omits the test for negative indices and vectorizes.
         largest = max(largest, order(abs(start + step * k - z[np.uint64(first) + np.uint64(k)])))
     return largest
 
 
 @kernel
 def _place(z: Float32Array, first: int, count: int, start: float, step: float) -> int:
-    """Return which of the pixels differs most from the line, -1 where there are none."""
+    """Return the pixel with the largest difference from the line, -1 if there is none."""
     place, largest = -1, -1.0
     for k in range(count):
         error = abs(start + step * k - z[first + k])
@@ -276,16 +276,16 @@ def _place(z: Float32Array, first: int, count: int, start: float, step: float) -
 
 
 def count_bins(least: float, most: float) -> int:
-    """Return how many bins errors from `least` to `most` need."""
+    """Return the number of bins for errors from `least` to `most`."""
     low, high = (int(np.float64(x).view(np.int64)) >> _SHIFT for x in (least, most))
     return high - low + 1
 
 
 @kernel
 def order(x: float) -> int:
-    """Return the bits of a number that is not negative: they order as it does.
+    """Return the bits of a non-negative number as an integer of the same order.
 
-    The largest of integers is found four at a time, which compilers do not dare with floats.
+    Compilers vectorize the maximum of integers, but not of floats.
     """
     return int(np.float64(x).view(np.int64))
 
@@ -302,7 +302,7 @@ def worst(tin: Tin) -> int:
 
 @kernel
 def put(tin: Tin, t: int, error: int, least: int) -> None:
-    """Put a triangle into the bin of its error; both errors are of `order`."""
+    """Put a triangle into the bin of its error; both errors are results of `order`."""
     k = min((error >> _SHIFT) - (least >> _SHIFT), len(tin.bins) - 1)
     after = tin.bins[k]
     tin.bins[k] = t
@@ -314,13 +314,13 @@ def put(tin: Tin, t: int, error: int, least: int) -> None:
 
 @kernel
 def leave_out(tin: Tin, t: int) -> None:
-    """Note of a new triangle that it is within the budget."""
+    """Mark a new triangle as within the budget."""
     tin.queue[2 * t] = _NOWHERE
 
 
 @kernel
 def take(tin: Tin, t: int) -> None:
-    """Take a triangle out of its bin, if it is in one."""
+    """Remove a triangle from its bin, if it is in one."""
     before, after = tin.queue[2 * t], tin.queue[2 * t + 1]
     if before == _NOWHERE:
         return

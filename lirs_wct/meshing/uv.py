@@ -1,9 +1,9 @@
-"""Projections of a texture, with the vertex normals that a renderer needs beside it.
+"""Texture projections, with vertex normals for renderers.
 
 The paper's tool maps one texture onto each face of a cube around the model (section III-B). Here the
-faces of the cube are unfolded around the upper one, so that the texture runs on without a seam from
-the terrain over its border down the skirt. A picture that is a top view is draped instead: laid on from
-above, once. Walls have it upright on each side.
+faces of the cube are unfolded around the upper one, so that the texture continues without a seam from
+the terrain over its border down the skirt. A top-view picture is draped instead: projected once from above.
+Walls have an upright texture on each side.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from lirs_wct.kernels import njit
 
 EAST, WEST, NORTH, SOUTH, UP, DOWN = range(6)
 FLAT = 6
-"""Added to the side for faces that are vertical or face downward: they are shaded apart."""
+"""Offset of the label for faces that are vertical or face downward; they have separate normals."""
 LABELS = 12
 VERTICAL = 1e-9
-"""Share of a normal that may point up on a vertical face."""
+"""Largest upward share of a vertical face's normal."""
 WALL_VERTICAL = 0.1
-"""The same on a wall, whose corners may stand a millimeter apart."""
+"""The same on a wall, whose corners may be a millimeter apart."""
 
 
 def cube_uv(mesh: TriangleMesh, size: float | None = None) -> TriangleMesh:
     """Return the mesh with texture coordinates from the sides of a cube, and vertex normals.
 
-    A vertex whose triangles are projected on different sides, or that lies on the sharp border
-    between ground and skirt, is split: the result is closed in space, not in its indices.
+    A vertex is split if its triangles are projected on different sides, or if it lies on the sharp border
+    between ground and skirt. The result is closed in space, not in its indices.
 
     Args:
         mesh: triangles without attributes.
-        size: meters that one texture spans; default the longest edge of the bounding box, so that one
-            texture spans each side of the cube.
+        size: side of one texture, meters; default: the longest edge of the bounding box, so that one texture
+            spans each side of the cube.
 
     Raises:
         ConfigError: size is not above 0.
@@ -56,13 +56,13 @@ def cube_uv(mesh: TriangleMesh, size: float | None = None) -> TriangleMesh:
 def draped_uv(
     mesh: TriangleMesh, bounds: tuple[float, float, float, float], margin: float = 0.0
 ) -> TriangleMesh:
-    """Lay a picture on from above, once; a skirt wears the picture's border.
+    """Project a picture from above, once; a skirt shows the picture's border.
 
     Args:
         mesh: triangles without attributes.
         bounds: west, south, east, north of the picture, meters.
-        margin: share of the picture along its border that is left out: half a pixel, where a renderer
-            would mix in the opposite border.
+        margin: share of the picture omitted along its border: half a pixel for renderers that would mix in
+            the opposite border.
     """
     split = _split(mesh, draped=True)
     west, south, east, north = bounds
@@ -71,11 +71,13 @@ def draped_uv(
 
 
 def wall_uv(mesh: TriangleMesh, size: float) -> TriangleMesh:
-    """Lay a texture upright on the sides of axis-parallel walls from z = 0 up, and flat on their tops.
+    """Project a texture upright on the sides of axis-parallel walls, and flat on their tops.
+
+    The texture starts at z = 0.
 
     Args:
         mesh: triangles without attributes.
-        size: meters that one texture spans.
+        size: side of one texture, meters.
     """
     split = _split(mesh, vertical=WALL_VERTICAL)
     x, y, z = split.points.T
@@ -86,7 +88,7 @@ def wall_uv(mesh: TriangleMesh, size: float) -> TriangleMesh:
 
 @dataclass(frozen=True, slots=True)
 class _Split:
-    """A mesh whose vertices are split by the side of the cube that sees their triangles.
+    """A mesh whose vertices are split by the cube side of their triangles.
 
     Attributes:
         points: (n, 3) meters.
@@ -94,7 +96,7 @@ class _Split:
         normals: (n, 3).
         side: (n,) labels of the vertices.
         top: (n,) z of the rim above a vertex of a skirt.
-        hangs: (n,) whether a vertical edge of a vertical face ends here.
+        hangs: (n,) whether a vertical edge of a vertical face ends at the vertex.
     """
 
     points: FloatArray
@@ -135,8 +137,8 @@ def _unfold(
 ) -> FloatArray:
     """Return (n, 2) coordinates on the unfolded cube, in units of the texture.
 
-    Down a side the coordinate goes on with the depth: below the upper rim for a skirt, below the
-    highest point for a steep slope.
+    Down a side the coordinate grows with the depth: below the upper rim for a skirt, below the highest point
+    for a steep slope.
     """
     (west, south, _), (east, north, highest) = bounds
     uv: FloatArray = (points[:, :2] - (west, south)) / span
@@ -159,7 +161,7 @@ def _unfold(
 
 @njit(cache=True)
 def _normal(vertices: FloatArray, a: int, b: int, c: int) -> tuple[float, float, float]:
-    """Return the normal of a triangle, twice its area long."""
+    """Return the normal of a triangle, with twice its area as length."""
     x, y, z = vertices[a, 0], vertices[a, 1], vertices[a, 2]
     ux, uy, uz = vertices[b, 0] - x, vertices[b, 1] - y, vertices[b, 2] - z
     vx, vy, vz = vertices[c, 0] - x, vertices[c, 1] - y, vertices[c, 2] - z
@@ -170,13 +172,13 @@ def _normal(vertices: FloatArray, a: int, b: int, c: int) -> tuple[float, float,
 def _label_faces(
     vertices: FloatArray, faces: Int32Array, vertical: float, draped: bool
 ) -> tuple[NDArray[np.int8], NDArray[np.uint16], FloatArray, BoolArray]:
-    """Return labels of faces; of each vertex the labels as bits, the rim above, and if an edge hangs there.
+    """Return face labels, and each vertex's label bits, rim height and hanging edges.
 
     Args:
-        vertices: (n, 3).
-        faces: (m, 3).
-        vertical: share of a normal that may point up on a vertical face.
-        draped: whether the upper side sees all faces that point up.
+        vertices: (n, 3) meters.
+        faces: (m, 3) vertex indices.
+        vertical: largest upward share of a vertical face's normal.
+        draped: whether all upward faces belong to the upper side.
     """
     label = np.empty(len(faces), np.int8)
     mask = np.zeros(len(vertices), np.uint16)
@@ -218,9 +220,9 @@ def _split_faces(
     first: IntArray,
     n: int,
 ) -> tuple[Int32Array, FloatArray]:
-    """Return the faces on split vertices and unit normals weighted by area.
+    """Return the faces on split vertices, and unit normals weighted by area.
 
-    The ground shares its normals across sides of the cube; each flat side has its own.
+    The ground shares normals across sides of the cube; each flat side has its own.
     """
     out = np.empty_like(faces)
     normals = np.zeros((n, 3))

@@ -1,9 +1,9 @@
-"""A laser map as one closed solid: walls and floor on a slab, holes through it.
+"""Closed solid of a laser map: walls and floor on a slab with holes.
 
-The plan is cut into rectangles of wall, floor and hole. Every corner of any rectangle is made a vertex of
-all rectangles that it touches, so that no edge ends in the middle of another. Where two walls, or two parts
-of the floor, touch only at a corner, the northern one has its own vertices there, a millimeter inside its
-cell: an edge never joins more than two triangles, not even in an STL, whose readers merge equal positions.
+The plan is cut into rectangles of wall, floor and hole. Every corner of a rectangle becomes a vertex of all
+rectangles that it touches, so that no edge ends in the middle of another. Two walls, or two parts of the
+floor, may touch only at a corner. Then the northern one has separate vertices there, a millimeter inside its
+cell. Thus an edge never joins more than two triangles, also in an STL, whose readers merge equal positions.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from lirs_wct.kernels import njit
 SLAB = 0.1
 """Thickness of the floor, meters."""
 VOID, GROUND, WALL = 0, 1, 2
-"""What a cell is."""
+"""Kinds of cells."""
 CellKinds = NDArray[np.int8]
 BOTTOM, TWIN_BOTTOM, FLOOR, TWIN_FLOOR, TOP, TWIN_TOP, LEVELS = 0, 1, 2, 3, 4, 5, 6
-"""Heights that a corner of the plan can have; the twin is the vertex of a second body."""
+"""Levels of a corner of the plan; the twin is the vertex of a second body."""
 GAP = 0.001
-"""Meters along both axes between vertices of two bodies that touch at a corner; of small cells a tenth."""
+"""Distance along both axes between vertices of two bodies touching at a corner, meters; at most 0.1 cell."""
 
 
 def wall_mesh(walls: WallGrid, slab: float = SLAB) -> TriangleMesh:
     """Return walls, floor and slab as one watertight solid in the world frame.
 
     Args:
-        walls: cells that stand from z = 0 to their height, holes go through the slab.
+        walls: wall cells from z = 0 to their height, and holes through the slab.
         slab: thickness of the floor below z = 0, meters.
     """
     boxes = [merged_rectangles(walls.solid), merged_rectangles(walls.floor)]
-    # One layout: the kernel would else be compiled once more for Fortran order.
+    # One layout: otherwise numba would compile the kernel again for Fortran order.
     rectangles = np.ascontiguousarray(np.concatenate(boxes))
     is_wall = np.repeat((True, False), [len(b) for b in boxes])
     holes = np.empty((0, 4), np.int64) if walls.hole is None else merged_rectangles(walls.hole)
@@ -49,19 +49,19 @@ def wall_mesh(walls: WallGrid, slab: float = SLAB) -> TriangleMesh:
     kind = np.pad(kind, 1)
     codes = _triangles(rectangles, is_wall, kind, marked, len(holes) > 0)
     used, faces = np.unique(codes, return_inverse=True)
-    vertices = _placed(used, rectangles, is_wall, kind, walls, slab)
+    vertices = _decode(used, rectangles, is_wall, kind, walls, slab)
     return TriangleMesh(vertices, faces.reshape(-1, 3).astype(np.int32))
 
 
 def _corners(rectangles: IntArray, shape: tuple[int, int]) -> BoolArray:
-    """Mark the lattice points (rows + 1, cols + 1) that are a corner of some rectangle."""
+    """Mark the lattice points (rows + 1, cols + 1) that are corners of rectangles."""
     marked = np.zeros((shape[0] + 1, shape[1] + 1), np.bool_)
     for row, col in ((0, 1), (0, 3), (2, 1), (2, 3)):
         marked[rectangles[:, row], rectangles[:, col]] = True
     return marked
 
 
-def _placed(
+def _decode(
     used: IntArray,
     rectangles: IntArray,
     is_wall: BoolArray,
@@ -69,7 +69,7 @@ def _placed(
     walls: WallGrid,
     slab: float,
 ) -> FloatArray:
-    """Return (n, 3) what codes stand for: lattice points at a level, then middles of rectangles."""
+    """Return the (n, 3) positions of codes: lattice points at a level, then rectangle centers."""
     rows, cols = walls.shape
     lattice = (rows + 1) * (cols + 1) * LEVELS
     heights = np.array((-slab, -slab, 0.0, 0.0, walls.height, walls.height))
@@ -86,7 +86,7 @@ def _placed(
 
 
 def _apart(row: IntArray, col: IntArray, level: IntArray, kind: CellKinds, resolution: float) -> FloatArray:
-    """Return (n, 2) how far twins lie inside their own cell, cells; 0 for the other vertices."""
+    """Return (n, 2) offsets of twins into their own cell, cells; 0 for other vertices."""
     twin = level % 2 == 1
     least = np.where(level == TWIN_TOP, WALL, GROUND)
     east = np.where(kind[row + 1, col + 1] >= least, 1.0, -1.0)
@@ -98,7 +98,7 @@ def _apart(row: IntArray, col: IntArray, level: IntArray, kind: CellKinds, resol
 def _triangles(
     rectangles: IntArray, is_wall: BoolArray, kind: CellKinds, marked: BoolArray, holed: bool
 ) -> IntArray:
-    """Return (m, 3) vertex codes; `kind` are the cells with a rim of void around them."""
+    """Return (m, 3) vertex codes of the triangles; `kind` is padded with void cells."""
     rows, cols = marked.shape[0] - 1, marked.shape[1] - 1
     base = (rows + 1) * (cols + 1) * LEVELS + len(rectangles)
     room = 0
@@ -113,7 +113,7 @@ def _triangles(
         m = len(ring)
         low, floor, top = np.empty(m, np.int64), np.empty(m, np.int64), np.empty(m, np.int64)
         for i in range(m):
-            # At a corner the row of the rectangle's own cell; elsewhere there is no twin to choose.
+            # At a corner the row of the rectangle's own cell; other points have no twin.
             row = ring[i, 0] if ring[i, 0] == r0 else ring[i, 0] - 1
             second = _twin(ring[i], row, kind, GROUND)
             low[i] = _code(ring[i], TWIN_BOTTOM if second else BOTTOM, cols)
@@ -139,7 +139,10 @@ def _triangles(
 
 @njit(cache=True)
 def _ring(r0: int, c0: int, r1: int, c1: int, marked: BoolArray) -> IntArray:
-    """Return (m, 2) the marked points (row, col) around a rectangle, counter-clockwise with row = north."""
+    """Return the (m, 2) marked points (row, col) around a rectangle.
+
+    Counter-clockwise, with rows counted northward.
+    """
     ring = np.empty((2 * (r1 - r0 + c1 - c0), 2), np.int64)
     m = 0
     for c in range(c0, c1):
@@ -168,7 +171,7 @@ def _code(point: IntArray, level: int, cols: int) -> Any:
 
 @njit(cache=True)
 def _beside(p: IntArray, q: IntArray, kind: CellKinds) -> Any:
-    """Return what lies on the outer (right) side of p -> q; `kind` begins one cell before the grid."""
+    """Return the kind of cell on the outer (right) side of p -> q; `kind` is padded by a cell."""
     if q[1] != p[1]:
         return kind[p[0], p[1] + 1] if q[1] > p[1] else kind[p[0] + 1, p[1]]
     return kind[p[0] + 1, p[1] + 1] if q[0] > p[0] else kind[p[0], p[1]]
@@ -176,7 +179,10 @@ def _beside(p: IntArray, q: IntArray, kind: CellKinds) -> Any:
 
 @njit(cache=True)
 def _twin(point: IntArray, row: int, kind: CellKinds, least: int) -> Any:
-    """Whether a body has the twin at a corner: of two that only touch there the northern one has it."""
+    """Whether a body has the twin at a corner.
+
+    Of two bodies that touch only there, the northern one has it.
+    """
     r, c = point[0] + 1, point[1] + 1
     south_west, north_east = kind[r - 1, c - 1] >= least, kind[r, c] >= least
     south_east, north_west = kind[r - 1, c] >= least, kind[r, c - 1] >= least
