@@ -101,7 +101,7 @@ class ContactRecorder:
         )
 
     def log(self) -> ContactLog:
-        """Return what was noted."""
+        """Return the log."""
         columns = zip(*self._rows, strict=True) if self._rows else ((),) * len(COLUMNS)
         noted = {name: np.array(column) for name, column in zip(COLUMNS, columns, strict=True)}
         return ContactLog(**noted, deep=tuple(self._deep), timestep=self.body.timestep)

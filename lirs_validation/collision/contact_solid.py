@@ -1,4 +1,4 @@
-"""Whether points lie inside what a robot touches: ground, walls, or convex parts."""
+"""Solids that a robot touches (ground, walls, convex parts): point-in-solid test."""
 
 from __future__ import annotations
 

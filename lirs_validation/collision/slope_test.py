@@ -33,7 +33,7 @@ class Climb:
 
     Attributes:
         slope: of the ground under the robot, degrees.
-        slid: while it was to stand, beyond what its wheels rolled, meters.
+        slid: sliding distance while it should stand, without the rolling of its wheels, meters.
         climbed: share of the commanded distance that it came uphill.
     """
 

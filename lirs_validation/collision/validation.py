@@ -79,7 +79,7 @@ class CollisionVerdict:
     Attributes:
         world: name.
         robot: name.
-        terrain: what was touched.
+        terrain: contact geometry of the ground.
         seconds: simulated time driven.
         seed: of the random drive.
         driven: meters, in all legs.
@@ -88,14 +88,14 @@ class CollisionVerdict:
         stuck: seconds that it was commanded to drive, stood upright and came nowhere.
         force_peak: largest normal force of a contact, newtons.
         force_mean: mean of the sum of all normal forces while anything touched, newtons.
-        penetration_p999: what penetration stayed below in 99.9 % of the steps, meters.
+        penetration_p999: 99.9 % quantile of the penetration over the steps, meters.
         penetration_peak: the peak that is worst against its limit, meters.
-        penetration_limit: what the speed of that impact allows, meters.
+        penetration_limit: limit at the speed of that impact, meters.
         inside_steps: steps in which a body's center was inside ground or wall.
         energy_gain: energy gained within a second beyond the motors' work where it is worst, joules.
         energy_limit: its limit there, joules.
         slope: steepest drivable ground that was found, degrees; None for a robot that flies, or none found.
-        slid: meters that the robot moved there while it was to stand, beyond what its wheels rolled.
+        slid: sliding distance there while it should stand, without the rolling of its wheels, meters.
         climbed: share of the commanded distance that it came up there.
         diverged: why the simulation could not go on; empty = it could.
     """

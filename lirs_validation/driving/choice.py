@@ -39,7 +39,7 @@ def make_driver(
 
     Args:
         world: where it drives.
-        robot: what it drives.
+        robot: that is driven.
         config: driver, seed and seconds.
         mapper_map: returns the mapper's present map, map frame.
 

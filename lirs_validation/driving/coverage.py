@@ -1,7 +1,7 @@
 """Coverage planner and driver: an endless tour over the free ground.
 
 Greedy, like a person who wants to see everything: go to the nearest place not seen yet, rather ahead
-than behind, and now and then back to an old place, which is what closes loops.
+than behind, and now and then back to an old place, which closes loops.
 """
 
 from __future__ import annotations
@@ -66,11 +66,11 @@ class TourConfig:
 
 
 class CoveragePlanner:
-    """Plans tours over free cells and remembers what they covered.
+    """Planner of tours over free cells; remembers the covered cells.
 
     Args:
         free: free cells = where the robot's center may be.
-        start: any pose; only what can be reached from there counts.
+        start: any pose; only cells reachable from there count.
         rng: chooses among goals.
         config: how to choose.
 
@@ -212,7 +212,7 @@ class CoveragePlanner:
             np.remainder(np.arctan2(offset[:, 1], offset[:, 0]) - heading + math.pi, math.tau) - math.pi
         )
         cost = reach.cost[reached[:, 0], reached[:, 1]] + self.config.turn * turn / math.pi
-        # A goal at the rim of what is covered brings little: rather one step into the unknown.
+        # A goal at the rim of the covered area has little gain: prefer one step into uncovered ground.
         best = int(np.argmin(cost - self._gain(reached) + self._rng.uniform(0, 0.5, len(reached))))
         return int(reached[best, 0]), int(reached[best, 1])
 
@@ -257,7 +257,7 @@ class TourRoute:
         self._seconds, self._config, self._surface = seconds, config, surface
 
     def path(self, pose: Pose2, time: float, undriven: float | None) -> Path:
-        """Plan what the rest of the time can need at full speed."""
+        """Plan a tour long enough for the rest of the time at full speed."""
         if undriven is not None:
             self.planner.forget(undriven)
         # Smoothing shortens the tour, and planning again in the middle of a run would cost a tick.

@@ -100,7 +100,7 @@ class PathDriver:
     Attributes:
         start: where the robot is set down, world frame.
         frame: frame of the poses that it receives.
-        state: what it is doing.
+        state: current activity.
 
     Args:
         route: where to drive.

@@ -20,7 +20,7 @@ from lirs_wct.formats.commands_csv import Commands, read_commands
 from lirs_wct.geometry.pose import Pose2
 
 COMMANDS = "commands.csv"
-"""File of a run's folder with what its driver commanded."""
+"""File of the driver's commands in a run's folder."""
 
 
 class ReplayDriver:
@@ -29,7 +29,7 @@ class ReplayDriver:
     Args:
         commands: start pose, and a command each period.
         period: seconds between two commands.
-        name: what they are of.
+        name: of the recorded run.
     """
 
     frame: Frame = "world"

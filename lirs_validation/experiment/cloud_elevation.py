@@ -82,7 +82,7 @@ def _place_clouds(sample: CloudSample, truth: Trajectory, poses: Trajectory) -> 
 
 
 def _bounds(world: World, sample: CloudSample, truth: Trajectory) -> tuple[float, float, float, float]:
-    """Return west, south, east, north of the part of the world in the clouds' reach, meters."""
+    """Return west, south, east, north of the world in the clouds' reach, meters."""
     reach = max((float(np.linalg.norm(c.xyz, axis=1).max()) for c in sample.clouds if len(c)), default=0.0)
     west, south, east, north = world.surface.bounds
     low, high = truth.xy.min(axis=0) - reach, truth.xy.max(axis=0) + reach

@@ -95,7 +95,7 @@ def frozen_heap() -> Iterator[None]:
     """Exclude existing objects from garbage collection in a block.
 
     The compiler and its modules hold a million objects: a look through them takes 0.1 s, in the middle of
-    whichever scan it falls on. What the block makes is collected as ever.
+    whichever scan it falls on. New objects are collected as usual.
     """
     gc.freeze()
     try:
@@ -123,7 +123,7 @@ def large_blocks_apart() -> Iterator[None]:
 
     Each block from 1 MB on is then given back when it is freed.
 
-    It learns from what is freed to keep blocks of up to 32 MB, and does so again after this: a run's arrays
+    It learns from freed blocks to keep blocks of up to 32 MB, and does so again after this: a run's arrays
     fit between each other seldom, and some 50 MB more would be held. With another library, nothing happens.
     """
     _set_mmap_threshold(1 << 20)

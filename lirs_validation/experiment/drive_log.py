@@ -56,7 +56,7 @@ class DriveLog:
     It grows by one entry per scan, about 250 bytes in memory.
 
     Attributes:
-        observations: what the mapper was fed, less the clouds.
+        observations: the mapper's inputs, without the clouds.
         clouds: some of these, of a mapper that reads them.
         walker_beams: which beams of each scan met a walker; empty where there are none.
         truth: `T_world_base`, from the simulator.
@@ -68,7 +68,7 @@ class DriveLog:
         status: how it ended; `reason` says why.
         concurrent: whether something else of ours ran at the same time.
         start: where the driver had the robot set down, world frame.
-        commands: what it commanded, one a tick: the commands after the first observation, the second, ...
+        commands: of the driver, one per tick: the commands after the first observation, the second, ...
         spatial: whether the mapper estimates poses in space.
         mapper_in: where it worked.
     """
@@ -159,7 +159,7 @@ class DriveLog:
 
 
 LIDAR = attrgetter("angle_min", "angle_increment", "range_min", "range_max", "time_increment", "T_base_laser")
-"""What all scans of a lidar share."""
+"""Fields that all scans of a lidar share."""
 
 
 class ObservationLog(Sequence[Observation]):

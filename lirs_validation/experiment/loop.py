@@ -24,7 +24,7 @@ from lirs_wct.progress import Progress, no_progress
 from slam_baselines.mapper import Mapper
 
 Recorder = Callable[[Observation, Pose3, Pose2], None]
-"""Is shown what was sensed, the cloud included, the true pose `T_world_base` and the mapper's answer
+"""Receives the observation with its cloud, the true pose `T_world_base` and the mapper's answer
 `T_map_base`, in the plane."""
 
 MOST_AHEAD = 64
@@ -35,7 +35,7 @@ class Drive:
     """Drive in single ticks, until time is over, a failure, or the driver ends.
 
     Where the mapper works beside it, the simulation is driven ahead of the log. It is not where a tick may be
-    the last, or where the driver waits for the mapper's pose: so the log, and what the simulation counted,
+    the last, or where the driver waits for the mapper's pose: so the log, and the counts of the simulation,
     are the same as where the mapper is fed at once.
 
     Attributes:

@@ -23,7 +23,7 @@ from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.mapper import CloudMapper, Mapper, MapperStats, reads_clouds, requires_odometry
 
 READ_ONLY = re.compile(r"read-?only", re.IGNORECASE)
-"""What NumPy and Numba say of a write into an array that may not be written to."""
+"""Matches messages of NumPy and Numba about a write into a read-only array."""
 
 
 class MapperGuard:
@@ -88,7 +88,7 @@ class GuardedMapper(MapperGuard):
         """Hand over copies; return the mapper's answer, a finite pose.
 
         Raises:
-            MapperError: the mapper fails, writes into what it was given, or answers with something else.
+            MapperError: the mapper fails, writes into its inputs, or returns another type.
         """
         stamp = scan.stamp
         try:
@@ -269,7 +269,7 @@ class GuardedCloudMapper(MapperGuard):
 
     Args:
         mapper: that is guarded.
-        name: what messages call it.
+        name: of the mapper in messages.
         attitude: whether it is given inertial readings.
     """
 
@@ -284,7 +284,7 @@ class GuardedCloudMapper(MapperGuard):
         """Hand over copies; return the mapper's answer, a finite pose.
 
         Raises:
-            MapperError: the mapper fails, writes into what it was given, or answers with something else.
+            MapperError: the mapper fails, writes into its inputs, or returns another type.
         """
         stamp = cloud.stamp
         try:

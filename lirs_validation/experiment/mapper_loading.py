@@ -34,7 +34,7 @@ def mapper_named(name: str, seed: int) -> Mapper | CloudMapper:
     for in the current folder too, which is on `sys.path` only while the module is imported.
 
     Raises:
-        ConfigError: nothing has that name, it cannot be imported or made, what it needs is not installed, or
+        ConfigError: nothing has that name, it cannot be imported or made, a package is missing, or
             it is no mapper.
     """
     if name in CLOUD_MAPPERS:

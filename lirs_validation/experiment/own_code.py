@@ -36,8 +36,8 @@ def own_class(name: str, what: str, method: str) -> Callable[..., Any]:
 
     Args:
         name: `module:name`.
-        what: it makes, such as "mapper".
-        method: that what is made has; classes with it are named where there is none of that name.
+        what: kind of the made object, such as "mapper".
+        method: of the made object; if the name is unknown, the error lists classes with this method.
 
     Raises:
         ConfigError: the module cannot be imported, or has nothing of that name that can be called.

@@ -29,7 +29,7 @@ class Recording:
     Args:
         writer: of the bag; None = nothing is recorded.
         folder: that the writer fills.
-        slam: whether the bag holds what the mapper makes: the frame `map` on /tf, and /map.
+        slam: whether the bag holds the mapper's results: the frame `map` on /tf, and /map.
     """
 
     def __init__(self, writer: BagWriter | None = None, folder: Path = Path(), *, slam: bool = True) -> None:

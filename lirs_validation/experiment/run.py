@@ -118,7 +118,7 @@ def run(
     """Run a config (see `validate`).
 
     Args:
-        config: what to run.
+        config: of the run.
         out: folder that receives the run's folder; None = nothing is written.
         progress: of the run.
         scenarios: worlds that were built before.
@@ -138,7 +138,7 @@ def run(
             log, cost = _timed_drive(ready, progress, recorded.add, _existing(out))
             log.concurrent = log.concurrent or concurrent
             evaluated = _evaluate(ready, log, cost, progress)
-        # The simulation with its commands, and the mapper's grids: as large as what is drawn now.
+        # The simulation with its commands, and the mapper's grids: as large as the arrays of the pictures.
         del ready
         return _write_run(evaluated, out, name, recorded)
 
@@ -215,7 +215,7 @@ def conclude(
     """Evaluate a drive that has ended, and write its folder.
 
     Args:
-        ready: what was driven.
+        ready: the driven run.
         log: of the drive.
         cost: of the drive: `cpu_seconds`, `peak_memory`.
         out: folder that receives the run's folder; None = nothing is written.
@@ -266,7 +266,7 @@ def _existing(out: Path | None) -> Path | None:
 def _timed_drive(
     ready: ReadyRun, progress: Progress, recorder: Recorder, spool: Path | None
 ) -> tuple[DriveLog, dict[str, Any]]:
-    """Drive; return the log and what the drive cost."""
+    """Drive; return the log and the cost of the drive."""
     config = ready.scenario.config
     with cpu_contention() as others, frozen_heap():
         meter = CostMeter()

@@ -30,7 +30,7 @@ class Scenario:
     """A config and its world.
 
     Attributes:
-        config: what is run.
+        config: of the run.
         world: of the config.
         window: square that was cut out of a larger one, if any.
         files: that the world was made from; none of a bundled one.

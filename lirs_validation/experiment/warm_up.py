@@ -18,13 +18,13 @@ WARM_UP = 2.0
 BRIEF = 0.2
 """The same where MuJoCo's rays meet its height field: there a scan alone may take seconds."""
 _WARM: set[tuple[str | None, ...]] = set()
-"""What this process has driven already."""
+"""Kinds of drives that this process has warmed up."""
 
 
 def warm_up(scenario: Scenario, robot: Robot, process: MapperProcess | None = None) -> None:
     """Drive a throw-away simulation for a moment, so that every kernel is compiled.
 
-    What this process drove before is compiled: it is not driven again, unless the mapper has a new process.
+    A kind of drive is warmed up once per process, and again if the mapper has a new process.
 
     Args:
         scenario: of the drive.

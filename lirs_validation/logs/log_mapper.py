@@ -62,7 +62,7 @@ def _make(config: MapConfig) -> Mapper | CloudMapper:
 
 
 def check_log(config: MapConfig, mapper: GuardedMapper | GuardedCloudMapper, log: LaserLog) -> None:
-    """Tell whether a log holds what the mapper needs.
+    """Check that a log holds the data that the mapper needs.
 
     Raises:
         SourceError: nothing was seen in it, or it holds no odometry and the mapper needs it.

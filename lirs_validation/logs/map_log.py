@@ -69,7 +69,7 @@ def map_log(
         relations: file of relations that are known to be true; the record then holds the accuracy.
         reference: a reference trajectory (TUM, bag, or CARMEN log of corrected poses); the same.
         imu: file of inertial readings at the scans, as a run records them; None = there are none.
-        attitude: what the mapper is told of them: `imu`, or `none`.
+        attitude: `imu` gives the mapper the readings, `none` does not.
         scan_topic: of a bag: where the scans are; None = the only topic of scans.
         odom_topic: of a bag: where the odometry is; None = the only topic of odometry, else /tf.
         imu_topic: of a bag: where inertial readings are; None = they are left alone.
@@ -210,7 +210,7 @@ def replay(
     """Replay the log with inertial readings; return the lost rule's state.
 
     Raises:
-        SourceError: the mapper needs what the log does not hold.
+        SourceError: the log lacks data that the mapper needs.
         MapperError: it failed (see `GuardedMapper`).
     """
     scans, tracking = len(log.scans), LostRule()

@@ -31,7 +31,7 @@ def read_trajectory(path: Path, topic: str | None = None, flag: str = "--topic")
     Args:
         path: of file or bag.
         topic: of a bag, which holds the poses; None = see `read_poses`.
-        flag: what the user says the topic with.
+        flag: option of the topic, for messages.
 
     Raises:
         SourceError: it is neither, or has no such topic, or holds no poses.

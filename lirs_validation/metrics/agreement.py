@@ -20,7 +20,7 @@ ROUNDING = 1e-9
 """Cell centers that are 0.10 m apart but for rounding agree, meters."""
 
 BAND = 64
-"""Rows of a map that are looked up at a time: what is made on the way is ten times the size of the map."""
+"""Rows of a map per block: intermediate arrays are ten times the size of the block."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +113,7 @@ def nearest_occupied(asked: OccupancyGrid, other: OccupancyGrid) -> tuple[IntArr
 
 
 def decided(grid: OccupancyGrid) -> OccupancyGrid:
-    """Return what a map file says of the cells: occupied, free, and all else unknown.
+    """Return the cells as a map file stores them: occupied, free or unknown.
 
     A map is evaluated by this, so that one read from a file, of whatever program, is evaluated like one in
     memory: a cell that a mapper saw and did not decide is unknown in both.
@@ -169,7 +169,7 @@ def map_ssim(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
     None if there is none.
 
     The built map is read at the centers of the reference's cells. Pictures hold 0 for occupied, 1 for
-    free and 0.5 for what is unknown or undecided.
+    free and 0.5 for unknown or undecided cells.
     """
     moved = OccupancyGrid(sampled(built, reference), reference.resolution)
     both = moved.known & reference.known

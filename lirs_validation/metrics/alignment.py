@@ -20,7 +20,7 @@ class StartAlignment:
     """Rigid motion that aligns an estimate with the truth, as for the ATE.
 
     Attributes:
-        T_world_aligned: moves what the mapper placed in the world (path, map) to where it fits best.
+        T_world_aligned: moves the mapper's path and map, in the world frame, to the best fit.
         shift: how far it moves the start pose, meters.
         turn: by how much it turns, radians, not negative.
     """

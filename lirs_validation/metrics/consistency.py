@@ -6,7 +6,7 @@ beams of another pass crossed. The test needs neither the truth nor the mapper. 
 that moved contradict too, but only a few beams of a scan.
 
 A hit is contradicted where every beam of another scan that passes within `MARGIN` of it ends more than
-`MARGIN` behind it. A hit behind what the other scan sees, or beside a beam without return, says nothing.
+`MARGIN` behind it. A hit behind the other scan's hit, or near a beam without return, is not counted.
 
 Limits: the test misses a place that was passed only once, a shift along a corridor whose walls look alike,
 and errors below `MARGIN`. A hillside seen from two heights contradicts itself: where the attitude is known

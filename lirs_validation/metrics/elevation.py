@@ -1,7 +1,7 @@
 """Elevation maps: mean height per cell, error against the true surface.
 
 The points are those of the run's clouds, each placed by one pose: the mapper's for the built map, the true
-one for the map of what could be seen. So both hold the same points, and differ by the poses alone.
+one for the map at the true poses. So both hold the same points, and differ by the poses alone.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ def trajectory_accuracy(
     constraints: Sequence[RelativePoseConstraint] | None,
     reference: Trajectory | None,
 ) -> Accuracy:
-    """Compare an estimate in the map frame with what is known.
+    """Compare an estimate in the map frame with relations and reference.
 
     Args:
         estimate: of every scan.

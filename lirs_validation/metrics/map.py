@@ -150,7 +150,7 @@ def false_occupied(
 ) -> float | None:
     """Return the share of occupied cells farther from obstacles than the tolerance.
 
-    Obstacles are faces of the surface steeper than 45 deg and wall cells, not what scans saw of them.
+    Obstacles are faces of the surface steeper than 45 deg and wall cells, independent of the scans.
     """
     points = built.occupied_points()
     if len(points) == 0:

@@ -86,7 +86,7 @@ def motion_errors(
 PROPAGATED = 0.1
 """A pose farther than this from a constraint's stamp is propagated there by odometry, seconds."""
 CLOSE = 2.0
-"""Constraints tie poses this near each other, meters: what one scan shows, the other shows too."""
+"""Constraints tie poses this near each other, meters: scans at both poses show the same places."""
 SPACING = 1.0
 """Path between two poses that constraints are made of, meters."""
 

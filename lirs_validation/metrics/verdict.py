@@ -32,7 +32,7 @@ class LostRule:
 
         Args:
             stamp: of the scan, seconds.
-            lost: what the mapper says.
+            lost: as the mapper reports.
         """
         self._scans += 1
         if not lost:

@@ -1,1 +1,1 @@
-"""The run record: what was run, metrics, provenance; its schema and the catalog of metrics."""
+"""Run record: config, metrics, provenance; its schema and the catalog of metrics."""

@@ -121,7 +121,7 @@ MANY = 8
 
 
 def map_lines(record: MapRecord) -> list[tuple[str, str]]:
-    """Return names and values of what exists, the status first."""
+    """Return names and values of existing results, the status first."""
     log, grid, mapper, cost = record.log, record.map, record.mapper, record.cost
     width, depth = grid["size"]
     driven = log["odometry_length"]

@@ -46,7 +46,7 @@ class Metric:
         title: name in a run's picture; empty = the same.
         short: heading of a narrow column, with the unit; empty = the same.
         tested: whether comparisons test it; the odometry's error belongs to the drive, not to the mapper.
-        baseline: key of what stands beside it in the report's distributions, in the same unit of the record.
+        baseline: key of the comparison value in the report's distributions, in the same unit of the record.
         optional: whether the table of runs leaves it out where no run has it.
         detail: whether the report's tables leave it out; comparisons take it by its key.
     """

@@ -145,7 +145,7 @@ WITH_RESULTS = (
 )
 """Of a run that drove."""
 OF_PLANAR_MAPPERS = ("map.pgm", "map.yaml")
-"""Of these, what mappers of point clouds do not write."""
+"""Files that mappers of point clouds do not write."""
 WITHOUT = (RECORD, "error.txt")
 """Of a run that came to nothing."""
 

@@ -39,7 +39,7 @@ class Feeding(Protocol):
         ...
 
     def answer(self) -> Answer:
-        """Return what the mapper answered to the first scan that is not answered yet.
+        """Return the mapper's answer to the first unanswered scan.
 
         Raises:
             MapperError: the mapper failed.
@@ -47,7 +47,7 @@ class Feeding(Protocol):
         ...
 
     def close(self) -> None:
-        """End what goes on; nothing is given or asked afterwards."""
+        """Stop; the feeding cannot be used afterwards."""
         ...
 
 
@@ -106,7 +106,7 @@ class Answer:
 
 
 def update_mapper(mapper: AnyMapper, update: tuple[Any, ...]) -> Answer:
-    """Give a mapper what its `update` takes; return its answer.
+    """Call a mapper's `update` with its arguments; return the answer.
 
     Raises:
         MapperError: the mapper failed.

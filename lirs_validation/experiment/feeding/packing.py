@@ -25,7 +25,7 @@ class ScanBatch:
     """Scans of one lidar, with odometry and inertial readings.
 
     Attributes:
-        lidar: a scan without ranges: what all of them share.
+        lidar: a scan without ranges; holds the fields that all scans share.
         ranges: (n, beams) float32 meters.
         numbers: (n, 13) float64: stamp; odometry x, y, yaw; the inertial reading's row.
     """
@@ -46,7 +46,7 @@ def pack_updates(updates: Sequence[tuple[Any, ...]]) -> ScanBatch | Sequence[tup
 
 
 def unpack_updates(batch: ScanBatch | Sequence[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]]:
-    """Yield what each update takes."""
+    """Yield the arguments of each update."""
     if not isinstance(batch, ScanBatch):
         yield from batch
         return

@@ -143,7 +143,7 @@ class MapperProcess:
         return self._request("lost")  # type: ignore[no-any-return]
 
     def cost(self) -> Cost:
-        """Return what the process has taken since `begin`."""
+        """Return the cost of the process since `begin`."""
         return self._request("cost")  # type: ignore[no-any-return]
 
     def _request(self, name: str) -> Any:

@@ -86,7 +86,7 @@ class _Server:
         return compile_seconds()
 
     def begin(self) -> None:
-        """Make the mapper anew; what there is, is left to Python's garbage collector (see `heap_at_rest`)."""
+        """Create a new mapper; exclude existing objects from garbage collection (see `frozen_heap`)."""
         c = self._config
         self._mapper = guard_mapper(mapper_named(c.mapper, c.seed), c)
         gc.freeze()
@@ -117,7 +117,7 @@ class _Server:
         return self._mapper.trajectory()
 
     def stats(self) -> MapperStats:
-        """Return what the mapper counted."""
+        """Return the mapper's statistics."""
         return self._mapper.stats
 
     def lost(self) -> bool:
@@ -125,7 +125,7 @@ class _Server:
         return self._mapper.lost
 
     def cost(self) -> Cost:
-        """Return what this process has taken since the mapper was made."""
+        """Return the cost of this process since the mapper was made."""
         return self._meter.cost()
 
 

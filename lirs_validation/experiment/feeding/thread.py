@@ -42,7 +42,7 @@ class ThreadFeeding:
     """Feeds a mapper in a thread of its own, which ends with this object.
 
     The mapper's kernels, MuJoCo's step and the lidar's rays release Python's lock, so that they run beside
-    each other; what the threads do in Python they do in turns.
+    each other; Python code of the threads runs in turns.
     """
 
     place: Place = "thread"
